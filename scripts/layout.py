@@ -43,12 +43,12 @@ def packages(root: Path = ROOT, places: Sequence[str] = OURS) -> Iterator[tuple[
 
 def share(folder: Path, config: ConfigParser) -> Tree:
     """Return the data files of a package: its marker in the ament index, package.xml, launch files and the like."""
-    found: Tree = {}
+    result: Tree = {}
     for place, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
         for pattern in patterns.replace("\n", ",").split(","):
             for file in sorted((folder / os.path.dirname(pattern.strip())).glob(os.path.basename(pattern.strip()))):
-                found[f"{place}/{file.name}"] = file.resolve()
-    return found
+                result[f"{place}/{file.name}"] = file.resolve()
+    return result
 
 
 def executables(name: str, config: ConfigParser) -> Iterator[tuple[str, str]]:

@@ -143,8 +143,8 @@ def until(condition, what=str):
     deadline = time.monotonic() + PATIENCE
     while True:
         with suppress(KeyError, IndexError, FileNotFoundError):
-            if found := condition():
-                return found
+            if result := condition():
+                return result
         assert time.monotonic() < deadline, f"never happened: {what() if callable(what) else what}"
         time.sleep(0.02)
 
@@ -273,7 +273,7 @@ def ears(process):
 
 def processes_of(directory):
     """Command lines, by pid, of the processes of a run that are alive: they name the run's parameter files."""
-    found = {}
+    result = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             try:
@@ -281,8 +281,8 @@ def processes_of(directory):
             except OSError:
                 continue
             if str(directory).encode() in command:
-                found[int(entry.name)] = command
-    return found
+                result[int(entry.name)] = command
+    return result
 
 
 def no_process_left(directory):

@@ -93,7 +93,7 @@ def cost(checkout: Path, words: str, folder: Path) -> float:
 
 def compared(other: Path, names: Sequence[str], rounds: int) -> dict[str, tuple[list[float], list[float]]]:
     """Run commands of another checkout and of this one in turn; the first round, which compiles, is left out."""
-    found: dict[str, tuple[list[float], list[float]]] = {}
+    result: dict[str, tuple[list[float], list[float]]] = {}
     with tempfile.TemporaryDirectory() as scratch:
         folders = {checkout: Path(scratch, name) for checkout, name in ((other, "before"), (ROOT, "now"))}
         for checkout, folder in folders.items():
@@ -104,8 +104,8 @@ def compared(other: Path, names: Sequence[str], rounds: int) -> dict[str, tuple[
             for _ in range(rounds + 1):
                 for checkout, folder in folders.items():
                     costs[checkout].append(cost(checkout, COMMANDS[name], folder))
-            found[name] = (costs[other][1:], costs[ROOT][1:])
-    return found
+            result[name] = (costs[other][1:], costs[ROOT][1:])
+    return result
 
 
 def rows(found: dict[str, tuple[list[float], list[float]]]) -> list[tuple[str, str, str, str]]:

@@ -46,8 +46,8 @@ def peer(name: str, vectors: list[int], python: str = sys.executable) -> Mapping
     mapping or None
         What it printed; None when that Python does not have the simulator.
     """
-    found: dict[str, float] | None = asked("induction_peers", name, vectors, python, name)
-    return found
+    result: dict[str, float] | None = asked("induction_peers", name, vectors, python, name)
+    return result
 
 
 def agreement(python: str = sys.executable, seconds: float = 0.75) -> tuple[float, float] | None:

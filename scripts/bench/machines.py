@@ -42,8 +42,8 @@ def duty_ratios(name: str, seconds: float) -> tuple[dict[str, Any], Signals]:
 
 def peer(given: dict[str, Any], python: str) -> dict[str, Any] | None:
     """Run `machines_peers` with another Python; None when that does not have motulator."""
-    found: dict[str, Any] | None = asked("machines_peers", "motulator", given, python)
-    return found
+    result: dict[str, Any] | None = asked("machines_peers", "motulator", given, python)
+    return result
 
 
 def beside(name: str, python: str, seconds: float) -> Beside | None:

@@ -92,12 +92,12 @@ def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
     constants = np.array(_motor(blocks) if name == "dc_motor_smc" else _drive(blocks))
 
     def by_hand(recorded: bool) -> Any:
-        found = [np.empty((count, size)) for count, size in zip(counts, sizes, strict=True)]
+        result = [np.empty((count, size)) for count, size in zip(counts, sizes, strict=True)]
         draws = [blocks["im_plant"].uniform.first(2 * rig.ticks + 8192)] if "im_plant" in blocks else []
         places = [ctypes.c_void_p(x.ctypes.data) for x in (constants, *draws)]
-        places += [ctypes.c_void_p(x.ctypes.data if recorded else None) for x in found]
+        places += [ctypes.c_void_p(x.ctypes.data if recorded else None) for x in result]
         loop(ctypes.c_long(rig.ticks), *places)
-        return found
+        return result
 
     recording = native(True)
     for topics, count, table in zip(tables, counts, by_hand(True), strict=True):

@@ -102,17 +102,17 @@ def costs(folder: Path, compression: str, count: int = MESSAGES, sample: int = S
     """Measure all readers on one bag, and what it takes to hold all messages as objects."""
     bag = folder / compression
     make(bag, count, compression)
-    found = {name: measure(code, bag, folder / "out", count) for name, code in OURS.items()}
+    result = {name: measure(code, bag, folder / "out", count) for name, code in OURS.items()}
     for name, code in THEIRS.items():
         each = "\ndef work():\n    for _ in islice(messages(), count): pass\n"
-        found[name] = measure(code + each, bag, folder / "out", sample)
+        result[name] = measure(code + each, bag, folder / "out", sample)
     holding = "\ndef work():\n    global held\n    held = list(islice(messages(), count))\n"
     one, two = (
         measure(THEIRS["rosbags, deserialised"] + holding, bag, folder / "out", n) for n in (sample // 2, sample)
     )
     if one is not None and two is not None:  # what is beside the messages is in both
-        found["all messages held, rosbags"] = Cost(two.seconds, (two.memory - one.memory) * count / (sample / 2))
-    return found
+        result["all messages held, rosbags"] = Cost(two.seconds, (two.memory - one.memory) * count / (sample / 2))
+    return result
 
 
 def reading() -> None:

@@ -107,8 +107,8 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
     them down. Each run is that of a new process: what it loads, or starts for a solver, at its first ticks counts.
     """
     whole = rig_of(name)
-    found = dict.fromkeys(("processes", "container", "inprocess"), 0.0)
-    found["nodes"] = len([m for m in whole.members if not m.external])
+    result = dict.fromkeys(("processes", "container", "inprocess"), 0.0)
+    result["nodes"] = len([m for m in whole.members if not m.external])
     places: list[tuple[Any, int]] = [("processes", 1000), *rounds * [("container", 10_000), ("inprocess", 10_000)]]
     for place, ticks in places:
         least = max(ticks * whole.clock.schedule.period, 2 * max(m.schedule.period for m in whole.members))
@@ -123,8 +123,8 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
                 raise ScenarioError(outcome.error)
             clock = outcome.status[rig.clock.name]
             rate = clock["ticks"] / clock["running_s"]
-        found[place] = max(found[place], rate)
-    return found
+        result[place] = max(result[place], rate)
+    return result
 
 
 def in_memory(name: str, duration: float) -> float:
@@ -177,9 +177,9 @@ def _timed(member: Member, spent: dict[str, int]) -> None:
     def timed(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **keywords: Any) -> Any:
             start = clock()
-            found = function(*arguments, **keywords)
+            result = function(*arguments, **keywords)
             spent[key] += clock() - start
-            return found
+            return result
 
         return call
 

@@ -228,14 +228,14 @@ def names(kind: str) -> str:
 @cache
 def blocks() -> dict[str, type[Block]]:
     """Return the block classes of all executables by ``PACKAGE/EXECUTABLE``, without ``softrig_``."""
-    found = {}
+    result = {}
     for package in PACKAGES:
         for executable in executables(f"softrig_{package}"):
             try:
-                found[f"{package}/{executable}"] = load_block(f"softrig_{package}", executable)
+                result[f"{package}/{executable}"] = load_block(f"softrig_{package}", executable)
             except ScenarioError:  # a tool, no node
                 continue
-    return found
+    return result
 
 
 def _nodes() -> Iterator[str]:

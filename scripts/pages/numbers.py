@@ -141,14 +141,14 @@ def _ties(section: str) -> Iterator[Tie]:
 
 def _measured(page: str) -> dict[tuple[str, str], float]:
     """Read the measured tables of pages: (scenario, figure) to value."""
-    found: dict[tuple[str, str], float] = {}
+    result: dict[tuple[str, str], float] = {}
     for part in re.finditer(r"<!-- measured: ([^>]*?) of [^>]*? -->\n(.*?)<!-- end -->", page, re.DOTALL):
         for row in re.findall(r"^\| `(\w+)` (.*)\|$", part[2], re.MULTILINE):
             cells = [cell.strip() for cell in row[1].split(" | ")][-len(part[1].split()) :]
             for figure, cell in zip(part[1].split(), cells, strict=True):
                 if cell.strip("| ") not in ("", "never"):
-                    found[row[0], figure] = float(cell.split()[0])
-    return found
+                    result[row[0], figure] = float(cell.split()[0])
+    return result
 
 
 def _wrong(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:

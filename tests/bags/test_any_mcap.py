@@ -136,11 +136,11 @@ def lengths(seed):
     """Lengths of messages: some repeat with a period, with others between."""
     chance = np.random.default_rng(seed)
     pattern = chance.integers(0, 40, chance.integers(1, 9)).tolist()
-    found = []
+    result = []
     for _ in range(int(chance.integers(1, 6))):
-        found += pattern * int(chance.integers(0, 120))
-        found += chance.integers(0, 60, chance.integers(0, 30)).tolist()
-    return found
+        result += pattern * int(chance.integers(0, 120))
+        result += chance.integers(0, 60, chance.integers(0, 30)).tolist()
+    return result
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -54,14 +54,14 @@ def recording(ticks=50, period=1_000_000, gain=1.0) -> Recording:
     clock = Layout("rosgraph_msgs/msg/Clock")
     state = Layout(STATE, "", ["a", "b"], {"position": 2, "velocity": 2})
     command = Layout(STATE, "", ["a"], {"effort": 1})
-    found = Recording([("/clock", "rosgraph_msgs/msg/Clock"), ("plant/state", STATE), ("command", STATE)])
+    result = Recording([("/clock", "rosgraph_msgs/msg/Clock"), ("plant/state", STATE), ("command", STATE)])
     for k in range(ticks):
         t = k * period
-        found.add(0, t, clock.encode(t, ()))
-        found.add(1, t, state.encode(t, (k * 0.1, -k * 0.1, k * 1.0, 1.0)))
+        result.add(0, t, clock.encode(t, ()))
+        result.add(1, t, state.encode(t, (k * 0.1, -k * 0.1, k * 1.0, 1.0)))
         if k % 4 == 0:
-            found.add(2, t, command.encode(t, (gain * k,)))
-    return found
+            result.add(2, t, command.encode(t, (gain * k,)))
+    return result
 
 
 def expected(source: Recording) -> list[tuple[str, int, bytes]]:
@@ -566,10 +566,10 @@ def test_equal_stamps_are_paired_in_order():
 
 def test_names_frames_types_and_nan():
     def single(msgtype=STATE, frame="", name="a", value=1.0):
-        found = Recording([("x", msgtype)])
+        result = Recording([("x", msgtype)])
         fields = {"effort": 1} if msgtype == STATE else {}
-        found.add(0, 0, Layout(msgtype, frame, [name], fields).encode(0, (value,) if fields else (value,) * 3))
-        return found
+        result.add(0, 0, Layout(msgtype, frame, [name], fields).encode(0, (value,) if fields else (value,) * 3))
+        return result
 
     assert compared(single(), single(frame="map")).first.field == "frame_id"
     assert compared(single(), single(name="b")).first.field == "a/effort"

@@ -24,11 +24,11 @@ PLUGINS = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 
 def recording(ticks=30_000):
     layout = Layout(STATE, "", ["a", "b"], {"position": 2})
-    found = Recording([("state", STATE)])
+    result = Recording([("state", STATE)])
     for k in range(ticks):
         t = k * 1_000_000
-        found.add(0, t, layout.encode(t, (0.1 * k, 1e-3 * k * k)))
-    return found
+        result.add(0, t, layout.encode(t, (0.1 * k, 1e-3 * k * k)))
+    return result
 
 
 def write(directory, source, mode, suffix):

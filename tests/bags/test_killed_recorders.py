@@ -140,23 +140,23 @@ def five(tmp_path_factory):
 def rows_by_sqlite(folder, scratch):
     """What SQLite itself gives of a copy of all files, up to the first error."""
     shutil.copytree(folder, scratch)
-    found = []
+    result = []
     database = sqlite3.connect(scratch / "bag_0.db3")
     with suppress(sqlite3.Error):
         for row in database.execute("SELECT timestamp, data FROM messages ORDER BY id"):
-            found.append(row)
+            result.append(row)
     database.close()
-    return found
+    return result
 
 
 def messages_by_mcap(content):
     """What the library gives as a stream, up to the first error."""
-    found = []
+    result = []
     with suppress(McapError, struct.error):
         for record in StreamReader(io.BytesIO(content)).records:
             if isinstance(record, Message):
-                found.append((record.log_time, record.data))
-    return found
+                result.append((record.log_time, record.data))
+    return result
 
 
 def check_all_saved(folders, kind):

@@ -29,20 +29,20 @@ def mixed(seed, rows=400):
         ("raw", STATE),
         ("no", STATE),
     ]
-    found = Recording([*kinds, ("no", STATE)])
+    result = Recording([*kinds, ("no", STATE)])
     layouts = {0: Layout(CLOCK), 1: Layout(STATE, "", ["x", "y"], {"position": 2, "effort": 2})}
     slow = {2: Layout(STATE, "base", ["q"], {"velocity": 1})}
     array = {3: Layout(ARRAY, counts={"data": 3}, dims=[("row", 3)], numbered=True)}
     times = np.cumsum(np.array([chance.choice([0, 10**6]) for _ in range(rows)]))
-    found.rows(layouts)(times[: rows // 2], np.array([[chance.random() for _ in range(4)] for _ in range(rows // 2)]))
-    found.rows(layouts)(times[rows // 2 :], np.array([[chance.random() for _ in range(4)] for _ in range(rows // 2)]))
-    found.rows(slow)(times[::7], np.array([[chance.random()] for _ in times[::7]]))
-    found.rows(array)(times[::3], np.array([[chance.random() for _ in range(3)] for _ in times[::3]]))
+    result.rows(layouts)(times[: rows // 2], np.array([[chance.random() for _ in range(4)] for _ in range(rows // 2)]))
+    result.rows(layouts)(times[rows // 2 :], np.array([[chance.random() for _ in range(4)] for _ in range(rows // 2)]))
+    result.rows(slow)(times[::7], np.array([[chance.random()] for _ in times[::7]]))
+    result.rows(array)(times[::3], np.array([[chance.random() for _ in range(3)] for _ in times[::3]]))
     for t in sorted(chance.choices(times.tolist(), k=60)):
-        found.add(4, t, bytes(chance.randrange(4, 900)))
+        result.add(4, t, bytes(chance.randrange(4, 900)))
     for t in times[::5].tolist():
-        found.add(5, t, Layout(STATE, "", ["z"], {"position": 1}).encode(t, (0.5,)))
-    return found
+        result.add(5, t, Layout(STATE, "", ["z"], {"position": 1}).encode(t, (0.5,)))
+    return result
 
 
 def written(folder, recording, by_blocks, **options):

@@ -17,12 +17,12 @@ def python(version):
     """Find a CPython of this version, of the machine or of pyenv; None where there is none."""
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     for candidate in (f"python{version}", *sorted(versions.glob(f"{version}.*/bin/python{version}"))):
-        if found := shutil.which(candidate):  # a shim of pyenv may be there for a version that is not chosen
+        if result := shutil.which(candidate):  # a shim of pyenv may be there for a version that is not chosen
             asked = subprocess.run(
-                [found, "-c", "import ensurepip, sys, venv; print(sys.version)"], capture_output=True, text=True
+                [result, "-c", "import ensurepip, sys, venv; print(sys.version)"], capture_output=True, text=True
             )
             if asked.returncode == 0 and asked.stdout.startswith(f"{version}."):
-                return found
+                return result
     return None
 
 

@@ -20,7 +20,7 @@ VALUES = (0.0, 1.0, 1.0, 1.125, 1.25, 2.0, -1.0, math.nan, math.inf)
 
 def drawn(rng):
     """Messages (bag time, stamp, values) by topic: stamped ones, some with the stamp of the one before; bare ones."""
-    found = {}
+    result = {}
     for topic in ("joints", "number", "only"):
         t, mark, rows = 0, 0, []
         for _ in range(rng.randrange(1, 14)):
@@ -28,13 +28,13 @@ def drawn(rng):
             mark = mark if rng.random() < 0.3 else t
             values = [rng.choice(VALUES) for _ in range(4 if topic != "number" else 1)]
             rows.append((t, mark if topic != "number" else t, values))
-        found[topic] = rows
-    return found
+        result[topic] = rows
+    return result
 
 
 def changed(messages, rng):
     """The same with some messages lacking, others added, values off, times off."""
-    found = {}
+    result = {}
     for topic, rows in messages.items():
         if topic == "only" and rng.random() < 0.5:
             continue
@@ -45,27 +45,27 @@ def changed(messages, rng):
             if topic != "number" and rng.random() < 0.2:
                 kept[k] = (t + 1, m, v)
         kept += [(99, 99, [7.0] * (1 if topic == "number" else 4))] * rng.randrange(2)
-        found[topic] = sorted(kept, key=lambda row: row[0])
-    return found
+        result[topic] = sorted(kept, key=lambda row: row[0])
+    return result
 
 
 def recording(messages):
-    found = Recording([(topic, FLOAT if topic == "number" else STATE) for topic in messages])
+    result = Recording([(topic, FLOAT if topic == "number" else STATE) for topic in messages])
     for k, (topic, rows) in enumerate(messages.items()):
         layout = NUMBER if topic == "number" else JOINTS
         for t, mark, values in rows:
-            found.add(k, t, layout.encode(mark, tuple(values)))
-    return found
+            result.add(k, t, layout.encode(mark, tuple(values)))
+    return result
 
 
 def keyed(rows, stamped):
     """Messages by stamp, or by bag time, and how many before had the same."""
-    found, seen = {}, {}
+    result, seen = {}, {}
     for t, mark, values in rows:
         key = mark if stamped else t
-        found[key, seen.get(key, 0)] = (t, values)
+        result[key, seen.get(key, 0)] = (t, values)
         seen[key] = seen.get(key, 0) + 1
-    return found
+    return result
 
 
 def agree(x, y, tolerance):

@@ -113,24 +113,24 @@ def rig(tmp_path):
 
 def small(ticks=200, every=4) -> Recording:
     """A clock and a plant's state each ms, twice the position as command every few ms."""
-    found = Recording([("/clock", CLOCK), ("plant/state", STATE), ("command", STATE)])
+    result = Recording([("/clock", CLOCK), ("plant/state", STATE), ("command", STATE)])
     layouts = [Layout(CLOCK), Layout(STATE, "", ["a"], {"position": 1}), Layout(STATE, "", ["a"], {"effort": 1})]
     for k in range(ticks):
         t = k * 1_000_000
-        found.add(0, t, layouts[0].encode(t, ()))
-        found.add(1, t, layouts[1].encode(t, (0.5 * k,)))
+        result.add(0, t, layouts[0].encode(t, ()))
+        result.add(1, t, layouts[1].encode(t, (0.5 * k,)))
         if k % every == 0:
-            found.add(2, t, layouts[2].encode(t, (1.0 * k,)))
-    return found
+            result.add(2, t, layouts[2].encode(t, (1.0 * k,)))
+    return result
 
 
 def large(count=500, channels=1200) -> Recording:
     """Messages of about 10 kB, 1 ms apart."""
     layout = Layout(STATE, "", [], {"position": channels})
-    found = Recording([("big", STATE)])
+    result = Recording([("big", STATE)])
     for k in range(count):
-        found.add(0, k * 1_000_000, layout.encode(k * 1_000_000, (float(k),) * channels))
-    return found
+        result.add(0, k * 1_000_000, layout.encode(k * 1_000_000, (float(k),) * channels))
+    return result
 
 
 @pytest.mark.parametrize(

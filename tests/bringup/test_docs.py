@@ -159,7 +159,7 @@ def violations(html, folder):
     for option in ("--headless=new", "--no-sandbox", "--window-size=1400,1000", "--allow-file-access-from-files"):
         options.add_argument(option)
     options.binary_location = chromium
-    found = []
+    result = []
     browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
     try:
         browser.set_script_timeout(120)
@@ -169,10 +169,10 @@ def violations(html, folder):
             for scheme, rules in (("light", []), ("dark", COLOURS)):
                 wanted = [{"name": "prefers-color-scheme", "value": scheme}]
                 browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": wanted})
-                found += [(scheme, page.name, *violation) for violation in browser.execute_async_script(ASK, rules)]
+                result += [(scheme, page.name, *violation) for violation in browser.execute_async_script(ASK, rules)]
     finally:
         browser.quit()
-    return found
+    return result
 
 
 COLOURS = ["color-contrast", "link-in-text-block"]  # the others do not look at them

@@ -23,13 +23,13 @@ def rcl(file, namespace):
         rclpy.init(args=["--ros-args", "--disable-rosout-logs", "--params-file", str(file)], context=context)
     except Exception:
         return None
-    found = {}
+    result = {}
     for name in NODES:
         node = Node(name, namespace=f"/{namespace}", context=context, start_parameter_services=False)
-        found |= {f"{name}.{key}": [] if p.value is None else p.value for key, p in node._parameter_overrides.items()}
+        result |= {f"{name}.{key}": [] if p.value is None else p.value for key, p in node._parameter_overrides.items()}
         node.destroy_node()
     rclpy.shutdown(context=context)
-    return found
+    return result
 
 
 def ours(file, namespace):

@@ -71,16 +71,16 @@ def drawn(monkeypatch, tmp_path):
     """Figures of a run's plots by title, as they were saved, without the overview."""
 
     def draw(given, also=""):
-        found, save = {}, plots.save_figure
+        result, save = {}, plots.save_figure
 
         def keep(figure, path, title, run, also):
             save(figure, path, title, run, also)
-            found[title] = on_paper(figure)
+            result[title] = on_paper(figure)
 
         monkeypatch.setattr(plots, "save_figure", keep)
         run = simulate(rig_of(given))
         plot_run(run.signals, run.rig, tmp_path, also, len(given.plots))
-        return found
+        return result
 
     return draw
 

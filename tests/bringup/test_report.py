@@ -385,8 +385,8 @@ class Page(HTMLParser):
             self.rows[-1][-1] += data
 
     def row(self, name):
-        (found,) = [r for r in self.rows if r[0] == name]
-        return found
+        (result,) = [r for r in self.rows if r[0] == name]
+        return result
 
 
 METRICS = [

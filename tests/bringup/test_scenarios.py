@@ -252,8 +252,8 @@ def finding(claim, figures):
     nodes = {"plant": "plant", "source": "source", "gain": "gain"}
     known = {"last": {"function": "final_value", "arguments": {"signal": "lag/state/x/position"}}}
     scenario = make_scenario(nodes, figures=known, claims={"last": claim})
-    (found,) = findings(scenario, lambda name: figures.get(name), {"last": "m"})
-    return found
+    (result,) = findings(scenario, lambda name: figures.get(name), {"last": "m"})
+    return result
 
 
 @pytest.mark.parametrize("verdict", ["reproduced", "fitted", "corrected", "refuted"])

@@ -392,12 +392,12 @@ def test_a_study_follows_no_link_that_was_put_into_its_folder(folder):
 
 def session(pid):
     """Processes of a session that live."""
-    found = []
+    result = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             state, _, _, number = stat.read_text().rpartition(")")[2].split()[:4]
-            found += [stat.parent.name] if int(number) == pid and state != "Z" else []
-    return found
+            result += [stat.parent.name] if int(number) == pid and state != "Z" else []
+    return result
 
 
 @pytest.mark.parametrize(

@@ -38,15 +38,15 @@ def figure(size=(10.0, 3.0)):
 
 def points(form):
     """Points of the data of a path, pieces one after the other."""
-    found = []
+    result = []
     for letter, numbers in re.findall(r"([MlhHVvz])([^MlhHVvz]*)", form):
         given = [float(v) for v in re.findall(r"-?[\d.]+", numbers)]
         if letter == "M":
-            found.append([tuple(given[:2])])
+            result.append([tuple(given[:2])])
         elif letter == "l":
             for dx, dy in zip(given[::2], given[1::2], strict=True):
-                found[-1].append((found[-1][-1][0] + dx, found[-1][-1][1] + dy))
-    return found
+                result[-1].append((result[-1][-1][0] + dx, result[-1][-1][1] + dy))
+    return result
 
 
 # ticks: by matplotlib ---------------------------------------------------------------------------------------------
@@ -216,10 +216,10 @@ def test_nothing_lies_outside_of_the_picture_or_over_another_text(drawn):
 
 def inner(text):
     """The nested SVG of each axes: its box in the picture, and what is drawn in it."""
-    found = []
+    result = []
     for element in ET.fromstring(text).findall(f"{SVG}svg"):
-        found.append(([float(element.get(k)) for k in ("x", "y", "width", "height")], list(element)))
-    return found
+        result.append(([float(element.get(k)) for k in ("x", "y", "width", "height")], list(element)))
+    return result
 
 
 def test_axes_of_a_row_and_of_a_column_have_their_edges_in_line():

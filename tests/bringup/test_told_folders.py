@@ -252,16 +252,16 @@ def recalled(run, **more):
 
 def changed(run, topic, k=None, values=None, first=0, last=None):
     """The recording of a run with another message of a topic, or with a part of them only."""
-    found = Recording((t.name, t.msgtype) for t in run.recording.topics.values())
+    result = Recording((t.name, t.msgtype) for t in run.recording.topics.values())
     for name, old in run.recording.topics.items():
         times, data = list(old.times), [bytes(d) for d in old.data]
         if name == topic:
             if k is not None:
                 data[k] = run.rig.topics[topic].layout().encode(times[k], values)
             times, data = times[first:last], data[first:last]
-        found.topics[name].times.extend(times)
-        found.topics[name].data.extend(data)
-    return found
+        result.topics[name].times.extend(times)
+        result.topics[name].data.extend(data)
+    return result
 
 
 def test_a_repetition_is_held_against_the_run_as_told(run):
@@ -461,9 +461,9 @@ def test_what_a_bag_says_of_its_run(run):
 
 
 def entry(name, kind=0, compress=zipfile.ZIP_STORED, flags=0):
-    found = zipfile.ZipInfo(name)
-    found.external_attr, found.compress_type, found.flag_bits = (kind | 0o644) << 16, compress, flags
-    return found
+    result = zipfile.ZipInfo(name)
+    result.external_attr, result.compress_type, result.flag_bits = (kind | 0o644) << 16, compress, flags
+    return result
 
 
 GOOD = [

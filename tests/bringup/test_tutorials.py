@@ -42,21 +42,21 @@ class Block(NamedTuple):
 
 
 def blocks(page: str) -> list[Block]:
-    found = []
+    result = []
     for match in _BLOCK.finditer(page):
         language, fenced, indented = match.groups()
         if indented:
             text = re.sub(r"^    ", "", indented, flags=re.M)
             text = text.replace("scripts/softrig ", "softrig ")
             if _COMMAND.match(text) and not page[: match.start()].rstrip().endswith("<!-- runs until Ctrl-C -->"):
-                found.append(Block("commands", text))
+                result.append(Block("commands", text))
         elif language == "text":
-            found.append(Block("output", fenced))
+            result.append(Block("output", fenced))
         elif re.match(r"(?:# [\w/]+\.\w+|/\* \w+\.\w+ \*/)\n", fenced):
-            found.append(Block("file", fenced))
+            result.append(Block("file", fenced))
         elif language == "python":
-            found.append(Block("commands", f"softrig python - <<'@@ end'\n{fenced.rstrip()}\n@@ end\n"))
-    return found
+            result.append(Block("commands", f"softrig python - <<'@@ end'\n{fenced.rstrip()}\n@@ end\n"))
+    return result
 
 
 def script(found: list[Block]) -> str:

@@ -135,11 +135,11 @@ def run():
 
 @pytest.fixture
 def clock(monkeypatch):
-    found = SimpleNamespace(now=0.0)
-    found.monotonic = found.perf_counter = lambda: found.now
-    monkeypatch.setattr(sources, "time", found)
-    monkeypatch.setattr(here_module, "time", found)
-    return found
+    result = SimpleNamespace(now=0.0)
+    result.monotonic = result.perf_counter = lambda: result.now
+    monkeypatch.setattr(sources, "time", result)
+    monkeypatch.setattr(here_module, "time", result)
+    return result
 
 
 @pytest.mark.parametrize("held", [True, False])

@@ -39,14 +39,14 @@ class Played:
             raise AttributeError(name)
 
         def called(*given, **named):
-            found = self.answers[name].pop(0) if self.answers.get(name) else None
-            if found is None:
-                found = getattr(self, f"_{ALIKE.get(name, name)}", lambda *_, **__: None)(*given)
+            result = self.answers[name].pop(0) if self.answers.get(name) else None
+            if result is None:
+                result = getattr(self, f"_{ALIKE.get(name, name)}", lambda *_, **__: None)(*given)
             words = [*map(word, given), *(f"{k}={word(v)}" for k, v in named.items())]  # with what it has written
             self.calls.append(f"{name}({', '.join(words)})")
-            if isinstance(found, Exception):
-                raise found
-            return found
+            if isinstance(result, Exception):
+                raise result
+            return result
 
         return called
 

@@ -37,10 +37,10 @@ class System:
         def call(*given, **named):
             self.calls.append(f"{name}({', '.join([*map(word, given), *(f'{k}={v!r}' for k, v in named.items())])})")
             assert self.answers.get(name, [True]), f"{name} once more than expected"
-            found = self.answers[name].pop(0) if name in self.answers else default
-            if isinstance(found, BaseException):
-                raise found
-            return found
+            result = self.answers[name].pop(0) if name in self.answers else default
+            if isinstance(result, BaseException):
+                raise result
+            return result
 
         return call
 
@@ -134,10 +134,10 @@ class Pipe:
         self.comes, self.sent, self.full, self.closed = [*comes], [], full, False
 
     def recv(self):
-        found = self.comes.pop(0)
-        if isinstance(found, Exception):
-            raise found
-        return found
+        result = self.comes.pop(0)
+        if isinstance(result, Exception):
+            raise result
+        return result
 
     def send(self, what):
         if self.full:

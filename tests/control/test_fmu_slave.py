@@ -241,12 +241,12 @@ def test_a_state_goes_back_and_into_another_instance(made, block):
     fmu = made(block)
 
     def go(one, begin, count):
-        found = []
+        result = []
         for k in range(count):
             put(one, **({"force": 1.0 + k} if block is Cart else {"x": 1.0 + k}))
             assert one.do_step((begin + k) * PERIOD, PERIOD)
-            found.append([v.getter() for v in one.vars.values()])
-        return found
+            result.append([v.getter() for v in one.vars.values()])
+        return result
 
     go(fmu, 0, 3)
     kept = fmu._fmu_state_from_bytes(fmu._fmu_state_to_bytes(fmu._get_fmu_state()))

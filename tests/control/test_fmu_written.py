@@ -18,7 +18,7 @@ pytest.importorskip("pythonfmu")
 @pytest.fixture
 def asked(monkeypatch):
     """What the tool has been asked for; its answer can be changed."""
-    found = SimpleNamespace(calls=[], answer=SimpleNamespace(returncode=0, stderr=""))
+    result = SimpleNamespace(calls=[], answer=SimpleNamespace(returncode=0, stderr=""))
 
     def run(command, **about):
         assert about == {
@@ -28,12 +28,12 @@ def asked(monkeypatch):
             "check": False,
         }
         script, path, what, *can = command[4:]
-        found.calls.append((command[:4], Path(script).name, Path(script).read_text(), path, Path(what), can))
-        found.node = json.loads(Path(what).read_text())
-        return found.answer
+        result.calls.append((command[:4], Path(script).name, Path(script).read_text(), path, Path(what), can))
+        result.node = json.loads(Path(what).read_text())
+        return result.answer
 
     monkeypatch.setattr(exports.subprocess, "run", run)
-    return found
+    return result
 
 
 @pytest.fixture(scope="module")

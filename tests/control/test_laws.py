@@ -88,11 +88,11 @@ def test_the_steady_filter_is_that_of_scipy(seed):
 
 
 def fed(levels, reference):
-    x, found = Swinging(), []
+    x, result = Swinging(), []
     for y in levels:
         x, size = limit_cycle(x, y, reference)
-        found.append(size)
-    return found
+        result.append(size)
+    return result
 
 
 @given(st.lists(st.integers(9, 20), min_size=9, max_size=16))

@@ -109,8 +109,8 @@ class Net:
         new = self.plc.cycle()
         assert len(new) == size
         at = {"torn": self.rng.randrange(size), "stale": 0}.get(what, size)
-        found, self.old = new[:at] + (self.old or new)[at:], new
-        return found
+        result, self.old = new[:at] + (self.old or new)[at:], new
+        return result
 
     def close(self):
         pass

@@ -255,10 +255,10 @@ def test_structs_are_those_that_softrig_reads_and_writes():
 
 def plain(form):
     """Repeat the codes that a format counts."""
-    found, count = "", ""
+    result, count = "", ""
     for code in form.removeprefix("<"):
         if code.isdigit():
             count += code
         else:
-            found, count = found + code * int(count or 1), ""
-    return found
+            result, count = result + code * int(count or 1), ""
+    return result

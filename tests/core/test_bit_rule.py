@@ -113,36 +113,36 @@ def counts(call: ast.Call) -> bool:
 
 def uses(module: str, tree: ast.AST) -> set[str]:
     """Where a module uses what is refused: qualified names of the functions or classes."""
-    found: set[str] = set()
+    result: set[str] = set()
     whole: set[ast.expr] = set()  # sums that count
 
     def walk(node: ast.AST, where: str) -> None:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             where = f"{where}.{node.name}"
         if isinstance(node, (ast.BinOp, ast.AugAssign)) and isinstance(node.op, ast.MatMult):
-            found.add(where)
+            result.add(where)
         if isinstance(node, ast.Attribute):
             home = node.value.id if isinstance(node.value, ast.Name) else ""
             if node.attr in OF.get(home, OTHERS):
-                found.add(where)
+                result.add(where)
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "sum" and counts(node):
             whole.add(node.func)
         if isinstance(node, ast.Name) and node.id == "sum" and node not in whole:  # also handed on: `map(sum, rows)`
-            found.add(where)
+            result.add(where)
         if isinstance(node, ast.ImportFrom):
             home, names = node.module or "", {a.name for a in node.names}
             if home.startswith(("scipy", "numpy.linalg", "numpy.fft")) or names & OF.get(home, NOTHING):
-                found.add(where)
+                result.add(where)
         for a in node.names if isinstance(node, ast.Import) else ():
             if a.name.startswith(("scipy", "numpy.")) or (a.name == "numpy" and a.asname not in (None, "np")):
-                found.add(where)
+                result.add(where)
         # `except np.linalg.LinAlgError` and raising it compute nothing
         if not (isinstance(node, ast.Attribute) and node.attr == "LinAlgError"):
             for child in ast.iter_child_nodes(node):
                 walk(child, where)
 
     walk(tree, module)
-    return found
+    return result
 
 
 def calls(tree: ast.AST) -> tuple[set[str], set[str]]:
@@ -169,14 +169,14 @@ def calls(tree: ast.AST) -> tuple[set[str], set[str]]:
 @cache
 def deciding() -> dict[str, ast.AST]:
     """Each module that decides numbers, read."""
-    found: dict[str, ast.AST] = {}
+    result: dict[str, ast.AST] = {}
     for short in DECIDING:
         root = PACKAGES / f"softrig_{short}"
         for file in sorted((root / root.name).rglob("*.py")):
             place = file.relative_to(root).with_suffix("").parts
             if file.stem not in WHOLE and "drawing" not in place:
-                found[".".join(place)] = ast.parse(file.read_text())
-    return found
+                result[".".join(place)] = ast.parse(file.read_text())
+    return result
 
 
 @cache

@@ -24,14 +24,14 @@ def eighth(rng):
 
 def records(rng):
     """A signal y and one that it may be compared with, their times in tenths of a second from the same begin on."""
-    found = {}
+    result = {}
     for name in ("y", "r"):
         steps = [rng.randint(1, 3) for _ in range(rng.choice([1, 2, 3, 6, 12, 12]))]
         ticks = [sum(steps[:k]) for k in range(len(steps))]
         t = np.array(ticks) * 0.1  # as a run has them: not all the nearest double of what is written
         calm = rng.random() < 0.5  # values that repeat
-        found[name] = (t, np.array([rng.choice([0.0, 1.0, 2.0]) if calm else eighth(rng) for _ in ticks]))
-    return found
+        result[name] = (t, np.array([rng.choice([0.0, 1.0, 2.0]) if calm else eighth(rng) for _ in ticks]))
+    return result
 
 
 def windows(rng):
@@ -43,14 +43,14 @@ def tick(t):
 
 
 def cut(record, start, end):
-    found = [
+    result = [
         (t, x)
         for t, x in zip(*(column.tolist() for column in record), strict=True)
         if (start is None or tick(t) >= tick(start)) and (end is None or tick(t) <= tick(end))
     ]
-    if not found:
+    if not result:
         raise ValueError
-    return found
+    return result
 
 
 def value_at(record, t):

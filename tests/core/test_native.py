@@ -576,9 +576,9 @@ def test_a_run_that_breaks_says_what_python_says(how: Any, monkeypatch: pytest.M
 def core(made: Rig) -> list[Any]:
     """Give the steps of plant and law after a tick."""
     steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if m.name != "watcher"})
-    found = list(steps.values())
-    next(iter(Loop(found).run()))
-    return found
+    result = list(steps.values())
+    next(iter(Loop(result).run()))
+    return result
 
 
 def test_variants_share_a_text_and_others_do_not() -> None:

@@ -39,9 +39,9 @@ class Pen:
 
     def one(self, leaves: int, *forms: Any) -> str:
         self.depth += 1
-        found: str = self.rng.choice(forms[:leaves] if self.depth > 3 else forms)()
+        result: str = self.rng.choice(forms[:leaves] if self.depth > 3 else forms)()
         self.depth -= 1
-        return found
+        return result
 
     def number(self) -> str:
         e, i, b, rng = self.number, self.whole, self.truth, self.rng

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 
 def plants():
     """Executable to class."""
-    found = {}
+    result = {}
     for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
         for name in executables(file.parent.name):
             try:
@@ -31,8 +31,8 @@ def plants():
             except ScenarioError:  # a tool
                 continue
             if issubclass(kind, Plant) and name not in ("fmu_plant", "c_plant"):  # state of a file
-                found[name] = kind
-    return found
+                result[name] = kind
+    return result
 
 
 PLANTS = plants()

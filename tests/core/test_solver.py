@@ -62,11 +62,11 @@ class Impatient(Planner):
 
 
 def drive(block, ticks, first=0):
-    found = []
+    result = []
     for k in range(first, first + ticks):
         x = 0.01 * k
-        found.append(block.update(round(k * 1e8), state=(x, 0.0), reference=(1.0,)))
-    return found
+        result.append(block.update(round(k * 1e8), state=(x, 0.0), reference=(1.0,)))
+    return result
 
 
 def test_a_request_may_kill_the_work_under_way():

@@ -210,9 +210,9 @@ class Process:
 
     @classmethod
     def of(cls, module, name):
-        cls.made.append(found := cls())
-        found.call = (module, name)
-        return found
+        cls.made.append(result := cls())
+        result.call = (module, name)
+        return result
 
     def __init__(self):
         self.busy, self.dead, self.left, self.log, self.owner = False, False, 0, [], None

@@ -40,7 +40,7 @@ def of_self(node):
 
 def written(cls):
     """Give (method, line) of what a class writes into itself outside `setup`."""
-    found = []
+    result = []
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
     for method in body.body:
         if not isinstance(method, ast.FunctionDef) or method.name in ("setup", "__init__", "reset"):
@@ -57,8 +57,8 @@ def written(cls):
                 called and node.func.attr in MUTATING and isinstance(node.func.value, ast.Attribute | ast.Subscript)
             )
             if stored or (mutated and of_self(node.func.value)):
-                found.append((method.name, ast.unparse(node)[:60]))
-    return found
+                result.append((method.name, ast.unparse(node)[:60]))
+    return result
 
 
 @pytest.mark.parametrize("name", BLOCKS)

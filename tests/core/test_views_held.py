@@ -53,13 +53,13 @@ def apart(name, link, share):
     up, down = (stepped(name, link, sign * height, view.at, end) for sign in (1.0, -1.0))
     _, told = view.answer(np.full((PERIODS, 1), height))
     times = view.at + view.period * np.arange(PERIODS)
-    found = {}
+    result = {}
     for k, output in enumerate(view.outputs):
         at = np.searchsorted(up[output].t, times - 1e-9)
         seen = 0.5 * (up[output].x[at] - down[output].x[at])
         most = max(np.abs(seen).max(), np.abs(told[:, k]).max())
-        found[output] = float(np.abs(seen - told[:, k]).max() / most) if most else 0.0
-    return found
+        result[output] = float(np.abs(seen - told[:, k]).max() / most) if most else 0.0
+    return result
 
 
 @pytest.mark.long

@@ -29,7 +29,7 @@ LAYERS = {f"{package}.{room}": k for package, rooms in ROOMS.items() for k, room
 
 def imports(package):
     """Module name to the modules that it imports, relative ones resolved."""
-    found = {}
+    result = {}
     for file in sorted((PACKAGES / package / package).rglob("*.py")):
         parts = file.relative_to(PACKAGES / package).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
@@ -42,8 +42,8 @@ def imports(package):
                 base = ".".join([*inside[: len(inside) - node.level + 1], *([node.module] if node.module else [])])
                 base = base if node.level else node.module
                 targets |= {f"{base}.{alias.name}" for alias in node.names}
-        found[name] = targets
-    return found
+        result[name] = targets
+    return result
 
 
 @cache

@@ -66,12 +66,12 @@ class Tests:
 def _asserting(source: str) -> set[int]:
     """Lines of a test's module at which something is claimed."""
     claims = ("raises", "warns", "fail", "exit")
-    found = set()
+    result = set()
     for node in ast.walk(ast.parse(source)):
         name = getattr(getattr(node, "func", None), "attr", getattr(getattr(node, "func", None), "id", ""))
         if isinstance(node, ast.Assert) or name in claims or name.startswith(("assert_", "check_", "until")):
-            found.add(node.lineno)
-    return found
+            result.add(node.lineno)
+    return result
 
 
 class Warm:
@@ -113,13 +113,13 @@ def _head(tree: Path) -> str:
 
 def met(tree: Path, known: Tests, under: tuple[str, ...]) -> dict[str, list[tuple[str, Mutant]]]:
     """Mutants that a test meets, by kind."""
-    found = defaultdict(list)
+    result = defaultdict(list)
     for place in sorted(known.of_line):
         if place.startswith(under) and "/test/" not in place:
             for mutant in mutants((tree / place).read_text()):
                 if any(line in known.of_line[place] for line in mutant.runs or (0, *known.of_line[place])):
-                    found[mutant.kind].append((place, mutant))
-    return found
+                    result[mutant.kind].append((place, mutant))
+    return result
 
 
 def main() -> int:

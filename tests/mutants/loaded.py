@@ -59,12 +59,12 @@ def loaded_functions(packages):
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             with suppress(Exception, SystemExit):  # of an extra that is not here
                 importlib.import_module(module.name)
-    found = defaultdict(list)
+    result = defaultdict(list)
     for each in gc.get_objects():
         if type(each) is types.FunctionType:
             code = each.__code__
-            found[os.path.realpath(code.co_filename), code.co_firstlineno, code.co_qualname].append(each)
-    return found
+            result[os.path.realpath(code.co_filename), code.co_firstlineno, code.co_qualname].append(each)
+    return result
 
 
 def codes(code):

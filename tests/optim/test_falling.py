@@ -16,11 +16,11 @@ def brute(samples):
 
 def changes(curve, samples):
     """What each sample contradicts of those before it."""
-    found = []
+    result = []
     for sample in samples:
         change, curve = curve.take(sample)
-        found.append(change)
-    return found
+        result.append(change)
+    return result
 
 
 @given(st.lists(st.tuples(st.floats(0.01, 100.0), st.floats(0.01, 5.0)), min_size=1, max_size=40))

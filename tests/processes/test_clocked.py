@@ -55,14 +55,14 @@ def expected(run: Any, delay: int) -> list[float]:
     """The law by hand on what the rig has published: a timer's first message is at one period."""
     speeds = run.signals["motor/state/shaft/velocity"][1].tolist()
     reference = run.signals["motor/reference/shaft/velocity"][1][0]
-    integral, found = 0.0, [0.0] * delay
+    integral, result = 0.0, [0.0] * delay
     for speed in speeds[delay:]:
         error = reference - speed
         u = KP * error + KI * integral
         if abs(u) <= LIMIT or u * error < 0.0:
             integral += PERIOD * error
-        found.append(min(max(u, -LIMIT), LIMIT))
-    return found
+        result.append(min(max(u, -LIMIT), LIMIT))
+    return result
 
 
 @pytest.mark.parametrize(

@@ -102,17 +102,17 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
 
 def by_chance(rig):
     """Nodes that hear of what an outside node says now and then, whose silence nobody tells, and who hears of them."""
-    found = set()
+    result = set()
     while True:
         more = {
             m.name
             for m in rig.members
             for k in m.links.values()
-            if k.source.name in found or (k.source.external and k.port.sporadic)
+            if k.source.name in result or (k.source.external and k.port.sporadic)
         }
-        if more <= found:
-            return found
-        found |= more
+        if more <= result:
+            return result
+        result |= more
 
 
 def replaced(rig, name, directory, seed=0):

@@ -193,11 +193,11 @@ def test_current_noise_is_seeded():
 
     def noise(seed):
         plant.reset(seed)
-        found = []
+        result = []
         for k in range(2000):
             plant.advance(k * 10**7, command=(0.0,))
-            found.append(plant.outputs(0)["sensors"][1])
-        return found
+            result.append(plant.outputs(0)["sensors"][1])
+        return result
 
     first = noise(1)
     assert first == noise(1)
@@ -273,11 +273,11 @@ def test_motor_brakes_when_the_reference_becomes_zero():
 
 def answers(pid, *errors):
     """Give what a PID law says to errors."""
-    x, found = PidState(), []
+    x, result = PidState(), []
     for e in errors:
         x, u = pid(x, e)
-        found.append(u)
-    return found
+        result.append(u)
+    return result
 
 
 def test_pid_difference_equations():
@@ -385,11 +385,11 @@ def test_reset_brings_the_motor_to_rest(rig):
     plant = ByHand(DcMotorPlant(rig=rig, load_times=[0.0, 0.02], load_torques=[0.0, 0.01]))
 
     def states():
-        found = [plant.outputs(0)]
+        result = [plant.outputs(0)]
         for k in range(5):
             plant.advance(k * 10**7, command=(5.0,))
-            found.append(plant.outputs(k * 10**7))
-        return found
+            result.append(plant.outputs(k * 10**7))
+        return result
 
     first = states()
     plant.reset(0)

@@ -822,11 +822,11 @@ def test_going_back_in_a_record_repeats_it():
     plant = ByHand(LinePlant(measurement={"profile": "m4k", "noise_snr_db": 40.0}, duration=0.01))
 
     def said(first, pressed=-1):
-        found = []
+        result = []
         for k in range(first, 60):
-            found.append(plant.outputs(k * 250_000))
+            result.append(plant.outputs(k * 250_000))
             plant.advance(k * 250_000, run=(float(k == pressed),))
-        return found
+        return result
 
     for _ in range(20):
         plant.advance(0, run=None)

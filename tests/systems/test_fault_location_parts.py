@@ -53,9 +53,9 @@ def table(t, samples=None):
 
 def changed(at, value, t=None, channel=0):
     """A record of a second a sample in which one time or value is another."""
-    found = table(np.arange(20.0) if t is None else t)
-    found[at, channel] = value
-    return found
+    result = table(np.arange(20.0) if t is None else t)
+    result[at, channel] = value
+    return result
 
 
 @pytest.mark.parametrize(
@@ -181,14 +181,14 @@ def test_two_samples_in_common_are_a_record():
 
 def streams(**lost):
     """The four topics of a recording, short of the messages at some places."""
-    found = {}
+    result = {}
     for k, (name, topic) in enumerate(
         (("u_s", "s/voltage"), ("i_s", "s/current"), ("u_r", "r/voltage"), ("i_r", "r/current"))
     ):
         keep = [n for n in range(30) if n not in lost.get(name, ())]
         for phase, axis in enumerate("xyz"):
-            found[f"line/{topic}/{axis}"] = (np.array(keep) / 10.0, CHANCE[keep, 3 * k + phase])
-    return found
+            result[f"line/{topic}/{axis}"] = (np.array(keep) / 10.0, CHANCE[keep, 3 * k + phase])
+    return result
 
 
 def test_streams_of_a_recording_by_their_times():

@@ -632,14 +632,14 @@ def test_figures_of_every_scenario_follow_its_nodes(scenario):
 
 def measured(rig, signals):
     """Give all figures of a rig on a recording; an error in the place of one that cannot be."""
-    found = {}
+    result = {}
     for figure in figures_of(rig):
         if figure.name in rig.scenario.figures:
             try:
-                found[figure.name] = figure(signals) / figure.scale
+                result[figure.name] = figure(signals) / figure.scale
             except (ValueError, KeyError) as error:
-                found[figure.name] = error
-    return found
+                result[figure.name] = error
+    return result
 
 
 def measured_for_each_change(scenario):

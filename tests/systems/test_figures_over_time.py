@@ -208,23 +208,23 @@ def jittered(t):
 
 
 def held_twice(signals):
-    found = {}
+    result = {}
     for name, (t, x) in signals.items():
         middle = t[:-1] + 0.5 * PERIOD
         order = np.argsort(np.concatenate([t, middle]))
-        found[name] = np.concatenate([t, middle])[order], np.concatenate([x, x[:-1]])[order]
-    return found
+        result[name] = np.concatenate([t, middle])[order], np.concatenate([x, x[:-1]])[order]
+    return result
 
 
 def thinned(signals):
     """Each signal loses a third of its messages, other ones than its neighbours; not the first and last."""
-    found = {}
+    result = {}
     for name, (t, x) in signals.items():
         topic = name.rsplit("/", 1)[0] if name.count("/") == 1 else name.rsplit("/", 2)[0]
         kept = np.random.default_rng(len(topic)).random(t.size) > 1.0 / 3.0
         kept[[0, -1]] = True
-        found[name] = t[kept], x[kept]
-    return found
+        result[name] = t[kept], x[kept]
+    return result
 
 
 def near(name, found, right):

@@ -74,20 +74,20 @@ def voltage(k):
 
 
 def trace(plant, ticks=300):
-    found = []
+    result = []
     for k in range(ticks):
-        found.append(plant.outputs(0)["to_motor_state"])
+        result.append(plant.outputs(0)["to_motor_state"])
         plant.advance(0, motor_command=voltage(k))
-    return found
+    return result
 
 
 def ours(ticks=300, **constants):
     plant = ByHand(DcMotorPlant(period=0.001, **constants))
-    found = []
+    result = []
     for k in range(ticks):
-        found.append(plant.outputs(k)["state"])
+        result.append(plant.outputs(k)["state"])
         plant.advance(k * 1_000_000, command=voltage(k))
-    return found
+    return result
 
 
 def distance(a, b):

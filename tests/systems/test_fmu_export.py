@@ -224,11 +224,11 @@ def test_an_export_goes_back_with_its_state(exported):
     assert plant.block.p.unit.serialises
 
     def go(n):
-        found = []
+        result = []
         for k in range(n):
             plant.advance(0, u=(5.0 + k,))
-            found.append(plant.outputs(0))
-        return found
+            result.append(plant.outputs(0))
+        return result
 
     go(20)
     saved = plant.save()

@@ -62,7 +62,7 @@ def asked(rig: Members, raw: dict) -> Iterator[tuple[str, float, str]]:
 
 def parameters(rig: Members) -> dict[float, list[tuple[str, str | None]]]:
     """Give the sizes of all numbers of the nodes' parameters, with where they stand and their unit; None: not said."""
-    found: dict[float, list[tuple[str, str | None]]] = {}
+    result: dict[float, list[tuple[str, str | None]]] = {}
     for member in rig.members:
         if (member.package, member.executable) == ("softrig_core", "figures"):
             continue
@@ -72,8 +72,8 @@ def parameters(rig: Members) -> dict[float, list[tuple[str, str | None]]]:
             for k, number in enumerate(value if isinstance(value, list) else [value]):
                 if isinstance(number, int | float) and not isinstance(number, bool):
                     unit = channels[k % len(channels)] if name == "values" else units.get(name, "")
-                    found.setdefault(abs(float(number)), []).append((f"{member.name}.{name}", unit))
-    return found
+                    result.setdefault(abs(float(number)), []).append((f"{member.name}.{name}", unit))
+    return result
 
 
 def repeated(name: str) -> list[tuple[str, float, str]]:

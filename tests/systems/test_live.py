@@ -85,16 +85,16 @@ def others(kind, value):
 @functools.cache
 def variations(member):
     """Another value for each live parameter that the rig allows to change."""
-    found, known = {}, flatten(member.params)
+    result, known = {}, flatten(member.params)
     for name in changeable(member.block_class.Params):
         for value in others(annotation(type(member.params), name), known[name]):
             try:
                 permit(member.block_class, member.params, {name: value}, member.name)
             except (ParameterError, ValueError):
                 continue
-            found[name] = value
+            result[name] = value
             break
-    return found
+    return result
 
 
 def answers(rig, recording, member, at, values):

@@ -105,12 +105,12 @@ def test_devices_drop_their_voltages():
 def edges(duty, updates, rising, period):
     """Times at which a leg switches on and off in a period, without dead time."""
     stage, time = legs.begin(duty, updates, rising, period)
-    found = [(0.0, 1.0 if stage in (legs.ON, legs.FALLING) else 0.0)]
+    result = [(0.0, 1.0 if stage in (legs.ON, legs.FALLING) else 0.0)]
     while time < period:
         stage, after = legs.edge(stage, time, 1.0, duty, updates, period, 0.0)
-        found.append((time, 1.0 if stage in (legs.ON, legs.FALLING) else 0.0))
+        result.append((time, 1.0 if stage in (legs.ON, legs.FALLING) else 0.0))
         time = after
-    return found
+    return result
 
 
 @pytest.mark.parametrize("updates", [1, 2])

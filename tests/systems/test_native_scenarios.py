@@ -223,11 +223,11 @@ def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
         )
         faults["fault"] = {"link": topic, "from": duration / 3, **draw(st.sampled_from(FAULTS))}
     try:
-        found = scenario(name, changes=sorted(changes, key=lambda c: c["at"]), faults=faults)
-        rig_of(found)
+        result = scenario(name, changes=sorted(changes, key=lambda c: c["at"]), faults=faults)
+        rig_of(result)
     except (ScenarioError, ValueError):
         assume(False)
-    return found
+    return result
 
 
 def test_a_text_made_elsewhere_is_in_the_report() -> None:

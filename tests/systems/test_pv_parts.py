@@ -130,11 +130,11 @@ def test_the_string_is_the_sum_of_its_modules_or_their_diodes():
     modules = [cell(p, *of) for of in zip(g, t, strict=True)]
 
     def volts(i):
-        found = 0.0
+        result = 0.0
         for c in modules:
             u = brentq(lambda u, c=c: c.I_ph - c.I_0 * math.expm1(u / c.aV_t) - u / c.R_p - i, -5e3, 40.0, xtol=1e-12)
-            found += max(u - c.R_s * i, -0.8)
-        return found
+            result += max(u - c.R_s * i, -0.8)
+        return result
 
     for k in (40, 3000, 9000, 15000, 18000, 20000):
         assert volts(source.i[k]) == pytest.approx(source.v[k], abs=1e-6)
@@ -405,15 +405,15 @@ def signals(power, volts=None, changes=((0.25, 200.0, 50.0), (0.55, 100.0, 60.0)
     """Powers (W) every 0.1 s, and the light that changes between."""
     t = np.arange(len(power)) / 10.0
     at = np.array([c[0] for c in changes])
-    found = {
+    result = {
         figures.POWER: (t, np.array(power, float)),
         figures.VOLTAGE: (t, np.full(len(power), 6.0) if volts is None else np.array(volts, float)),
     }
     for k, name in enumerate(("g1", "g2")):
-        found[f"pv/environment/{name}/position"] = (at, np.array([c[k + 1] for c in changes]))
+        result[f"pv/environment/{name}/position"] = (at, np.array([c[k + 1] for c in changes]))
     for name in ("t1", "t2"):
-        found[f"pv/environment/{name}/position"] = (at, np.full(len(at), 25.0))
-    return found
+        result[f"pv/environment/{name}/position"] = (at, np.full(len(at), 25.0))
+    return result
 
 
 @pytest.fixture

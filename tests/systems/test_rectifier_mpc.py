@@ -670,11 +670,11 @@ def test_a_limit_cycle_is_told():
 
 def test_what_counts_as_a_limit_cycle():
     def swing(signal):
-        x, found = Swinging(), []
+        x, result = Swinging(), []
         for y in signal:
             x, size = limit_cycle(x, float(y), 1.0)
-            found.append(size)
-        return found
+            result.append(size)
+        return result
 
     t = np.arange(2000) * 1e-2
     assert swing(1.0 + 0.1 * np.sin(t * 6.0))[-1] == pytest.approx(0.2, rel=0.01)

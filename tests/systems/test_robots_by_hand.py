@@ -488,13 +488,13 @@ def test_below_its_limit_the_sampled_loop_dies_away_above_it_grows(delayed, appl
 
     def radius(alpha):
         """Of the map that a tick is, column by column, over all poses."""
-        found = 0.0
+        result = 0.0
         for q1 in np.radians((-30, 20, 70, 120)):
             for q2 in np.radians((-90, -60, -30, 0)):
                 A, B = _sampled(q1, q2, 1e-3, LinearRobot(), 1.0, 1.0)
                 tick = np.array([after(A, B, alpha, d[:6], d[6:8], d[8:]) for d in np.eye(10)]).T
-                found = max(found, np.abs(np.linalg.eigvals(tick)).max())
-        return found
+                result = max(result, np.abs(np.linalg.eigvals(tick)).max())
+        return result
 
     assert radius(0.999 * limit) < 1.0 < radius(1.001 * limit)
     for share, stable in ((0.99, True), (1.01, False)):

@@ -67,7 +67,7 @@ def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Decla
     """Return the options as ROS parameters, for whoever asks the node what it is doing."""
     from softrig_core.block.params import Declaration  # with pydantic, which only nodes need
 
-    found = []
+    result = []
     for action in parser._actions:
         value = getattr(options, action.dest, None)
         if value is None or value == [] or action.dest == "use_sim_time":  # a list without values has no type
@@ -75,8 +75,8 @@ def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Decla
         value = str(value) if isinstance(value, Path) else value
         bounds = (action.type.low, action.type.high) if isinstance(action.type, Number) else (None, None)
         text = action.help or action.dest
-        found.append((Declaration(action.dest, value, type(value), text, "", *bounds), value))
-    return found
+        result.append((Declaration(action.dest, value, type(value), text, "", *bounds), value))
+    return result
 
 
 def _selection_arguments(parser: argparse.ArgumentParser) -> None:

@@ -37,7 +37,7 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
         return recording
     texts = {topic: text for topic, text in texts.items() if topic not in recording.topics}
     observers = {f"{name}/metrics": s["figures"] for name, s in status.items() if s.get("figures")}
-    found = Recording(
+    result = Recording(
         [
             *((t.name, t.msgtype) for t in recording.topics.values()),
             *((topic, STRING) for topic in texts),
@@ -46,18 +46,18 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
         ]
     )
     for name, old in recording.topics.items():
-        found.topics[name].times.extend(old.times)
-        found.topics[name].data.extend(old.data)
+        result.topics[name].times.extend(old.times)
+        result.topics[name].data.extend(old.data)
     for topic, text in texts.items():
-        add(found, topic, STRING, min(times), data=text)
+        add(result, topic, STRING, min(times), data=text)
     end = max(times)
     health = [_status(name, s) for name, s in sorted(status.items())]
-    add(found, "diagnostics", ARRAY, end, header=header(end, "world"), status=health)
+    add(result, "diagnostics", ARRAY, end, header=header(end, "world"), status=health)
     for topic, figures in observers.items():
         values = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in figures.items()}
         said = _message(topic.removesuffix("/metrics"), 0, "", values)
-        add(found, topic, ARRAY, end, header=header(end, "world"), status=[said])
-    return found
+        add(result, topic, ARRAY, end, header=header(end, "world"), status=[said])
+    return result
 
 
 def _status(name: str, status: Mapping[str, Any]) -> Any:

@@ -38,7 +38,7 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
     topic, scene = next(((t, s) for t, s in scenes.items() if recording.topics[t].times), ("", None))
     if scene is None:
         return recording
-    found = Recording(
+    result = Recording(
         [
             *((t.name, t.msgtype) for t in recording.topics.values()),
             ("robot_description", STRING),
@@ -48,8 +48,8 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
         ]
     )
     for name, old in recording.topics.items():
-        found.topics[name].times.extend(old.times)
-        found.topics[name].data.extend(old.data)
+        result.topics[name].times.extend(old.times)
+        result.topics[name].data.extend(old.data)
     times = recording.topics[topic].times
     columns = Signals(recording).table(topic).columns
     q = list(zip(*(x.tolist() for label, x in columns.items() if label.endswith("/position")), strict=True))
@@ -59,13 +59,13 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
             rows.append(i)
     path = [scene.tip(q[i]) for i in rows[:: -(-len(rows) // PATH)]]
     first = times[0]
-    add(found, "robot_description", STRING, first, data=scene.description)
+    add(result, "robot_description", STRING, first, data=scene.description)
     still = [at_origin(scene.base), *scene.fixed()]
-    add(found, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in still])
-    add(found, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
+    add(result, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in still])
+    add(result, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
     for i in rows:
-        add(found, "tf", TF, times[i], transforms=[_transform(times[i], pose) for pose in scene.moving(q[i])])
-    return found
+        add(result, "tf", TF, times[i], transforms=[_transform(times[i], pose) for pose in scene.moving(q[i])])
+    return result
 
 
 def add(recording: Recording, name: str, msgtype: str, t: int, **fields: Any) -> None:

@@ -36,12 +36,12 @@ class Sampled(NamedTuple):
         ----------
         samples : int
         """
-        x, found = [0.0] * len(self.a), []
+        x, result = [0.0] * len(self.a), []
         for _ in range(samples):
             moved = matmul(self.a, [(v,) for v in x])
             x = [v[0] + b[0] for v, b in zip(moved, self.b, strict=True)]
-            found.append(matmul((self.c,), [(v,) for v in x])[0][0])
-        return found
+            result.append(matmul((self.c,), [(v,) for v in x])[0][0])
+        return result
 
 
 @dataclass(frozen=True)

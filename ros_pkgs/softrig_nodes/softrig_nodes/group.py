@@ -119,18 +119,18 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
                 names = f"{written[key][0].middleware.full_name}, {node.middleware.full_name}"
                 raise RunError(f"2 publishers on {output.topic} ({names}), expected exactly one")
             written[key] = node, output
-    found = []
+    result = []
     for node in nodes:
         for item in node.inputs:
             source = written.get((node.middleware.resolve(item.port.topic), item.port.msgtype))
             if source is None:
                 continue
             try:
-                found.append(_Link(*source, node, item, selection(source[1].port, item.port)))
+                result.append(_Link(*source, node, item, selection(source[1].port, item.port)))
                 item.local = True
             except Refused as error:
                 raise RunError(f"{source[1].topic} does not fit {node.middleware.name}: {error}") from None
-    return found
+    return result
 
 
 def _feed(links: Sequence[_Link]) -> None:

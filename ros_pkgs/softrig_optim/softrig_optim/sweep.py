@@ -214,10 +214,10 @@ _own: list[bool] = []  # of a worker: whether it has a chunk behind it
 
 def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
     """Run the case in a dedicated worker."""
-    found = _each(function, cases)
+    result = _each(function, cases)
     if not _own:
         _own.append(_freeze())
-    return found
+    return result
 
 
 def _freeze() -> bool:

@@ -43,11 +43,11 @@ def drive(throttles: Array, brakes: Array) -> Array:
         Places (m) each 0.1 s; all drive towards smaller ones.
     """
     steps = round(DURATION / STEP)
-    found = np.empty((steps // EVERY + 1, CARS))
+    result = np.empty((steps // EVERY + 1, CARS))
     y, v, mode = np.arange(CARS) * 10.0, np.zeros(CARS), np.zeros(CARS, dtype=np.int64)
     for k in range(steps + 1):
         if k % EVERY == 0:
-            found[k // EVERY] = y
+            result[k // EVERY] = y
         piece = min(int(k * STEP / DURATION * SEGMENTS), SEGMENTS - 1)
         for i in range(1, CARS):
             gap = y[i] - y[i - 1]
@@ -65,7 +65,7 @@ def drive(throttles: Array, brakes: Array) -> Array:
             v[i] += STEP * (1.0 if mode[i] == CHASING else -v[i] if mode[i] == BRAKING else 0.0)
         for i in range(CARS):
             y[i] += STEP * (before[i] + v[i]) / 2.0 * (1.0 if mode[i] == KEEPING and i else -1.0)
-    return found
+    return result
 
 
 def signals(inputs: Array) -> dict[str, Array]:

@@ -244,13 +244,13 @@ def fly(roll: float, pitch: float, yaw: float) -> Array:
         Altitude (ft) each 50 ms.
     """
     steps, h = round(DURATION / STEP), STEP
-    found = np.empty(steps // EVERY + 1)
+    result = np.empty(steps // EVERY + 1)
     x = np.zeros(14)
     x[0], x[1], x[3], x[4], x[5], x[9], x[10] = SPEED, ALPHA, roll, pitch, yaw, ALTITUDE, POWER
     mode, since = ROLLING, 0.0
     for k in range(steps + 1):
         if k % EVERY == 0:
-            found[k // EVERY] = x[9]
+            result[k // EVERY] = x[9]
         tilt = x[3] - 2 * pi * round(x[3] / (2 * pi))
         path = x[4] - x[1]
         high = path - 2 * pi * round(path / (2 * pi)) > 0.0
@@ -269,7 +269,7 @@ def fly(roll: float, pitch: float, yaw: float) -> Array:
         y = x + h * c
         d = slopes(y, nz, _rolled(y, mode))
         x = x + h / 6 * (a + 2 * b + 2 * c + d)
-    return found
+    return result
 
 
 def signals(inputs: Array) -> dict[str, Array]:

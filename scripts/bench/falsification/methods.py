@@ -92,10 +92,10 @@ def runs_to_violation(problem: Problem, method: str, budget: int, seed: int) -> 
         if runs == budget:
             raise Spent
         runs += 1
-        found = problem.margin(point)
-        if found < 0.0:
+        result = problem.margin(point)
+        if result < 0.0:
             raise Violated
-        return found
+        return result
 
     try:
         METHODS[method](problem, margin, budget, seed)

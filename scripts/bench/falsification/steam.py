@@ -87,19 +87,19 @@ def condense(steam: Array) -> Array:
         Measured pressure (kPa) each 50 ms.
     """
     steps, h = round(DURATION / STEP), STEP
-    found = np.empty(steps // EVERY + 1)
+    result = np.empty(steps // EVERY + 1)
     x = np.zeros(10)
     x[:4] = START, HOT, FLOW, START
     for k in range(steps + 1):
         if k % EVERY == 0:
-            found[k // EVERY] = x[3]
+            result[k // EVERY] = x[3]
         t, u = k * h, steam[min(int(k * STEP / DURATION * SEGMENTS), SEGMENTS - 1)]
         a = _slopes(t, x, u)
         b = _slopes(t, x + h / 2 * a, u)  # the wanted pressure changes between steps
         c = _slopes(t, x + h / 2 * b, u)
         d = _slopes(t, x + h * c, u)
         x = x + h / 6 * (a + 2 * b + 2 * c + d)
-    return found
+    return result
 
 
 def signals(inputs: Array) -> dict[str, Array]:

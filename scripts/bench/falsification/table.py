@@ -23,7 +23,7 @@ SCALE = {"rpm": 100.0}  # rpm, beside mph, so that margins can be compared
 
 def problems() -> list[Problem]:
     """Return all problems, from the own linear loop to the public ones."""
-    found = [worst_linear_loop()]
+    result = [worst_linear_loop()]
     for model in (transmission, cars, steam, f16):
         low, high = (np.concatenate([np.full(i[3], i[k]) for i in model.INPUTS]) for k in (1, 2))
         groups = tuple(i[3] for i in model.INPUTS)
@@ -37,8 +37,8 @@ def problems() -> list[Problem]:
             def margin(point: Point, model=model, tree=tree, low=low, high=high, times=times) -> float:  # type: ignore[no-untyped-def]
                 return Record(times, model.signals(low + np.array(point) * (high - low))).margin(tree).value
 
-            found.append(Problem(name, margin, groups))
-    return found
+            result.append(Problem(name, margin, groups))
+    return result
 
 
 def print_table(wanted: tuple[str, ...] = (), budget: int = BUDGET, seeds: Sequence[int] = SEEDS) -> None:

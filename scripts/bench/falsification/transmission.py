@@ -112,13 +112,13 @@ def drive(throttles: Array, brakes: Array) -> Array:
         Speed (mph) and engine speed (rpm) each 50 ms.
     """
     steps = round(DURATION / STEP)
-    found = np.empty((steps // EVERY + 1, 2))
+    result = np.empty((steps // EVERY + 1, 2))
     engine, wheel, gear, wanted, since = IDLE, 0.0, 0, 0, 0.0
     h = STEP
     for k in range(steps + 1):
         mph = MPH * wheel
         if k % EVERY == 0:
-            found[k // EVERY] = mph, engine
+            result[k // EVERY] = mph, engine
         piece = min(int(k * STEP / DURATION * SEGMENTS), SEGMENTS - 1)
         throttle, brake = throttles[piece], brakes[piece]
         up, down = _line(throttle, UP_AT, UP[:, gear]), _line(throttle, DOWN_AT, DOWN[:, gear])
@@ -133,7 +133,7 @@ def drive(throttles: Array, brakes: Array) -> Array:
         a4, b4 = _slopes(engine + h * a3, wheel + h * b3, throttle, brake, gear)
         engine = min(max(engine + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4), SLOWEST), FASTEST)
         wheel += h / 6 * (b1 + 2 * b2 + 2 * b3 + b4)
-    return found
+    return result
 
 
 def signals(inputs: Array) -> dict[str, Array]:

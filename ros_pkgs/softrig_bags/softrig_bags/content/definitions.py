@@ -55,21 +55,21 @@ def types_of(msgtype: str, text: str, language: str) -> Types:
     """
     if language not in ("ros2msg", "ros2idl"):
         raise UnknownType(f"its definition is in {language or 'no language'}, expected ros2msg or ros2idl")
-    found: Types = {}
+    result: Types = {}
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\ufeff", "")
     for part in _DELIMITER.split(text):
         kind, name, body = language, msgtype, part.strip("\n")
         head, _, rest = body.partition("\n")
         if head[:5] in ("MSG: ", "IDL: "):
             kind, name, body = "ros2msg" if head[0] == "M" else "ros2idl", full_type(head[5:].strip()), rest
-        if not body.strip() and head[:5] not in ("MSG: ", "IDL: ") and msgtype in found:
+        if not body.strip() and head[:5] not in ("MSG: ", "IDL: ") and msgtype in result:
             continue
         if kind == "ros2idl":
             if body.strip():
-                found |= _of_idl(name, body)
-        elif name not in found:
-            found[name] = [], _of_msg(name, body)
-    return found
+                result |= _of_idl(name, body)
+        elif name not in result:
+            result[name] = [], _of_msg(name, body)
+    return result
 
 
 def full_type(name: str, owner: str = "") -> str:
@@ -125,24 +125,24 @@ def complete(msgtype: str, own: Mapping[str, Any], distribution: str = "") -> Ty
     UnknownType
         One of them is defined neither there nor here.
     """
-    found: Types = {}
+    result: Types = {}
     waiting = [msgtype]
     while waiting:
         name = waiting.pop()
-        if name in found:
+        if name in result:
             continue
         definition = own.get(name) or _known(name, distribution)
         if definition is None:
             inside = "" if name == msgtype else f", which is in {msgtype}"
             raise UnknownType(f"no definition of {name}{inside}, in the bag or here")
-        found[name] = definition
+        result[name] = definition
         for _, description in definition[1]:
             kind, detail = description
             while kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
                 kind, detail = detail[0]
             if kind == Nodetype.NAME:
                 waiting.append(detail)
-    return found
+    return result
 
 
 def _known(name: str, distribution: str) -> Any:

@@ -57,9 +57,9 @@ class IdlReader:
             raise IdlError(f"{token!r} after {before!r}, expected {wanted!r}")
 
     def _accept(self, wanted: str) -> bool:
-        found = self._peek() == wanted
-        self._at += found
-        return found
+        result = self._peek() == wanted
+        self._at += result
+        return result
 
     def _annotations(self) -> None:
         while self._accept("@"):
@@ -123,7 +123,7 @@ class IdlReader:
 
     def _declared(self, scope: str) -> list[tuple[str, Any]]:
         """Read a type and the names declared to be of it, perhaps arrays."""
-        kind, found = self._type(scope), []
+        kind, result = self._type(scope), []
         while True:
             name, sizes = self._next(), []
             while self._accept("["):
@@ -132,9 +132,9 @@ class IdlReader:
             whole = kind
             for size in reversed(sizes):
                 whole = Nodetype.ARRAY, (whole, size)
-            found.append((name, whole))
+            result.append((name, whole))
             if not self._accept(","):
-                return found
+                return result
 
     def _type(self, scope: str) -> Any:
         if self._accept("sequence"):

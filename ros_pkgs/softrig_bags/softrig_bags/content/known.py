@@ -186,9 +186,9 @@ def definition_of(msgtype: str) -> tuple[str, str] | None:
 
 def _within(msgtype: str) -> list[str]:
     """Return a type and those of its fields, each before its own."""
-    found = [msgtype]
+    result = [msgtype]
     for line in _FIELDS[msgtype].splitlines():
         name = line.split("[")[0].split(" ")[0].replace("/", "/msg/")
         if name in _FIELDS:
-            found += _within(name)
-    return found
+            result += _within(name)
+    return result

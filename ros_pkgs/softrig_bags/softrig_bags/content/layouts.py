@@ -127,14 +127,14 @@ class Template:
 
         They are float64, but whole numbers of 64 bits keep their type: a float has 53 bits of them.
         """
-        found: dict[str, Column] = {}
+        result: dict[str, Column] = {}
         blocks: dict[int, Column] = {}
         for label, leaf, k in self.labels:
             if leaf.at not in blocks:
                 kind = leaf.kind if leaf.kind in ("i8", "u8") and not leaf.flag else "f8"
                 blocks[leaf.at] = np.array(self.values(rows, leaf).T, kind, order="C")
-            found[label] = blocks[leaf.at][k]
-        return found
+            result[label] = blocks[leaf.at][k]
+        return result
 
     def texts(self, rows: Bytes, leaf: Leaf) -> list[str]:
         """Return a text of each message; what is not of its encoding is kept as escapes."""
@@ -159,13 +159,13 @@ def _has_stamp(i: int, name: str, msgtype: str) -> bool:
 
 def stamps_of(raw: Bytes, at: Ints) -> Ints:
     """Return the stamps in ns of messages that begin with one; all of them have at least 12 bytes."""
-    found = np.empty(len(at), np.int64)
+    result = np.empty(len(at), np.int64)
     little = (raw[at + 1] & 1).astype(bool)
     for order, chosen in (("<", little), (">", ~little)):
         some = at if chosen.all() else at[chosen]
         seconds, rest = numbers_at(raw, some + 4, order + "i4"), numbers_at(raw, some + 8, order + "u4")
-        found[chosen] = seconds.astype(np.int64) * 10**9 + rest
-    return found
+        result[chosen] = seconds.astype(np.int64) * 10**9 + rest
+    return result
 
 
 class _Maker:
@@ -349,15 +349,15 @@ def _joints(labels: Sequence[str], texts: Mapping[str, str], *_: Any) -> list[st
 def _trajectory(labels: Sequence[str], texts: Mapping[str, str], made: Template, rows: Bytes) -> list[str] | None:
     if any(label.startswith("points/1/") for label in labels) or not labels:
         return None
-    names, found = _listed(texts, "joint_names/"), []
+    names, result = _listed(texts, "joint_names/"), []
     for label in labels:
         name, _, index = label.removeprefix("points/0/").rpartition("/")
         if name == "time_from_start":
-            found.append(f"\0{label}")
+            result.append(f"\0{label}")
         else:
             one = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration"}.get(name, name)
-            found.append(_channel(names, one, index))
-    return found
+            result.append(_channel(names, one, index))
+    return result
 
 
 def _array(labels: Sequence[str], _: Any, made: Template, rows: Bytes) -> list[str] | None:

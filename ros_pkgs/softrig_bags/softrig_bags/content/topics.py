@@ -123,11 +123,11 @@ def _register(msgtype: str) -> bool:
 
 
 def _nested(fields: Any) -> set[str]:
-    found = set()
+    result = set()
     for _, (_, detail) in fields:
         while not isinstance(detail, str) and not isinstance(detail[0], str):  # an array of something
             detail = detail[0][1]
         name = detail if isinstance(detail, str) else detail[0]
         if "/" in name:
-            found.add(name)
-    return found
+            result.add(name)
+    return result

@@ -385,11 +385,11 @@ class Fields:
 
     def map(self) -> dict[str, str]:
         """Return the next map of texts."""
-        inner, found = Fields(self.data()), {}
+        inner, result = Fields(self.data()), {}
         while inner._at < len(inner._content):
             key = inner.text()
-            found[key] = _lenient(inner.data())
-        return found
+            result[key] = _lenient(inner.data())
+        return result
 
 
 def _lenient(data: bytes) -> str:

@@ -70,8 +70,8 @@ def remains(path: Path) -> Remains:
             return Remains(path, [path])
     elif path.is_dir():
         for place in (path, path / "bag", path / "log", *sorted(path.glob(".*.part"))):
-            if place.is_dir() and (found := _in_folder(place)) is not None:
-                return found
+            if place.is_dir() and (result := _in_folder(place)) is not None:
+                return result
     raise BagError(f"{path}: no .mcap, .db3 or .shard file there")
 
 

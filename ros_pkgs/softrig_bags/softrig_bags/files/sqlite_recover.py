@@ -39,12 +39,12 @@ def journals(path: Path) -> list[Path]:
 
 def _state(path: Path) -> list[tuple[str, int, int]]:
     """List name, size and time of change of a database and its journals, of those that hold something."""
-    found = []
+    result = []
     for suffix in ("", *JOURNALS):
         with suppress(FileNotFoundError):  # a recorder that is at work removes them
             state = path.with_name(path.name + suffix).stat()
-            found += [(path.name + suffix, state.st_size, state.st_mtime_ns)] if state.st_size else []
-    return found
+            result += [(path.name + suffix, state.st_size, state.st_mtime_ns)] if state.st_size else []
+    return result
 
 
 class SqliteRecovery:

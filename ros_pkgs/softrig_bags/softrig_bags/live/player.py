@@ -369,11 +369,11 @@ class LockstepPlayer:
         if not self._finished:
             raise RunError(f"stopped at t = {self._tick / SECOND:.9g} s")
         answers = [a for a in self._answers.values() if a.name not in self._paces]
-        found = Recording((relative(a.name), a.msgtype) for a in answers)
+        result = Recording((relative(a.name), a.msgtype) for a in answers)
         for i, answer in enumerate(answers):
             for tick, data in zip(answer.ticks, answer.data, strict=False):
-                found.add(i, tick, data)
-        return found
+                result.add(i, tick, data)
+        return result
 
     def _listening(self) -> bool:
         """Subscribe the answers, as soon as their types are known."""

@@ -57,11 +57,11 @@ class Falsification(Entry):
 
 def list_falsifications() -> dict[str, Path]:
     """Return every falsification's name and file."""
-    found: dict[str, Path] = {}
+    result: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob(f"*{SUFFIX}")):
-            found.setdefault(path.name.removesuffix(SUFFIX), path)
-    return found
+            result.setdefault(path.name.removesuffix(SUFFIX), path)
+    return result
 
 
 def falsification_of(what: str, changes: dict[str, Any]) -> Falsification:

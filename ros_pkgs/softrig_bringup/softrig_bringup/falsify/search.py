@@ -92,44 +92,44 @@ def search(
         Stop at a margin below this.
     """
     size = sum(groups)
-    found = Found()
+    result = Found()
     known: dict[Point, float] = {}
 
     def tell(points: Sequence[Point]) -> list[float]:
-        points = points[: budget - found.runs]
+        points = points[: budget - result.runs]
         margins = measure(points) if points else []
         for point, margin in zip(points, margins, strict=True):
             known[point] = margin
-            found.see(point, margin)
+            result.see(point, margin)
         return margins
 
     def over() -> bool:
-        return found.runs >= budget or found.least < enough
+        return result.runs >= budget or result.least < enough
 
     if sampler == "random":
-        _sample("random", size, seed, tell, over, found)
-        return found
+        _sample("random", size, seed, tell, over, result)
+        return result
     rng = np.random.default_rng(seed)
     first = max(FEW, round(CORNERS * budget))
     held = sampler == "cmaes" and 1 < len(groups) < size
     few = FEW if held else first
-    _corners(groups, rng, tell, lambda: over() or found.runs >= few, few)
-    found.corners = found.least
+    _corners(groups, rng, tell, lambda: over() or result.runs >= few, few)
+    result.corners = result.least
     if held:
 
         def constant(points: Sequence[Point]) -> list[float]:
             return tell([tuple(np.repeat(point, groups).tolist()) for point in points])
 
         few = first + round(HELD * budget)
-        _cmaes(len(groups), seed, constant, lambda: over() or found.runs >= few, found)
+        _cmaes(len(groups), seed, constant, lambda: over() or result.runs >= few, result)
     left = budget - round(POLISH * budget)
-    _sample(sampler, size, seed, tell, lambda: over() or found.runs >= left, found)
-    start = found.point or (0.0,) * size
+    _sample(sampler, size, seed, tell, lambda: over() or result.runs >= left, result)
+    start = result.point or (0.0,) * size
     while not over():
         if _climb(start, known, tell, over) == 0 and sum(set(p) <= {0.0, 1.0} for p in known) == 2**size:
-            _sample(sampler, size, seed + 1, tell, over, found)  # no corner is left
+            _sample(sampler, size, seed + 1, tell, over, result)  # no corner is left
         start = _corner(size, rng)
-    return found
+    return result
 
 
 def _sample(

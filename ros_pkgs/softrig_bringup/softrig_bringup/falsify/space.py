@@ -110,14 +110,14 @@ class Space:
 
     def overrides(self, point: Sequence[float]) -> dict[str, Any]:
         """Return what a point of the unit cube changes."""
-        found: dict[str, Any] = {}
+        result: dict[str, Any] = {}
         at = 0
         for over, target, whole in zip(self.overs, self.targets, self.whole, strict=True):
             values = [over.value(u) for u in point[at : at + over.size]]
             values = [round(v) for v in values] if whole else values
             at += over.size
-            found[target] = values if over.count else values[0]
-        return found
+            result[target] = values if over.count else values[0]
+        return result
 
 
 def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:

@@ -99,7 +99,7 @@ def picture(shapes: list[Shape], bounds: tuple[float, float, float, float]) -> I
 
 def _dashes(corners: list[Point]) -> list[tuple[Point, Point]]:
     """Cut a line into dashes of 5 units with gaps of 4."""
-    found, walked = [], 0.0
+    result, walked = [], 0.0
     for a, b in pairwise(corners):
         length = ((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2) ** 0.5
         at = 0.0
@@ -108,9 +108,9 @@ def _dashes(corners: list[Point]) -> list[tuple[Point, Point]]:
             step = min((5.0 if phase < 5.0 * FINER else 9.0) * FINER - phase, length - at)
             if phase < 5.0 * FINER:
                 ends = [(a[0] + (b[0] - a[0]) * s / length, a[1] + (b[1] - a[1]) * s / length) for s in (at, at + step)]
-                found.append((ends[0], ends[1]))
+                result.append((ends[0], ends[1]))
             at, walked = at + max(step, 1e-6), walked + max(step, 1e-6)
-    return found
+    return result
 
 
 def _colour(role: str) -> str:

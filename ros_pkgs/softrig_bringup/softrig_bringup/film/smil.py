@@ -28,7 +28,7 @@ def _moving(series: Sequence[Shape], film: Film, clips: list[Element]) -> Elemen
     first = series[0]
     if isinstance(first, Text):
         return _text([s for s in series if isinstance(s, Text)], film, clips)
-    found = element(first)
+    result = element(first)
     if isinstance(first, Circle):
         circles = [s for s in series if isinstance(s, Circle)]
         numbers = {
@@ -39,17 +39,17 @@ def _moving(series: Sequence[Shape], film: Film, clips: list[Element]) -> Elemen
         jump = _jumps([(c.centre,) for c in circles])
         for name, values in numbers.items():
             if len(set(values)) > 1:
-                found.append(_animate(name, [number(v) for v in values], film, jump))
-        return found
+                result.append(_animate(name, [number(v) for v in values], film, jump))
+        return result
     places = [s.points for s in series if isinstance(s, Line | Polygon)]
     if len(set(places)) == 1:
-        return found
+        return result
     shifts = [(p[0][0] - places[0][0][0], p[0][1] - places[0][0][1]) for p in places]
     if all(_shifted(places[0], p, s) for p, s in zip(places, shifts, strict=True)):
-        found.append(_shift(shifts, film))
+        result.append(_shift(shifts, film))
     else:
-        found.append(_animate("points", [points(p) for p in places], film, _jumps(places)))
-    return found
+        result.append(_animate("points", [points(p) for p in places], film, _jumps(places)))
+    return result
 
 
 def _shifted(first: Sequence[Point], now: Sequence[Point], by: Point) -> bool:
@@ -91,16 +91,16 @@ def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
     first = series[0]
     places = [s.at for s in series]
     texts = [s.text for s in series[::SPOKEN]]
-    found = element(first)
+    result = element(first)
     if len(set(texts)) > 1:
         strip = list(dict.fromkeys(texts))
         pitch = 2.0 * first.size
-        found.text = None
+        result.text = None
         x, y = first.at
         for k, text in enumerate(strip):
-            found.append(e("tspan", text, x=number(x), y=number(y + k * pitch)))
+            result.append(e("tspan", text, x=number(x), y=number(y + k * pitch)))
         rows = [strip.index(text) for text in texts for _ in range(SPOKEN)][: len(series)]
-        found.append(_shift([(0.0, -pitch * row) for row in rows], film, discrete=True))
+        result.append(_shift([(0.0, -pitch * row) for row in rows], film, discrete=True))
         left, _, width, _ = film.bounds
         name = f"c{len(clips)}"
         window = e(
@@ -111,11 +111,11 @@ def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
             height=number(1.4 * first.size),
         )
         clips.append(e("clipPath", window, id=name))
-        found = e("g", found, **{"clip-path": f"url(#{name})"})
+        result = e("g", result, **{"clip-path": f"url(#{name})"})
     if len(set(places)) > 1:
-        found = e("g", found)
-        found.append(_shift([(x - places[0][0], y - places[0][1]) for x, y in places], film))
-    return found
+        result = e("g", result)
+        result.append(_shift([(x - places[0][0], y - places[0][1]) for x, y in places], film))
+    return result
 
 
 def _seconds(film: Film) -> str:

@@ -60,7 +60,7 @@ def settings(texts: Iterable[str], scenario: str = "") -> dict[str, Any]:
     ScenarioError
         Another form, a decimal comma, a parameter without its node.
     """
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for text in texts:
         name, value = named(text, "--set", "VALUE")
         if _COMMA.fullmatch(value):
@@ -71,10 +71,10 @@ def settings(texts: Iterable[str], scenario: str = "") -> dict[str, Any]:
                 f"--set {name}={value}: expected one value; a study draws from a range, "
                 f"`softrig study {scenario or 'SCENARIO'} --draw {name}={value}`"
             )
-        found[name] = read_yaml(value, f"--set '{name}={value}'")
-    if scenario and found:
-        check_names(read_draft(scenario), found)
-    return found
+        result[name] = read_yaml(value, f"--set '{name}={value}'")
+    if scenario and result:
+        check_names(read_draft(scenario), result)
+    return result
 
 
 def values(name: str, text: str) -> list[Any]:

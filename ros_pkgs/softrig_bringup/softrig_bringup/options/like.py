@@ -279,14 +279,14 @@ def _said(run: Run) -> Iterable[tuple[Member, Port]]:
 
 def digests(run: Run) -> dict[str, Digest]:
     """Return the digest of each topic that a node of a run has spoken on."""
-    found = {}
+    result = {}
     for _, port in _said(run):
         rows = list(_values(port, run.recording.topics[port.topic], run.epoch))
         hashed = hashlib.sha256()
         for t, stamp, values in rows:
             hashed.update(struct.pack(f"<qq{len(values)}d", t, stamp, *(v + 0.0 for v in values)))  # -0 equals 0
-        found[port.topic] = Digest(messages=len(rows), sha256=hashed.hexdigest()[:32])
-    return found
+        result[port.topic] = Digest(messages=len(rows), sha256=hashed.hexdigest()[:32])
+    return result
 
 
 def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:

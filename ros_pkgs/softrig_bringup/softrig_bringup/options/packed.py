@@ -172,7 +172,7 @@ def unpack(path: Path, folder: Path) -> dict[str, str]:
         It is damaged, too large (`MOST`, `FILES`, `TIMES` its own size, half of what is free on the disk), or has
         something in it that is no plain file at one of its places.
     """
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     try:
         _check_list(path)
         with zipfile.ZipFile(path) as archive:
@@ -185,13 +185,13 @@ def unpack(path: Path, folder: Path) -> dict[str, str]:
             if size > max(SMALL, TIMES * path.stat().st_size):
                 raise ScenarioError(f"unpacks to {size} bytes, expected at most {TIMES} times its own size")
             for entry in entries:
-                _check(entry, found)
-                found[entry.filename] = _extract(archive, entry, folder / entry.filename)
+                _check(entry, result)
+                result[entry.filename] = _extract(archive, entry, folder / entry.filename)
     except ScenarioError:
         raise
     except (*_DAMAGED, FileExistsError, NotADirectoryError) as error:
         raise ScenarioError(f"cannot be unpacked: {error}") from None
-    return found
+    return result
 
 
 def _check_list(path: Path) -> None:

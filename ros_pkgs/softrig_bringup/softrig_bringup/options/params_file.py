@@ -81,7 +81,7 @@ def params_of(
     nodes = list(nodes)
     full = {node: f"/{namespace.strip('/')}/{node}".replace("//", "/") for node in nodes}
     sections = read_sections(file)
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     others = []
     for pattern, values in sections.items():
         meant = [node for node in nodes if matches(pattern, full[node])]
@@ -92,7 +92,7 @@ def params_of(
             takers = [node for node in meant if "*" not in pattern or has(node, name)]
             if meant and not takers:
                 raise ScenarioError(f"params file {file}: {pattern}: none of its nodes has a parameter {name!r}")
-            found |= {f"{node}.{name}": value for node in takers}
+            result |= {f"{node}.{name}": value for node in takers}
     if others and len(others) == len(sections):
         near = next((text for name in others if (text := closest(name, full.values()))), "")
         if any(name.rpartition("/")[2] in nodes for name in others):
@@ -102,7 +102,7 @@ def params_of(
         )
     if others:
         say(f"params file {file}: passed over what is of no node of this rig: {', '.join(others)}")
-    return found
+    return result
 
 
 def matches(pattern: str, name: str) -> bool:
@@ -131,10 +131,10 @@ def read_sections(file: Path) -> dict[str, dict[str, Any]]:
     root = yaml.compose(text, yaml.SafeLoader)
     if not isinstance(root, yaml.MappingNode):
         raise ScenarioError(f"{where}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
-    found: dict[str, dict[str, Any]] = {}
+    result: dict[str, dict[str, Any]] = {}
     for name, values in _nodes(root, "", where):
-        found.setdefault(name, {}).update(values)
-    return found
+        result.setdefault(name, {}).update(values)
+    return result
 
 
 def _nodes(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[str, Mapping[str, Any]]]:

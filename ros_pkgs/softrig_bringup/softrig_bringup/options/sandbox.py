@@ -165,10 +165,10 @@ def run(words: list[str]) -> int:
 
 def _below(pid: int) -> list[int]:
     """Return the first process that is not bubblewrap: one outside and one inside the sandbox precede it."""
-    found = [pid]
-    while found and all(Path(f"/proc/{p}/comm").read_text().strip() == "bwrap" for p in found):
-        found = [int(c) for p in found for c in Path(f"/proc/{p}/task/{p}/children").read_text().split()]
-    return found
+    result = [pid]
+    while result and all(Path(f"/proc/{p}/comm").read_text().strip() == "bwrap" for p in result):
+        result = [int(c) for p in result for c in Path(f"/proc/{p}/task/{p}/children").read_text().split()]
+    return result
 
 
 def _shown(source: IO[str], into: IO[str]) -> None:

@@ -74,14 +74,14 @@ def _entries(path: Path, written: int) -> dict[str, Citation]:
     )
     for block in library.failed_blocks:
         raise ScenarioError(f"{path}: line {(block.start_line or 0) + 1}: {block.error}")
-    found = {}
+    result = {}
     for entry in library.entries:
         fields = {name: field.value for name, field in entry.fields_dict.items()}
         missing = [name for name in ("author", "title", "year") if name not in fields]
         if missing:
             raise ScenarioError(f"{path}: {entry.key}: no {', '.join(missing)}")
         authors = tuple(_name(n.first, [*n.von, *n.last, *n.jr]) for n in fields["author"])
-        found[entry.key] = Citation(
+        result[entry.key] = Citation(
             key=entry.key,
             authors=authors,
             title=_plain(fields["title"]),
@@ -90,7 +90,7 @@ def _entries(path: Path, written: int) -> dict[str, Citation]:
             doi=fields.get("doi", ""),
             bibtex=(entry.raw or "").strip(),
         )
-    return found
+    return result
 
 
 def _name(first: Sequence[str], last: Sequence[str]) -> str:
@@ -120,8 +120,8 @@ def sources(citations: Sequence[Citation]) -> Iterator[Element]:
 
 def listed(citations: Sequence[Citation]) -> list[str]:
     """Print papers as the items of a Markdown list."""
-    found = []
+    result = []
     for c in citations:
         doi = f"[doi:{c.doi}](https://doi.org/{c.doi})" if c.doi else "No DOI known"
-        found.append(f"- {', '.join(c.authors)}: *{c.title}*. {', '.join(filter(None, (c.place, c.year)))}. {doi}.")
-    return found
+        result.append(f"- {', '.join(c.authors)}: *{c.title}*. {', '.join(filter(None, (c.place, c.year)))}. {doi}.")
+    return result

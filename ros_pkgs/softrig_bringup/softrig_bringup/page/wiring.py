@@ -104,13 +104,13 @@ def columns(wiring: Wiring) -> list[list[str]]:
 
 def _longest(forward: Mapping[str, list[str]], goals: set[str]) -> dict[str, int]:
     """Length of the longest way to a goal, for each node that has one. No cycle is without a plant, where ways end."""
-    found = dict.fromkeys(goals, 0)
+    result = dict.fromkeys(goals, 0)
     for _ in forward:
-        longer = {n: 1 + max(ways) for n, to in forward.items() if (ways := [found[m] for m in to if m in found])}
-        if all(found.get(n) == d for n, d in longer.items()):
+        longer = {n: 1 + max(ways) for n, to in forward.items() if (ways := [result[m] for m in to if m in result])}
+        if all(result.get(n) == d for n, d in longer.items()):
             break
-        found |= longer
-    return found
+        result |= longer
+    return result
 
 
 def _ordered(found: list[list[str]], neighbours: Mapping[str, list[str]]) -> list[list[str]]:

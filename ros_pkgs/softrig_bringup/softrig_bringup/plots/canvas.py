@@ -616,15 +616,15 @@ class Figure:
     def column(self, rows: int) -> list[Axes]:
         """Divide into rows that have their x axis in common."""
         grid = Grid(rows, 1)
-        found: list[Axes] = []
+        result: list[Axes] = []
         for k in range(rows):
-            found.append(Axes(self, grid[k, 0], found[0] if found else None))
-            found[-1].numbered = k == rows - 1
-        self.axes += found
+            result.append(Axes(self, grid[k, 0], result[0] if result else None))
+            result[-1].numbered = k == rows - 1
+        self.axes += result
         made = np.empty((rows, 1), object)
-        made[:, 0] = found
+        made[:, 0] = result
         self.calls.append(Call(self, "subplots", (rows, 1), {"sharex": True, "squeeze": False}, made))
-        return found
+        return result
 
     def subplots(self) -> Axes:
         """Create one axes of the whole."""

@@ -249,14 +249,14 @@ class Shown(BaseModel):
 def shown(rig: Rig) -> dict[str, Shown]:
     """Describe the signals of the plots over time of a rig's scenario."""
     known, held = signal_units(rig), _held(rig)
-    found = {}
+    result = {}
     for entry in rig.scenario.plots:
         for name, label in entry.signals.items():
             if name in known and not entry.x:
                 topic = topic_of(name, rig.topics)
                 reference = _reference(rig.topics[topic], label)
-                found[name] = Shown(unit=entry.unit or known[name], held=topic in held, reference=reference)
-    return found
+                result[name] = Shown(unit=entry.unit or known[name], held=topic in held, reference=reference)
+    return result
 
 
 def by_unit(curves: Sequence[Curve]) -> dict[str, list[Curve]]:

@@ -70,12 +70,12 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
     """
     scenario = rig.scenario
     published = {c.figure or k: c.published for k, c in scenario.claims.items() if c.published is not None}
-    found: dict[str, list[Mark]] = {}
+    result: dict[str, list[Mark]] = {}
     for figure in figures_of(rig):
         if isinstance(figure.function, Judge):
             for mark in _violated(figure.name, figure.function, signals):
                 for name in figure.function.signals.values():
-                    found.setdefault(name, []).append(mark)
+                    result.setdefault(name, []).append(mark)
             continue
         limits = scenario.expect.get(figure.name)
         if limits is None and figure.name not in published:
@@ -86,8 +86,8 @@ def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
         signal = figure.arguments.get("signal")
         if isinstance(signal, str):
             with suppress(KeyError, ValueError):  # the run ended before its window
-                found.setdefault(signal, []).extend(_placed(figure.at(signals), about, signals))
-    return found
+                result.setdefault(signal, []).extend(_placed(figure.at(signals), about, signals))
+    return result
 
 
 def _violated(name: str, judge: Judge, signals: SignalMap) -> Iterator[Mark]:

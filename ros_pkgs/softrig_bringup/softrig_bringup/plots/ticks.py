@@ -34,15 +34,15 @@ def round_ticks(low: float, high: float, most: int, whole: bool = False) -> list
     if whole:
         steps = [s for s in steps if s < 1.0 or abs(s - round(s)) < 1e-3]
     fitting = next((k for k, s in enumerate(steps) if s >= raw), len(steps) - 1)
-    found: list[float] = []
+    result: list[float] = []
     for step in reversed(steps[: fitting + 1]):  # a finer step where this one leaves less than two ticks
         if whole and math.floor(high) - math.ceil(low) >= 1:
             step = max(1.0, step)
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-        found = [k * step for k in range(first, last + 1)]
-        if len(found) > 1:
+        result = [k * step for k in range(first, last + 1)]
+        if len(result) > 1:
             break
-    return found
+    return result
 
 
 def power_of(ticks: Sequence[float]) -> int:

@@ -45,11 +45,11 @@ def _number(metric: Result) -> float:
 
 def _with_their_runs(directories: Sequence[Path]) -> list[Path]:
     """Replace each folder that is not a run by the runs below it, if there are any."""
-    found: list[Path] = []
+    result: list[Path] = []
     for directory in directories:
         inside = [] if (directory / MARK).exists() else sorted(mark.parent for mark in directory.glob(f"*/{MARK}"))
-        found += inside or [directory]
-    return found
+        result += inside or [directory]
+    return result
 
 
 def write_report(

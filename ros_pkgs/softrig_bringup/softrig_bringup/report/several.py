@@ -41,7 +41,7 @@ def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
         itself for any other run.
     """
     keys = [_draws(run) for run in runs]
-    found = list(named)
+    result = list(named)
     for key in dict.fromkeys(keys):
         mine = [k for k, other in enumerate(keys) if other == key]
         if key and LEAST <= len(mine) == len({runs[k].seed for k in mine}):
@@ -49,10 +49,10 @@ def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
             shared = "".join(c[0] for c in takewhile(lambda c: len({*c}) == 1, letters))
             shared = shared.rstrip(" -_=,/([").removesuffix("seed").rstrip(" -_")
             shared = shared or runs[mine[0]].scenario
-            label = shared if found.count(shared) <= (shared in [named[k] for k in mine]) else ""
+            label = shared if result.count(shared) <= (shared in [named[k] for k in mine]) else ""
             for k in mine:
-                found[k] = label or f"{named[mine[0]]} and others"
-    return found
+                result[k] = label or f"{named[mine[0]]} and others"
+    return result
 
 
 def _draws(run: RunRecord) -> str:

@@ -235,19 +235,19 @@ def _plant_ticks(run: Run) -> int:
 
 def versions() -> dict[str, str]:
     """Return what a run depends on: versions, the C library's functions by their results, the kernels in use."""
-    found = {"python": platform.python_version(), "machine": platform.machine()}
+    result = {"python": platform.python_version(), "machine": platform.machine()}
     machine = {
         "libc": " ".join(platform.libc_ver()).strip(),
         "math": math_digest(),
         **kernels(),
     }
-    found |= {name: value for name, value in machine.items() if value}
+    result |= {name: value for name, value in machine.items() if value}
     for name in ("softrig_core", "numpy", "scipy", "casadi", "pin", "daqp", "rosbags", "ros-jazzy-rclpy"):
         try:
-            found[name] = importlib.metadata.version(name)
+            result[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return found
+    return result
 
 
 @cache
@@ -257,7 +257,7 @@ def checkout() -> dict[str, str]:
     lock = script.parent / "locks" / "run.lock"
     if not lock.is_file():
         return {}
-    found = {"run.lock": f"sha256:{hashlib.sha256(lock.read_bytes()).hexdigest()}"}
+    result = {"run.lock": f"sha256:{hashlib.sha256(lock.read_bytes()).hexdigest()}"}
     git = ["git", "-C", str(script.parent), "-c", "core.fsmonitor=", "--no-optional-locks"]
     try:
         said = [
@@ -265,8 +265,8 @@ def checkout() -> dict[str, str]:
             for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
         ]
     except (OSError, subprocess.SubprocessError):  # no git, or an archive without its history
-        return found
-    return {"commit": said[0] + ("+" if said[1] else "")} | found
+        return result
+    return {"commit": said[0] + ("+" if said[1] else "")} | result
 
 
 def save(
@@ -327,12 +327,12 @@ def _texts(rig: Rig) -> dict[str, str]:
 
 def _scenes(rig: Rig) -> dict[str, Scene]:
     """Return what viewers can be shown of the rig, by the topic that it moves with."""
-    found = {}
+    result = {}
     for member in rig.members:
         scene = scene_of(member.block_class, member.params)
         if scene is not None:
-            found[next(p.topic for p in member.outputs if p.name == scene.port)] = scene
-    return found
+            result[next(p.topic for p in member.outputs if p.name == scene.port)] = scene
+    return result
 
 
 def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, str]:

@@ -205,12 +205,12 @@ def study_folders() -> list[Path]:
 
 def list_studies() -> dict[str, Path]:
     """Return every study's name and file."""
-    found: dict[str, Path] = {}
+    result: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob("*.yaml")):
             if "." not in path.stem:  # NAME.falsify.yaml is no study
-                found.setdefault(path.stem, path)
-    return found
+                result.setdefault(path.stem, path)
+    return result
 
 
 def load_study(name: str) -> Study:

@@ -163,11 +163,11 @@ def _resampled(values: Array | NDArray[np.int_], statistic: Statistic) -> Estima
 def holm(p: Sequence[float]) -> list[float]:
     """Adjust p values of several comparisons by Holm's step-down rule; NaN stays and does not count."""
     order = sorted((k for k in range(len(p)) if not math.isnan(p[k])), key=lambda k: p[k])
-    found, least = [math.nan] * len(p), 0.0
+    result, least = [math.nan] * len(p), 0.0
     for rank, k in enumerate(order):
         least = max(least, min(1.0, (len(order) - rank) * p[k]))
-        found[k] = least
-    return found
+        result[k] = least
+    return result
 
 
 def runs_for_mean(spread: float, width: float) -> int:

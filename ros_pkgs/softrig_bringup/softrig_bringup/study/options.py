@@ -127,16 +127,16 @@ def _drawn_points(options: Namespace, drawn: Mapping[str, Any]) -> dict[str, Any
 
 def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
     """Return the cases: the scenario as it is, and what it is held against."""
-    found: dict[str, dict[str, Any]] = {_slug(options.study): {}}
+    result: dict[str, dict[str, Any]] = {_slug(options.study): {}}
     for text in options.against:
         change = settings([text]) if "=" in text else {"scenario": text}
         name = text if "=" in text else _slug(text)
-        if name in found and "=" not in text and not _is_same(text, (options.study, *options.against)):
+        if name in result and "=" not in text and not _is_same(text, (options.study, *options.against)):
             name = text  # another file of that name
-        if name in found:
+        if name in result:
             raise ScenarioError(f"--against {text}: it is that scenario itself, or there twice")
-        found[name] = change
-    return found
+        result[name] = change
+    return result
 
 
 def _is_same(text: str, others: Sequence[str]) -> bool:

@@ -179,10 +179,10 @@ def samples_of(study: Study, rows: Sequence[Row]) -> dict[str, Sample]:
 
 
 def _groups(study: Study, rows: Sequence[Row]) -> dict[str, list[Row]]:
-    found: dict[str, list[Row]] = {}
+    result: dict[str, list[Row]] = {}
     for row in rows:
-        found.setdefault(label(study, row), []).append(row)
-    return found
+        result.setdefault(label(study, row), []).append(row)
+    return result
 
 
 def _line(group: str, figure: str, unit: str, sample: Sample) -> Line | None:

@@ -132,14 +132,14 @@ def each_case(study: Study) -> Iterator[tuple[str, str, Summary]]:
 
 def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list[Result]:
     """Judge the summaries of a study as it is written, of a changed one compute them; `units` has those of figures."""
-    found = []
+    result = []
     for name, entry, summary in each_case(study):
         value = summarise(rows, summary)
         limits = study.expect.get(entry)
         published = next((c.published for k, c in study.claims.items() if (c.figure or k) == name), None)
         sure = math.isfinite(value)
         pure = summary.statistic in ("share", "count")
-        found.append(
+        result.append(
             Result(
                 name=name,
                 value=value if sure else None,
@@ -151,7 +151,7 @@ def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list
                 **(limits or Expectation()).model_dump(),
             ).not_judged(study.written)
         )
-    return found
+    return result
 
 
 def claims(study: Study, found: Sequence[Result]) -> list[Finding]:

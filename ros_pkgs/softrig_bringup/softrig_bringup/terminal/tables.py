@@ -22,13 +22,13 @@ def fits(console: Console, table: Table) -> bool:
 
 def table_of(heads: Sequence[str], rows: Sequence[Sequence[Cell]], folded: bool = False) -> Table:
     """Create a table, its heads folded at underscores and dots or not; what is no word stands to the right."""
-    found = Table(box=None, pad_edge=False)
+    result = Table(box=None, pad_edge=False)
     for k, head in enumerate(heads):
         room = max((len(row[k]) for row in rows), default=0) if folded else len(head)
-        found.add_column(_folded(head, room), justify="left" if not k or head in WORDS else "right", no_wrap=True)
+        result.add_column(_folded(head, room), justify="left" if not k or head in WORDS else "right", no_wrap=True)
     for row in rows:
-        found.add_row(*row)
-    return found
+        result.add_row(*row)
+    return result
 
 
 def print_judged(console: Console, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:

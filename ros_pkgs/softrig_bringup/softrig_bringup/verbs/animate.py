@@ -61,11 +61,11 @@ def film_of(what: str, start: float = 0.0, end: float | None = None, speed: floa
 
 
 def _drawing(rig: Rig) -> Drawing:
-    found = drawing_for(rig)
-    if found is None:
+    result = drawing_for(rig)
+    if result is None:
         plants = ", ".join(f"{m.name} ({m.package}/{m.executable})" for m in rig.members if m.is_plant)
         raise ScenarioError(f"{rig.scenario.name}: no drawing of {plants or 'a rig without a plant'}")
-    return found
+    return result
 
 
 def _window(start: float, end: float | None, length: float) -> tuple[float, float]:

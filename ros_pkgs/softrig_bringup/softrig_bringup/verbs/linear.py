@@ -23,7 +23,7 @@ ANOTHER = 0.5  # variation above which poles and margins are of something else
 
 def numbers(view: LinearView) -> dict[str, Any]:
     """Return a linear view as plain data; None where a margin is infinite."""
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "scenario": view.rig, "at_s": view.at, "period_s": view.period, "error": view.error, "worst": view.worst,
         "variation": view.variation, "heard": dict(view.heard),
         "left_out": dict(view.left_out), "stable": view.stable, "values": dict(view.values), "units": dict(view.units),
@@ -35,7 +35,7 @@ def numbers(view: LinearView) -> dict[str, Any]:
     if view.link:
         system = view.opened
         margins = {k: v if math.isfinite(v) else None for k, v in view.margins._asdict().items()}
-        found |= {
+        result |= {
             "link": view.link,
             "margins": margins,
             "opened": {
@@ -47,7 +47,7 @@ def numbers(view: LinearView) -> dict[str, Any]:
                 "poles": [[p.real, p.imag] for p in view.loop_poles.tolist()],
             },
         }
-    return found
+    return result
 
 
 def along_numbers(view: LinearAlong) -> dict[str, Any]:

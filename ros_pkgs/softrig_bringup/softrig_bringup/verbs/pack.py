@@ -300,11 +300,11 @@ def _one_run(run: Path, rig: Rig, content: Mapping[str, Any], before: Recalled) 
 
 def _offers(package: str) -> dict[str, dict[str, str]]:
     """List the entry points of a package, by group."""
-    found: dict[str, dict[str, str]] = {}
+    result: dict[str, dict[str, str]] = {}
     for point in importlib.metadata.distribution(package).entry_points:
         if point.group in GROUPS:
-            found.setdefault(point.group, {})[point.name] = point.value
-    return found
+            result.setdefault(point.group, {})[point.name] = point.value
+    return result
 
 
 def _beside(bag: Path) -> dict[str, Any]:

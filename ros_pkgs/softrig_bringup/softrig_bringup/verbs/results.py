@@ -63,15 +63,15 @@ def measure(work: tuple[str, Path | None]) -> Measured:
     except (RunError, ScenarioError) as error:
         return Measured(name, {}, {}, [], str(error))
     results = run.results
-    found = Measured(
+    result = Measured(
         name, values(results), {r.name: r.unit for r in results}, [r.name for r in run.missed], "", seconds=run.wall_s
     )
     if place:
         cleared = _cleared(place)
         save(run, summary(run, results, command(name)), cleared, record=False)
         illustrate(run, cleared)
-        replace(_figures(place), json.dumps({"key": key, "measured": found._asdict()}) + "\n")
-    return found
+        replace(_figures(place), json.dumps({"key": key, "measured": result._asdict()}) + "\n")
+    return result
 
 
 def _cleared(place: Path) -> ResultsFolder:

@@ -35,7 +35,7 @@ def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
     words = [part for word in words for part in _parts(word)]
     if len(words) % 2:
         raise ScenarioError(f"set: {words[-1]!r} has no value, expected NODE.PARAM VALUE")
-    found: dict[str, dict[str, Any]] = {}
+    result: dict[str, dict[str, Any]] = {}
     for key, text in zip(words[::2], words[1::2], strict=True):
         node, _, parameter = key.partition(".")
         value = read_yaml(text, f"set {key}")
@@ -46,5 +46,5 @@ def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:
             value, kinds = [float(x) for x in value], {float}
         if len(kinds) > 1 or not kinds <= {bool, int, float, str}:  # ROS has lists of one kind
             raise ScenarioError(f"set {key}: {text!r} is no value of a parameter")
-        found.setdefault(node, {})[parameter] = value
-    return found
+        result.setdefault(node, {})[parameter] = value
+    return result

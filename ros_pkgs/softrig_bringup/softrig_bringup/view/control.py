@@ -242,13 +242,13 @@ def role(rig: Rig, member: Member) -> str:
 
 def _before(member: Member) -> set[Member]:
     """Return the nodes whose messages a node depends on, those of others included."""
-    found: set[Member] = set()
+    result: set[Member] = set()
     left = [member]
     while left:
-        new = {link.source for link in left.pop().links.values()} - found
-        found |= new
+        new = {link.source for link in left.pop().links.values()} - result
+        result |= new
         left += new
-    return found
+    return result
 
 
 def _knobs(member: Member) -> list[Knob]:
@@ -256,27 +256,27 @@ def _knobs(member: Member) -> list[Knob]:
     choices = _choices(type(member.params))
     known = {choice for name, of in choices.items() for choice in of if isinstance(values[name], str)}
     chosen = {values[name] for name in choices}
-    found = []
+    result = []
     for d in declarations(type(member.params)):
         if d.name in live:
             low = -math.inf if d.lower is None or d.lower <= -LARGEST else float(d.lower)
             high = math.inf if d.upper is None or d.upper >= LARGEST else float(d.upper)
             of = _owners(d.name, d.doc) & known
             idle = bool(of) and not of & chosen
-            found.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high), idle))
-    return found
+            result.append(Knob(member.name, d.name, d.unit, d.doc, values[d.name], d.type, (low, high), idle))
+    return result
 
 
 def _choices(model: type[Params], prefix: str = "") -> dict[str, tuple[str, ...]]:
     """Return the parameters that choose one of some words, as a law, by dotted name."""
-    found: dict[str, tuple[str, ...]] = {}
+    result: dict[str, tuple[str, ...]] = {}
     for name, field in model.model_fields.items():
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, Params):
-            found |= _choices(kind, f"{prefix}{name}.")
+            result |= _choices(kind, f"{prefix}{name}.")
         elif get_origin(kind) is Literal:
-            found[prefix + name] = get_args(kind)
-    return found
+            result[prefix + name] = get_args(kind)
+    return result
 
 
 def _owners(name: str, doc: str) -> set[str]:

@@ -137,9 +137,9 @@ class Page:
         return Div(name=name, visible=visible, sizing_mode="stretch_width", stylesheets=[self._sheet])
 
     def _button(self, label: str, call: Callable[[], object], name: str = "", width: int | None = 90) -> Button:
-        found = Button(label=label, name=name or label, stylesheets=[self._sheet], width=width)
-        found.on_click(call)
-        return found
+        result = Button(label=label, name=name or label, stylesheets=[self._sheet], width=width)
+        result.on_click(call)
+        return result
 
     def _press(self, node: str, name: str) -> Button:
         def press() -> None:
@@ -156,24 +156,24 @@ class Page:
         self._follow = Toggle(label="follow", active=True, width=90, stylesheets=sheet, name="follow", align="end")
         self._window.on_change("value", self._again)
         self._follow.on_change("active", self._again)
-        found: list[Any] = [self._window, self._follow]
+        result: list[Any] = [self._window, self._follow]
         if self._control.held is not None and self._source.live:
             self._hold = self._button("pause", self._pause, "hold")
-            found += [self._hold, self._button("step", lambda: self._control.hold(self._who, "step"))]
+            result += [self._hold, self._button("step", lambda: self._control.hold(self._who, "step"))]
         if not self._source.live or (self._control.held is not None and self._control.pace is not None):
             now = _pace((self._control.pace or 0.0) if self._source.live else 1.0)
             paces = [*PACES, *([] if now in PACES else [now])]
             self._pace = Select(title="pace", value=now, options=paces, width=90, stylesheets=sheet, name="pace")
             if self._source.live:
                 self._pace.on_change("value", self._go)
-            found.append(self._pace)
+            result.append(self._pace)
         if self._source.live and not self._control.goes_back:
             nodes = self._div("only forward")
             nodes.text = "<p class=soft>nodes only go on; with <code>--mode inprocess</code> a run goes back, too</p>"
-            found.append(nodes)
-        for widget in found:
+            result.append(nodes)
+        for widget in result:
             widget.align = "end"
-        return found
+        return result
 
     def _recorded(self) -> Any:
         """A time cursor, and what moves it."""
@@ -221,19 +221,19 @@ class Page:
 
     def _groups(self) -> list[tuple[str, Any, str, str, bool]]:
         """Return the buttons, and the knobs by node: name of the root, root, title, what else, whether it is open."""
-        control, found = self._control, []
+        control, result = self._control, []
         if control.buttons:
             buttons = row(*(self._press(*b) for b in control.buttons), styles={"flex-wrap": "wrap"})
-            found.append(("buttons", buttons, "Buttons", "", True))
+            result.append(("buttons", buttons, "Buttons", "", True))
         first = next(iter(control.roles.values()), "")
         for node, role in control.roles.items():
             own = [knob for knob in control.knobs.values() if knob.node == node]
             used, idle = [k for k in own if not k.idle], [k for k in own if k.idle]
             what = f"{WHAT.get(role, role)} {len(used)}".strip()
-            found.append((f"knobs {node}", self._group(used), node, what, role in (first, "law", "fault")))
+            result.append((f"knobs {node}", self._group(used), node, what, role in (first, "law", "fault")))
             if idle:
-                found.append((f"idle {node}", self._group(idle), node, f"not used by this choice {len(idle)}", False))
-        return found
+                result.append((f"idle {node}", self._group(idle), node, f"not used by this choice {len(idle)}", False))
+        return result
 
     def _group(self, knobs: Sequence[Knob]) -> Any:
         widgets = [w for k in knobs for w in (self._knobs[k.key], self._sliders.get(k.key)) if w is not None]
@@ -244,21 +244,21 @@ class Page:
         title = f"{knob.name}{f', {knob.unit}' if knob.unit else ''}"
         about: dict[str, Any] = {"name": knob.key, "stylesheets": [self._sheet], "sizing_mode": "stretch_width"}
         if knob.kind is bool:
-            found: Any = Toggle(label=title, active=bool(knob.value), **about)
-            found.on_change("active", lambda attr, old, new: self._turned(knob, new))
-            return found
+            result: Any = Toggle(label=title, active=bool(knob.value), **about)
+            result.on_change("active", lambda attr, old, new: self._turned(knob, new))
+            return result
         if knob.number and (ends := reach(knob)) is not None:
             self._sliders[knob.key] = self._slider_of(knob, *ends)
         title += _range(knob)
         about["stylesheets"] = [self._sheet, self._beside]
-        found = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
-        found.on_change("value", lambda attr, old, new: self._turned(knob, new))
-        return found
+        result = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
+        result.on_change("value", lambda attr, old, new: self._turned(knob, new))
+        return result
 
     def _slider_of(self, knob: Knob, low: float, high: float) -> Slider:
         """Return what moves a number; it counts when it is let go."""
         step = max(1, round((high - low) / 1000)) if knob.kind is int else (high - low) / 1000
-        found = Slider(
+        result = Slider(
             start=low,
             end=high,
             value=knob.value,
@@ -268,8 +268,8 @@ class Page:
             stylesheets=[self._sheet],
             sizing_mode="stretch_width",
         )
-        found.on_change("value_throttled", lambda attr, old, new: self._turned(knob, knob.kind(new)))
-        return found
+        result.on_change("value_throttled", lambda attr, old, new: self._turned(knob, knob.kind(new)))
+        return result
 
     # what people do ------------------------------------------------------------------------------------------------
 

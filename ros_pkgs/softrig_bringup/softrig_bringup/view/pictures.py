@@ -78,7 +78,7 @@ class Picture:
         first: bool,
     ) -> Any:
         title = axis_title(self._entry.quantity or quantity(unit), unit) or "value"
-        found = figure(
+        result = figure(
             x_range=time,
             y_range=DataRange1d(only_visible=True),
             height=230,
@@ -89,11 +89,11 @@ class Picture:
             x_axis_label="t, s",
             y_axis_label=title,
         )
-        found.vspan(x="t", source=changes, line_color=CHANGED[self._look], line_dash="dotted", line_width=1)
-        lines = self._lines(found, names, named)
-        found.add_layout(cursor)
+        result.vspan(x="t", source=changes, line_color=CHANGED[self._look], line_dash="dotted", line_width=1)
+        lines = self._lines(result, names, named)
+        result.add_layout(cursor)
         said = f"$name: @y{{%.6g}} {pretty_unit(unit)} at @x{{%.6g}} s"
-        found.add_tools(
+        result.add_tools(
             HoverTool(
                 renderers=lines,
                 mode="vline",
@@ -103,12 +103,12 @@ class Picture:
             ),
             CrosshairTool(dimensions="height", line_color=SOFT[self._look], line_alpha=0.6),
         )
-        return found
+        return result
 
     def _plane(self, named: dict[str, Curve]) -> Any:
         over = self._curves.axis(f"{self._curves.topic(next(iter(named)))}/{self._entry.x}")
         unit = next(iter(named.values())).unit
-        found = figure(
+        result = figure(
             height=380,
             tools="pan,box_zoom,wheel_zoom,reset,save",
             active_drag="box_zoom",
@@ -118,8 +118,8 @@ class Picture:
             x_axis_label=axis_title(over, unit),
             y_axis_label=axis_title(self._entry.quantity or quantity(unit), unit),
         )
-        lines = self._lines(found, list(named), named)
-        found.add_tools(
+        lines = self._lines(result, list(named), named)
+        result.add_tools(
             HoverTool(
                 renderers=lines,
                 tooltips="$name: @x{%.6g}, @y{%.6g}",
@@ -127,7 +127,7 @@ class Picture:
                 formatters={"@y": "printf", "@x": "printf"},
             )
         )
-        return found
+        return result
 
     def _lines(self, found: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
         lines, colours, dashes = [], iter(COLOURS[self._look] * len(names)), iter(DASHED * len(names))
@@ -169,11 +169,11 @@ class Picture:
     def values(self, pane: Pane) -> dict[str, tuple[float | None, str]]:
         """Return the newest value and the unit of each signal, by its label; nothing of what is over another signal."""
         self._curves.signals, self._curves.end = pane, 0.0  # type: ignore[assignment]
-        found: dict[str, tuple[float | None, str]] = {}
+        result: dict[str, tuple[float | None, str]] = {}
         for name in () if self._entry.x else self.sources:
             curve = self._curves.shown(self._entry, name)
-            found[f"{self._entry.title}: {curve.label}"] = float(curve.y[-1]) if len(curve.y) else None, curve.unit
-        return found
+            result[f"{self._entry.title}: {curve.label}"] = float(curve.y[-1]) if len(curve.y) else None, curve.unit
+        return result
 
 
 def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:

@@ -87,13 +87,13 @@ def compiler(name: str = "cc") -> str:
         There is none.
     """
     wanted = os.environ.get("CC", "cc") if name == "cc" else name
-    found = shutil.which(wanted) or (name == "cc" and (shutil.which("gcc") or shutil.which("clang"))) or None
-    if found is None:
+    result = shutil.which(wanted) or (name == "cc" and (shutil.which("gcc") or shutil.which("clang"))) or None
+    if result is None:
         package = {"g++": "g++", "gfortran": "gfortran"}.get(name, "gcc")
         raise ValueError(
             f"a C member needs a compiler, and there is no {wanted} here (Debian: apt-get install {package})"
         )
-    return found
+    return result
 
 
 def compiled(sources: Sequence[Path], flags: Sequence[str]) -> Path:

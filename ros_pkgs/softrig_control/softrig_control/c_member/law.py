@@ -50,13 +50,13 @@ def _loaded(shim: str, library: str) -> ctypes.CDLL:
     ValueError
         The library cannot be loaded, with the reason of the loader.
     """
-    found = ctypes.CDLL(shim)
-    found.sr_load.restype = ctypes.c_char_p
-    found.sr_init.restype = ctypes.c_double
-    found.sr_size.restype = ctypes.c_long
-    if (wrong := found.sr_load(library.encode(), 1)) is not None:
+    result = ctypes.CDLL(shim)
+    result.sr_load.restype = ctypes.c_char_p
+    result.sr_init.restype = ctypes.c_double
+    result.sr_size.restype = ctypes.c_long
+    if (wrong := result.sr_load(library.encode(), 1)) is not None:
         raise ValueError(f"cannot be loaded: {wrong.decode(errors='replace')}")
-    return found
+    return result
 
 
 class Called(Compiled):

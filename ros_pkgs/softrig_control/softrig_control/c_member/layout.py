@@ -157,10 +157,10 @@ def _array(die: DIE, where: str, access: str) -> Iterator[Leaf]:
 
 
 def _product(counts: list[int]) -> int:
-    found = 1
+    result = 1
     for count in counts:
-        found *= count
-    return found
+        result *= count
+    return result
 
 
 def _kind(die: DIE, size: int, where: str) -> Kind:

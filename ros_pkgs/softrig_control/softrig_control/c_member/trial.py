@@ -80,12 +80,12 @@ def _same(*rows: Row) -> bool:
 
 def _answers(apart: Apart, built: Built, methods: Sequence[str], order: Sequence[float]) -> dict[float, Row]:
     """Return the answers to one tick each, all from the first state; equal bits compare as equal, NaN included."""
-    found = {}
+    result = {}
     for value in order:
         row = (float(PERIOD), *apart.first)
         given = (value,) * len(built.structs["in"].leaves)
         answers: list[float] = []
         for method in methods:
             answers += apart.call(method, row if method == "outputs" else (*row, *given))
-        found[value] = tuple(map(str, answers))
-    return found  # type: ignore[return-value]
+        result[value] = tuple(map(str, answers))
+    return result  # type: ignore[return-value]

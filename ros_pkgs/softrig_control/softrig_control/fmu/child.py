@@ -89,7 +89,7 @@ class Isolated:
             if not self._poll.poll(seconds * 1000.0):
                 self._end()
                 raise Refusal(f"gave no answer within {seconds:g} s")
-            good, found = self._pipe.recv()
+            good, result = self._pipe.recv()
         except (EOFError, OSError):
             try:
                 code = self._process.wait(LEAVE)
@@ -106,8 +106,8 @@ class Isolated:
             raise Refusal(f"crashed: its process {how}") from None
         if not good:
             self._end()  # in which state it is nobody knows
-            raise Refusal(found)
-        return found
+            raise Refusal(result)
+        return result
 
 
 def _kill(process: subprocess.Popen[bytes], pipe: Connection) -> None:

@@ -104,13 +104,13 @@ def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
     classes = {m.name: m.block_class for m in rig.members}
     short = rig_of(bare, duration=float(rig.clock.schedule.period), classes=classes)
     recording = simulate(short, seed=rig.scenario.seed).recording
-    found = {}
+    result = {}
     for port in member.inputs:
         link = member.links.get(port.name)
         if link is not None and (said := recording.topics[port.topic].data):
             _, row = Decoder(port)(bytes(said[0]))
-            found[port.name] = list(row)
-    return found
+            result[port.name] = list(row)
+    return result
 
 
 def _check_text(member: Member, where: str, text: str) -> None:

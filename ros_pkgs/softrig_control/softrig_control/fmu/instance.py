@@ -137,8 +137,8 @@ class Instance:
 
     def _read(self, name: str, cells: Cells) -> list[Any]:
         get = getattr(self._fmu, f"get{name}")
-        found: list[Any] = get(cells.references, cells.total) if cells.arrays else get(cells.references)
-        return found
+        result: list[Any] = get(cells.references, cells.total) if cells.arrays else get(cells.references)
+        return result
 
     def _outputs(self) -> Numbers:
         found = [0.0] * len(self.plan.outputs)
@@ -305,7 +305,7 @@ class Cells(NamedTuple):
 
 def _grouped(cells: Sequence[Cell]) -> dict[str, Cells]:
     """Sort by type."""
-    found: dict[str, Cells] = {}
+    result: dict[str, Cells] = {}
     for name in dict.fromkeys(cell[0] for cell in cells):
         counts: dict[int, int] = {}
         for kind, reference, _, count in cells:
@@ -313,8 +313,8 @@ def _grouped(cells: Sequence[Cell]) -> dict[str, Cells]:
                 counts.setdefault(reference, count)
         begins = dict(zip(counts, accumulate(counts.values(), initial=0), strict=False))
         where = [(k, begins[r] + element) for k, (kind, r, element, _) in enumerate(cells) if kind == name]
-        found[name] = Cells(list(counts), sum(counts.values()), where, any(n > 1 for n in counts.values()))
-    return found
+        result[name] = Cells(list(counts), sum(counts.values()), where, any(n > 1 for n in counts.values()))
+    return result
 
 
 def _typed(name: str, x: float) -> Any:

@@ -122,7 +122,7 @@ def _compiled(place: Path, name: str, files: Sequence[str]) -> Path:
 
 
 def _variables(member: Member, done: Exported, start: Mapping[str, Sequence[float]]) -> list[Variable]:
-    found: list[Variable] = []
+    result: list[Variable] = []
     for way, ports in (("input", member.inputs), ("output", member.outputs)):
         for port in ports:
             topic = member.remap.get(port.topic, port.topic)
@@ -130,7 +130,7 @@ def _variables(member: Member, done: Exported, start: Mapping[str, Sequence[floa
             name, struct = identifier(port.name), "in" if way == "input" else "out"
             for k, (label, unit) in enumerate(zip(port.labels, port.units, strict=True)):
                 limit = port.limits[k] if way == "input" else None
-                found.append(
+                result.append(
                     Variable(
                         variable(topic, label), way, "REAL", f"m->{struct}.{name}[{k}]", first[k], unit,
                         f"{topic}/{label}", None if limit is None else -limit, limit,
@@ -143,10 +143,10 @@ def _variables(member: Member, done: Exported, start: Mapping[str, Sequence[floa
         value, one = values[name], known.get(name)
         bounds = (one.lower, one.upper) if one is not None else (None, None)
         unit, doc = (one.unit or "", one.doc) if one is not None else ("", "")
-        found.append(
+        result.append(
             Variable(name, "parameter", KINDS[type(value)], f"m->params.{identifier(name)}", value, unit, doc, *bounds)
         )
-    return found
+    return result
 
 
 def _model(member: Member, done: Exported, variables: Sequence[Variable]) -> str:

@@ -158,11 +158,11 @@ class LineRow(NamedTuple):
 
     def python(self) -> Line:
         """Return it as Python has it."""
-        n, found = len(self.blank), Line(len(self.blank))
+        n, result = len(self.blank), Line(len(self.blank))
         for k in range(self.begin, self.end):
             row = tuple(self.values[k * n : (k + 1) * n].tolist())
-            found = found.put(int(self.dues[k]), int(self.stamps[k]), row)
-        return found
+            result = result.put(int(self.dues[k]), int(self.stamps[k]), row)
+        return result
 
 
 @jit

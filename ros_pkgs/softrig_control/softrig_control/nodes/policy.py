@@ -42,13 +42,13 @@ def linear(weights: Sequence[float], observations: int, actions: int) -> Act:
     rows = [weights[k * wide : (k + 1) * wide] for k in range(actions)]
 
     def act(observed: Sequence[float]) -> list[float]:
-        found = []
+        result = []
         for row in rows:
             total = row[-1]
             for weight, value in zip(row, observed, strict=False):
                 total += weight * value
-            found.append(total)
-        return found
+            result.append(total)
+        return result
 
     return act
 
@@ -90,9 +90,9 @@ def copied(act: Act) -> Act:
         except (TypeError, ValueError, AttributeError, copy.Error, pickle.PicklingError):
             return act
     cells = tuple(CellType(copied(c.cell_contents)) for c in act.__closure__)
-    found = FunctionType(act.__code__, act.__globals__, act.__name__, act.__defaults__, cells)
-    found.__kwdefaults__ = act.__kwdefaults__
-    return found
+    result = FunctionType(act.__code__, act.__globals__, act.__name__, act.__defaults__, cells)
+    result.__kwdefaults__ = act.__kwdefaults__
+    return result
 
 
 class PolicyParams(BlockParams):

@@ -90,13 +90,13 @@ class Carima:
     @classmethod
     def _checked(cls, system: Sampled, right: Exact) -> Carima:
         wanted = right.step_response()
-        found = cls(*_polynomials(system))
-        if off(found.step_response(len(wanted)), wanted) <= BEST:
-            return found
-        found = cls(*right.polynomials())
-        error = off(found.step_response(len(wanted)), wanted)
+        result = cls(*_polynomials(system))
+        if off(result.step_response(len(wanted)), wanted) <= BEST:
+            return result
+        result = cls(*right.polynomials())
+        error = off(result.step_response(len(wanted)), wanted)
         if error <= ACCURACY:
-            return found
+            return result
         raise ValueError(
             f"the step response of the difference equation of order {len(system.a)} would be off by {error:.1g} of its "
             f"largest value, expected at most {ACCURACY:g}: its poles are too near to each other for a polynomial; "
@@ -110,13 +110,13 @@ class Carima:
         ----------
         samples : int
         """
-        found: list[float] = []
+        result: list[float] = []
         for k in range(samples):
             y = total(self.b[: k + 1])
             for i, a in enumerate(self.a[1 : k + 1], 1):
-                y -= a * found[k - i]
-            found.append(y)
-        return found
+                y -= a * result[k - i]
+            result.append(y)
+        return result
 
 
 def _polynomials(system: Sampled) -> tuple[Polynomial, Polynomial]:
@@ -207,13 +207,13 @@ def diophantine(a: Sequence[float], horizon: int) -> list[tuple[Polynomial, Poly
     a_delta = multiply(a, (1.0, -1.0))
     e: Polynomial = (1.0,)
     f = tuple(-x for x in a_delta[1:])
-    found = [(e, f)]
+    result = [(e, f)]
     for _ in range(horizon - 1):
         lead = f[0]
         e = (*e, lead)
         f = tuple(x - lead * y for x, y in zip((*f[1:], 0.0), a_delta[1:], strict=True))
-        found.append((e, f))
-    return found
+        result.append((e, f))
+    return result
 
 
 def predict(model: Carima, first: int, horizon: int, moves: int) -> Prediction:

@@ -105,24 +105,24 @@ class Gpc:
 
     def move(self, x: GpcState, w: float) -> float:
         """Return the first move Delta u(t) of the closed form for the set point w."""
-        found = self.pull * w
+        result = self.pull * w
         for k, y in zip(self.outputs, x.y, strict=True):
-            found -= k * y
+            result -= k * y
         for k, d in zip(self.past, x.moves, strict=True):
-            found -= k * d
-        return found
+            result -= k * d
+        return result
 
     def gradient(self, x: GpcState, w: float) -> list[float]:
         """Return -G' (w - f), the linear term of the cost 1/2 U' H U + q' U with H = `hessian` (halved cost)."""
-        found = []
+        result = []
         for pull, outputs, past in zip(self._pull, self._outputs, self._past, strict=True):
             total = -pull * w
             for k, y in zip(outputs, x.y, strict=True):
                 total += k * y
             for k, d in zip(past, x.moves, strict=True):
                 total += k * d
-            found.append(total)
-        return found
+            result.append(total)
+        return result
 
     def applied(self, x: GpcState, u: float) -> GpcState:
         """Note the command that really acts from t on."""

@@ -84,10 +84,10 @@ class Now(Mapping[str, float]):
         ScenarioError
             There is no such signal.
         """
-        found = full_name(self._shared[1].get(name, name), self._known)
-        if found not in self._known:
+        result = full_name(self._shared[1].get(name, name), self._known)
+        if result not in self._known:
             raise ScenarioError(f"no signal {name!r}{closest(name, [*self._known, *self._shared[1]])}")
-        return found
+        return result
 
     def __getitem__(self, name: str) -> float:
         """Return the newest value of a signal, or a shared number; a KeyError says that no samples yet of it yet."""

@@ -302,14 +302,14 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         """Describe where each value of an observation stands among all that is said, or what it is."""
         first = dict(zip(map(id, steps), [0, *accumulate(len(s.numbers) for s in steps)], strict=False))
         block: Any = agent.block
-        found: list[Any] = []
+        result: list[Any] = []
         for port, k in block.observed:
             fill = agent.fed.get(port.name)
             place = port.safe[k] if fill is None else fill.places[k]
             if fill is not None and type(place) is int:
                 place += first[id(fill.source)] + sum(p.size for p in fill.source.outputs[: fill.output])
-            found.append(place)
-        return found
+            result.append(place)
+        return result
 
     def _moved(self, given: Any, by_python: Callable[[int], None]) -> None:
         """Move on those that are native; what is given up is left to Python."""

@@ -192,8 +192,8 @@ class LinearView:
     def loop_poles(self) -> NDArray[np.complex128]:
         """Poles of the loop closed at the link."""
         A, b, c, d, _ = self._loop
-        found: NDArray[np.complex128] = np.linalg.eigvals(A + np.outer(b, c) / (1.0 - d)).astype(complex)
-        return found
+        result: NDArray[np.complex128] = np.linalg.eigvals(A + np.outer(b, c) / (1.0 - d)).astype(complex)
+        return result
 
     @property
     def stable(self) -> bool:
@@ -206,21 +206,21 @@ class LinearView:
         """Poles of the whole rig with the states that take part, the slowest first; those gone in a period left out."""
         poles, right = np.linalg.eig(self.A) if self.states else (np.empty(0), np.empty((0, 0)))
         left = np.linalg.pinv(right)
-        found = []
+        result = []
         for k in np.argsort(-np.abs(poles)):
             if abs(poles[k]) < DEAD or poles[k].imag < 0.0:
                 continue
             shares = np.abs(left[k] * right[:, k])
             shares /= shares.sum()
             order = [i for i in np.argsort(-shares) if shares[i] > 0.01]
-            found.append(
+            result.append(
                 Mode(
                     complex(poles[k]),
                     complex(np.log(complex(poles[k]))) / self.period,
                     {self.states[i]: float(shares[i]) for i in order},
                 )
             )
-        return found
+        return result
 
     @cached_property
     def omega(self) -> Array:
@@ -300,8 +300,8 @@ class LinearView:
         )
 
     def _points(self, omega: Array) -> list[complex]:
-        found: list[complex] = np.exp(1j * omega * self.period).tolist()
-        return found
+        result: list[complex] = np.exp(1j * omega * self.period).tolist()
+        return result
 
     def _confirm(self, gain: float, z: complex) -> None:
         """Check that the loop closed over a gain has a pole at z, as near as its matrix tells."""
@@ -319,14 +319,14 @@ class LinearView:
     def _ends(self) -> list[tuple[float, complex]]:
         """Find the factors with which a pole leaves at z = 1 or -1: the loop is real there without a crossing."""
         A, b, c, d, _ = self._loop
-        found: list[tuple[float, complex]] = []
+        result: list[tuple[float, complex]] = []
         for z in (1.0, -1.0):
             with suppress(np.linalg.LinAlgError):  # a pole of the opened loop itself
                 parts = [*(c * np.linalg.solve(z * np.eye(len(b)) - A, b)).tolist(), d]
                 back = math.fsum(parts)
                 if NOTHING * math.fsum(map(abs, parts)) < back < 1.0 / NOTHING:  # beyond, a pole at z but for rounding
-                    found.append((1.0 / back, complex(z)))
-        return found
+                    result.append((1.0 / back, complex(z)))
+        return result
 
     def plot(self) -> Any:
         """Draw Bode and Nyquist diagrams of the opened loop.
@@ -646,10 +646,10 @@ class Differences:
         natural = np.zeros(len(sizes))
         for key, (column, _) in self.columns.items():
             natural = np.maximum(natural, np.abs(column) * (sizes[key] if isinstance(key, int) else 1.0))
-        found = {i for i in self.columns if isinstance(i, int) and sizes[i] < natural[i] / 64.0}
-        for i in found:
+        result = {i for i in self.columns if isinstance(i, int) and sizes[i] < natural[i] / 64.0}
+        for i in result:
             sizes[i] = natural[i]
-        return found
+        return result
 
     def again(self, kept: list[int]) -> Array:
         """Return A where the map's `start` is now."""
@@ -839,16 +839,16 @@ class Differences:
     def _left_out(self, kept: list[int], A: Array, C: Array, apart: float, heard: Sequence[float]) -> dict[str, str]:
         """Return the outputs that the states do not give, with the reason."""
         far = {k: error for k, error in enumerate(heard) if error > max(LEFT_OUT, 100.0 * apart)}
-        found = {}
+        result = {}
         if quiet := [k for k, error in enumerate(heard) if not error and not C[k].any()] if kept else []:
             late = np.zeros(len(heard), bool)
             with suppress(RunError):  # so far off the rig breaks
                 far_off = self._apart(kept, FOLLOWED - LATER - 1, 1.0 / NEARER)
                 late = np.array([y for _, y in far_off]).any(axis=0)
             why = "goes in steps (counts, a quantised sensor) or belongs to other ticks: what the states do comes later"
-            found = {self.outputs[k]: why for k in quiet if late[k]}
+            result = {self.outputs[k]: why for k in quiet if late[k]}
         if not far:
-            return found
+            return result
         seen = np.array([y for _, y in self._apart(kept, HEARD_FOR)])
         own, off = [], self._off(kept)
         t, start = self.map.t, self.map
@@ -866,8 +866,8 @@ class Differences:
                 why = "follows from no small move at that tick: it belongs to other ticks, counts or goes in steps"
             else:
                 why = "is not smooth: it goes in steps, or belongs to other ticks too"
-            found[self.outputs[k]] = f"{why}; off by {100.0 * error:.3g} % within {HEARD_FOR} periods from {t:.6g} s"
-        return found
+            result[self.outputs[k]] = f"{why}; off by {100.0 * error:.3g} % within {HEARD_FOR} periods from {t:.6g} s"
+        return result
 
     def rows(self, kept: list[int]) -> tuple[Array, Array]:
         """Return A and the rows of what is heard where the map's `start` is now, with the steps that are known."""

@@ -55,10 +55,10 @@ def signal_of(rig: Rig, name: str) -> str:
     """
     known = {f"{p.topic}/{label}" for m in rig.members for p in m.outputs for label in p.labels}
     shared = names_of(rig, signal_units(rig))[1]
-    found = full_name(shared.get(name, name), known)
-    if found not in known:
+    result = full_name(shared.get(name, name), known)
+    if result not in known:
         raise ScenarioError(f"{rig.scenario.name}: no signal {name!r}{closest(name, [*known, *shared])}")
-    return found
+    return result
 
 
 def place_of(rig: Rig, signal: str) -> Place:

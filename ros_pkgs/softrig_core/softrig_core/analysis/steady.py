@@ -185,15 +185,15 @@ def _core(A: Array, heard: Any) -> Any:
 
 def _move(m: StateMap, kept: list[int]) -> Array:
     after, _ = m(m.start, {})
-    found: Array = after[kept] - m.start[kept]  # of others some are infinite for good
-    return found
+    result: Array = after[kept] - m.start[kept]  # of others some are infinite for good
+    return result
 
 
 def _least_squares(A: Array, move: Array, sizes: Array) -> Array:
     """Solve (I - A) step = move with each state in its size, the shortest step that comes nearest."""
     scaled = (np.eye(len(A)) - A) * sizes[None, :] / sizes[:, None]
-    found: Array = np.linalg.lstsq(scaled, move / sizes, rcond=1e-11)[0] * sizes
-    return found
+    result: Array = np.linalg.lstsq(scaled, move / sizes, rcond=1e-11)[0] * sizes
+    return result
 
 
 def _go(m: StateMap, kept: list[int], step: Array) -> None:

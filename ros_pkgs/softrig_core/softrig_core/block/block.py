@@ -288,10 +288,10 @@ class Block(Generic[P]):
     @property
     def reports(self) -> Reports:
         """Return what a block that nobody holds has reported, by key; what one that is held has, see `Held.reports`."""
-        found: Reports = {}
+        result: Reports = {}
         for level, key, text, _ in self.events:
-            note(found, level, key, text)
-        return found
+            note(result, level, key, text)
+        return result
 
     def age(self, name: str) -> int | None:
         """Return the age of an input in ns at the tick under way: how long ago its newest message was stamped.

@@ -173,8 +173,8 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
         "Sample": Sample,
     }
     exec(code_of(text, "tick"), known)
-    found: Callable[..., None] = known[name]
-    return found
+    result: Callable[..., None] = known[name]
+    return result
 
 
 @lru_cache(maxsize=256)

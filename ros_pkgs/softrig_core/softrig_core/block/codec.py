@@ -30,20 +30,20 @@ class Decoder:
         Refused
             Malformed bytes, missing or unknown channels, wrong length, wrong frame, NaN, infinity, beyond a limit.
         """
-        found = self._decode(data)
-        if found is None:
+        result = self._decode(data)
+        if result is None:
             self._learn(data)
-            found = self._decode(data)
-            if found is None:  # padding or endianness that no prepared layout has
+            result = self._decode(data)
+            if result is None:  # padding or endianness that no prepared layout has
                 return self._slow(data)
         if self._pick is not None:
-            stamp, values = found
-            found = stamp, self._pick(values + self.kept if self._port.partial else values)
-        values = found[1]
+            stamp, values = result
+            result = stamp, self._pick(values + self.kept if self._port.partial else values)
+        values = result[1]
         size = sum_of_products(values, values)
         if type(size) is not float or not size <= self._bound:  # one beyond its limit, NaN, infinity; or all are large
             self._check(values)
-        return found
+        return result
 
     def pick(self, layout: Layout) -> Picker | None:
         """Describe how the numbers of messages of a layout become those of the port; None when they are the same.

@@ -159,9 +159,9 @@ class ByHand(Held):
 
     def outputs(self, t: int) -> Any:
         """Return what a plant shows."""
-        found = self.block.outputs(self.x, t)  # type: ignore[attr-defined]
+        result = self.block.outputs(self.x, t)  # type: ignore[attr-defined]
         self.tell()
-        return found
+        return result
 
     def advance(self, t: int, /, **inputs: Any) -> None:
         """Move a plant one period on."""
@@ -169,6 +169,6 @@ class ByHand(Held):
         self.tell()
 
     def _keep(self, answer: tuple[Any, Any]) -> Any:
-        self.x, found = answer
+        self.x, result = answer
         self.tell()
-        return found
+        return result

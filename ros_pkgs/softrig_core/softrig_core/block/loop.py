@@ -112,10 +112,10 @@ class Loop:
     def _due(self, k: int) -> tuple[list[Step], list[Step]]:
         """Return the plants that are due at a tick, and the others."""
         due = [s for s in self.steps if self.plan.due(s.schedule, k)]
-        found = [s for s in due if s.plant], [s for s in due if not s.plant]
+        result = [s for s in due if s.plant], [s for s in due if not s.plant]
         if self._again <= KNOWN:
-            self._known[k % self._again] = found
-        return found
+            self._known[k % self._again] = result
+        return result
 
 
 def _answer(steps: Sequence[Step], t: int) -> list[Step]:

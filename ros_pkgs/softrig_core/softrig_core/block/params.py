@@ -155,11 +155,11 @@ class Declaration:
 
 def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
     """List the fields of a model with dotted names, nested models flattened."""
-    found = []
+    result = []
     for name, field in model.model_fields.items():
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, Params):
-            found += declarations(kind, f"{prefix}{name}.")
+            result += declarations(kind, f"{prefix}{name}.")
             continue
         bounds: dict[str, float] = {}
         for rule in field.metadata:
@@ -169,7 +169,7 @@ def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
         plain = kind in (int, float) or any(k in (int, float) for k in kinds)
         lower = bounds.get("ge", bounds.get("gt", -LARGEST if plain else None))
         upper = bounds.get("le", bounds.get("lt", LARGEST if plain else None))
-        found.append(
+        result.append(
             Declaration(
                 prefix + name,
                 field.get_default(call_default_factory=True),
@@ -181,7 +181,7 @@ def declarations(model: type[Params], prefix: str = "") -> list[Declaration]:
                 isinstance(extra, dict) and bool(extra.get("live")),
             )
         )
-    return found
+    return result
 
 
 def flatten(params: Params, prefix: str = "") -> dict[str, Any]:

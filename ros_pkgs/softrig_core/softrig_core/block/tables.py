@@ -31,15 +31,15 @@ class Tables:
         RunError
             What a block is made of cannot be kept; names it and says why.
         """
-        found: dict[str, Kept] = {}
+        result: dict[str, Kept] = {}
         for step in self._steps:
             try:
-                found[step.name] = step.save()
+                result[step.name] = step.save()
             except Exception as error:
                 raise RunError(
                     f"{step.name}: its state at t = {step.t / 1e9:.9g} s cannot be kept: {describe(error)}"
                 ) from error
-        return found
+        return result
 
     def go_back(self, moment: Moment) -> None:
         """Restore stored values, of these tables or of the same rig wired again; any number of times.

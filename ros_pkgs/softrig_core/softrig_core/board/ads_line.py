@@ -358,10 +358,10 @@ class Connected:
     def _bytes(self, handle: Any, size: int) -> bytes:
         with _unreachable(self._pyads.ADSError):
             kind = self._pyads.PLCTYPE_BYTE * size
-            found = bytes(self._connection.read_by_name("", kind, handle=handle, check_length=True))
-        if len(found) != size:
-            raise OSError(f"{len(found)} bytes of {self._program}, expected {size}")
-        return found
+            result = bytes(self._connection.read_by_name("", kind, handle=handle, check_length=True))
+        if len(result) != size:
+            raise OSError(f"{len(result)} bytes of {self._program}, expected {size}")
+        return result
 
 
 @contextmanager

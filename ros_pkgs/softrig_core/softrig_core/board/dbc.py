@@ -272,12 +272,12 @@ def _found(database: Any, prefix: str, values: Sequence[Value], where: str) -> t
 
 def _head(signals: dict[str, Any], names: Sequence[str], message: str, where: str) -> dict[str, Any]:
     """Separate softrig's counters from the other signals of a message."""
-    found = {name: signals.pop(name) for name in names if name in signals}
-    for name, signal in found.items():
+    result = {name: signals.pop(name) for name in names if name in signals}
+    for name, signal in result.items():
         plain = not signal.is_signed and not signal.is_float and (signal.scale, signal.offset) == (1, 0)
         if signal.length != BITS[name] or not plain:
             raise ScenarioError(f"{where}: {message}.{name} must be a whole number of {BITS[name]} bits without sign")
-    return found
+    return result
 
 
 def _unfit(signal: Any) -> str:

@@ -69,22 +69,22 @@ class Layout:
 
     def numbers(self, inputs: Mapping[str, Any]) -> list[Any]:
         """Return the inputs of a tick in the order of a step."""
-        found: list[Any] = []
+        result: list[Any] = []
         for port in self.inputs:
             given = inputs.get(port.name)
             if port.held:
-                found.append(given is not None)
+                result.append(given is not None)
             if port.delayed:
-                found.append(0 if given is None else given.stamp)
+                result.append(0 if given is None else given.stamp)
             if given is None:
-                found += (0.0,) * port.size
+                result += (0.0,) * port.size
             else:
-                found += given.data if isinstance(given, Sample) else given
-        return found
+                result += given.data if isinstance(given, Sample) else given
+        return result
 
     def outputs_of(self, answer: Sequence[Any]) -> dict[str, Any]:
         """Return what each output says, of an unpacked answer."""
-        found: dict[str, Any] = {}
+        result: dict[str, Any] = {}
         at = 1
         for port in self.outputs:
             said = True
@@ -96,5 +96,5 @@ class Layout:
             row = tuple(answer[at : at + port.size])
             at += port.size
             if said:
-                found[port.name] = Sample(stamp, row) if port.delayed else row
-        return found
+                result[port.name] = Sample(stamp, row) if port.delayed else row
+        return result

@@ -313,10 +313,10 @@ class Line:
 
     def _new_session(self) -> int:
         """Return a session that is not the one before, and not none."""
-        found = self._session
-        while found in (0, self._session):
-            found = int.from_bytes(os.urandom(2), "little")
-        return found
+        result = self._session
+        while result in (0, self._session):
+            result = int.from_bytes(os.urandom(2), "little")
+        return result
 
     def _next(self) -> int:
         self._number = (self._number + 1) % NUMBERS

@@ -156,10 +156,10 @@ class Robot(Drawing):
 
 def _limits(description: str) -> dict[str, tuple[float, float]]:
     """Range of each joint, rad or m; of one that turns at most from one side to the other."""
-    found = {}
+    result = {}
     for joint in ElementTree.fromstring(description).iterfind("joint"):
         limit = joint.find("limit")
         if limit is not None and joint.get("type") != "continuous":
             low, high = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
-            found[str(joint.get("name"))] = max(low, -math.pi), min(high, math.pi)
-    return found
+            result[str(joint.get("name"))] = max(low, -math.pi), min(high, math.pi)
+    return result

@@ -917,7 +917,7 @@ def _settable(
 
     Tried, not deduced: another block is made with that parameter moved, and takes states over where C cannot.
     """
-    found: dict[str, tuple[int, ...]] = {}
+    result: dict[str, tuple[int, ...]] = {}
     first, known = block.first(), flatten(block.p)
     live = {d.name for d in declarations(type(block.p)) if d.live}
     for name, value in known.items():
@@ -935,8 +935,8 @@ def _settable(
         )
         stays = all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
         if moved and repeated and tables and stays and other.first() == first:
-            found[name] = moved
-    return found
+            result[name] = moved
+    return result
 
 
 def _moved(block: Block, known: Mapping[str, Any], name: str) -> tuple[Block | None, Any]:
@@ -955,13 +955,13 @@ def _moved(block: Block, known: Mapping[str, Any], name: str) -> tuple[Block | N
 
 def _fields(paths: Sequence[str]) -> list[str]:
     """Return names of C for paths of Python, each once."""
-    found: list[str] = []
+    result: list[str] = []
     for path in paths:
         name = identifier(path.removeprefix("p.")) or "value"
-        while name in found:
+        while name in result:
             name += "_"
-        found.append(name)
-    return found
+        result.append(name)
+    return result
 
 
 def _store(path: str) -> str:

@@ -101,12 +101,12 @@ class Calls(Expressions):
             and len(node.generators) == 1
             and not node.generators[0].ifs
         ):
-            found, outer = [], dict(self.env)
+            result, outer = [], dict(self.env)
             for part in [self.named(v) for v in self.listed(node.generators[0].iter)]:
                 self._bind_apart(node.generators[0].target, part)
-                found.append(self.named(self.value(node.elt)))
+                result.append(self.named(self.value(node.elt)))
             self.env = outer
-            return found
+            return result
         return self.listed(node)
 
     def _bind_apart(self, target: ast.expr, value: Value) -> None:
@@ -179,15 +179,15 @@ class Calls(Expressions):
         c = f"{done.name}({', '.join(['s', *handed])})"
         if isinstance(done.result, Absent):
             self.emit(f"(void){c};")
-            found = Value(ABSENT, "0")
+            result = Value(ABSENT, "0")
         else:
-            found = self.fresh(done.result, c)
+            result = self.fresh(done.result, c)
         if done.discards:
             self.discards = True
             self.emit("if (s->discarded) {")
             self.emit("    return @ZERO@;")
             self.emit("}")
-        return found
+        return result
 
     def _builtin(self, called: Any, given: list[Value], node: ast.AST) -> Value:
         numbers = [v.kind for v in given if isinstance(v.kind, Number)]

@@ -102,9 +102,9 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
 
 
 def _tool(name: str, install: str) -> str:
-    if (found := shutil.which(name)) is None:
+    if (result := shutil.which(name)) is None:
         raise ScenarioError(f"{name} is not installed (Debian: {install})")
-    return found
+    return result
 
 
 def _compiled(command: Sequence[str], folder: Path, name: str) -> None:

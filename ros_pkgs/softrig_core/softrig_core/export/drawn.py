@@ -56,10 +56,10 @@ def drawn_calls(
     held = {p.name for p in member.inputs if p.held} if absent else set()
     asked = [c for c in golden if isinstance(c, Call)]
     rows = {name: [c.inputs for c in asked if c.method == name] for name in methods(block)}
-    found: list[list[Call | Raised]] = []
-    while sum(map(len, found)) < count:
-        found.append(_sequence(member, block, rows, held, draw))
-    return found
+    result: list[list[Call | Raised]] = []
+    while sum(map(len, result)) < count:
+        result.append(_sequence(member, block, rows, held, draw))
+    return result
 
 
 def _sequence(
@@ -94,14 +94,14 @@ def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapp
 
 
 def _inputs(given: Mapping[str, Any], held: set[str], draw: np.random.Generator) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for name, row in given.items():
         if name in held and draw.random() < SHARE_ABSENT:
             row = None
         data = row.data if isinstance(row, Sample) else row
         numbers = None if data is None else tuple(_number(v, draw) for v in data)
-        found[name] = Sample(row.stamp, numbers) if isinstance(row, Sample) and numbers is not None else numbers
-    return found
+        result[name] = Sample(row.stamp, numbers) if isinstance(row, Sample) and numbers is not None else numbers
+    return result
 
 
 def _number(value: float, draw: np.random.Generator) -> float:

@@ -49,8 +49,8 @@ class Expressions(Base):
         method = getattr(self, f"_value_{type(node).__name__.lower()}", None)
         if method is None:
             raise self.unknown(f"`{type(node).__name__.lower()}`", node)
-        found: Value = method(node)
-        return found
+        result: Value = method(node)
+        return result
 
     def listed(self, node: ast.expr) -> list[Value]:
         """Return what a loop or a tuple of fixed length goes through."""

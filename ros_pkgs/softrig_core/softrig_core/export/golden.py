@@ -137,8 +137,8 @@ def _watch(block: Block, name: str, calls: list[Call | Changed]) -> None:
     method = getattr(block, name)
 
     def watched(x: Any, t: int, **inputs: Any) -> Any:
-        found = method(x, t, **inputs)
-        calls.append(Call(name, t, x, dict(inputs), *answer_of(name, x, found)))
-        return found
+        result = method(x, t, **inputs)
+        calls.append(Call(name, t, x, dict(inputs), *answer_of(name, x, result)))
+        return result
 
     setattr(block, name, watched)

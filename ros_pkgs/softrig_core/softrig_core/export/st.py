@@ -267,14 +267,14 @@ class _Printer:
 
     def _needed(self, *roots: str) -> set[str]:
         known = {u.name: "\n".join(u.body) for u in self.done if u.kind == "FUNCTION"}
-        found: set[str] = set()
+        result: set[str] = set()
         open_ = list(roots)
         while open_:
             name = open_.pop()
-            if name in known and name not in found:
-                found.add(name)
+            if name in known and name not in result:
+                result.add(name)
                 open_ += re.findall(r"\b\w+(?=\()", known[name])
-        return found
+        return result
 
     def signature(self, decl: Any) -> None:
         """Register a function."""
@@ -485,8 +485,8 @@ class _Printer:
         method = getattr(self, f"_e_{type(node).__name__.lower()}", None)
         if method is None:
             raise NotNative(f"structured text of a C expression {type(node).__name__}")
-        found: Typed = method(node, named) if isinstance(node, c_ast.FuncCall) else method(node)
-        return found
+        result: Typed = method(node, named) if isinstance(node, c_ast.FuncCall) else method(node)
+        return result
 
     def _e_constant(self, node: Any) -> Typed:
         return Typed(node.value.rstrip("uUlL"), "LREAL" if node.type == "double" else "NUMBER")

@@ -97,17 +97,17 @@ def _declared(block: Unit, section: str) -> list[str]:
 
 def _fields(ports: Sequence[Port], flag: str) -> list[tuple[str, str]]:
     """Return the fields of ports, in the order of `Layout`."""
-    found: list[tuple[str, str]] = []
+    result: list[tuple[str, str]] = []
     for port in ports:
         own = identifier(port.name)
-        found += [(f"has_{own}", "BOOL")] if getattr(port, flag) else []
-        found += [(f"{own}_stamp_ns", "LINT")] if port.delayed else []
-        found += [(f"{own}_{identifier(label)}", "LREAL") for label in port.labels]
-    names = [name.lower() for name, _ in found]
+        result += [(f"has_{own}", "BOOL")] if getattr(port, flag) else []
+        result += [(f"{own}_stamp_ns", "LINT")] if port.delayed else []
+        result += [(f"{own}_{identifier(label)}", "LREAL") for label in port.labels]
+    names = [name.lower() for name, _ in result]
     for name in names:
         if names.count(name) > 1:
             raise ScenarioError(f"two values would be the field {name}; rename a port or a channel")
-    return found
+    return result
 
 
 def main(arguments: Sequence[str]) -> int:

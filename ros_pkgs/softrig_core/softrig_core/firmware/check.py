@@ -169,21 +169,21 @@ def _steps(rows: str, layout: Layout) -> Iterator[bytes | None]:
 
 
 def _inputs(numbers: Sequence[str], layout: Layout) -> list[Any]:
-    found: list[Any] = []
+    result: list[Any] = []
     at = iter(numbers)
     for port in layout.inputs:
-        found += [int(next(at)) for _ in range(port.held + port.delayed)]
-        found += [float.fromhex(next(at)) for _ in range(port.size)]
-    return found
+        result += [int(next(at)) for _ in range(port.held + port.delayed)]
+        result += [float.fromhex(next(at)) for _ in range(port.size)]
+    return result
 
 
 # building ------------------------------------------------------------------------------------------------------------
 
 
 def _tool(name: str, install: str) -> str:
-    if (found := shutil.which(name)) is None:
+    if (result := shutil.which(name)) is None:
         raise ScenarioError(f"{name} is not installed (Debian: {install})")
-    return found
+    return result
 
 
 def _run(command: Sequence[str], what: str, folder: Path) -> str:

@@ -165,12 +165,12 @@ def _timed(given: str, known: Mapping[str, float | None]) -> str:
     """Evaluate arithmetic over names in a formula's intervals."""
 
     def value(name: str) -> float:
-        found = known.get(name)
-        if found is None:
+        result = known.get(name)
+        if result is None:
             numbers = [each for each, at in known.items() if at is not None]
             what = "changes while the rig runs" if name in known else f"is unknown{closest(name, numbers)}"
             raise ScenarioError(f"formula {given!r}: {name} in an interval {what}; expected the name of a number")
-        return found
+        return result
 
     def seconds(part: str) -> str:
         if _PLAIN.fullmatch(part):

@@ -92,15 +92,15 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
     if len(first) == 1:
         return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
     count = last - first + 1
-    found = np.full((*values.shape[:-1], len(first)), none)
+    result = np.full((*values.shape[:-1], len(first)), none)
     span = 1  # values[..., j] is that over span samples from j on
     longest = count.max(initial=0)
     while longest >= span:
         at = np.flatnonzero((count >= span) & (count < 2 * span))
-        found[..., at] = pick(values[..., first[at]], values[..., last[at] - span + 1])
+        result[..., at] = pick(values[..., first[at]], values[..., last[at] - span + 1])
         values = pick(values[..., :-span], values[..., span:])
         span *= 2
-    return found
+    return result
 
 
 class Record:
@@ -209,9 +209,9 @@ class Record:
         if kind in FUTURE and high == INF and self.ended:
             inner = np.broadcast_to(inner[1:] if least else inner[:1], inner.shape)
         pick, none = (np.minimum, INF) if least else (np.maximum, -INF)
-        found = extremes(inner, first, last, pick, none)
-        found[0 if least else 1][:, over] = -none
-        return found
+        result = extremes(inner, first, last, pick, none)
+        result[0 if least else 1][:, over] = -none
+        return result
 
     def _compared(self, body: Any) -> Array:
         values = self._truths.get(body["lhs"].get("Variable", ""))
@@ -249,20 +249,20 @@ class Record:
         n = len(self.times)
         times = self.times[-1] - self.times[::-1] if past else self.times
         first = np.searchsorted(times, times + low)
-        found = extremes(held, np.arange(n), first - 1, np.minimum, INF)
+        result = extremes(held, np.arange(n), first - 1, np.minimum, INF)
         for come, lost in np.ndindex(2, 2):
             start = INF if come and not past else -INF  # of what is after the last sample
             later = np.array([*_scan(held[come, lost].tolist(), then[come, lost].tolist(), start), start])
-            found[come, lost] = np.minimum(found[come, lost], later[first])
+            result[come, lost] = np.minimum(result[come, lost], later[first])
         if high == INF and self.ended and not past:
-            found[1] = np.where(first < n, found[0], found[1])
+            result[1] = np.where(first < n, result[0], result[1])
         if high != INF:  # within the window, and at any time from its begin on: the same as both at once
             last = np.searchsorted(times, times + high, side="right") - 1
             within = extremes(then, first, last, np.maximum, -INF)
             if not past:
                 within[1][:, times + high >= self.after] = INF
-            found = np.minimum(found, within)
-        return found
+            result = np.minimum(result, within)
+        return result
 
     def _why(self, tree: Tree, found: Array) -> str:
         undefined = self._undefined(tree)
@@ -295,13 +295,13 @@ class Record:
 
     def _open_from(self, tree: Tree) -> float:
         """First instant, ns, at which what stands under an operator without end may hold or not."""
-        found = INF
+        result = INF
         for kind, body in self._outermost(tree):
             if kind in FUTURE and limits(body)[1] == INF:
                 inner = self.bounds(body[1])
                 still = (inner[0, 0] < 0.0) & (inner[1, 1] >= 0.0) & (self.times >= self.times[0] + limits(body)[0])
-                found = min(found, float(self.times[np.argmax(still)]) if still.any() else INF)
-        return found
+                result = min(result, float(self.times[np.argmax(still)]) if still.any() else INF)
+        return result
 
     def _decides(self, tree: Tree, come: int, lost: int, k: int) -> int:
         """Index of the instant whose comparison gives a bound of a formula at instant `k`."""

@@ -37,13 +37,13 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
 
     def _made(self, state: Any) -> list[Any]:
         """Return the types of what it returns, and of what is no part of anything that it was handed."""
-        found = [state.return_type]
+        result = [state.return_type]
         for block in state.func_ir.blocks.values():
             for assigned in block.find_insts(ir.Assign):
                 value = assigned.value
                 if isinstance(value, ir.Yield) or (isinstance(value, ir.Expr) and not self._part(state, value)):
-                    found.append(state.typemap[assigned.target.name])
-        return found
+                    result.append(state.typemap[assigned.target.name])
+        return result
 
     @staticmethod
     def _part(state: Any, value: Any) -> bool:
@@ -72,9 +72,9 @@ class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
 
     def define_pipelines(self) -> list[Any]:
         """Return numba's own, each with one step more."""
-        found: list[Any] = super().define_pipelines()
-        for pipeline in found:
+        result: list[Any] = super().define_pipelines()
+        for pipeline in result:
             if any(step is NoPythonSupportedFeatureValidation for step, _ in pipeline.passes):
                 pipeline.add_pass_after(Borrowed, NoPythonSupportedFeatureValidation)
                 pipeline.finalize()
-        return found
+        return result

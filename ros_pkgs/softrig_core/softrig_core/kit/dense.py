@@ -157,10 +157,10 @@ def total(values: Iterable[Number]) -> Number:
 
     Python's `sum` does so for floats since 3.12 and for complex numbers since 3.14: its bits depend on the version.
     """
-    found: Number = 0.0
+    result: Number = 0.0
     for value in values:
-        found += value
-    return found
+        result += value
+    return result
 
 
 def norm(x: ArrayLike) -> float:

@@ -88,8 +88,8 @@ class Draws:
 
     def first(self, count: int) -> NDArray[np.float64]:
         """Return the first `count` numbers, shape (count,)."""
-        found: NDArray[np.float64] = getattr(self._stream(), self._kind)(count)
-        return found
+        result: NDArray[np.float64] = getattr(self._stream(), self._kind)(count)
+        return result
 
     def _drawn(self, n: int) -> list[float]:
         """Draw row n, and on the way there those that nobody has asked for yet."""

@@ -47,9 +47,9 @@ def settled(function: Callable[[int], Result], same: Callable[[Result, Result], 
     """
     for bits in BITS:
         try:
-            found = function(bits)
-            if same(found, function(bits + MORE)):
-                return found
+            result = function(bits)
+            if same(result, function(bits + MORE)):
+                return result
         except UnsettledError:
             continue
     raise UnsettledError(f"the result is not settled with {BITS[-1]} bits")
@@ -123,10 +123,10 @@ def _exponent(x: Fraction) -> int:
 
 def integers(rows: Rows, bits: int) -> Integers:
     """Return a matrix in units of 2^-bits, cut off below."""
-    found = np.empty((len(rows), len(rows[0])), dtype=object)
+    result = np.empty((len(rows), len(rows[0])), dtype=object)
     for i, row in enumerate(rows):
-        found[i] = [(x.numerator << bits) // x.denominator for x in row]
-    return found
+        result[i] = [(x.numerator << bits) // x.denominator for x in row]
+    return result
 
 
 def floats(x: Integers, bits: int) -> tuple[tuple[float, ...], ...]:
@@ -147,8 +147,8 @@ def nearest(x: int, bits: int) -> float:
 
 def product(a: Integers, b: Integers, bits: int) -> Integers:
     """Multiply two matrices in units of 2^-bits."""
-    found: Integers = (a @ b) >> bits
-    return found
+    result: Integers = (a @ b) >> bits
+    return result
 
 
 def exponential(rows: Rows, bits: int) -> Integers:
@@ -241,17 +241,17 @@ def recursion(a: Integers, bits: int) -> list[int]:
     bits : int
     """
     one = np.array([[int(i == j) for j in range(len(a))] for i in range(len(a))], dtype=object)
-    found, m = [1 << bits], one << bits
+    result, m = [1 << bits], one << bits
     for k in range(1, len(a) + 1):
         m = product(a, m, bits)
-        found.append(-(sum(m.diagonal().tolist()) // k))
-        m = m + one * found[k]
-    return found
+        result.append(-(sum(m.diagonal().tolist()) // k))
+        m = m + one * result[k]
+    return result
 
 
 def _reached(rows: Rows) -> NDArray[np.bool_]:
     """Return where any power of a matrix has terms that are not zero: elsewhere its exponential is exactly zero."""
-    found = np.array([[bool(x) for x in row] for row in rows]) | np.eye(len(rows), dtype=bool)
+    result = np.array([[bool(x) for x in row] for row in rows]) | np.eye(len(rows), dtype=bool)
     for k in range(len(rows)):
-        found |= np.outer(found[:, k], found[k])
-    return found
+        result |= np.outer(result[:, k], result[k])
+    return result

@@ -30,13 +30,13 @@ def _field(name: str) -> str:
 
 @cache
 def _state_type(names: tuple[str, ...]) -> Any:
-    found: Any = namedtuple("State", names)  # type: ignore[misc]
+    result: Any = namedtuple("State", names)  # type: ignore[misc]
 
     def reduced(self: Any) -> Any:
         return _state, (names, tuple(self))
 
-    setattr(found, "__reduce__", reduced)  # noqa: B010 - another process makes the type again
-    return found
+    setattr(result, "__reduce__", reduced)  # noqa: B010 - another process makes the type again
+    return result
 
 
 def _state(names: tuple[str, ...], values: tuple[Any, ...]) -> Any:

@@ -197,7 +197,7 @@ class Audience:
 
     def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
         """Return what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
-        found: dict[str, Messages] = {}
+        result: dict[str, Messages] = {}
         every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
         readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
         if readings and max(every, often) % min(every, often):
@@ -209,12 +209,12 @@ class Audience:
             stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
             if isinstance(table, list):
                 rows = zip(stamps.tolist(), table, strict=True)
-                found[fill.port.name] = tuple(
+                result[fill.port.name] = tuple(
                     [(t, picked(fill.pick, n[low:high])) for t, n in rows if flag is None or n[flag]]
                 )
                 continue
             if flag is not None:
                 stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
             values = [table[:, low + p] if type(p) is int else np.full(len(table), p) for p in fill.places]
-            found[fill.port.name] = Heard(stamps, np.array(values).T)
-        return found
+            result[fill.port.name] = Heard(stamps, np.array(values).T)
+        return result

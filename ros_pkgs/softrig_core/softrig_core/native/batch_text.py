@@ -65,12 +65,12 @@ class Form:
 
     def write(self, name: str) -> list[str]:
         """Write what puts a state into row i."""
-        found = []
+        result = []
         for path, table, at, kind in self.parts:
             value = f"{name}{''.join(f'[{k}]' for k in path)}"
             parts = [f"{value}.real", f"{value}.imag"] if kind is complex else [value]
-            found += [f"{table}[i, {at + j}] = {part}" for j, part in enumerate(parts)]
-        return found
+            result += [f"{table}[i, {at + j}] = {part}" for j, part in enumerate(parts)]
+        return result
 
     def put(self, state: Any, numbers: Any, whole: Any) -> None:
         """Write a state of this form into a row."""

@@ -64,10 +64,10 @@ def compiled(made: RigText) -> Callable[..., Any]:
             thing.__qualname__ = f"{name}_{content.hexdigest()[:32]}"
             more = {} if name == "rig" else inner
             scope[name] = numba.njit(**options, **more, pipeline_class=Borrowing)(thing)
-    found: Any = scope["rig"]
+    result: Any = scope["rig"]
     # a class that cannot be imported would be another one in the next process
-    found._cache = Cache("rig", content.hexdigest(), (b"__main__", b"<locals>"))
-    return found  # type: ignore[no-any-return]
+    result._cache = Cache("rig", content.hexdigest(), (b"__main__", b"<locals>"))
+    return result  # type: ignore[no-any-return]
 
 
 def plain(made: RigText) -> Callable[..., Any]:

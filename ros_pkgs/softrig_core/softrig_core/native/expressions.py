@@ -50,8 +50,8 @@ class Expressions(Ways):
         method = getattr(self, f"_value_{type(node).__name__.lower()}", None)
         if method is None:
             raise self.unknown(f"{type(node).__name__.lower()}", node)
-        found: Value = method(node)
-        return found
+        result: Value = method(node)
+        return result
 
     def _value_constant(self, node: ast.Constant) -> Value:
         return Static(node.value)
@@ -149,8 +149,8 @@ class Expressions(Ways):
         """Read an item."""
         if isinstance(base, Dynamic) and base.keys is not None:
             base = self.unfolded(base)
-        if isinstance(index, Static) and (found := self._fixed_item(base, index, node)) is not None:
-            return found
+        if isinstance(index, Static) and (result := self._fixed_item(base, index, node)) is not None:
+            return result
         if isinstance(base, Static) and isinstance(base.value, Mapping):
             return self._looked_up(base, index, node)
         keys = None
@@ -361,25 +361,25 @@ class Expressions(Ways):
 
     def _value_compare(self, node: ast.Compare) -> Value:
         left = self.value(node.left)
-        found: Value | None = None
+        result: Value | None = None
         for op, right_node in zip(node.ops, node.comparators, strict=True):
             right = self.value(right_node)
             if len(node.ops) > 1 and isinstance(right, Dynamic):
                 right = self.simple(right)
             one = self._compared(op, left, right, node)
-            if found is None or (isinstance(found, Static) and found.value is True):
-                found = one
-            elif isinstance(found, Static):
-                return found
+            if result is None or (isinstance(result, Static) and result.value is True):
+                result = one
+            elif isinstance(result, Static):
+                return result
             elif isinstance(one, Static):
                 if one.value is False:
                     return one
             else:
-                a, b = self.dynamic(found), self.dynamic(one)
-                found = Dynamic(f"({a.code} and {b.code})", computed(lambda p, q: p and q, a.sample, b.sample))
+                a, b = self.dynamic(result), self.dynamic(one)
+                result = Dynamic(f"({a.code} and {b.code})", computed(lambda p, q: p and q, a.sample, b.sample))
             left = right
-        assert found is not None
-        return found
+        assert result is not None
+        return result
 
     def _compared(self, op: ast.cmpop, left: Value, right: Value, node: ast.AST) -> Value:
         if isinstance(op, (ast.Is, ast.IsNot)):

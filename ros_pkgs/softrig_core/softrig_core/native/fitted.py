@@ -112,16 +112,16 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
     roots = [s.block for s in core.steps]
     wired = wiring(core.steps)
     fitting = (n for n in _texts if n.kinds == kinds and n.wiring == wired)
-    found = next((n for n in fitting if not n.text.program.differs(roots)), None)
-    if found is None and _worth_another(kinds):
+    result = next((n for n in fitting if not n.text.program.differs(roots)), None)
+    if result is None and _worth_another(kinds):
         try:
             text = rig_text(core.steps, recorded, typed)
         except NotNative:
             text = rig_text(core.steps, recorded, typed, reports=False)
-        found = Kept(kinds, text, make(text), wired, SHORTEST)
-        _texts.insert(0, found)
+        result = Kept(kinds, text, make(text), wired, SHORTEST)
+        _texts.insert(0, result)
         del _texts[KEPT:]
-    return found
+    return result
 
 
 def refuse(kinds: tuple[Any, ...], reason: str) -> None:

@@ -66,7 +66,7 @@ def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
         return [node.value]
     if not isinstance(node, ast.JoinedStr):
         return None
-    found: list[str | ast.FormattedValue] = []
+    result: list[str | ast.FormattedValue] = []
     for part in node.values:
         if isinstance(part, ast.FormattedValue):
             if part.format_spec is not None and (
@@ -74,10 +74,10 @@ def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
                 or any(not isinstance(one, ast.Constant) for one in part.format_spec.values)
             ):
                 return None
-            found.append(part)
+            result.append(part)
         elif isinstance(part, ast.Constant):
-            found.append(str(part.value))
-    return found
+            result.append(str(part.value))
+    return result
 
 
 def spec_of(part: ast.FormattedValue) -> str:

@@ -373,15 +373,15 @@ def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapp
         bound = signature.bind(*given, **words).arguments
     except TypeError as error:
         raise NotNative(f"{function.__qualname__}: {error}") from None
-    found: dict[str, Value] = {}
+    result: dict[str, Value] = {}
     for name, parameter in signature.parameters.items():
         if parameter.kind is parameter.VAR_POSITIONAL:
-            found[name] = Group(tuple(bound.get(name, ())))
+            result[name] = Group(tuple(bound.get(name, ())))
         elif parameter.kind is parameter.VAR_KEYWORD:
-            found[name] = Record(bound.get(name, {}))
+            result[name] = Record(bound.get(name, {}))
         else:
-            found[name] = bound[name] if name in bound else Static(parameter.default)
-    return found
+            result[name] = bound[name] if name in bound else Static(parameter.default)
+    return result
 
 
 def is_number_slot(value: Any) -> bool:

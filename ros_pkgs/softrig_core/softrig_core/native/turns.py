@@ -55,12 +55,12 @@ class Holding:
 
 def holdings(steps: Sequence[Step]) -> list[Holding]:
     """Return links between native nodes that are sporadic, delayed or checked, and links from other nodes."""
-    found: list[Holding] = []
+    result: list[Holding] = []
     for k, s in enumerate(steps):
-        found += [Holding(k, fill) for fill in (*(f for f in s.readers if f.silent), *s.doubters)]
+        result += [Holding(k, fill) for fill in (*(f for f in s.readers if f.silent), *s.doubters)]
     for s in steps:
-        found += [Holding(None, fill) for fill in s.fed.values() if fill.source not in steps]
-    return found
+        result += [Holding(None, fill) for fill in s.fed.values() if fill.source not in steps]
+    return result
 
 
 def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
@@ -183,10 +183,10 @@ class Turns:
 
     def inputs(self, k: int) -> dict[str, Value]:
         """Describe where a member has its inputs from: of whom, and which numbers."""
-        step, found = self.steps[k], {}
+        step, result = self.steps[k], {}
         for port in step.inputs:
-            found[port.name] = self._input(step, port)
-        return found
+            result[port.name] = self._input(step, port)
+        return result
 
     # its parts ----------------------------------------------------------------------------------------------------
 
@@ -205,18 +205,18 @@ class Turns:
 
     def _ages(self) -> dict[tuple[int, str], int | str | None]:
         """Return the ages of inputs: 0 of what is said at each tick of the reader; else how they are written."""
-        found: dict[tuple[int, str], int | str | None] = {}
+        result: dict[tuple[int, str], int | str | None] = {}
         for k, step in enumerate(self.steps):
             for port in step.inputs:
                 fill = step.fed.get(port.name)
                 held = self._holding(fill)
                 if fill is None or (held is not None and fill.told() is None):
-                    found[k, port.name] = None
+                    result[k, port.name] = None
                 elif held is not None:
-                    found[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{held + 1}]), 0)"
+                    result[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{held + 1}]), 0)"
                 elif step.schedule.every % fill.source.schedule.every == 0:
-                    found[k, port.name] = 0
-        return found
+                    result[k, port.name] = 0
+        return result
 
     def _input(self, step: Step, port: Port) -> Value:
         fill, values = step.fed.get(port.name), step.values[port.name]

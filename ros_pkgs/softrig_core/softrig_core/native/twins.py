@@ -37,10 +37,10 @@ def twin(kind: type) -> Any:
     name = f"{kind.__module__.replace('.', MARK)}{MARK}{kind.__qualname__}"
     fields = dataclasses.fields(kind)
     given = [f.default for f in fields if f.default is not dataclasses.MISSING]
-    found: Any = namedtuple(name, [f.name for f in fields], defaults=given)  # type: ignore[misc]
-    found.__module__ = __name__
-    setattr(found, OF, kind)
-    return found
+    result: Any = namedtuple(name, [f.name for f in fields], defaults=given)  # type: ignore[misc]
+    result.__module__ = __name__
+    setattr(result, OF, kind)
+    return result
 
 
 def __getattr__(name: str) -> Any:  # native code in the cache names its types by module and name

@@ -32,18 +32,18 @@ def contents(block: Block) -> dict[str, str]:
     properties, and what libraries keep outside of Python.
     """
     skipped = _RUNNERS | _scratch(type(block))
-    found = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
+    result = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
     for of in type(block).__mro__:
         if issubclass(of, Block) and of.__module__.partition(".")[0] != "softrig_core":
-            found |= {
+            result |= {
                 f"{of.__name__}.{name}": digest(value)
                 for name, value in vars(of).items()
                 if isinstance(value, _CHANGEABLE) and not name.startswith("__") and name not in skipped
             }
             for value in vars(of).values():
                 if isinstance(value, types.FunctionType):
-                    found |= {name: digest(one) for name, one in _outside(value) if name not in skipped}
-    return found
+                    result |= {name: digest(one) for name, one in _outside(value) if name not in skipped}
+    return result
 
 
 def _outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:

@@ -85,10 +85,10 @@ class Members:
     @property
     def topics(self) -> dict[str, Port]:
         """Every published topic in the order in which one tick's messages follow from each other."""
-        found = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
+        result = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}
         for m in self.members:
-            found |= {p.topic: p for p in m.inputs if p.topic not in found}
-        return found
+            result |= {p.topic: p for p in m.inputs if p.topic not in result}
+        return result
 
     def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
         """Return the members that read an output."""
@@ -153,12 +153,12 @@ def other_names(rig: Members) -> dict[str, dict[str, str]]:
 
     Channels by `Port.also`, and the elements of an array that comes without its shape, as a held port takes it.
     """
-    found: dict[str, dict[str, str]] = {}
+    result: dict[str, dict[str, str]] = {}
     for port in (p for m in rig.members for p in m.inputs):
         flat = {f"data/{i}": label for i, label in enumerate(port.labels)} if port.held and port.dims else {}
         if names := dict(zip(port.also, port.channels, strict=False)) | flat:
-            found.setdefault(port.topic, {}).update(names)
-    return found
+            result.setdefault(port.topic, {}).update(names)
+    return result
 
 
 def unit_of(source: Member, port: Port, label: str, seen: tuple[str, ...] = ()) -> str:

@@ -271,14 +271,14 @@ def _link(scenario: Scenario, members: list[Member], new: list[Member]) -> None:
 
 def _expected(rig: Rig) -> dict[str, Expectation]:
     """Return a scenario's expectations with the numbers that they take from the nodes."""
-    found = {}
+    result = {}
     for name, limits in rig.scenario.expect.items():
         try:
-            found[name] = limits.resolved(rig.reference)
+            result[name] = limits.resolved(rig.reference)
         except ScenarioError as error:
             at = rig.scenario.written("expect", name)
             raise ScenarioError(f"{rig.scenario.name}: expect {name}: {error}{at}") from None
-    return found
+    return result
 
 
 def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:

@@ -117,13 +117,13 @@ class Run:
         Of a run that was changed only what follows the machine is judged, the rest is published for the machine as it
         was.
         """
-        found = evaluate(self.rig, self.signals, self.wanted)
+        result = evaluate(self.rig, self.signals, self.wanted)
         if not self.strict:
-            found = [r.not_judged(self.published_for) for r in found]
+            result = [r.not_judged(self.published_for) for r in result]
         if not self.stopped:
-            return found
+            return result
         late = f"not until {self.reached_s:.9g} s, when the run was stopped"
-        return [r.model_copy(update={"error": late, "number": math.nan}) if r.error == NEVER else r for r in found]
+        return [r.model_copy(update={"error": late, "number": math.nan}) if r.error == NEVER else r for r in result]
 
     @cached_property
     def published_for(self) -> str:
@@ -254,11 +254,11 @@ class Run:
         scenario = begun.scenario.having(changes=branched(begun, self.recording, at, values, self.epoch))
         scenario = scenario.changed(duration=self.rig.scenario.duration if duration is None else duration)
         rig = rig_of(scenario, classes={m.name: m.block_class for m in self.rig.members})
-        found = simulate(rig, seed=self.seed, progress=progress, runs=runs)
-        if where := "" if self.epoch else parted(self.recording, found.recording, at):
+        result = simulate(rig, seed=self.seed, progress=progress, runs=runs)
+        if where := "" if self.epoch else parted(self.recording, result.recording, at):
             raise RunError(f"{rig.scenario.name}: what ran up to t = {at:.9g} s is not what had run, first {where}")
-        found.begun = begun
-        return found
+        result.begun = begun
+        return result
 
     @property
     def missed(self) -> list[Result]:

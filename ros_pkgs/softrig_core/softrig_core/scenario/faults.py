@@ -74,7 +74,7 @@ def insert(
     ScenarioError
         Names the fault: no such link or reader, a name that is taken, a parameter that the link says.
     """
-    found = {name: {**entry, "remap": dict(entry["remap"])} for name, entry in nodes.items()}
+    result = {name: {**entry, "remap": dict(entry["remap"])} for name, entry in nodes.items()}
     sources = {port.topic: (name, port) for name, (_, outputs) in ports.items() for port in outputs}
     # where each reader reads what: (node, its own topic) to the topic that it is at now and the one that it began with
     readers = {(name, port.topic): port.topic for name, (inputs, _) in ports.items() for port in inputs}
@@ -83,7 +83,7 @@ def insert(
         at = f"{where}: fault {name}"
         if name in TAKEN:
             raise ScenarioError(f"{at}: a run's folder has a {name} of its own, expected another name")
-        if name in found:
+        if name in result:
             raise ScenarioError(f"{at}: that is the name of a node, too")
         if topic not in sources:
             raise ScenarioError(
@@ -118,7 +118,7 @@ def insert(
             about["holds"] = True  # an outside node is not told of silence, and would be waited for
         for key in sorted(about.keys() & fault.parameters.keys() - {"period", "holds"}):
             raise ScenarioError(f"{at}: {key} is set by the link; remove it from the fault")
-        found[name] = {
+        result[name] = {
             "package": PACKAGE,
             "executable": EXECUTABLE,
             "parameters": about | fault.parameters,
@@ -127,8 +127,8 @@ def insert(
         }
         for place in concerned:
             readers[place] = ends
-            found[place[0]]["remap"] |= _remap(nodes[place[0]]["remap"], topic, ends)
-    return found
+            result[place[0]]["remap"] |= _remap(nodes[place[0]]["remap"], topic, ends)
+    return result
 
 
 def _unheard(topic: str, reader: str, subscribers: list[str]) -> str:

@@ -36,8 +36,8 @@ def listed(broken: list[ScenarioError]) -> list[Listed]:
     place = None
     with suppress(OSError):  # a cache that cannot be used is no reason to list nothing
         place = _place()
-        if (found := _kept(place)) is not None:
-            return found
+        if (result := _kept(place)) is not None:
+            return result
     before = _states(_candidates())
     rows = _loaded(broken)
     state = _states(_candidates())
@@ -69,12 +69,12 @@ def _candidates() -> list[Path]:
 
 
 def _states(paths: Iterable[Path]) -> State:
-    found = {}
+    result = {}
     for path in paths:
         with suppress(OSError):
             state = path.stat()
-            found[str(path)] = [state.st_mtime_ns, state.st_size]
-    return found
+            result[str(path)] = [state.st_mtime_ns, state.st_size]
+    return result
 
 
 def _place() -> Path:

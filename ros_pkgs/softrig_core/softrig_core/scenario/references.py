@@ -53,9 +53,9 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
             what = f"{NODES} values" if made > NODES else f"{DEEPEST} values in each other"
             by = f" (by {' -> '.join(path[:5])}{' -> ...' if len(path) > 5 else ''})" if path else ""
             raise ScenarioError(f"its $ references make more than {what}{by}; expected fewer references")
-        found = copied(value, path)
+        result = copied(value, path)
         depth -= 1
-        return found
+        return result
 
     def copied(value: Any, path: tuple[str, ...]) -> Any:
         if isinstance(value, str):

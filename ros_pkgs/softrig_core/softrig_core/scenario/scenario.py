@@ -346,7 +346,7 @@ def read_draft(name: str) -> Draft:
 
 def _before(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is written of each key that is to be given another value; None where nothing is."""
-    found = {}
+    result = {}
     for key, value in overrides.items():
         node, _, parameter = key.partition(".")
         entry: Any = (raw.get("shared") or {}).get(node)
@@ -357,8 +357,8 @@ def _before(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
                     entry = entry.get(name) or {}
         written = _at(entry, parameter) if parameter else entry
         if written is None or written != value:
-            found[key] = written
-    return found
+            result[key] = written
+    return result
 
 
 def _at(entry: Any, name: str) -> Any:

@@ -41,19 +41,19 @@ def list_scenarios(broken: list[ScenarioError] | None = None) -> dict[str, Path]
     ScenarioError
         A file cannot be read, and `broken` is not given.
     """
-    found: dict[str, Path] = {}
+    result: dict[str, Path] = {}
     for folder in scenario_folders():
         for path in sorted(folder.glob("*.yaml")):
-            if path.stem in found and isfile(path) and samefile(path, found[path.stem]):
+            if path.stem in result and isfile(path) and samefile(path, result[path.stem]):
                 continue  # a checkout's own, which its install folder links to
             try:
                 for name in list(names(path)):
-                    found.setdefault(name, path)
+                    result.setdefault(name, path)
             except ScenarioError as error:
                 if broken is None:
                     raise
                 broken.append(error)
-    return found
+    return result
 
 
 def locate(name: str) -> tuple[str, Path]:
@@ -167,19 +167,19 @@ def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
     def inside(part: Any) -> Any:
         if not isinstance(part, Mapping):
             return part
-        found = dict(part)
-        if "shared" in found:
-            found["shared"] = whole(found["shared"])
-        if isinstance(nodes := found.get("nodes"), Mapping):
-            found["nodes"] = {
+        result = dict(part)
+        if "shared" in result:
+            result["shared"] = whole(result["shared"])
+        if isinstance(nodes := result.get("nodes"), Mapping):
+            result["nodes"] = {
                 name: {k: whole(v) if k == "parameters" else v for k, v in node.items()}
                 if isinstance(node, Mapping)
                 else node
                 for name, node in nodes.items()
             }
-        if isinstance(variants := found.get("variants"), Mapping):
-            found["variants"] = {name: inside(changes) for name, changes in variants.items()}
-        return found
+        if isinstance(variants := result.get("variants"), Mapping):
+            result["variants"] = {name: inside(changes) for name, changes in variants.items()}
+        return result
 
     found: dict[str, Any] = inside(raw)
     return found
@@ -284,10 +284,10 @@ def parent_of(path: Path, parent: Any) -> Path:
     if not isinstance(parent, str) or "/" in parent:
         raise ScenarioError(f"{path.name}: extends: expected the name of a scenario, got {parent!r}"[:200])
     beside = path.with_name(f"{parent}.yaml")
-    found = beside if isfile(beside) else find(parent, path.parent)
-    if found is None:
+    result = beside if isfile(beside) else find(parent, path.parent)
+    if result is None:
         raise ScenarioError(f"{path.name}: extends {parent!r}, which is unknown{closest(parent, list_scenarios())}")
-    return found
+    return result
 
 
 def find(name: str, first: Path | None = None) -> Path | None:

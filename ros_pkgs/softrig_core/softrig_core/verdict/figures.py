@@ -178,7 +178,7 @@ def figures_of(rig: Members) -> list[Figure]:
         Names the figure: an unknown function, argument, signal or parameter, a wrong type, a unit that does not fit.
     """
     units, said = signal_units(rig), spoken(rig.members)
-    found = []
+    result = []
     for name, entry in rig.scenario.figures.items():
         try:
             function = find(entry.function or name)
@@ -190,10 +190,10 @@ def figures_of(rig: Members) -> list[Figure]:
         except ScenarioError as error:
             at = rig.scenario.written("figures", name)
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
-        found.append(Figure(name, function, arguments, unit, scale, entry.since))
-    required = judges(rig, units, {figure.name: figure for figure in found})
-    found += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in required.items()]
-    return found
+        result.append(Figure(name, function, arguments, unit, scale, entry.since))
+    required = judges(rig, units, {figure.name: figure for figure in result})
+    result += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in required.items()]
+    return result
 
 
 def _computed(argument: Any, rig: Members) -> Any:

@@ -236,15 +236,15 @@ def _named(name: str, rig: Members, requirement: Requirement, *given: Any) -> Ju
 
 def _of_nodes(rig: Members, requirement: Requirement) -> dict[str, float]:
     """Return what the references of a formula stand for, by their names in it."""
-    found = {}
+    result = {}
     for reference in references(requirement.formula):
         node, _, parameter = reference.partition(".")
         if parameter:
             value = rig.parameter(node, parameter)
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise ScenarioError(f"${reference} is {value!r}, expected a number")
-            found[named(reference)] = float(value)
-    return found
+            result[named(reference)] = float(value)
+    return result
 
 
 def _judge(

@@ -197,15 +197,15 @@ class Watch(Observer[W]):
         """Return the figures that can be measured so far; none of a step that the window has left behind."""
         signals = Seen(self._ports, dict(zip(self._ports, x.seen, strict=True)))
         forgot = {p.topic for p, kept in zip(self._ports.values(), x.seen, strict=True) if kept.forgot}
-        found = {}
+        result = {}
         for figure in self.figures(x):
             try:
                 value = math.nan if left_behind(figure.since, signals, forgot) else figure(signals)
             except UNMEASURED:  # not enough samples yet
                 continue
             if math.isfinite(value):
-                found[figure.name] = (value, figure.unit)
-        return found
+                result[figure.name] = (value, figure.unit)
+        return result
 
 
 def left_behind(since: str, signals: Seen, forgot: Container[str]) -> bool:

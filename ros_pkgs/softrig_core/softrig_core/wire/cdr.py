@@ -206,12 +206,12 @@ class Layout:
 
     def columns(self, block: NDArray[np.uint8]) -> list[NDArray[np.float64]]:
         """Return the numbers of a (n, length) byte array of such messages as arrays of shape (n,)."""
-        found = []
+        result = []
         for offset, code in self.slots:
             n, kind = int(code[:-1]), np.dtype("<f8" if code[-1] == "d" else "u1")
             part = np.ascontiguousarray(block[:, offset : offset + n * kind.itemsize]).view(kind)
-            found += [np.ascontiguousarray(part[:, i], dtype=np.float64) for i in range(n)]
-        return found
+            result += [np.ascontiguousarray(part[:, i], dtype=np.float64) for i in range(n)]
+        return result
 
 
 CODERS = """

@@ -213,25 +213,25 @@ class Topic:
 
     def before(self, t: int) -> Topic:
         """Return its messages that are earlier than t, ns."""
-        found, whole = Topic(self.name, self.msgtype), self.columns()
+        result, whole = Topic(self.name, self.msgtype), self.columns()
         if whole is not None:
             n = int(whole.times.searchsorted(t))
-            found._columns = [whole.part(0, n)] if n else []
+            result._columns = [whole.part(0, n)] if n else []
         else:
             n = bisect_left(self.times, t)
-            found._times, found._data = self.times[:n], self.data[:n]
-        return found
+            result._times, result._data = self.times[:n], self.data[:n]
+        return result
 
     def since(self, n: int) -> Topic:
         """Return its messages but the first n."""
-        found, parts = Topic(self.name, self.msgtype), self.parts()
+        result, parts = Topic(self.name, self.msgtype), self.parts()
         for part in parts:
             if n < (size := len(part.times)):
-                found._columns.append(part.part(max(n, 0), size))
+                result._columns.append(part.part(max(n, 0), size))
             n -= size
         if not parts:
-            found._times, found._data = self.times[n:], self.data[n:]
-        return found
+            result._times, result._data = self.times[n:], self.data[n:]
+        return result
 
     def stream(self) -> Iterator[tuple[int, bytes]]:
         """Yield time and bytes of each message; what stands as numbers is not kept as bytes."""
@@ -253,12 +253,12 @@ class Recording:
 
     def before(self, t: int) -> Recording:
         """Return what was recorded before t, ns; what is added to one of the two is not in the other."""
-        found = Recording(())
-        found.topics = {name: topic.before(t) for name, topic in self.topics.items()}
-        if EVENTS in found.topics and not found.topics[EVENTS].times:  # there with the first change
-            del found.topics[EVENTS]
-        found._order = list(found.topics.values())
-        return found
+        result = Recording(())
+        result.topics = {name: topic.before(t) for name, topic in self.topics.items()}
+        if EVENTS in result.topics and not result.topics[EVENTS].times:  # there with the first change
+            del result.topics[EVENTS]
+        result._order = list(result.topics.values())
+        return result
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message."""

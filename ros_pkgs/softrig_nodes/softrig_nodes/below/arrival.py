@@ -54,15 +54,15 @@ def library() -> Any:
     if rclpy.get_rmw_implementation_identifier() != RMW or not works("subscriptions"):
         return None
     try:
-        found = ctypes.CDLL(
+        result = ctypes.CDLL(
             importlib.import_module("rclpy._rclpy_pybind11").__file__
         )  # with it, all that it is linked with: no second rcl
         for name in NAMES:
-            getattr(found, name)
+            getattr(result, name)
     except (ImportError, OSError, AttributeError):
         return None
-    found.rcutils_get_default_allocator.restype = _Allocator
-    return found
+    result.rcutils_get_default_allocator.restype = _Allocator
+    return result
 
 
 class Arrival:

@@ -55,10 +55,10 @@ def types() -> dict[str, Any]:
         Of Python or of rosidl, which raises a bare one: some cannot be had.
     """
     names = {"Result": "msg", "SimulationState": "msg", **dict.fromkeys(SERVICES, "srv"), "SimulateSteps": "action"}
-    found = {name: message_class(f"{PACKAGE}/{kind}/{name}") for name, kind in names.items()}
-    for one in found.values():
+    result = {name: message_class(f"{PACKAGE}/{kind}/{name}") for name, kind in names.items()}
+    for one in result.values():
         check_for_type_support(one)
-    return found
+    return result
 
 
 @dataclass

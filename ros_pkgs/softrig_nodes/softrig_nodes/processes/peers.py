@@ -68,7 +68,7 @@ def _overheard(rig: Rig, member: Member) -> list[OverheardLink]:
 
     What nobody reads is recorded by the starter. A sporadic one is recorded by its reader, at the tick that uses it.
     """
-    found = []
+    result = []
     for m in rig.members:
         for p in m.outputs if m.external else ():
             readers = [(reader, port) for reader, port in rig.readers(m, p) if not reader.external]
@@ -76,8 +76,8 @@ def _overheard(rig: Rig, member: Member) -> list[OverheardLink]:
             if recorder is member and not (readers and p.sporadic):
                 link = {"period": _seconds(m), "node": m.name, "at_end": m.schedule.at_end}
                 read = replace(port, topic=p.topic)
-                found.append(OverheardLink.of(read, sporadic=p.sporadic, delayed=p.delayed, **link))
-    return found
+                result.append(OverheardLink.of(read, sporadic=p.sporadic, delayed=p.delayed, **link))
+    return result
 
 
 def ours(readers: list[tuple[Member, Port]]) -> bool:

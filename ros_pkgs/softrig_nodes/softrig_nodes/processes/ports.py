@@ -73,8 +73,8 @@ def _participants(domain: int) -> int:
 
 def udp_ports() -> set[int]:
     """Return the UDP ports of this host that somebody has bound; none where that cannot be seen."""
-    found = set()
+    result = set()
     for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
         with suppress(OSError):  # not Linux, or no IPv6
-            found |= {int(line.split()[1].rpartition(":")[2], 16) for line in table.read_text().splitlines()[1:]}
-    return found
+            result |= {int(line.split()[1].rpartition(":")[2], 16) for line in table.read_text().splitlines()[1:]}
+    return result

@@ -191,23 +191,23 @@ def _inode(path: Path) -> int:
 
 def _own() -> set[Path]:
     """Return the ports on which this process holds the subscriber's lock."""
-    found = set()
+    result = set()
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):
             target = os.readlink(entry).removesuffix(" (deleted)")
             if "/fastrtps_port" in target and target.endswith("_el"):
-                found.add(Path(target.removesuffix("_el")))
-    return found
+                result.add(Path(target.removesuffix("_el")))
+    return result
 
 
 def _mapped() -> dict[Path, set[int]]:
     """Return the inodes of the ports that this process has mapped, by the names they had."""
-    found: dict[Path, set[int]] = {}
+    result: dict[Path, set[int]] = {}
     for line in Path("/proc/self/maps").read_text().splitlines():
         if "/fastrtps_port" in line:
             *_, inode, name = line.removesuffix(" (deleted)").split(maxsplit=5)
-            found.setdefault(Path(name), set()).add(int(inode))
-    return found
+            result.setdefault(Path(name), set()).add(int(inode))
+    return result
 
 
 def _older(path: Path, age: float) -> bool:

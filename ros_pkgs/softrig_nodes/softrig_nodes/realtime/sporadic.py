@@ -111,8 +111,8 @@ def listen(table: LiveSenders, rows: Iterable[Sporadic]) -> list[Acknowledgement
     by_sender: dict[str, list[tuple[Sporadic, str]]] = {}
     for row in rows:
         by_sender.setdefault(row.who, []).append((row, node.links.inputs[row.name].port))
-    found = [Acknowledgements(table, who, told) for who, told in by_sender.items()]
-    for one in found:
+    result = [Acknowledgements(table, who, told) for who, told in by_sender.items()]
+    for one in result:
         node.paces.append(one)
         node.middleware.subscribe(one.port.topic, TICK, one.receive, one.matched)
-    return found
+    return result

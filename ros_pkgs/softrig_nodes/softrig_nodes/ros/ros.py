@@ -585,12 +585,12 @@ class RosMiddleware(Middleware):
         """Name the readers of a topic of ours that ask for more than it offers."""
         writers = endpoints(self.node, topic, writers=True)
         offered = [i.qos_profile for i in writers if _peer(i).full_name == self.full_name]
-        found = []
+        result = []
         for reader in endpoints(self.node, topic, writers=False) if offered else ():
             fits, why = qos_check_compatible(offered[0], reader.qos_profile)
             if fits == QoSCompatibility.ERROR and reader.topic_type == msgtype:
-                found.append((_peer(reader).name, str(why).replace("ERROR: ", "").strip("; ")))
-        return found
+                result.append((_peer(reader).name, str(why).replace("ERROR: ", "").strip("; ")))
+        return result
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads."""

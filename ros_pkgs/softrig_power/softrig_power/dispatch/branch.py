@@ -279,13 +279,13 @@ def _tangent(problem: Problem, relaxed: Relaxed) -> Any:
 def _surplus(problem: Problem, P: Any) -> Any:
     """Sum of the outputs less losses and demand, MW."""
     B, B0, n = problem.B, problem.B0, P.shape[0]
-    found = -problem.demand - problem.B00
+    result = -problem.demand - problem.B00
     for j in range(n):
         row = 0.0
         for i in range(n):
             row += B[j, i] * P[i]
-        found += P[j] * (1.0 - row - B0[j])
-    return found
+        result += P[j] * (1.0 - row - B0[j])
+    return result
 
 
 @jit

@@ -123,14 +123,14 @@ class Optimiser:
         )
         between = time.perf_counter()
         P, succeeded = nlp(self.units, demand, first.P)
-        found = self._answer(P)
-        found.stages = {"milp": between - begun, "nlp": time.perf_counter() - between}
-        found.nodes, found.binaries = first.nodes, first.binaries
-        found.stage, found.limited = "nlp" if succeeded else "milp", not first.optimal
-        found.reason = ("two stages" if first.optimal else "time limit in the MILP") + (
+        result = self._answer(P)
+        result.stages = {"milp": between - begun, "nlp": time.perf_counter() - between}
+        result.nodes, result.binaries = first.nodes, first.binaries
+        result.stage, result.limited = "nlp" if succeeded else "milp", not first.optimal
+        result.reason = ("two stages" if first.optimal else "time limit in the MILP") + (
             "" if succeeded else "; the NLP failed: the MILP's dispatch"
         )
-        return found
+        return result
 
     def certified(self, demand: float, start: Array | None = None, progress: Progress | None = None) -> Dispatch:
         """Two stages, then a proof by branch and bound and, where that takes too many boxes, by adaptive MILPs.
@@ -146,33 +146,33 @@ class Optimiser:
         """
         self._check(demand)
         begun = time.perf_counter()
-        found = self._answer(self.start(demand, start))
+        result = self._answer(self.start(demand, start))
 
         def note(stage: str, bound: float) -> None:
-            found.stage, found.bound = stage, max(found.bound, min(bound, found.cost))
-            found.stages[stage] = time.perf_counter() - begun - sum(t for s, t in found.stages.items() if s != stage)
-            found.trace.append((time.perf_counter() - begun, found.cost, found.bound))
+            result.stage, result.bound = stage, max(result.bound, min(bound, result.cost))
+            result.stages[stage] = time.perf_counter() - begun - sum(t for s, t in result.stages.items() if s != stage)
+            result.trace.append((time.perf_counter() - begun, result.cost, result.bound))
             if progress is not None:
-                progress(found.cost, found.bound)
+                progress(result.cost, result.bound)
 
         # Half of the tolerance, for what is proven is the search's own best, which the NLP then betters a little. Of
         # many units only the first box: its bound costs nothing, the boxes to come would be too many.
         boxes = self.max_nodes if len(self.units) <= SMALL else 1
-        proof = branch_and_bound(self.units, demand, found.P, 0.5 * self.tol, boxes)
-        self._better(found, nlp(self.units, demand, proof.P)[0])
-        found.nodes += proof.nodes
+        proof = branch_and_bound(self.units, demand, result.P, 0.5 * self.tol, boxes)
+        self._better(result, nlp(self.units, demand, proof.P)[0])
+        result.nodes += proof.nodes
         note("branch and bound", proof.bound)
-        if found.gap > self.tol:
+        if result.gap > self.tol:
             try:
-                plain = self.two_stage(demand, found.P)
-                self._better(found, plain.P)
-                found.nodes, found.binaries = found.nodes + plain.nodes, plain.binaries
+                plain = self.two_stage(demand, result.P)
+                self._better(result, plain.P)
+                result.nodes, result.binaries = result.nodes + plain.nodes, plain.binaries
             except NoDispatch as error:
-                found.reason = str(error)
-            note("two stages", found.bound)
-            self._adapt(demand, found, begun, note)
-        found.reason = "proven" if found.gap <= self.tol else found.reason
-        return found
+                result.reason = str(error)
+            note("two stages", result.bound)
+            self._adapt(demand, result, begun, note)
+        result.reason = "proven" if result.gap <= self.tol else result.reason
+        return result
 
     def conditioned(self, demand: float, conditions: Conditions, start: Array | None = None) -> Dispatch:
         """Branch and bound with losses, ramps and reserve; as many boxes as `max_nodes`, whatever they take.
@@ -195,15 +195,15 @@ class Optimiser:
                 if done
                 else f"no dispatch found in {proof.nodes} boxes for demand {demand:g} MW with its conditions"
             )
-        found = self._answer(proof.P)
-        found.bound, found.nodes, found.stage = min(proof.bound, found.cost), proof.nodes, "branch and bound"
-        found.stages = {"branch and bound": time.perf_counter() - begun}
-        found.reason = "proven" if found.gap <= self.tol else f"{proof.nodes} boxes"
+        result = self._answer(proof.P)
+        result.bound, result.nodes, result.stage = min(proof.bound, result.cost), proof.nodes, "branch and bound"
+        result.stages = {"branch and bound": time.perf_counter() - begun}
+        result.reason = "proven" if result.gap <= self.tol else f"{proof.nodes} boxes"
         weight = 1.0 - conditions.losses.slopes(proof.P)
         left, right = self.units.slopes(proof.P)
-        found.price = (float(np.max(left / weight)), float(np.min(right / weight)))
-        found.losses, found.reserve = conditions.losses.of(proof.P), conditions.spinning(self.units, proof.P)
-        return found
+        result.price = (float(np.max(left / weight)), float(np.min(right / weight)))
+        result.losses, result.reserve = conditions.losses.of(proof.P), conditions.spinning(self.units, proof.P)
+        return result
 
     def _adapt(self, demand: float, found: Dispatch, begun: float, note: Callable[[str, float], None]) -> None:
         """Lower every chord below the cost, solve, split where the model is too low at its own optimum, repeat."""

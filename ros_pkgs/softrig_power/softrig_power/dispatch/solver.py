@@ -218,19 +218,19 @@ class DispatchSolver(Solver[DispatchParams]):
             if p.method == "certified":
                 return optimiser.certified(demand, start, lambda cost, bound: work.status(cost=cost, bound=bound))
             if p.method == "two_stage":
-                found = optimiser.two_stage(demand, start)
+                result = optimiser.two_stage(demand, start)
             else:
                 if p.method == "enumeration":
                     P = enumerate_kinks(units, demand)
                 else:
                     P = swarm(units, demand, p.algorithm, [p.seed, drawn], p.n_pop, p.n_iter)
-                found = Dispatch(P, units.total(P), price=marginal_cost(units, P), stage=p.method)
+                result = Dispatch(P, units.total(P), price=marginal_cost(units, P), stage=p.method)
         except (InfeasibleError, NoDispatch, TooManyError) as error:
             return str(error)
         # these methods prove nothing: what the same units without ripples would cost is a bound all the same
         plain = without_ripples(units)
-        found.bound = plain.total(lambda_iteration(plain, demand))
-        return found
+        result.bound = plain.total(lambda_iteration(plain, demand))
+        return result
 
     def answer(
         self, x: State, t: int, result: Result | None, new: bool

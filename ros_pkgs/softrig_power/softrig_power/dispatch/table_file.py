@@ -71,13 +71,13 @@ class Row:
         if self._comma:
             text = text.replace(",", ".") if text.count(",") == 1 and "." not in text else text
         try:
-            found = float(text)
+            result = float(text)
         except ValueError:
             hint = "; it has a decimal comma in a file with decimal points" if text.count(",") == 1 else ""
             raise TableError(f"{self.where}, column {column}: {shown!r} is no number{hint}") from None
         if not math.isfinite(number_of(text)):
             raise TableError(f"{self.where}, column {column}: {shown}, expected a finite number")
-        return found
+        return result
 
 
 @lru_cache(maxsize=64)

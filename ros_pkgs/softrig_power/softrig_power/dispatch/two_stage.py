@@ -57,7 +57,7 @@ def breakpoints(units: Units, nseg: int) -> list[Array]:
     list of n ndarrays
         Ends of the segments in MW; one point for a fixed unit.
     """
-    found = []
+    result = []
     for j in range(len(units)):
         ends = units.valve_points(j)
         _, _, _, _, _, e, f = units.table[j]
@@ -66,8 +66,8 @@ def breakpoints(units: Units, nseg: int) -> list[Array]:
         for x0, x1 in pairwise(ends):
             count = nseg if whole == np.inf else max(1, round(nseg * (x1 - x0) / whole))
             points.append(np.linspace(x0, x1, count + 1)[1:])
-        found.append(np.concatenate(points))
-    return found
+        result.append(np.concatenate(points))
+    return result
 
 
 def milp(

@@ -57,13 +57,13 @@ class Published(NamedTuple):
 
 
 def _read() -> dict[Case, Published]:
-    found: dict[Case, Published] = {}
+    result: dict[Case, Published] = {}
     for rf, text in _TABLES.items():
         numbers = [float(word) for word in text.split()]
         rows = [Published(*numbers[k : k + 4]) for k in range(0, len(numbers), 4)]
         keys = [Case(kind, x, rf) for kind in TYPES for x in PLACES]
-        found |= dict(zip(keys, rows, strict=True))
-    return found
+        result |= dict(zip(keys, rows, strict=True))
+    return result
 
 
 PUBLISHED = _read()

@@ -142,13 +142,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _named(option: str, texts: Sequence[str]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for text in texts:
         name, value = named(text, option, "VALUE")
-        if name in found:
-            raise ScenarioError(f"{text!r}: {name} is {found[name]} already")
-        found[name] = value
-    return found
+        if name in result:
+            raise ScenarioError(f"{text!r}: {name} is {result[name]} already")
+        result[name] = value
+    return result
 
 
 def _params(options: argparse.Namespace, frequency: float = 0.0) -> LocatorParams:

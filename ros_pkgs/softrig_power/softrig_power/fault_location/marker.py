@@ -53,11 +53,11 @@ class LocationMarker(Observer[LocationMarkerParams]):
         places = (p.scale * np.linspace(0.0, p.length, p.towers)).tolist()
         wire = tuple((place, 0.0, HEIGHT) for place in places)
         poles = tuple(point for place in places for point in ((place, 0.0, 0.0), (place, 0.0, HEIGHT)))
-        found = [
+        result = [
             Marker("line", "conductor", "line_strip", wire, 0.02, GREY),
             Marker("line", "towers", "line_list", poles, 0.02, GREY),
         ]
         if x is not None:
             place = p.scale * x[LOCATION.index("x_km")]
-            found.append(Marker("line", "fault", "sphere_list", ((place, 0.0, HEIGHT),), 0.2, RED))
-        return found
+            result.append(Marker("line", "fault", "sphere_list", ((place, 0.0, HEIGHT),), 0.2, RED))
+        return result

@@ -112,12 +112,14 @@ class LinePlant(Plant[LinePlantParams]):
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...] | None]:
         """Return the samples; with the last one of a record the record."""
         row = self._row(x.k, x.seed, x.line.measured.tolist())
-        found: dict[str, tuple[float, ...] | None] = {name: row[3 * k + 1 : 3 * k + 4] for k, name in enumerate(GROUPS)}
-        found["fault_current"] = tuple(x.line.fault_current.tolist())
+        result: dict[str, tuple[float, ...] | None] = {
+            name: row[3 * k + 1 : 3 * k + 4] for k, name in enumerate(GROUPS)
+        }
+        result["fault_current"] = tuple(x.line.fault_current.tolist())
         if x.k == self.p.samples - 1:
             before = (self._row(k, x.seed, measured) for k, measured in enumerate(x.rows.newest()))
-            found["record"] = tuple(value for told in (*before, row) for value in told)
-        return found
+            result["record"] = tuple(value for told in (*before, row) for value in told)
+        return result
 
     def advance(self, x: State, t: int, *, run: tuple[float, ...] | None) -> State:
         """Move by one sampling period, or start again."""

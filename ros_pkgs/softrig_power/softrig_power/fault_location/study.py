@@ -102,12 +102,12 @@ def _run_job(job: Job) -> Row:
 
 def published_jobs(methods: Sequence[str] = METHODS, profile: str = "m20k", **locator: Any) -> list[Job]:
     """Return the 48 published cases with each method; travelling waves need the unfiltered record at 1 MHz."""
-    found: list[Job] = []
+    result: list[Job] = []
     for case in PUBLISHED:
         for method in methods:
             rate = "raw1m" if method == "travelling_wave" else profile
-            found.append((case, {"measurement.profile": rate}, {**locator, "algorithm": method}))
-    return found
+            result.append((case, {"measurement.profile": rate}, {**locator, "algorithm": method}))
+    return result
 
 
 SENSITIVITY = (Case("AG", 50.0, 0.0), Case("AG", 115.0, 15.0), Case("ABCG", 5.0, 15.0), Case("AB", 100.0, 5.0))

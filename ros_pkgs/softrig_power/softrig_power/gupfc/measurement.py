@@ -17,8 +17,8 @@ from softrig_core.kit import dense
 @jit
 def weigh(weights: NDArray[np.float64], samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Sum samples, shape (k, n), by complex weights, shape (2, k), in real arithmetic, in their order."""
-    found = np.empty_like(samples[0])
-    for j in range(found.size):
+    result = np.empty_like(samples[0])
+    for j in range(result.size):
         rr = ri = ir = ii = 0.0
         for k in range(samples.shape[0]):
             x, y = samples[k, j].real, samples[k, j].imag
@@ -26,8 +26,8 @@ def weigh(weights: NDArray[np.float64], samples: NDArray[np.complex128]) -> NDAr
             ri += weights[0, k] * y
             ir += weights[1, k] * x
             ii += weights[1, k] * y
-        found[j] = complex(rr - ii, ri + ir)
-    return found
+        result[j] = complex(rr - ii, ri + ir)
+    return result
 
 
 class Weights:

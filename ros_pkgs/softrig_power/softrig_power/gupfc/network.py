@@ -145,6 +145,6 @@ class Network:
         """Norton currents of the sources at the buses, pu; shape (6,)."""
         p = self.params
         r, l = p.source_impedance  # noqa: E741
-        found = np.zeros(6, dtype=complex)
-        found[0], found[5] = (e / complex(r, p.omega * l) for e in p.sources)
-        return found
+        result = np.zeros(6, dtype=complex)
+        result[0], result[5] = (e / complex(r, p.omega * l) for e in p.sources)
+        return result

@@ -177,14 +177,14 @@ def _flow(network: NetworkParams, references: References, surplus: float = 0.0) 
     ValueError
         There is no operating point with these references, or it needs more series voltage than there is.
     """
-    found = PowerFlow(network, converter_loss=True).solve(references, surplus=surplus)
-    if isinstance(found, Diverged):
+    result = PowerFlow(network, converter_loss=True).solve(references, surplus=surplus)
+    if isinstance(result, Diverged):
         raise ValueError(
-            f"initial: the power flow has no solution for these references, mismatch {found.mismatch:.3g} pu after "
-            f"{found.iterations} iterations"
+            f"initial: the power flow has no solution for these references, mismatch {result.mismatch:.3g} pu after "
+            f"{result.iterations} iterations"
         )
-    limit = network.series_limit * abs(found.v_sh)
-    for name, v in (("V12", found.v12), ("V34", found.v34)):
+    limit = network.series_limit * abs(result.v_sh)
+    for name, v in (("V12", result.v12), ("V34", result.v34)):
         if abs(v) > limit:
             raise ValueError(f"initial: these references need {name} = {abs(v):.4g} pu, the limit is {limit:.4g} pu")
-    return found
+    return result

@@ -174,12 +174,12 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
 
     def outputs(self, x: Any, t: int) -> Mapping[str, Vector]:
         """Return joint and motor states; efforts are what the drives hand over, within the limits where these act."""
-        found = super().outputs(x, t)
+        result = super().outputs(x, t)
         if not self.stops():
-            return found
-        n, states = self.n, found["joint_states"]
+            return result
+        n, states = self.n, result["joint_states"]
         efforts = (min(max(f, -j.effort), j.effort) for f, j in zip(states[2 * n :], self._found, strict=True))
-        return {"joint_states": (*states[: 2 * n], *efforts), "motor_states": found["motor_states"]}
+        return {"joint_states": (*states[: 2 * n], *efforts), "motor_states": result["motor_states"]}
 
     def first(self) -> Any:
         """Report what the URDF has that has no effect, and begin."""

@@ -130,9 +130,9 @@ def find(name: str) -> Problem:
             f"problem = {name!r}: expected one of {known}; a package registers its own in the group {GROUP}"
         )
     try:
-        found = points[name].load()
+        result = points[name].load()
     except (ImportError, AttributeError) as error:
         raise ProblemError(f"problem = {name!r} ({points[name].value}) cannot be loaded: {error}") from None
-    if not isinstance(found, Problem):
-        raise ProblemError(f"problem = {name!r}: {points[name].value} is a {type(found).__name__}, expected a Problem")
-    return found
+    if not isinstance(result, Problem):
+        raise ProblemError(f"problem = {name!r}: {points[name].value} is a {type(result).__name__}, expected a Problem")
+    return result

@@ -83,10 +83,10 @@ class PwaSystem:
 
     def scaled(self, h: float) -> PwaSystem:
         """Return the system in the time t/h, in which a delay of h is 1."""
-        found = copy(self)  # cells and features stay, and what was checked of them
+        result = copy(self)  # cells and features stay, and what was checked of them
         for name in ("A", "Ad", "a"):
-            object.__setattr__(found, name, tuple(h * m for m in getattr(self, name)))
-        return found
+            object.__setattr__(result, name, tuple(h * m for m in getattr(self, name)))
+        return result
 
     def _check_sizes(self) -> None:
         n, cells = self.A[0].shape[0], len(self.A)
@@ -129,7 +129,7 @@ class PwaSystem:
 
     def faces(self) -> list[tuple[int, int, int]]:
         """Return the common faces as (cell, row, other cell): the row of E that is an equality there."""
-        found = []
+        result = []
         rng = np.random.default_rng(2)
         for i in range(self.cells):
             for row in range(self.E[i].shape[0]):
@@ -137,21 +137,21 @@ class PwaSystem:
                 for z in self.on_face(i, row, rng, 20):
                     beyond = z - 1e-6 * self.E[i][row] / np.linalg.norm(self.E[i][row])
                     seen |= {j for j in range(self.cells) if j != i and np.all(self.E[j] @ beyond + self.e[j] >= 0.0)}
-                found += [(i, row, j) for j in sorted(seen)]
-        return found
+                result += [(i, row, j) for j in sorted(seen)]
+        return result
 
     def on_face(self, i: int, row: int, rng: np.random.Generator, count: int) -> list[Array]:
         """Draw points (x, x_d) of cell i on which its row is an equality."""
         normal, offset = self.E[i][row], self.e[i][row]
         others = np.delete(np.arange(self.E[i].shape[0]), row)
-        found: list[Array] = []
+        result: list[Array] = []
         for z in rng.normal(size=(200 * count, 2 * self.n)):
             z = z - normal * (normal @ z + offset) / (normal @ normal)
             if np.all(self.E[i][others] @ z + self.e[i][others] >= 0.0):
-                found.append(z)
-                if len(found) == count:
+                result.append(z)
+                if len(result) == count:
                     break
-        return found
+        return result
 
     def _check_features(self) -> None:
         rng = np.random.default_rng(3)

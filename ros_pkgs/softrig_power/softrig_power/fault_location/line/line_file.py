@@ -47,13 +47,13 @@ def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
         if not isinstance(told, dict) or not set(told) <= set(names):
             raise ScenarioError(f"--line {source}: expected {', '.join(names)}, got {told!r}")
         build(LineParams, told)  # its errors name the file's own words
-    found = {f"line.{name}": value for name, value in told.items()}
-    found |= {name: value for name, value in given.items() if name.startswith("line.")}
-    missing = [name for name in names if f"line.{name}" not in found]
+    result = {f"line.{name}": value for name, value in told.items()}
+    result |= {name: value for name, value in given.items() if name.startswith("line.")}
+    missing = [name for name in names if f"line.{name}" not in result]
     if missing:
         raise ScenarioError(
             f"the line's {', '.join(missing)} are missing: expected --line FILE (YAML: length in km, "
             f"r1 in ohm/km, l1 in H/km, c1 in F/km), --line {PAPER} for that of the paper, or "
             f"--set {' '.join(f'line.{name}=...' for name in missing)}"
         )
-    return found
+    return result

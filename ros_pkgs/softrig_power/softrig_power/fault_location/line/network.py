@@ -75,7 +75,7 @@ def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
     open_circuit = 1.0 / (prepared.conductance[:3] + prepared.conductance[3:])
     thevenin = dense.product(CLARKE.T * open_circuit, CLARKE)
     resistance = max(fault.rf_ohm, LEAST_RESISTANCE)
-    found = np.zeros((8, 3, 3))
+    result = np.zeros((8, 3, 3))
     for bits in range(1, 8):
         closed = [phase for phase in phases(fault.type) if bits >> phase & 1]
         if len(closed) != bits.bit_count() or (len(closed) == 1 and not grounded(fault.type)):
@@ -85,8 +85,8 @@ def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
         z[:n, :n] = thevenin[np.ix_(closed, closed)] + resistance * np.eye(n)
         z[:n, n], z[n, :n] = 1.0, 1.0
         z[n, n] = -1.0 / LEAST_RESISTANCE if grounded(fault.type) else 0.0
-        found[bits][np.ix_(closed, closed)] = dense.solve(z, np.eye(n + 1, n))[:n]
-    return found
+        result[bits][np.ix_(closed, closed)] = dense.solve(z, np.eye(n + 1, n))[:n]
+    return result
 
 
 def steady(p: RigParams) -> Steady:

@@ -230,5 +230,5 @@ class FaultedLine:
         """Draw the noise of a number of samples, shape (samples, 12); drawn one by one they are the same."""
         if self.p.measurement.noise_snr_db is None:
             return np.zeros((samples, CHANNELS))
-        found: Array = self.noise_level() * rng.standard_normal((samples, CHANNELS))
-        return found
+        result: Array = self.noise_level() * rng.standard_normal((samples, CHANNELS))
+        return result

@@ -115,8 +115,8 @@ def shifted(record: Record, late: float) -> Array:
     lagrange(late * record.rate, w)
     r = np.pad(record.samples[:, 6:], ((3, 3), (0, 0)), mode="edge")
     n = len(record.samples)
-    found: Array = np.sum([w[j] * r[5 - j : 5 - j + n] for j in range(6)], axis=0)
-    return found
+    result: Array = np.sum([w[j] * r[5 - j : 5 - j + n] for j in range(6)], axis=0)
+    return result
 
 
 def conditions(record: Record, p: LocatorParams, window: str) -> str:

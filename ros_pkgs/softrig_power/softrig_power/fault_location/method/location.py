@@ -70,24 +70,24 @@ class Locator(Objective):
     def locate(self) -> Location:
         """Find the fault with the algorithm of the parameters."""
         self.evaluations = 0
-        found = self.choose()
-        if found.status != Status.OK:
-            return found
+        result = self.choose()
+        if result.status != Status.OK:
+            return result
         match self.p.algorithm:
             case "brent":
-                x, f = search.brent(self, found.mode)
+                x, f = search.brent(self, result.mode)
             case "woa" | "gwo":
-                x, f = search.swarm(self, found.mode)
+                x, f = search.swarm(self, result.mode)
             case "integer_grid":
-                x, f = search.integer_grid(self, found.mode)
+                x, f = search.integer_grid(self, result.mode)
             case "phasor":
-                x, f = transient.phasor(self, found.mode), found.f_min
+                x, f = transient.phasor(self, result.mode), result.f_min
             case "travelling_wave":
-                x, f = transient.travelling_wave(self, found.mode), found.f_min
+                x, f = transient.travelling_wave(self, result.mode), result.f_min
         status, text = Status.OK, f"fault at {x:.4f} km"
         if not NEAR_END < x < self.section.length - NEAR_END:
             status, text = Status.AT_TERMINAL, f"at_terminal: the minimum is at x = {x:.4f} km"
-        return Location(status, x, f, found.f_max, found.mode, self.evaluations, text)
+        return Location(status, x, f, result.f_max, result.mode, self.evaluations, text)
 
 
 def locate(record: Record, p: LocatorParams | None = None) -> Location:

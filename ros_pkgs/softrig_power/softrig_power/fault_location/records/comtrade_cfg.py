@@ -182,13 +182,13 @@ class _Lines:
         self.at += 1
         if self.at > len(self.rows):
             raise self.wrong(f"the file ends before {what}")
-        found = [field.strip() for field in self.rows[self.at - 1].split(",")]
-        while len(found) > max(sizes) and not found[-1]:
-            found.pop()  # some recorders end each line with a comma
-        if len(found) not in sizes:
+        result = [field.strip() for field in self.rows[self.at - 1].split(",")]
+        while len(result) > max(sizes) and not result[-1]:
+            result.pop()  # some recorders end each line with a comma
+        if len(result) not in sizes:
             expected = " or ".join(map(str, sizes))
-            raise self.wrong(f"{len(found)} fields, expected {expected} ({what})")
-        return found
+            raise self.wrong(f"{len(result)} fields, expected {expected} ({what})")
+        return result
 
     def rest(self, size: int) -> list[str]:
         """Return the fields of a line that may be missing at the end."""

@@ -176,12 +176,12 @@ def _phases(known: Sequence[Analog]) -> list[int | None]:
     """Return the phase of each channel, 0 to 2; None where it has none, or letters of two systems are mixed."""
     marks = [_PHASE.sub("", c.phase.upper().replace(" ", "")) for c in known]
     whole = [system for system in _SYSTEMS if set(system) <= set(marks)]
-    found: list[int | None] = []
+    result: list[int | None] = []
     for mark in marks:
         inside = [system for system in whole if mark in system] or [system for system in _SYSTEMS if mark in system]
         places = {system.index(mark) for system in inside} if mark else set()
-        found.append(places.pop() if len(places) == 1 else None)
-    return found
+        result.append(places.pop() if len(places) == 1 else None)
+    return result
 
 
 def _pick(file: Recorder, names: Sequence[str], ends: int) -> list[int]:

@@ -31,9 +31,9 @@ class Rows:
         if self._count != len(rows) or self._count >= 2 * self.most:
             rows = self.newest()
         rows.append(row)
-        found = object.__new__(Rows)
-        found.most, found._count, found._list = self.most, len(rows), rows
-        return found
+        result = object.__new__(Rows)
+        result.most, result._count, result._list = self.most, len(rows), rows
+        return result
 
     def newest(self) -> list[Row]:
         """Return them, the oldest first."""

@@ -333,29 +333,29 @@ def solve(
         else:
             for k in range(1, (frozen_order or order) + 1):
                 alpha, _ = costate(problem, alpha, k, stages, END * scale)
-    found = Solution(np.empty(0), problem.horizon, 0, alpha)
+    result = Solution(np.empty(0), problem.horizon, 0, alpha)
     for k in range(1, last + 1):
         if alpha_mode == "own":
             alpha, several = costate(problem, alpha, k, stages, END * scale)
             if len(several) > 1:
-                found.roots[k] = several
+                result.roots[k] = several
         z, u = _series(problem, alpha, k, stages)
         J, residual, state_residual = _judge(problem, z, u)
-        found.ratio.append(abs(J - found.J[-1]) / max(abs(J), np.finfo(float).tiny) if found.J else np.inf)
-        found.J.append(J)
-        found.residual.append(residual)
-        found.state_residual.append(state_residual)
-        found.alphas.append(alpha)
-        if not found.seed_order and found.ratio[-1] < eps:
-            found.seed_order = k
-        found.converged = max(found.ratio[-2:]) < eps and residual < eps_res  # the first ratio is infinite
-        if k >= order and found.converged:
+        result.ratio.append(abs(J - result.J[-1]) / max(abs(J), np.finfo(float).tiny) if result.J else np.inf)
+        result.J.append(J)
+        result.residual.append(residual)
+        result.state_residual.append(state_residual)
+        result.alphas.append(alpha)
+        if not result.seed_order and result.ratio[-1] < eps:
+            result.seed_order = k
+        result.converged = max(result.ratio[-2:]) < eps and residual < eps_res  # the first ratio is infinite
+        if k >= order and result.converged:
             break
-    found.order, found.alpha, found.coefficients = k, alpha, np.concatenate([z, u], axis=1)
-    found.end_error = float(np.max(np.abs(problem.end_error(z[-1].sum(axis=1)))))
-    found.accurate = bool(found.end_error <= END * scale)
-    found.reason = _reason(found, eps, eps_res)
-    return found
+    result.order, result.alpha, result.coefficients = k, alpha, np.concatenate([z, u], axis=1)
+    result.end_error = float(np.max(np.abs(problem.end_error(z[-1].sum(axis=1)))))
+    result.accurate = bool(result.end_error <= END * scale)
+    result.reason = _reason(result, eps, eps_res)
+    return result
 
 
 def _reason(found: Solution, eps: float, eps_res: float) -> str:

@@ -143,10 +143,10 @@ def certified_margin(
     """
 
     def ask(h: float, shortest: float | None = None) -> Certificate:
-        found = certify(system, h, criterion, shortest=shortest, sliding=False)
+        result = certify(system, h, criterion, shortest=shortest, sliding=False)
         if tell is not None:
-            tell(found)
-        return found
+            tell(result)
+        return result
 
     require_no_sliding(require_equilibrium(system), high or 1e-9)
     fast = _fast_time(system)

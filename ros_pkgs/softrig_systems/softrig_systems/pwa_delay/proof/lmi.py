@@ -165,7 +165,7 @@ class Problem:
         """Return, for each unknown, the matrix from its free entries to the scaled upper triangle of the inequality."""
         i, j = _triangle(inequality.size)
         weight = np.where(i == j, 1.0, np.sqrt(2.0))[:, None]
-        found: dict[str, Array] = {}
+        result: dict[str, Array] = {}
         for name, left, right in inequality.terms:
             u = self.unknowns[name]
             if u.symmetric:
@@ -177,40 +177,40 @@ class Problem:
                 a, b = (k.ravel() for k in np.indices(u.shape))
                 part = left[i][:, a] * right[j][:, b] + left[j][:, a] * right[i][:, b]
             part *= weight
-            found[name] = found[name] + part if name in found else part
-        return found
+            result[name] = result[name] + part if name in result else part
+        return result
 
     def _take_apart(self, x: Array) -> dict[str, Array]:
-        found = {}
+        result = {}
         for name, u in self.unknowns.items():
             values = x[u.start : u.start + u.count]
             if u.positive:
                 values = np.maximum(values, 0.0)  # an interior point may be a rounding error outside
             if u.symmetric:
-                found[name] = np.zeros(u.shape)
+                result[name] = np.zeros(u.shape)
                 a, b = _triangle(u.shape[0])
-                found[name][a, b] = found[name][b, a] = values
+                result[name][a, b] = result[name][b, a] = values
             else:
-                found[name] = values.reshape(u.shape)
-        return found
+                result[name] = values.reshape(u.shape)
+        return result
 
     def eigenvalues(self, matrices: Mapping[str, Array]) -> list[Eigenvalues]:
         """Evaluate every inequality from given matrices alone, in float64, without the solver.
 
         An unknown with negative entries that must not have any counts as an inequality that does not hold.
         """
-        found = []
+        result = []
         for inequality in self.inequalities:
             total = np.zeros((inequality.size, inequality.size))
             for name, left, right in inequality.terms:
                 part = left @ matrices[name] @ right.T
                 total += part + part.T
             values = np.linalg.eigvalsh(total)
-            found.append(Eigenvalues(inequality.name, float(values[0]), float(values[-1])))
+            result.append(Eigenvalues(inequality.name, float(values[0]), float(values[-1])))
         for name, u in self.unknowns.items():
             if u.positive and np.any(matrices[name] < 0.0):
-                found.append(Eigenvalues(f"entries of {name}", float(np.min(matrices[name])), 0.0))
-        return found
+                result.append(Eigenvalues(f"entries of {name}", float(np.min(matrices[name])), 0.0))
+        return result
 
 
 def _triangle(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
