@@ -63,10 +63,10 @@ class DrivenRobotParams(BlockParams):
     """What every voltage-driven robot has."""
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
-    substeps: int = param(2, "Runge-Kutta steps a period", ge=1, le=100)
+    substeps: int = param(2, "Runge-Kutta steps per period", ge=1, le=100)
     v_max: float = param(40.0, "voltage limit V_max of each motor", "V", gt=0.0, live=True)
     payload: float = param(0.0, "point mass at the tool frame", "kg", ge=0.0, live=True)
-    speed_limit: float = param(100.0, "joint speed beyond which the run is broken off", "rad/s", gt=0.0, live=True)
+    speed_limit: float = param(100.0, "joint speed above which the run ends", "rad/s", gt=0.0, live=True)
     motors: Motors = Motors()
 
     @model_validator(mode="after")

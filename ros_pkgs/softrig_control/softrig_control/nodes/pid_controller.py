@@ -15,33 +15,33 @@ class PidControllerParams(BlockParams):
     """Signals, form and gains, limits and what happens at them, and the hand of a person."""
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
-    measurement: str = param("measurement/y/position", "signal that is controlled, topic/channel/field")
+    measurement: str = param("measurement/y/position", "controlled signal, topic/channel/field")
     measurement_unit: str = param("1", "its unit")
     measurement_also: tuple[str, ...] = param((), "other channels of the measurement's message")
-    reference: str = param("", "signal that is followed, as the command of an outer loop; empty: `set_point`")
-    command: str = param("command/u/effort", "signal that comes out, topic/channel/field")
+    reference: str = param("", "reference signal, such as the command of an outer loop; empty: `set_point`")
+    command: str = param("command/u/effort", "manipulated signal, topic/channel/field")
     command_unit: str = param("1", "its unit")
-    set_point: float = param(0.0, "reference without a signal, and until its first message", live=True)
+    set_point: float = param(0.0, "reference if there is no signal, and until its first message", live=True)
     form: Literal["parallel", "ideal", "series"] = param(
         "parallel", "parallel: Kp, Ki, Kd; ideal: Kp (1 + 1/(Ti s) + Td s); series: Kp (1 + 1/(Ti s)) (1 + Td s)"
     )
-    kp: float = param(1.0, "proportional gain Kp; negative for a reverse-acting law", live=True)
+    kp: float = param(1.0, "proportional gain Kp; negative for a reverse-acting controller", live=True)
     ki: float = param(0.0, "parallel: integral gain Ki", "1/s", live=True)
     kd: float = param(0.0, "parallel: derivative gain Kd", "s", live=True)
     t_i: float = param(0.0, "ideal, series: integral time Ti; 0: no integral", "s", ge=0.0, live=True)
     t_d: float = param(0.0, "ideal, series: derivative time Td", "s", ge=0.0, live=True)
     n_filter: float = param(100.0, "corner N of the derivative's filter N s/(s + N)", "1/s", gt=0.0, live=True)
-    derivative_on: Literal["error", "measurement"] = param("error", "what is differentiated", live=True)
+    derivative_on: Literal["error", "measurement"] = param("error", "signal that is differentiated", live=True)
     weight: float = param(1.0, "weight b of the reference in the proportional part", ge=0.0, le=1.0, live=True)
     bias: float = param(0.0, "added to the command", live=True)
-    u_min: float = param(-1e9, "least command", live=True)
+    u_min: float = param(-1e9, "smallest command", live=True)
     u_max: float = param(1e9, "largest command", live=True)
     anti_windup: Literal["none", "conditional", "back_calculation"] = param(
-        "conditional", "at a limit: nothing; the integral stops while the error drives it on; it is led back", live=True
+        "conditional", "at a limit: none; stop the integral while the error drives it further; lead it back", live=True
     )
-    t_t: float = param(0.0, "back calculation: tracking time; 0: one period", "s", ge=0.0, live=True)
-    manual: bool = param(False, "the command is `manual_command`; back to automatic without a bump", live=True)
-    manual_command: float = param(0.0, "command by hand", live=True)
+    t_t: float = param(0.0, "back-calculation: tracking time; 0: one period", "s", ge=0.0, live=True)
+    manual: bool = param(False, "the command is `manual_command`; the change back to automatic is bumpless", live=True)
+    manual_command: float = param(0.0, "command in manual mode", live=True)
 
     @model_validator(mode="after")
     def _law(self) -> Self:
@@ -87,7 +87,7 @@ class State(NamedTuple):
 
 
 class PidController(Block[PidControllerParams]):
-    """PID law on any two signals.
+    """Control any signal of a rig by any other with a PID controller.
 
     ::
 

@@ -20,9 +20,9 @@ LOAD = command("load_current", "load_current", ("load",), "A", held=True)
 class DcdcPlantParams(BlockParams):
     """Circuit, source and load."""
 
-    topology: Literal["buck", "boost"] = param("buck", "which converter")
+    topology: Literal["buck", "boost"] = param("buck", "topology of the converter")
     period: float = param(1e-5, "switching and sampling period", "s", gt=0.0, le=0.1)
-    substeps: int = param(8, "Runge-Kutta steps in one period, at least", ge=1, le=1000)
+    substeps: int = param(8, "least number of Runge-Kutta steps in one period", ge=1, le=1000)
     delay: int = param(1, "periods between a measurement and the duty ratio that follows from it", ge=0, le=1)
     synchronous: bool = param(False, "a second switch in place of the diode: the current may be negative")
     U: float = param(28.0, "input voltage", "V", gt=0.0, le=1e5, live=True)
@@ -32,10 +32,10 @@ class DcdcPlantParams(BlockParams):
     C: float = param(500e-6, "capacitance", "F", gt=0.0, le=10.0)
     R_L: float = param(0.0, "resistance of the inductor", "ohm", ge=0.0, le=1e3)
     R_on: float = param(0.0, "resistance of the switch", "ohm", ge=0.0, le=1e3)
-    v_diode: float = param(0.0, "voltage across the diode that conducts", "V", ge=0.0, le=100.0)
+    v_diode: float = param(0.0, "forward voltage of the diode", "V", ge=0.0, le=100.0)
     R_C: float = param(0.0, "series resistance of the capacitor", "ohm", ge=0.0, le=1e3)
     R: float = param(3.0, "load resistance", "ohm", gt=0.0, le=1e9, live=True)
-    v_0: float = param(0.0, "voltage of the capacitor at the begin", "V", ge=0.0, le=1e5)
+    v_0: float = param(0.0, "voltage of the capacitor at t = 0", "V", ge=0.0, le=1e5)
     load_times: tuple[float, ...] = param(
         (0.0,),
         "times at which the load current changes; it acts from the next period on",
@@ -44,7 +44,7 @@ class DcdcPlantParams(BlockParams):
         live=True,
     )
     load_currents: tuple[float, ...] = param(
-        (0.0,), "load current beside the resistance from each of these times on", "A", each=(-1e6, 1e6), live=True
+        (0.0,), "load current besides that of R, from each of these times on", "A", each=(-1e6, 1e6), live=True
     )
 
     @model_validator(mode="after")

@@ -20,11 +20,11 @@ NO_FORCE = (0.0, 0.0, 0.0)
 class ArmPlantParams(ArmParams):
     """The robot, where it begins, and the steps of the integration."""
 
-    substeps: int = param(2, "Runge-Kutta steps a period", ge=1, le=100)
+    substeps: int = param(2, "Runge-Kutta steps per period", ge=1, le=100)
     position: PerJoint = param((0.0,), "q(0)", "rad")
     velocity: PerJoint = param((0.0,), "velocity at t = 0", "rad/s")
     torque_limit: PerJoint = param((1e6,), "largest torque of each drive", "N m")
-    speed_limit: float = param(100.0, "joint speed beyond which the run is broken off", "rad/s", gt=0.0, live=True)
+    speed_limit: float = param(100.0, "joint speed above which the run ends", "rad/s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _values(self) -> Self:

@@ -26,7 +26,7 @@ class Links(Params):
     alpha: tuple[float, ...] = param((pi / 2.0, 0.0, 0.0), "link twists alpha_i", "rad", each=(-7.0, 7.0))
     alpha_0: float = param(
         0.0,
-        "twist in front of joint 1; pi/2: its axis lies, an arm of parallel joints stands upright",
+        "twist in front of joint 1; with pi/2 an arm with parallel joints moves in a vertical plane",
         "rad",
         ge=-7.0,
         le=7.0,

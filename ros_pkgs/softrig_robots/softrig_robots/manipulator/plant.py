@@ -26,14 +26,14 @@ JOINTS = ("joint1", "joint2", "joint3")
 class VoltageStep(Params):
     """A step of the disturbance voltage d, a drop in front of the armature."""
 
-    amplitude: PerJoint = param((2.0,), "size; one number for all joints or one a joint", "V", live=True)
-    time: float = param(6.0, "when it begins", "s", ge=0.0, live=True)
+    amplitude: PerJoint = param((2.0,), "voltage; one number for all joints, or one per joint", "V", live=True)
+    time: float = param(6.0, "time at which it begins", "s", ge=0.0, live=True)
 
 
 class ManipulatorParams(DrivenRobotParams):
     """Published arm and experiment; `urdf` and `joints` bring another arm."""
 
-    joints: tuple[str, ...] = param(JOINTS, "joint names, from the base on", min_length=1)
+    joints: tuple[str, ...] = param(JOINTS, "joint names, beginning at the base", min_length=1)
     urdf: str = param("", "file or package:// URI of another arm, with a frame `tool`; empty: built from `links`")
     links: Links = Links()
     position: PerJoint = param((0.0,), "q(0)", "rad")

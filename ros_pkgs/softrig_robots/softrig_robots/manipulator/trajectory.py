@@ -18,9 +18,9 @@ class TrajectoryParams(BlockParams):
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)
-    linear: tuple[str, ...] = param((), "those that move along a line (prismatic): in m in place of rad")
-    amplitude: PerJoint = param((1.0,), "half the swing A", "rad", live=True)
-    cycle: float = param(14.0, "duration of one swing T_cycle", "s", gt=0.0, live=True)
+    linear: tuple[str, ...] = param((), "prismatic joints, which move in m instead of rad")
+    amplitude: PerJoint = param((1.0,), "amplitude A: half the range of the motion", "rad", live=True)
+    cycle: float = param(14.0, "duration T_cycle of one motion there and back", "s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

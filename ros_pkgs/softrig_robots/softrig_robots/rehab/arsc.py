@@ -18,7 +18,7 @@ class ArscGains(JointGains):
 
     k1: PerJoint = param((4.0,), "rate of the sliding variable", "1/s", live=True)
     k2: PerJoint = param((5.0,), "gain of the sliding variable", "V s/rad", live=True)
-    h: PerJoint = param((0.2,), "size of the robust term", "V", live=True)
+    h: PerJoint = param((0.2,), "amplitude of the robust term", "V", live=True)
     gamma1: PerJoint = param((0.4,), "adaptation gain of the inertia term", live=True)
     gamma2: PerJoint = param((20.0,), "adaptation gain of the damping term", live=True)
     gamma3: PerJoint = param((2.0,), "adaptation gain of the friction term", live=True)

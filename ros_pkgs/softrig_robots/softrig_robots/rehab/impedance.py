@@ -40,7 +40,7 @@ class ImpedanceParams(BlockParams):
     damping: PerJoint = param((20.0,), "desired damping B_d", "N m s/rad", live=True)
     stiffness: PerJoint = param((100.0,), "desired stiffness K_d", "N m/rad", live=True)
     length: tuple[float, float] = param((0.5, 0.45), "lengths l_i of thigh and shank", "m")
-    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0, live=True)
+    force_limit: float = param(200.0, "a larger force at the foot is limited to this", "N", gt=0.0, live=True)
     stale_after: int = param(
         20, "periods without a new force or reference after which it counts as lost", ge=1, le=1000000, live=True
     )

@@ -19,9 +19,9 @@ class PatientParams(BlockParams):
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     force_x: float = param(20.0, "largest force, forward", "N", live=True)
     force_z: float = param(0.0, "largest force, up", "N", live=True)
-    begin: float = param(5.0, "begin of the push in each cycle", "s", ge=0.0, live=True)
+    begin: float = param(5.0, "time in each cycle at which the push begins", "s", ge=0.0, live=True)
     duration: float = param(2.0, "duration T_push of a push", "s", gt=0.0, live=True)
-    cycle: float = param(10.0, "time from push to push", "s", gt=0.0, live=True)
+    cycle: float = param(10.0, "time between the begins of two pushes", "s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

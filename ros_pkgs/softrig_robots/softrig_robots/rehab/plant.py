@@ -26,16 +26,16 @@ class JointFriction(Params):
     coulomb: PerJoint = param((0.8,), "Coulomb friction F_c", "N m")
     static: PerJoint = param((0.9,), "static friction F_s", "N m")
     viscous: PerJoint = param((1.2,), "viscous friction sigma", "N m s/rad")
-    stribeck_speed: float = param(0.1, "speed v_s at which static friction has gone", "rad/s", gt=0.0)
+    stribeck_speed: float = param(0.1, "Stribeck speed v_s, at which static friction fades", "rad/s", gt=0.0)
     edge_speed: float = param(0.01, "speed v_0 that smooths the change of sign", "rad/s", gt=0.0)
 
 
 class TorqueWindow(Params):
     """A constant disturbance torque d for some time."""
 
-    torque: PerJoint = param((2.0,), "size", "N m", live=True)
-    begin: float = param(35.0, "first instant", "s", ge=0.0, live=True)
-    end: float = param(45.0, "first instant without it", "s", ge=0.0, live=True)
+    torque: PerJoint = param((2.0,), "torque on each joint", "N m", live=True)
+    begin: float = param(35.0, "time at which it begins", "s", ge=0.0, live=True)
+    end: float = param(45.0, "time at which it ends", "s", ge=0.0, live=True)
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -51,7 +51,7 @@ class Drift(Params):
 
     resistance: float = param(0.0, "relative change of R at the end", "", gt=-1.0)
     constants: float = param(0.0, "relative change of K_m and K_b at the end", "", gt=-1.0)
-    duration: float = param(60.0, "time of the change; constant afterwards", "s", gt=0.0)
+    duration: float = param(60.0, "duration of the change; the values stay constant afterwards", "s", gt=0.0)
 
 
 class RehabParams(DrivenRobotParams):
@@ -77,9 +77,9 @@ class RehabParams(DrivenRobotParams):
         radians(5.0), "a joint further outside its range stops the robot", "rad", ge=0.0, live=True
     )
     rom_speed: float = param(radians(60.0), "a joint faster than this stops the robot", "rad/s", gt=0.0, live=True)
-    startup: float = param(3.0, "the speed is not watched for so long after the first voltage", "s", ge=0.0)
-    start_outside: bool = param(False, "allow q(0) outside the range of motion; a joint is watched once it is inside")
-    force_limit: float = param(200.0, "a larger force at the foot is cut down to this", "N", gt=0.0, live=True)
+    startup: float = param(3.0, "time after the first voltage without a check of the speed", "s", ge=0.0)
+    start_outside: bool = param(False, "allow q(0) outside the range of motion; a joint is checked once it is inside")
+    force_limit: float = param(200.0, "a larger force at the foot is limited to this", "N", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

@@ -21,8 +21,8 @@ class PromReferenceParams(BlockParams):
     upper: PerJoint = param(UPPER, "upper ends of the range of motion", "rad", live=True)
     speed: PerJoint = param((radians(30.0),), "largest speed; fixes the width a = range/(4 speed)", "rad/s", live=True)
     cycle: float = param(30.0, "duration of one repetition T_prd", "s", gt=0.0, live=True)
-    eta1: float = param(8.0, "centre of the way up", "s", gt=0.0, live=True)
-    eta2: float = param(22.0, "centre of the way down", "s", gt=0.0, live=True)
+    eta1: float = param(8.0, "time at the centre of the upward motion", "s", gt=0.0, live=True)
+    eta2: float = param(22.0, "time at the centre of the downward motion", "s", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:

@@ -25,7 +25,7 @@ class TsarcGains(JointGains):
     )
     gamma_a: PerJoint = param((20.0,), "adaptation gain of the constant coefficient", "V/(rad s)", live=True)
     gamma_b: PerJoint = param((5.0,), "adaptation gain of the slope", "V/(rad s^3)", live=True)
-    rho: PerJoint = param((0.5,), "size of the robust term", "V", live=True)
+    rho: PerJoint = param((0.5,), "amplitude of the robust term", "V", live=True)
     phi: PerJoint = param((0.02,), "width of the robust term", "rad", live=True)
     window: PerJoint = param((1.0,), "duration T_w of one series", "s")
 
