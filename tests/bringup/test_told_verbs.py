@@ -206,9 +206,9 @@ def shape(value):
 
 def test_the_file_of_a_viewer_is_as_told():
     """Of a rig with a robot and of one that draws markers; of one with neither."""
-    plain = SimpleNamespace(scene=lambda params: None, markers=Block.markers)
-    robot = SimpleNamespace(scene=lambda params: "a robot", markers=Block.markers)
-    drawn = SimpleNamespace(scene=lambda params: None, markers="its own")
+    plain = type("Plain", (), {"markers": Block.markers})
+    robot = type("Robot", (), {"scene": staticmethod(lambda params: "a robot"), "markers": Block.markers})
+    drawn = type("Drawn", (), {"markers": "its own"})
     told = []
     for classes, namespace in (((plain, robot, drawn), "/a"), ((robot,), ""), ((plain,), "")):
         members = [SimpleNamespace(name=f"node_{k}", block_class=c, params=None) for k, c in enumerate(classes)]
@@ -1333,11 +1333,12 @@ def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
             3,
             ["lag: nothing is judged: it has no expectations", "lag: broke: gone"],
         ),
+        ([good], 2, ["lag: nothing is judged: it has no expectations"]),
     ):
         outcomes[:] = found
         assert main(["check", "lag", "--workers", "2"]) == status
         assert capsys.readouterr().out.splitlines() == said
-    assert asked == [([check.Judged("lag", "lag", "")], "check", 2)] * 3
+    assert asked == [([check.Judged("lag", "lag", "")], "check", 2)] * 4
     assert main(["check", "lag", "--json", "nowhere/x.json"]) == 2
     assert "nowhere/x.json: there is no folder" in capsys.readouterr().err
 

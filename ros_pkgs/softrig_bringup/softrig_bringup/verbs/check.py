@@ -66,6 +66,10 @@ def main(options: argparse.Namespace) -> int:
         of = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
         say(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
         return 3 if "broke" in kinds else 2
+    # a status of 0 would pass a job in which nothing was compared
+    if not any(suite.cases for suite in suites):
+        say("nothing is judged; expected at least one entry of expect, requirements or claims, or --against FILE")
+        return 2
     return 1 if any(suite.failures for suite in suites) else 0
 
 
