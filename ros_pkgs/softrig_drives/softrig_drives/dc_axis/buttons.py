@@ -29,7 +29,7 @@ class State(NamedTuple):
 
 
 class StepButtons(Block[StepButtonsParams]):
-    """Gives the state of both buttons at every tick: 1 while pressed."""
+    """Publishes the state of both buttons at every tick: 1 while pressed."""
 
     OUTPUTS = (FORWARD, REVERSE)
 

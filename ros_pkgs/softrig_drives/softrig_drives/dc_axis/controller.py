@@ -38,13 +38,13 @@ class FsfbControllerParams(MotorParams):
     integral: bool = param(True, "integrator on; off: u = r - kv v - kp y")
     compensation: Literal["none", "velocity", "predictor"] = param("predictor", "treatment of the feedback delay")
     delay_from: Literal["stamps", "fixed"] = param("stamps", "delay of a sample: its age, or the parameter delay")
-    delay: float = param(0.08, "feedback delay where it is not taken from the stamps", "s", ge=0.0)
-    max_age: float = param(0.5, "age from which feedback is refused", "s", gt=0.0)
+    delay: float = param(0.08, "feedback delay, used if delay_from is fixed", "s", ge=0.0)
+    max_age: float = param(0.5, "age from which feedback is rejected", "s", gt=0.0)
     count_mm: float = param(
         0.0, "encoder count: half of it is added to a reading that is rounded down; 0: as read", "mm", ge=0.0, live=True
     )
     aw: bool = param(False, "anti-windup: no integration further into saturation", live=True)
-    step_mm: float = param(10.0, "what a press of a button adds to the set point", "mm", gt=0.0, live=True)
+    step_mm: float = param(10.0, "change of the set point per press of a button", "mm", gt=0.0, live=True)
 
     @model_validator(mode="after")
     def _works(self) -> Self:

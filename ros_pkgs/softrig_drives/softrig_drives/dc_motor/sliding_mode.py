@@ -28,9 +28,9 @@ class SurfaceParams(MotorConstants, SpeedControlParams):
     k_per_ref: float = param(9.71170883, "switching gain per reference K/|r|", "1/s^2", gt=0.0, live=True)
     delta: float = param(0.0, "softening of K s/(|s| + delta); 0 is K sgn(s)", "rad/s^2", ge=0.0, live=True)
     model: Literal["printed", "motor"] = param(
-        "printed", "the law's model: the coefficients as printed, or computed from R, L, J, b, Kt and Ke", live=True
+        "printed", "controller's model: the coefficients as printed, or computed from R, L, J, b, Kt and Ke", live=True
     )
-    model_gain: float = param(13.89, "gain of the law's model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0, live=True)
+    model_gain: float = param(13.89, "gain of the model w'' = gain u - a1 w' - a0 w, eq. (16)", gt=0.0, live=True)
     model_a1: float = param(5.648, "coefficient a1 of that model", "1/s", live=True)
     model_a0: float = param(1.509, "coefficient a0 of that model", "1/s^2", live=True)
     publish_surface: bool = param(False, "also publish s on motor/surface")

@@ -15,7 +15,7 @@ class SpeedControlParams(BlockParams):
 
     set_point: float = param(10.0, "speed reference until one arrives on motor/reference", "rad/s", live=True)
     reference_limit: float = param(
-        21.8, "largest speed whose current the rig's sensor can tell", "rad/s", gt=0.0, live=True
+        21.8, "largest speed whose current the rig's sensor can measure", "rad/s", gt=0.0, live=True
     )
 
     @model_validator(mode="after")

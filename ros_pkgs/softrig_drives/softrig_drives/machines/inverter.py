@@ -30,7 +30,7 @@ class InverterParams(BlockParams):
     v_diode: float = param(0.0, "voltage across a diode that conducts", "V", ge=0.0, le=100.0, live=True)
     r_on: float = param(0.0, "resistance of switch and diode", "ohm", ge=0.0, le=100.0, live=True)
     trip_current: float = param(
-        100.0, "phase current at which the inverter trips: zero voltage for good", "A", gt=0.0, le=1e6, live=True
+        100.0, "phase current at which the inverter trips: zero voltage from then on", "A", gt=0.0, le=1e6, live=True
     )
     trip_voltage: float = param(1000.0, "DC voltage at which it trips", "V", gt=0.0, le=1e6, live=True)
 

@@ -32,7 +32,7 @@ class MachineParams(Mechanics, InverterParams):
 
     substeps: int = param(2, "Runge-Kutta steps in one period, at least", ge=1, le=1000)
     w_0: float = param(0.0, "speed at the begin", "rad/s", ge=-1e6, le=1e6)
-    theta_0: float = param(0.0, "angle at the begin", "rad", ge=-1e6, le=1e6)
+    theta_0: float = param(0.0, "initial angle", "rad", ge=-1e6, le=1e6)
 
     def check_resolved(self, *rates: tuple[float, str]) -> None:
         """Ensure that the steps of the integration resolve rates, 1/s, each with the parameters that make it."""

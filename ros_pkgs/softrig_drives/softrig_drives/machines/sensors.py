@@ -34,7 +34,7 @@ class ShaftSensorParams(BlockParams):
         math.pi / 6.0, "Hall: electrical angle at which sensor a rises", "rad", ge=-math.pi, le=math.pi
     )
     bandwidth: float = param(
-        600.0, "bandwidth of the loop that follows the angle and gives the speed", "rad/s", gt=0.0, live=True
+        600.0, "bandwidth of the loop that tracks the angle and estimates the speed", "rad/s", gt=0.0, live=True
     )
 
     @model_validator(mode="after")
@@ -58,7 +58,7 @@ class ShaftState(NamedTuple):
 
 
 class ShaftSensor(Block[ShaftSensorParams]):
-    """Angle and speed as an encoder, a resolver or Hall sensors give them.
+    """Angle and speed as measured by an encoder, a resolver or Hall sensors.
 
     ::
 
@@ -153,7 +153,7 @@ class CurrentState(NamedTuple):
 
 
 class CurrentSensor(Block[CurrentSensorParams]):
-    """Phase currents as they are converted: y = lsb round((gain i + offset + noise)/lsb), within the range.
+    """Phase currents as the sensor converts them: y = lsb round((gain i + offset + noise)/lsb), within the range.
 
     The plant gives currents at a peak of the carrier, so that is when they are sampled.
     """

@@ -20,8 +20,8 @@ class CurrentControlParams(BlockParams):
         1256.6370614, "bandwidth alpha_c of the current loop: a step is followed as 1 - exp(-alpha_c t)", "rad/s",
         gt=0.0, live=True,
     )  # fmt: skip
-    modulation: Modulation = param("space_vector", "how voltages become duty ratios", live=True)
-    delay: int = param(1, "periods until duty ratios act, for which the angle is corrected", ge=0, le=1)
+    modulation: Modulation = param("space_vector", "how voltages are converted to duty ratios", live=True)
+    delay: int = param(1, "periods until duty ratios act; the angle is corrected for it", ge=0, le=1)
 
 
 class Integrals(NamedTuple):

@@ -28,10 +28,10 @@ class FocControllerParams(SpeedControlParams, CurrentControlParams):
     mode: Literal["speed", "torque", "current"] = param(
         "speed", "follow a speed, a torque, or currents i_d and i_q (topics speed_ref, torque_ref, current_ref)"
     )
-    R_s: float = param(3.6, "stator resistance R_s of the law", "ohm", gt=0.0, live=True)
-    L_d: float = param(0.036, "inductance L_d of the law", "H", gt=0.0, live=True)
-    L_q: float = param(0.051, "inductance L_q of the law", "H", gt=0.0, live=True)
-    psi_f: float = param(0.545, "flux linkage psi_f of the law", "Wb", ge=0.0, live=True)
+    R_s: float = param(3.6, "stator resistance R_s in the controller", "ohm", gt=0.0, live=True)
+    L_d: float = param(0.036, "inductance L_d in the controller", "H", gt=0.0, live=True)
+    L_q: float = param(0.051, "inductance L_q in the controller", "H", gt=0.0, live=True)
+    psi_f: float = param(0.545, "flux linkage psi_f in the controller", "Wb", ge=0.0, live=True)
     pole_pairs: int = param(3, "pole pairs p", ge=1, le=1000)
     i_max: float = param(9.0, "largest current (peak)", "A", gt=0.0, live=True)
     voltage_use: float = param(
@@ -57,7 +57,7 @@ class State(NamedTuple):
 
 
 class FocController(Block[FocControllerParams]):
-    """Currents of least size for the torque, controlled in rotor coordinates.
+    """Least currents for the torque, controlled in rotor coordinates.
 
     The torque comes from the speed control or from outside; `current_references.currents` turns it into currents with
     the flux psi_max = voltage_use u_max/|p omega|, `current_control.CurrentControl` these into a voltage. The motional

@@ -25,10 +25,10 @@ class ImFocParams(SpeedControlParams, CurrentControlParams):
     """The machine as the law knows it, flux, limits, and references."""
 
     mode: Literal["speed", "torque"] = param("speed", "follow a speed or a torque (topics speed_ref, torque_ref)")
-    R_s: float = param(3.7, "stator resistance of the law", "ohm", gt=0.0, live=True)
-    R_R: float = param(2.1, "rotor resistance of the law (inverse-Gamma)", "ohm", gt=0.0, live=True)
-    L_sigma: float = param(0.021, "leakage inductance of the law", "H", gt=0.0, live=True)
-    L_M: float = param(0.224, "magnetising inductance of the law", "H", gt=0.0, live=True)
+    R_s: float = param(3.7, "stator resistance in the controller", "ohm", gt=0.0, live=True)
+    R_R: float = param(2.1, "rotor resistance in the controller (inverse-Gamma)", "ohm", gt=0.0, live=True)
+    L_sigma: float = param(0.021, "leakage inductance in the controller", "H", gt=0.0, live=True)
+    L_M: float = param(0.224, "magnetising inductance in the controller", "H", gt=0.0, live=True)
     pole_pairs: int = param(2, "pole pairs p", ge=1, le=1000)
     flux: float = param(0.9, "rotor flux linkage", "Wb", gt=0.0, live=True)
     flux_bandwidth: float = param(50.0, "bandwidth of the flux control", "rad/s", gt=0.0, live=True)
@@ -133,7 +133,7 @@ class VhzParams(CurrentControlParams):
     flux: float = param(1.04, "stator flux linkage: rated peak voltage over rated frequency", "Wb", gt=0.0, live=True)
     boost: float = param(15.0, "voltage at zero frequency, for the resistance", "V", ge=0.0, live=True)
     slew: float = param(150.0, "slew rate of the speed", "rad/s^2", gt=0.0, live=True)
-    modulation: Modulation = param("space_vector", "how voltages become duty ratios", live=True)
+    modulation: Modulation = param("space_vector", "how voltages are converted to duty ratios", live=True)
 
 
 class VhzState(NamedTuple):
@@ -144,7 +144,7 @@ class VhzState(NamedTuple):
 
 
 class VhzController(Block[VhzParams]):
-    """Open-loop control: the voltage is flux times frequency, and a little more at rest; only the DC link is measured.
+    """Open-loop control: the voltage is flux times frequency plus a boost; only the DC link is measured.
 
     ::
 

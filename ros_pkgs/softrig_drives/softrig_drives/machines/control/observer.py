@@ -25,8 +25,8 @@ class FluxObserverParams(BlockParams):
     psi_f: float = param(0.545, "flux linkage psi_f of the observer", "Wb", ge=0.0, live=True)
     pole_pairs: int = param(3, "pole pairs p", ge=1, le=1000)
     gain: float = param(40.0, "gain g of the correction by the current model", "rad/s", gt=0.0, live=True)
-    bandwidth: float = param(250.0, "bandwidth alpha_o of the loop that follows the angle", "rad/s", gt=0.0, live=True)
-    theta_0: float = param(0.0, "angle at the begin", "rad", ge=-1e6, le=1e6)
+    bandwidth: float = param(250.0, "bandwidth alpha_o of the loop that tracks the angle", "rad/s", gt=0.0, live=True)
+    theta_0: float = param(0.0, "initial angle", "rad", ge=-1e6, le=1e6)
 
 
 class State(NamedTuple):
