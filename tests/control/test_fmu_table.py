@@ -138,7 +138,7 @@ def test_what_is_no_part_of_the_standard_is_refused(tmp_path, given, old, new, w
 def test_what_has_no_effect_is_noted(tmp_path):
     assert fmu(tmp_path, TWO).notes == ()
     (note,) = fmu(tmp_path, TWO.replace('startTime="0"', 'startTime="3"')).notes
-    assert note == "m.fmu: DefaultExperiment@startTime is ignored: a rig begins at 0 s, and so does the time of the FMU"
+    assert note == "m.fmu: DefaultExperiment@startTime is ignored: a rig and its FMU begin at 0 s"
     text = THREE.replace('name="T"', 'name="T" clocks="8"')
     assert [n for n in fmu(tmp_path, text).notes if "clocks is ignored" in n]
 

@@ -119,7 +119,7 @@ ROW = "a,1,2,3,4,5,6,7"
     [
         (f"{HEAD},ramp_up_MW\n{ROW},1\n", "line 2: ramp_up_MW needs p_now_MW, from which it counts"),
         (f"{HEAD},ramp_up_MWh\n{ROW},1\n", "ramp_up_MWh is no part of a table of units (did you mean 'ramp_up_MW'?)"),
-        (f"{HEAD},prohibited zones\n{ROW},1\n", "prohibited zones is refused: no method here knows them"),
+        (f"{HEAD},prohibited zones\n{ROW},1\n", "prohibited zones is refused: no method of dispatch supports them"),
         (f"{HEAD},zone_1_MW\n{ROW},1\n", "zone_1_MW is no part of a table of units; remove it"),
         (f"{HEAD},unit\n{ROW},a\n", "column unit occurs twice"),
         (f"{HEAD},\n{ROW},8\n", "a column has no name"),

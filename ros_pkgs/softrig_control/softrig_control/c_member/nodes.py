@@ -244,7 +244,7 @@ class _C(Block[CParams]):
     def _hint(self) -> str:
         return (
             f"{self._file} keeps state outside of {self._node}: {self._hidden}; it runs in a process of its own, "
-            f"tick by tick, and goes back by being told all again; make it members of the struct {self._node}"
+            f"tick by tick, and a rewind replays all its inputs; make it members of the struct {self._node}"
         )
 
     def _made(self, numbers: Sequence[float]) -> Any:

@@ -15,15 +15,15 @@ KINDS3 = (
 )
 KIND = "KIND"  # stands for each of them in the table
 _PEOPLE: Entry = ("used", "for people only")
-_TOOLS: Entry = ("used", "for tools that ask an FMU for more than steps with inputs held; no number depends on it")
+_TOOLS: Entry = ("used", "only for tools that do more than steps with held inputs; no result depends on it")
 _USED: Entry = ("used", "")
 
 #: Of a variable or a declared type; a variable without it has that of its declared type.
 _QUANTITY: dict[str, Entry] = {
     "quantity": _PEOPLE,
-    "unit": ("used", "converted to that of the port"),
+    "unit": ("used", "converted to the unit of the port"),
     "displayUnit": _PEOPLE,
-    "relativeQuantity": ("used", "of a difference the offset of a unit (degC) does not count"),
+    "relativeQuantity": ("used", "the value is a difference: the offset of its unit (degC) does not count"),
     "min": ("used", "bound of `values`"),
     "max": ("used", "bound of `values`"),
     "nominal": _TOOLS,
@@ -57,17 +57,17 @@ recommendedIntermediateInputSmoothness mightReturnEarlyFromDoStep canReturnEarly
 providesIntermediateUpdate"""
 _INTERFACE: dict[str, Entry] = {
     "modelIdentifier": _USED,
-    "canGetAndSetFMUstate": ("used", "with the next one: the node can go back"),
+    "canGetAndSetFMUstate": ("used", "together with the next attribute: the node can return to an earlier state"),
     "canSerializeFMUstate": _USED,
-    "canGetAndSetFMUState": ("used", "with the next one: the node can go back"),
+    "canGetAndSetFMUState": ("used", "together with the next attribute: the node can return to an earlier state"),
     "canSerializeFMUState": _USED,
 } | dict.fromkeys(_CAN.split(), _TOOLS)
 _ABOUT = """modelName description author version copyright license generationTool generationDateAndTime
 variableNamingConvention"""
 _EXPERIMENT: dict[str, Entry] = {
-    "startTime": ("ignored", "a rig begins at 0 s, and so does the time of the FMU"),
+    "startTime": ("ignored", "a rig and its FMU begin at 0 s"),
     "stopTime": _PEOPLE,
-    "tolerance": ("used", "of the FMU's own solver"),
+    "tolerance": ("used", "tolerance of the FMU's own solver"),
     "stepSize": _PEOPLE,
 }
 
@@ -82,7 +82,7 @@ def _root() -> dict[str, Entry]:
     for kind in ("CoSimulation", "ModelExchange", "ScheduledExecution"):
         table |= _below(kind, _INTERFACE) | {f"{kind}/SourceFiles/**": _TOOLS, f"{kind}/Annotations/**": _PEOPLE}
     table |= _below("DefaultExperiment", _EXPERIMENT)
-    table |= {"ModelStructure/**": ("used", "of model_exchange: states and derivatives"), "LogCategories/**": _TOOLS}
+    table |= {"ModelStructure/**": ("used", "states and derivatives for model exchange"), "LogCategories/**": _TOOLS}
     return table | {"VendorAnnotations/**": _PEOPLE, "Annotations/**": _PEOPLE}
 
 
