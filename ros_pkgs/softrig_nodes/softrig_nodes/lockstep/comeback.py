@@ -30,7 +30,7 @@ from ..seam.numbering import Numbering
 from .paired import Counted, Pace, Paired, Ticks
 
 Drive = Any  # `lockstep.Lockstep`, which imports this
-SAID = 2  # ticks: a reader may be so many behind
+SAID = 2  # newest messages of each topic that are repeated
 
 
 class Spoken:
@@ -50,7 +50,8 @@ class Spoken:
         self.silent = False
         self._kept: list[tuple[Callable[..., None], deque[tuple[Any, ...]]]] = []
         for output in [*node.outputs, *([node.clock_output] if node.links.owns_clock else [])]:
-            if isinstance(output.send, Numbering):  # a message has its number for good
+            # A repeated message must carry the number that it had, so it is kept with that number.
+            if isinstance(output.send, Numbering):
                 output.send.publish = self._keeping(output.send.publish)
             else:
                 output.send = self._keeping(output.send)
@@ -93,10 +94,13 @@ class _Heard:
         first = self.next
         while self.next < len(self.times) and self.times[self.next] <= t:
             self.next += 1
+        # Only the newest message counts, unless each leaves something behind: channels of a partial port, or an entry
+        # in the record of what came from outside.
         for k in range(first if row.port.partial or self._outside else max(first, self.next - 1), self.next):
             try:
                 stamp, found = row.read(self.data[k])
             except Refused as error:
+                # It was rejected before the node died as well, and the answer of that tick depended on it.
                 node.account.refuse(row, str(error))
                 node.step.bad = True
                 continue
@@ -157,6 +161,7 @@ class Comeback:
         spoken = drive.spoken
         assert spoken is not None
         returning = _Returning(step, self.lacks)
+        # These ticks have been published before, so the node repeats only the newest once it has caught up.
         spoken.silent = True
         for t in ticks:
             if t is None:
@@ -166,7 +171,8 @@ class Comeback:
 
     def lacks(self, t: int) -> bool:
         """Let the inputs hold what had arrived up to tick t; return whether the tick lacks something."""
-        if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:  # the runner sees that it lives
+        # No timer fires during this loop, so the status by which the runner sees the node alive is written here.
+        if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:
             self._told = time.monotonic()
             self._node.account.write_status()
         for heard in (*self._paired.values(), *self._free):
@@ -176,6 +182,8 @@ class Comeback:
             return True
         solving = self._drive.solving
         block = self._node.block
+        # The executor does not spin yet, so the timer that asks for a solver's answer does not fire: it is waited for
+        # here.
         while solving is not None and isinstance(block, Solver) and not solving.finished(t):
             block.worker.wait(0.1)
         return False
@@ -193,14 +201,17 @@ class Comeback:
         for row in (*drive.senders.rows, *drive.senders.unpaced):
             heard = self._paired.get(row)
             used = self._heard_of(row)
+            # A silent tick leaves no message, so only the status file of the publisher shows that it was answered.
             reached = self._answered(row) if row.silent or isinstance(row, Ticks) else used
             row.resume(used, reached)
             row.heard = row.who in self.gone
-            row.have = row in drive.senders.unpaced  # for which nobody waits
+            # No tick waits for an unpaced row, so it counts as complete.
+            row.have = row in drive.senders.unpaced
             if heard is not None and isinstance(row, Counted):
                 row.count(heard.next, [t for t in heard.times[heard.next :] if t <= reached] if row.silent else [])
             if row.port.partial:
                 row.decode.kept = node.values[row.name]
+        # Recalled messages are compared with the wanted stamps, so these are set first.
         drive.await_tick(node.t)
         for row, heard in self._paired.items():
             for k, data in () if isinstance(row, Pace) else heard.rest():

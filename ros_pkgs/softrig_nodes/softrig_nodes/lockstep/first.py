@@ -30,6 +30,7 @@ def _keep(output: Output, may_repeat: Callable[[], bool]) -> None:
     kept: list[tuple[int, tuple[float, ...]]] = []
 
     def first(mark: int, values: tuple[float, ...]) -> None:
+        # Only the first message is kept; later ticks shall not pay for this function.
         output.send = send
         kept.append((mark, values))
         send(mark, values)

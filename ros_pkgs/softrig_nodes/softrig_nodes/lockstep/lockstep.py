@@ -32,8 +32,8 @@ from .first import repeat_first
 from .paired import PairedSenders
 from .stalls import Stalls
 
-FEW = 2  # nodes that have no more to do in a tick than a loop of two
-SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin says what it lacks
+FEW = 2  # followers that a loop of two can have and still be placed by itself
+SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin logs what it lacks
 
 
 class Lockstep(Link):
@@ -58,13 +58,16 @@ class Lockstep(Link):
         self._awaited = 0  # tick whose wants are set
         self._last = math.inf if node.schedule.last is None else node.schedule.last
         record = node.record
-        self._keeps = node.step.plain and (record.shard is not None or record.sink is None)  # many answers in one go
+        # A shard stores many rows of numbers in one call. Any other sink gets message after message, and an answer with
+        # silences or with stamps of its own is no such row.
+        self._keeps = node.step.plain and (record.shard is not None or record.sink is None)
+        # The length bounds the memory of a long run; its percentiles are then those of the newest ticks.
         self._durations: deque[int] = deque(maxlen=100_000)
         self._sent = self._first = self._longest = 0
         self.solving: Solving | None = None
         self._comeback: Comeback | None = None
         self._stood = -1  # ticks at the last look at its progress
-        self._shake: Callable[[], Handshake]  # asks who is there, as it was asked when it joined
+        self._shake: Callable[[], Handshake]  # describes the peers again when some have left
         super().__init__(node.step)
         self.tell_native: Callable[[], object] | None = None
         node.begin(self)
@@ -98,7 +101,10 @@ class Lockstep(Link):
         if links.hears_clock:
             node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", lambda data: None, lambda count: None)
         if links.guests:
+            # A subscriber recognises a repeated message by the stamp of its tick, so arrays and delayed ports are not
+            # repeated.
             stamped = [o for o in node.outputs if o.port.stamped and not o.port.delayed]
+            # A plant counts a tick when it moves on, any other node when it has answered.
             first = 0 if node.is_plant else 1
             repeat_first([*stamped, node.clock_output], lambda: node.state == "running" and node.ticks == first)
         senders.follow_ticks({*local, node.middleware.name}, self.last_came)
@@ -110,10 +116,11 @@ class Lockstep(Link):
         if links.acknowledges:
             wanted.append((node.tick_output, links.tick_readers))
         awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
-        # a node by itself hears itself, one in a container does not
+        # A node in a process of its own receives what it publishes itself; one in a container does not.
         here = {*local, node.middleware.name} if local else set()
         solvers = [name for name in links.solvers if name not in here]
-        busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)  # an outside node may be one, too
+        # An outside node may be a solver, too, so the topic is subscribed to even if the rig names none.
+        busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
             self.solving = Solving(node.middleware, node.step, self._turn)
@@ -129,7 +136,8 @@ class Lockstep(Link):
         self.handshake, self._shake = shake(), shake
         self._stalls.handshake = self.handshake
         self._begin = begin
-        if self.solving is None:  # whose timers belong to the executor's thread
+        # A solver node resumes by a timer of the executor's thread, so it also takes its messages there.
+        if self.solving is None:
             node.middleware.be_prompt(self._place())
         self._starter = node.middleware.timer(CHECK, self._start)
 
@@ -165,7 +173,8 @@ class Lockstep(Link):
         """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
         node = self.node
         if node.links.returns:
-            return  # one of them has died, and the other is the same node
+            # A second publisher is expected when a killed node is started again: DDS still lists the old process.
+            return
         if item.publishers > 1 and node.state != "done" and (item.local or item in self.senders.rows):
             self._stalls.rivals = item
             node.state = "failed"  # from here on no message counts; `progress` ends the run when the names are known
@@ -187,6 +196,8 @@ class Lockstep(Link):
             if self._comeback is not None and self.spoken is not None:
                 self.spoken.again()
             self._begin()
+            # A node that comes back may have answered its last tick from the files of the run, before its peers were
+            # matched.
             if self._over:
                 self._leave()
 
@@ -207,6 +218,7 @@ class Lockstep(Link):
         if senders.rows and t != self._awaited:
             self.await_tick(t)
         if senders.missing or self.solving is None:
+            # The hold is asked last, because the question uses up a single step that a person has granted.
             return senders.missing > 0 or self.node.hold.holds(t)
         return not self.solving.finished(t)
 
@@ -228,6 +240,7 @@ class Lockstep(Link):
             else:
                 self._first = now
             self._sent = now
+            # No plant is moved beyond the end, so `over` is not called for its last tick.
             if t >= self._last:
                 self._leave()
 
@@ -238,9 +251,11 @@ class Lockstep(Link):
             return
         node = self.node
         node.keep(times, numbers)
+        # `over` is not called for native ticks, so they are counted here.
         node.ticks += len(times)
         if node.is_plant and self._sent:
             now = time.perf_counter_ns()
+            # A native tick has no time of its own, so each counts with the mean of its batch.
             share = (now - self._sent) // len(times)
             self._durations.extend([share] * min(len(times), self._durations.maxlen or 0))
             self._longest = max(self._longest, share)
@@ -309,10 +324,14 @@ class Lockstep(Link):
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came; say again what may have been lost with one."""
         if self.spoken is not None:
+            # A rig that answered a tick since the last look has lost nothing, so messages are only repeated while it
+            # stands.
             stands, self._stood = self._stood == self.node.ticks, self.node.ticks
             if stands and self.ready:
                 self.spoken.again()
             if stands and self._comeback is not None and self._comeback.look():
-                self._stalls.handshake = self.handshake = self._shake()  # without those who have left
+                # Nodes that have left can no longer be matched, so the handshake is made again without them.
+                self._stalls.handshake = self.handshake = self._shake()
         self.last_came()
+        # The wait for last messages of external nodes ends by time, when no message may arrive that would check it.
         self._stalls.look()

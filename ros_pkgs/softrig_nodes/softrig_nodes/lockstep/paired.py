@@ -18,8 +18,9 @@ from ..seam.numbering import numbered, split
 from ..seam.tick import TICK, TickReader, needed
 
 KEEP = object()  # a sporadic sender was silent at a tick
-BAD = object()  # what was said at a tick was refused
+BAD = object()  # a message of a tick was rejected
 _FOREVER = 1 << 62
+# This bounds the memory that a publisher takes which runs far ahead of us.
 AHEAD = 100_000  # messages that a sender may be ahead
 
 
@@ -55,15 +56,18 @@ class PairedSenders:
         """Create the row of an input: paired with the ticks of its sender, or the newest value that comes."""
         node, name = self.node, port.name
         link = node.links.inputs.get(name)
+        # Nothing tells whether such a publisher will publish at a tick, so no tick can wait for it.
         by_itself = link is None and (port.held or port.sporadic) and name not in node.options.paired
         row: Sender
         if by_itself or name in node.links.free:
             row = Newest(node, port)
         else:
-            # stamps that are acquisition times, and messages without one, are paired by counting
+            # A stamp that is an acquisition time, or none at all, does not name a tick: such messages are counted.
             late = port.delayed if link is None else link.delayed
             kind = Counted if late or not port.stamped else Paired
             if link is None:
+                # A node started by hand knows no schedules of others, so its publishers are taken to have its own
+                # period.
                 row = kind(self, port, "another node", Schedule(node.schedule.period))
             else:
                 row = kind(self, port, link.node, node.peer(link), silent=link.port if link.sporadic else "")
@@ -101,6 +105,7 @@ class PairedSenders:
                 self._listen(Behind(self, port, who, node.peer(link)), awaited=True)
                 continue
             ticks = Ticks(self, port, who, node.peer(link), awaited and not links.owns_clock, silent.get(who, ()), then)
+            # Rows that no tick waits for are not counted in `missing`, so their arrival must not lower it.
             ticks.have = ticks.have or not awaited
             self._listen(ticks, awaited)
 
@@ -111,6 +116,7 @@ class PairedSenders:
 
     def await_tick(self, t: int) -> None:
         """Set what tick `t` needs."""
+        # Each row sets here what it wants, so all are asked: `any` would skip some.
         self.missing = sum([row.lacks(t) for row in self.rows])
 
 
@@ -174,6 +180,7 @@ class Paired(Sender):
         self.silent = silent
         self.used = self.reached = schedule.before(0)
         self.want = self.used if earlier else 0
+        # Before t = 0 there is no earlier tick to wait for.
         self.have = earlier
         self.excused = -1
         self.said: dict[int, Any] = {}
@@ -190,8 +197,10 @@ class Paired(Sender):
         if t < self._holds:
             return False  # a slower sender: its last message still holds
         want = t if t <= self._alike else self.wanted(t)
+        # An unchanged want has been met: at the end time the message of the last tick is still held. At t = 0 the want
+        # equals the initial one although nothing has arrived.
         if want == self.want and (t or self.earlier):
-            return False  # at the end time: what came at the last tick is held
+            return False
         self.want = want
         self.have = (want <= self.used or want <= self.reached or bool(self.said)) and self._complete()
         if self.have:
@@ -210,6 +219,7 @@ class Paired(Sender):
     def resume(self, used: int, reached: int) -> None:
         """Continue after the sender's tick in use and the tick up to which its silences are known; -1: none."""
         self.used, self.reached = max(self.used, used), max(self.reached, reached)
+        # A want that no tick has makes the next `lacks` look at everything again.
         self.want, self._holds, self.have = -_FOREVER, 0, False
 
     def learn(self, reached: int) -> None:
@@ -231,6 +241,7 @@ class Paired(Sender):
             said = self.said.pop(position)
             if said is not KEEP:
                 found = said
+                # A rejected message leaves the old value, and with it that value's age.
                 self.stamp = position if said is not BAD else self.stamp
         if found is BAD:
             self.node.step.bad = True
@@ -250,7 +261,8 @@ class Paired(Sender):
     def came(self, stamp: int, found: Any, data: bytes, tick: int | None = None) -> None:
         """Accept a message for a tick of its sender: the tick of its stamp, unless given."""
         position = stamp if tick is None else tick
-        if position == self.want and not self.have and not self.said and not self.silent:  # nearly always
+        # Nearly every message is the awaited one, with nothing stored ahead of it: it needs no table.
+        if position == self.want and not self.have and not self.said and not self.silent:
             if self._number is not None:
                 self.record(self.node.t, data)
             self._values[self.name] = self.value(stamp, found) if self._valued else found
@@ -261,9 +273,12 @@ class Paired(Sender):
         elif self._may_come(position):
             self.table.heard += 1
             self._put(position, (self.value(stamp, found), data))
+        # The tick has been answered with the rejected message, so a corrected one is too late.
         elif position == self.excused:
-            return  # a better one is too late
-        elif position == 0 and self.node.links.guests:  # said again for somebody else, or by who stamps nothing
+            return
+        # A stamp of 0 is a first message repeated for a late subscriber, or comes from an outside node that copies no
+        # stamp; if a stall follows, its report names this cause.
+        elif position == 0 and self.node.links.guests:
             self.last_stamp_zero = True
         else:
             got, want = position / SECOND, self.want / SECOND
@@ -310,10 +325,10 @@ class Paired(Sender):
     def _put(self, position: int, found: Any) -> None:
         """Keep what was said at a tick, and use it if that completes what ours needs."""
         if not self.silent and position < self.want:
-            # of a faster sender only the newest may serve, when the run ends before its time
+            # Of a faster publisher only the newest message up to the wanted tick can be used; older ones are dropped.
             self.said = {p: said for p, said in self.said.items() if p > position}
         self.said[position] = found
-        # News of silence and messages overtake each other: only what is told without a gap counts.
+        # Acknowledgements and messages overtake each other, so a tick only counts when all before it are known.
         while self.silent and (following := self.schedule.next(self.reached)) in self.said:
             self.reached = following
             if self.said[following] is KEEP:
@@ -399,14 +414,18 @@ class Counted(Paired):
     def _in_turn(self, number: int) -> bool:
         """Return whether a message is the next one; reject a repeated one; end the run if one is missing."""
         node, expected = self.node, self.received
+        # An outside node need not count; its messages have -1 and are taken by order.
         if number in (-1, expected):
             return True
+        # Messages published while this node was down are missing; it reads them from the files, or they are repeated.
         if number > expected and node.files is not None:
-            pass  # it has come back: those between are in the record of a sender that has, too, or are said again
+            pass
+        # A gap would pair all later messages with wrong ticks, so the run ends.
         elif number > expected:
             lost = f"{number - expected} lost"
             node.fail(f"{self.port.topic}: number {number} from {self.who}, expected {expected} ({lost})")
-        elif not node.links.returns and (number or not node.links.guests):  # else it is said again for somebody else
+        # Repetition is intended in a run with restarts, and of the first message for late outside subscribers.
+        elif not node.links.returns and (number or not node.links.guests):
             self.repeated(number, expected)
         return False
 
@@ -433,6 +452,7 @@ class Behind(Pace):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self.read = TickReader()  # type: ignore[method-assign]
+        # The tick needed of a follower lies some ticks behind ours, so the shortcut for equal periods does not hold.
         self._alike = -1
 
     def wanted(self, t: int) -> int:
@@ -474,6 +494,7 @@ class Ticks(Pace):
 
     def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
         """Notify the rows of its sporadic ports, then continue as after any tick."""
+        # The rows learn of it first, because `came` may run the next tick, which asks them.
         for row in self._silent_rows:
             row.told(stamp, row.silent in found)
         super().came(stamp, found, data)

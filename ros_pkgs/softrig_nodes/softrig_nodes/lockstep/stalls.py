@@ -11,8 +11,8 @@ from ..adapter.handshake import Handshake
 from ..seam.endpoint import COPY, Input
 from .paired import PairedSenders
 
-GONE_AFTER = 0.5  # s without the awaited message after its only sender has vanished
-GOODBYE = 2.0  # s: who vanishes within them has taken leave; the graph keeps the dead for longer (a lease of 3 s)
+GONE_AFTER = 0.5  # s without the awaited message after its only publisher has vanished
+GOODBYE = 2.0  # s: a publisher that vanishes sooner has left in order; a killed one stays for its lease (3 s)
 
 
 STANDS, SAY_AFTER = "stands", 1.5  # key of a report, and s without a tick after which it is made
@@ -73,9 +73,11 @@ class Stalls:
         node = self._node
         if node.links.owns_clock or self._senders.heard:
             return True
-        # a source of an outside plant says t = 0 unasked
+        # A row of an earlier tick is complete before anything has arrived. Neither does an own tick prove that the rig
+        # has begun: a source for an outside plant publishes t = 0 unasked.
         others = [row for row in self._senders.rows if not row.earlier]
-        if not self._senders.rows:  # all that it waits for is in its own process
+        # Everything that this node waits for is in its own process, which has begun.
+        if not self._senders.rows:
             return True
         return any(row.have for row in others) or (node.ticks > 0 and bool(others))
 
@@ -84,6 +86,7 @@ class Stalls:
         node, topic = self._node, item.port.topic
         rivals = self._middleware.publishers(self._middleware.resolve(topic))
         names = sorted({p.full_name for p in rivals})
+        # The graph knows an endpoint before the name of its node, and the error should name both nodes.
         if not any("UNKNOWN" in n for n in names) or waited > node.options.timeout:
             node.fail(f"{len(rivals)} publishers on {topic} ({', '.join(names)}), expected exactly one")
 
@@ -96,11 +99,14 @@ class Stalls:
             node.step.note(Level.WARN, STANDS, f"waits for {what} at t = {node.t / SECOND:.9g} s", anew=True)
         gone = [row for row in lacking if not row.publishers and not node.links.returns]
         limit = node.options.timeout
-        if node.links.returns:  # who starts a node again looks whether the rig goes on
+        # The runner that restarts nodes decides itself whether the rig still makes progress.
+        if node.links.returns:
             limit = math.inf
-        elif node.ticks <= 1:  # somebody in the rig may not have begun: as long as he may take for that
+        # Some node may not have begun yet, and its start may take as long as `start_timeout` allows.
+        elif node.ticks <= 1:
             limit = max(limit, node.options.start_timeout)
         if lacking and (waited > limit or (gone and waited > GONE_AFTER)):
+            # A node started by hand without a duration has no last tick of its own: it ends when its publisher leaves.
             if gone and waited < min(limit, GOODBYE) and not (node.options.links or node.options.duration):
                 names = ", ".join(row.port.topic for row in gone)
                 text = f"{names}: the sender has left at t = {node.t / SECOND:.9g} s, and this node with it"
