@@ -19,12 +19,18 @@ from .read import BagSignals
 
 Array = NDArray[np.float64]
 EXACT = Tolerance()
-CLOCK = "clock"  # the times themselves, no signal
-GRID = 2000  # samples on which a time shift is searched for
-BACK = 0.1  # of the steps from message to message: more that go back are those of several clocks
-REACH = 0.1  # of the common span: the largest shift
-ALONE = 0.1  # of a signal's time: what only one bag has is more than a late start or end of a run in real time
-GAIN = 0.99  # a shift is one when the rms deviation falls below this part of what it is without
+# This topic holds the times themselves and is no signal.
+CLOCK = "clock"
+# The most samples on which a time shift is searched for, so that the search takes the same time for long bags.
+GRID = 2000
+# A larger share of stamps that go back does not come from a few late messages but from several clocks.
+BACK = 0.1
+# The largest shift as a share of the common span; both ends are cut by it, so much more would leave little to compare.
+REACH = 0.1
+# A share of a signal's time. If one bag alone has more than this, it is no late start or end of a run in real time.
+ALONE = 0.1
+# A shift that lowers the rms deviation by less than this is noise and is not reported.
+GAIN = 0.99
 
 
 @dataclass(frozen=True)
@@ -178,6 +184,7 @@ def align(
                 for k, (signals, table) in enumerate(((a, x), (b, y)))
             )
             if not np.array_equal(one[0], two[0]):
+                # Without any time between its messages a signal has no line from which it could be interpolated.
                 if any(len(t) > 1 and not np.ptp(t) for t, _ in (one, two)):
                     unread.append(f"{name}: all its messages have one time")
                     continue
@@ -244,6 +251,7 @@ def _start(signals: BagSignals, axes: Sequence[Array]) -> float:
 def _samples(t: Array, x: Array, absent: NDArray[np.bool_] | None) -> tuple[Array, Array]:
     if absent is not None:
         t, x = t[~absent], x[~absent]
+    # Stamps of several publishers may go back, and interpolation needs times that ascend.
     order = np.argsort(t, kind="stable")
     return t[order], x[order]
 
@@ -257,10 +265,12 @@ def _single(t: Array, x: Array) -> tuple[Array, Array]:
 def _deviation(
     name: str, a: tuple[Array, Array], b: tuple[Array, Array], span: tuple[float, float], limit: Tolerance
 ) -> Deviation:
+    # Times in s are rounded, so a sample at an end of the span counts as inside within 1 ns.
     inside = [(t[k], x[k]) for t, x in (a, b) if (k := (t >= span[0] - 1e-9) & (t <= span[1] + 1e-9)) is not None]
     slow = 0 if inside[0][0].size <= inside[1][0].size else 1
     times = inside[slow][0]
-    if np.array_equal(inside[0][0], inside[1][0]):  # each with its partner, of equal times too
+    if np.array_equal(inside[0][0], inside[1][0]):
+        # With equal times each sample has its partner; interpolation would need one value a time.
         x, y = inside[0][1], inside[1][1]
     else:
         x, y = (np.interp(times, *pair) for pair in (a, b))
@@ -287,6 +297,7 @@ def _shift(a: tuple[Array, Array], b: tuple[Array, Array], span: tuple[float, fl
     reach = REACH * length
     times = np.linspace(span[0] + reach, span[1] - reach, min(GRID, 4 * max(a[0].size, b[0].size)))
     x = np.interp(times, *a)
+    # A constant signal fits at each shift, so none can be found.
     if length <= 0.0 or not np.ptp(x):
         return 0.0, _rms(np.interp(times, *b) - x)
 
@@ -295,7 +306,9 @@ def _shift(a: tuple[Array, Array], b: tuple[Array, Array], span: tuple[float, fl
 
     lags = np.linspace(-reach, reach, 401)
     best, step = 0.0, reach
-    for _ in range(4):  # each round a grid a hundred times finer around the best so far
+    # The deviation may have several minima, so each round is a whole grid, a hundred times finer around the best so
+    # far.
+    for _ in range(4):
         best = min((best + step * lag / reach for lag in lags), key=off)
         step /= 100.0
     before = off(0.0)

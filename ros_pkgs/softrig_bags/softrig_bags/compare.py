@@ -37,6 +37,7 @@ class Tolerance:
     def exceeded(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return where two arrays of equal shape disagree."""
         with np.errstate(invalid="ignore", over="ignore"):
+            # Equal infinities and two NaN agree, though their difference is NaN.
             near = np.abs(b - a) <= np.maximum(self.absolute, self.relative * np.abs(a))
         return ~(near | (a == b) | (np.isnan(a) & np.isnan(b)))
 
@@ -215,6 +216,7 @@ def compare(
                 if number in places[k]:
                     places[k][number].add(k, block.take(np.flatnonzero(block.topic == number)))
         results = [pair.finish() for pair in found]
+    # Two bags without a message on these topics would count as equal, but nothing is no agreement.
     if topics != [] and not any(r.count_a or r.count_b for r in results):
         raise BagError("nothing to compare: neither has a message on the topics that are compared")
     notes = [f"{pair.result.topic}: {pair.pairing.note}" for pair in found if pair.pairing.note]
@@ -228,6 +230,7 @@ def _pairs(name: str, known: Sequence[list[Described]]) -> Iterator[tuple[int | 
     for i in list(numbers[0]):
         same = [j for j in numbers[1] if known[1][j].msgtype == known[0][i].msgtype]
         if same:
+            # A topic of one name may have two types, and equal types are the likelier pair.
             numbers[0].remove(i)
             numbers[1].remove(same[0])
             yield i, same[0]
@@ -239,6 +242,7 @@ def _in_step(streams: list[Iterator[Block]]) -> Iterator[tuple[int, Block]]:
     """Return the blocks of both, each time of the one of which less has been read."""
     read = dict.fromkeys(range(len(streams)), 0)
     while read:
+        # Both bags advance alike, so that few messages wait in memory for their partners.
         k = min(read, key=lambda i: read[i])
         block = next(streams[k], None)
         if block is None:
@@ -275,7 +279,8 @@ class _TopicPair:
         self._counts = [0, 0]
         self._decoders = [_decoder(side, i) for side, i in zip(sides, numbers, strict=True)]
         decoder = next((d for d in self._decoders if d is not None), None)
-        self._decoders = [d or decoder for d in self._decoders]  # a definition of one bag is as good for the other
+        # The types have one name, so the definition of one bag serves for the other where that has none.
+        self._decoders = [d or decoder for d in self._decoders]
         self._stamped = decoder is not None and decoder.stamped
         self.pairing = Pairing(self._stamped, self._compare)
         self._alone = len(self._types) < 2 or self._types[0] != self._types[1]
@@ -297,7 +302,7 @@ class _TopicPair:
             absent, extra = self.pairing.finish()
             result.missing, result.extra = len(absent), len(extra)
             for lacking, x, y in ((extra, "missing", "present"), (absent, "present", "missing")):
-                # of equal stamps a message that is not there comes before a field that differs
+                # At equal stamps a missing message is reported before a field that differs: it may be the cause.
                 if len(lacking) and (result.first is None or np.min(lacking) <= result.first.stamp):
                     result.first = Difference(int(np.min(lacking)), result.topic, "message", x, y)
             return result
@@ -319,6 +324,7 @@ class _TopicPair:
             if bad.any():
                 k = _earliest(bad, stamps)
                 result.note(int(stamps[k]), "bag time", int(a.t[rows_a[k]]), int(b.t[rows_b[k]]))
+        # Most messages of equal runs have equal bytes, so only the others are decoded.
         rows = np.flatnonzero(~equal_rows(a, rows_a, b, rows_b))
         if len(rows):
             bad[rows] |= self._values(a, rows_a[rows], b, rows_b[rows], stamps[rows])
@@ -348,6 +354,7 @@ class _TopicPair:
 
         one, two = groups_of(self._decoders[0], a, rows_a), groups_of(self._decoders[1], b, rows_b)
         visit_pairs(result.msgtype, one, two, visit)
+        # These differ in bytes that no field shows, such as padding or the sign of a zero.
         if self._limits.bitwise and not bad.all():
             k = _earliest(~bad, stamps)
             field_name, x, y = bytes_that_differ(a.data(rows_a[k]), b.data(rows_b[k]), "byte {at}")
@@ -364,7 +371,8 @@ class _TopicPair:
         p, q = x.astype(np.float64), y.astype(np.float64)
         wrong = tolerance.exceeded(p, q)
         if x.dtype.kind in "iu" and tolerance == Tolerance():
-            wrong = x != y  # whole numbers of 64 bits have more digits than a float64
+            # Integers of 64 bits have more digits than a float64, so without a tolerance they are compared as they are.
+            wrong = x != y
         with np.errstate(invalid="ignore"):
             deviation = np.abs(q - p)
         largest = float(np.max(deviation, where=~np.isnan(deviation), initial=0.0))

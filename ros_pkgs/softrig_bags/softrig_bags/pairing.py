@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from .content.block import Block, Bytes, Ints, distinct, joined, rows_of
 from .content.layouts import stamps_of
 
-ROWS = 1 << 13  # that come before partners are looked for
-SPILL = 1 << 26  # bytes of messages without a partner that are kept in memory; more wait in a file
-_SHORTEST = 12  # bytes of a message with a stamp
+# Each search for partners sorts all that wait, so it begins only when so many new messages have come.
+ROWS = 1 << 13
+# Bytes. Bags that differ much leave many messages without a partner; beyond this limit they wait in a file.
+SPILL = 1 << 26
+# Encapsulation and stamp take so many bytes; a shorter message is damaged and is paired by its bag time.
+_SHORTEST = 12
 
 #: Gets a block of each bag, of each the rows that belong together, and their stamps.
 Compare = Callable[[Block, NDArray[np.intp], Block, NDArray[np.intp], Ints], None]
@@ -63,6 +66,7 @@ class Pairing:
         """Add messages of bag 0 or 1."""
         self._waiting[side].append(block.compact())
         self._new += len(block)
+        # The threshold grows with the messages that wait, so that the cost of sorting stays proportional to the bag.
         if self._new >= max(ROWS, self._left // 4) and all(self._waiting):
             self._match()
 
@@ -74,6 +78,7 @@ class Pairing:
 
     def _match(self) -> None:
         one, two = (_gathered(blocks) for blocks in self._waiting)
+        # The decision stands for the whole topic: pairs by two different keys would not fit together.
         if not self._decided and self._stamped:
             self._decide(one, two)
         self._decided = True
@@ -116,6 +121,7 @@ def matched(a: Ints, b: Ints, size_a: Ints, size_b: Ints) -> tuple[NDArray[np.in
     Where both have as many messages of a key they are taken by length first, for publishers of one topic that stamp
     alike may come in another order.
     """
+    # Recordings of equal runs need no sorting, and this is the usual case.
     if len(a) == len(b) and (a == b).all() and (len(a) < 2 or (np.diff(a) > 0).all()):
         rows = np.arange(len(a))
         return rows, rows
@@ -160,6 +166,7 @@ def equal_rows(a: Block, rows_a: NDArray[np.intp], b: Block, rows_b: NDArray[np.
     for length in distinct(size[same]):
         chosen = np.flatnonzero(same & (size == length))
         one, two = rows_of(a.raw, a.at[rows_a[chosen]], length), rows_of(b.raw, b.at[rows_b[chosen]], length)
+        # Words of eight bytes are compared at a time, which is faster than single bytes.
         words = length // 8 * 8
         good = (one[:, words:] == two[:, words:]).all(axis=1)
         if words:

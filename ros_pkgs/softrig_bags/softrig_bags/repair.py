@@ -25,7 +25,8 @@ from .files.remains import METADATA, Remains, remains
 from .files.sqlite_recover import Declared, SqliteRecovery, journals
 from .write import write_bag
 
-_UNFINISHED = re.compile(r"^\.(.+)\.\d+\.part$")  # as `write_bag` calls a bag that it has not finished
+# `write_bag` uses this name for a bag that it has not finished; the repaired bag gets the final one.
+_UNFINISHED = re.compile(r"^\.(.+)\.\d+\.part$")
 
 
 @dataclass
@@ -122,10 +123,12 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
             raise BagError(f"{other} exists already; move it away first")
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.name}.part")
+    # A repair that was killed may have left its folder here.
     shutil.rmtree(temporary, ignore_errors=True)
     try:
         reports, saved = _rewrite(found, temporary, target.name)
-        if not _is_sound(temporary):  # definitions or names that no reader takes
+        # Definitions or names in it may be damaged too; such a bag must not replace the files it was made of.
+        if not _is_sound(temporary):
             raise BagError(f"{place}: what is left of it makes no readable bag")
         if original is not None:
             place.rename(original)
@@ -156,7 +159,8 @@ def _is_sound(path: Path) -> bool:
 def _rewrite(found: Remains, directory: Path, name: str) -> tuple[list[FileReport], Counter[tuple[str, str]]]:
     """Write what is whole; return a report of each file and the number of messages by topic and type."""
     writer: BagWriter | None = None
-    numbers: dict[tuple[str, ...], int] = {}  # a topic may come back with another type or encoding
+    # The key holds type and encoding too, because a topic may return with another one.
+    numbers: dict[tuple[str, ...], int] = {}
     reports = []
     saved: Counter[tuple[str, str]] = Counter()
     for i, source in enumerate(found.files):
@@ -172,6 +176,7 @@ def _rewrite(found: Remains, directory: Path, name: str) -> tuple[list[FileRepor
                     name=name,
                     custom_data=report.custom_data,
                 )
+            # The new bag is split where the old one was, at the first message that each file still has.
             if i and not report.kept:
                 writer.next_file()
             key = topic.name, topic.msgtype, topic.wire
@@ -181,6 +186,7 @@ def _rewrite(found: Remains, directory: Path, name: str) -> tuple[list[FileRepor
             report.kept += 1
             saved[topic.name, topic.msgtype] += 1
         if writer is not None:
+            # Topics without a saved message are declared too, so that the list of topics is complete.
             for topic in report.topics:
                 key = topic.name, topic.msgtype, topic.wire
                 if key not in numbers:
@@ -205,7 +211,8 @@ def _recover(source: Path, report: FileReport, scratch: Path) -> Iterator[tuple[
             else:
                 yield topic, t, whole
         report.lost += lost
-        if path != source:  # rosbag2 compresses files that it has closed
+        # rosbag2 compresses a file after it has closed it, so a file that can be expanded whole had its index.
+        if path != source:
             report.indexed = not report.lost
 
 
@@ -220,6 +227,7 @@ def _recover_mcap(path: Path, report: FileReport) -> Iterator[tuple[BagTopic, in
         if isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel):
+            # Channels are repeated in chunks and in the summary; only a new one is another topic.
             if channels.get(record.id) != record:
                 channels[record.id] = record
                 topics[record.id] = _mcap_topic(record, schemas.get(record.schema_id))
@@ -281,6 +289,7 @@ def _repair_shards(shards: list[Path], target: Path) -> Repair:
     topics = {}
     for shard in shards:
         topics.update(shard_topics(shard))
+    # /clock is the first topic of a bag of a run, so that its message comes first among those of equal times.
     order = sorted(topics, key=lambda name: (name != "/clock", name))
     recording = Recording([(name, topics[name]) for name in order])
     reports = []

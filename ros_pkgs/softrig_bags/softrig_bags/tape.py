@@ -98,8 +98,10 @@ class Tape(Block[TapeParams]):
                 break
             try:
                 stamp, values = decode(data)
+            # The reader refused this message in the recorded run too, so it has no effect to repeat.
             except Refused:
                 continue
+            # Channels that a partial message does not name keep these values in the next one.
             decode.kept = values
             yield t - epoch, Sample(stamp - epoch, values) if port.delayed else values
 

@@ -55,6 +55,7 @@ def write_bag(
     directory = Path(directory).absolute()
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise BagError(f"{directory} exists already; a bag is never overwritten")
+    # The process number keeps two runs that write the same bag apart; the first to finish wins.
     temporary = directory.with_name(f".{directory.name}.{os.getpid()}.part")
     try:
         writer = BagWriter(
@@ -102,6 +103,7 @@ def retell(bag: Path, directory: Path, custom_data: Mapping[str, str]) -> None:
             for block in reader.blocks():
                 for i in range(len(block)):
                     writer.write(numbers[int(block.topic[i])], int(block.t[i]), block.data(i))
+            # The copy would claim to be whole, so it is not made of a bag that lacks messages.
             if not reader.is_whole:
                 raise BagError(f"{bag} is not whole; `softrig bag info {bag}` says what is missing")
             writer.close()

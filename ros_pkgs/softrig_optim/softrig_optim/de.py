@@ -57,12 +57,15 @@ class DifferentialEvolution(Population):
         costs = yield points(x)
         for _ in self.iterations():
             for i in range(self.n_pop):
+                # Three are drawn for both variants, though best1 needs two, so that they differ in the base only.
                 a, b, c = rng.choice([k for k in range(self.n_pop) if k != i], 3, replace=False)
                 base = x[a] if self.variant == "rand1" else x[np.argmin(costs)]
                 mutant = base + rng.uniform(self.f_min, self.f_max) * (x[b] - x[c])
                 take = rng.random(n) < self.cr
+                # One variable always comes from the mutant: without it a trial could be a copy and waste an evaluation.
                 take[rng.integers(n)] = True
                 trial = self.clip(np.where(take, mutant, x[i]))
                 (cost,) = yield points(trial[None])
+                # An equal cost replaces too, as in Storn and Price, so that the population can drift over a plateau.
                 if cost <= costs[i]:
                     x[i], costs[i] = trial, cost

@@ -12,8 +12,10 @@ from softrig_core import jit
 
 from .search import Point
 
-SMALL = 1e-6  # V, A: less is none
-ROOM = 256  # for corners to come, in native code
+# In V and A. Ratios and reciprocals are formed of both, so zero and negative readings are raised to this.
+SMALL = 1e-6
+# Native code cannot extend an array, so this is room for corners to come; `_kept_in` raises when it is used up.
+ROOM = 256
 Corner = tuple[float, float, float]  # x / y, by which they are ordered, x, y; x grows and y falls along the row
 
 
@@ -53,6 +55,7 @@ class FallingCurve:
         """
         n = self.n
         v, i = (*self.v, max(sample[0], SMALL))[-n:], (*self.i, max(sample[1], SMALL))[-n:]
+        # With fewer measurements a corner would not contain the noise and would prove a change that is none.
         if len(v) < n:
             return 0.0, FallingCurve(n, v, i)
         least_v, least_i, most_v, most_i = min(v), min(i), max(v), max(i)
@@ -74,6 +77,7 @@ def _rise(corners: tuple[Corner, ...], x: float, y: float) -> float:
     """Return the most by which a corner exceeds (x, y) in both at once: one next to the line from 0 through it."""
     k = bisect(corners, (x / y,))
     most = 0.0
+    # The corners are ordered by x / y, so only the two beside the line through (x, y) can exceed it the most.
     for _, a, b in corners[max(k - 1, 0) : k + 1]:
         most = max(most, min(a / x, b / y))
     return most

@@ -55,6 +55,7 @@ class Genetic(Population):
         x = self.spread()
         costs = np.array((yield points(x)))
         for _ in self.iterations():
+            # A stable sort keeps the order of equal costs, which another sort leaves to the CPU.
             order = np.argsort(costs, kind="stable")[: self.elite]
             children = self._children(x, costs, self.n_pop - self.elite)
             child_costs = yield points(children)

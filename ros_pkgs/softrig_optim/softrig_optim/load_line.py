@@ -58,6 +58,7 @@ class LoadLineSearch(Search):
         self._load = math.nan
         self._final: float | None = None
         self.peak = (0.0, 0.0)
+        # The value is a power, so a caller cannot ask for its minimum.
         options["maximise"] = True
         super().__init__(lower, upper, seed, **options)
 
@@ -74,6 +75,7 @@ class LoadLineSearch(Search):
     def learn(self, d: float) -> tuple[float, float]:
         """Store the measurement made under the command d; return (v, i)."""
         v, i = self.sample[:2]
+        # Without power v / i is no load resistance, so the estimate keeps its last value.
         if v > 0.0 and i > 0.0:
             self._load = self.matching.load(d, v / i)
             self._remember(v, i)
@@ -86,15 +88,18 @@ class LoadLineSearch(Search):
     def command(self, v: float, i: float) -> float:
         """Return the command that brings the source to the load line through (v, i)."""
         low, high = float(self.lower[0]), float(self.upper[0])
-        if math.isnan(self._load):  # no power yet in any steady measurement
+        # No steady measurement has had power yet, so there is no load line; the middle of the range is as good as any.
+        if math.isnan(self._load):
             return 0.5 * (low + high)
         return min(max(self.matching.command(v / i, self._load), low), high)
 
     def correct(self) -> Corrections:
         """Approach the best point."""
         v, i = self.peak
+        # In the dark there is no best point to approach.
         if v * i == 0.0:
             return
+        # Each correction measures the load again nearer to the best point: the estimate so far is from other points.
         for _ in range(self.corrections):
             d = self.command(v, i)
             yield [(d,)]
@@ -138,7 +143,8 @@ class CertifiedSearch(LoadLineSearch):
     ) -> None:
         self.eps, self.n_iter, self.watches = eps, n_iter, transients
         self._points: list[tuple[float, float]] = []
-        self._spanned = False  # both ends of the commands were measured
+        # Before both ends were measured, a bound between the outermost samples covers only a part of the range.
+        self._spanned = False
         super().__init__(lower, upper, seed, matching=matching, corrections=corrections, **options)
 
     @property
@@ -167,6 +173,8 @@ class CertifiedSearch(LoadLineSearch):
 
     def watch(self, sample: Sequence[float]) -> None:
         """Store a point of the characteristic passed on the way."""
+        # The load is not estimated here: in a transient the command does not belong to the measured voltage and
+        # current.
         self._remember(sample[0], sample[1])
         insort(self._points, (sample[0], sample[1]))
 
@@ -183,6 +191,7 @@ class CertifiedSearch(LoadLineSearch):
         while self.iteration < self.n_iter:
             bounds = self._bounds()
             k = max(range(len(bounds)), key=bounds.__getitem__)
+            # No bound above the gap is left, so the proof is complete before the splits are used up.
             if bounds[k] <= (1.0 + self.eps) * self.expected:
                 break
             self.iteration += 1

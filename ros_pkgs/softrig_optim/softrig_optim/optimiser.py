@@ -17,13 +17,20 @@ from .algorithms import Algorithm, AlgorithmParams, make
 from .falling import FallingCurve
 from .search import Point, Search, Told
 
-CONSECUTIVE = 2  # deviations of the held objective in a row that start a new search
-STEADY = 0.1  # share of a change that counts by which a value may move in a hold_time and be the one held
-LOOK_BACK = 2  # how long that takes, in hold_times
-LOOK_AFTER = 25  # how long a result is held at least before it looks back again, in hold_times
-BROKEN = 3  # searches in a row that a change of the plant may break off
-NEVER, LATER = -1, 1 << 62  # times that are none: has not been, will not be
-LONGEST = 2e18  # ns: no search is put off for longer
+# One sample may be a dip of the measurement, so a single deviation of the held objective does not start a search.
+CONSECUTIVE = 2
+# A value that still moves is no reference for changes: in a hold_time it may move by this share of the threshold.
+STEADY = 0.1
+# Duration of a look back in hold_times. It need not settle, as points of a transient lie on the characteristic too.
+LOOK_BACK = 2
+# A pass spends LOOK_BACK hold_times off the best point; this pause, in hold_times, keeps that share below a tenth.
+LOOK_AFTER = 25
+# The number of searches in a row that a change may break off: a plant that never rests would never get a result.
+BROKEN = 3
+# These stand for "has not been" and "will not be", so that times stay integers, as native code needs them.
+NEVER, LATER = -1, 1 << 62
+# The delay doubles with each refuted search; this bound in ns keeps the sum with a time within 64 bits.
+LONGEST = 2e18
 
 
 class Phase:
@@ -214,13 +221,17 @@ class CommandSearch(Block[P], ABC):
         self._period, self._hold, self._settle, self._rescan = (
             to_ns(t) for t in (p.period, p.hold_time, p.settle_time, p.rescan_period)
         )
+        # The window is filled with zeros because the state keeps its shape from tick to tick; `filled` counts the
+        # samples.
         self._nothing = (0.0,) * max(1, round(p.measure_window / p.period))
+        # A slew of 0 means no limit.
         self._step = self.slew() * p.period or math.inf
 
     def first(self) -> State:
         """Begin the first search, or wait for the start."""
         x = self._begin(None, 0)
-        if not self.p.autostart:  # the search begun only answers for the state; the first start makes another
+        # The search is needed for the bounds in the state output only; the first start makes another one.
+        if not self.p.autostart:
             lower = x.search.low
             x = x._replace(phase=Phase.STOPPED, restarts=-1, target=lower, command=lower)
         return self._note(x)
@@ -229,10 +240,12 @@ class CommandSearch(Block[P], ABC):
         """Return whether the search receives values: it is a generator."""
         if x.phase != Phase.SEARCH or x.waiting or x.looking != NEVER or x.since == NEVER:
             return False
+        # A search that watches uses the samples on the way to a candidate, so it receives a value at every tick.
         return x.search.watches or t - x.since >= self._wait(x)
 
     def _wait(self, x: State) -> int:
         """Return how long a candidate is applied."""
+        # A sweep is measured on the fly, one sample a tick; a hold_time at each point would make it a slow scan.
         return self._hold if x.search.settle else self._period
 
     def update(
@@ -263,7 +276,7 @@ class CommandSearch(Block[P], ABC):
 
     def _discard(self, x: State, t: int) -> State:
         """Forget the samples next to a bad one; a candidate is then applied for a whole dwell again."""
-        # what is held is not judged anew: bad samples now and then must not keep off the looks at it and the timer
+        # While a result is held the dwell is not restarted: occasional bad samples must not postpone its checks.
         again = x.phase == Phase.SEARCH and x.since != NEVER
         return x._replace(window=self._nothing, filled=0, since=t if again else x.since)
 
@@ -281,6 +294,7 @@ class CommandSearch(Block[P], ABC):
             )
             x = x._replace(command=command)
             if x.since == NEVER and command == target:
+                # Samples from the way to the target belong to no candidate, so they must not enter its mean.
                 x = x._replace(since=t, window=self._nothing, filled=0)
         return x, {"command": x.command, "state": x.state}
 
@@ -290,8 +304,11 @@ class CommandSearch(Block[P], ABC):
         """Start a new search; `look` at once after it for another change where one has shown."""
         told = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
         search = told.now
+        # An infinite gap means that this search proves nothing, so there is no bound to withdraw.
         void = math.isinf(search.gap)
+        # A search that does not rely on old values follows a changed plant by itself and need not be broken off.
         watched = search.remembers and (self.p.restart_threshold > 0.0 or not void)
+        # A corner spans a quarter of a hold_time: noise and fast transients within it prove no change.
         curve = self.characteristic(max(1, self._hold // (4 * self._period))) if watched else None
         target, phase = search.ask(), Phase.SEARCH
         if x is None:
@@ -303,6 +320,7 @@ class CommandSearch(Block[P], ABC):
     def _gone(self, x: State, t: int) -> State:
         """Measure the candidate again; after a while give up the search."""
         x = self._discard(x, t)
+        # The time counts from the first candidate without a signal; a shorter gap only repeats the measurement.
         dark = t if x.dark == NEVER else x.dark
         if t - dark < self._hold:
             return x._replace(dark=dark)
@@ -320,7 +338,9 @@ class CommandSearch(Block[P], ABC):
         if dark:
             x = x._replace(streak=x.streak + 1)
         else:
-            if 2 * x.streak * self._period >= self._hold:  # not one of a transient: the candidate has not settled
+            # A gap of half a hold_time is no part of a transient, so the candidate has not settled and is applied
+            # again.
+            if 2 * x.streak * self._period >= self._hold:
                 x = self._discard(x, t)
             if x.streak:
                 x = x._replace(streak=0)
@@ -331,12 +351,14 @@ class CommandSearch(Block[P], ABC):
             return self._look_back(x, t, t - x.looking)
         if x.since == NEVER or t - x.since < self._wait(x):
             return x if dark or not x.search.watches else x._replace(search=x.search.watch(sample))
+        # One dark sample at the end may be noise; the mean of the window must be without a signal too.
         if dark and self.no_signal(sample, _mean(x)):
             return self._gone(x, t)
         x = x._replace(dark=NEVER, search=x.search.tell(_mean(x), sample))
         search = x.search.now
         if not search.done:
             x = x._replace(target=search.ask(), since=NEVER)
+        # A best value at the floor or below is no optimum, so it is not held.
         elif self.p.floor is not None and search.expected <= self.p.floor:
             self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
             x = self._begin(x, t)
@@ -359,6 +381,7 @@ class CommandSearch(Block[P], ABC):
         return x._replace(
             phase=Phase.HOLD,
             looking=NEVER,
+            # A search that the timer began is followed by no passes: nothing has shown that this plant changes.
             look=LATER if x.looking == NEVER or x.look == LATER else t + max(t - x.began, LOOK_AFTER * self._hold),
             target=x.search.now.result,
             since=NEVER,
@@ -375,14 +398,16 @@ class CommandSearch(Block[P], ABC):
         change, curve = x.curve.take(sample)
         x = x._replace(curve=curve)
         gap = x.search.gap
+        # A change beyond the gap refutes the proof, so it breaks the search off even where it is below the threshold.
         changed = change > min(self.p.restart_threshold, gap) > 0.0
-        # a pass is too fast for corners near the line from 0
+        # A pass is too fast to leave corners near the line from 0, so the value itself is compared too.
         more = x.looking != NEVER and x.filled and _mean(x) > (1.0 + self.p.restart_threshold) * x.search.expected
         if (change > gap or more) and not x.void:
             x = self._withdraw(x)
         if x.broken or x.reference < math.inf or not (changed or more):
             return x, False
         x = x._replace(broken=True, unconfirmed=x.unconfirmed + 1)
+        # After that many broken searches in a row this one is finished, so that some result is applied at all.
         if x.unconfirmed > BROKEN:
             return x, False
         if changed:
@@ -398,16 +423,19 @@ class CommandSearch(Block[P], ABC):
 
     def _refuted(self, x: State, t: int, value: float) -> tuple[State, bool]:
         """Return whether the value held calls for a new search, now; plan one for later when that has been tried."""
+        # A search that was broken off may be repeated BROKEN times, any other refuted result once.
         free = BROKEN if x.broken else 1
         unconfirmed = x.unconfirmed
         if not x.broken:
             if not self._differs(value, x.search.expected):
                 return x._replace(unconfirmed=0), False
             unconfirmed += 1
+        # Where no result is ever confirmed, the pause doubles so that searches become rare.
         later = min((t - x.began) * 2.0 ** max(unconfirmed - free, 0), LONGEST)
         return x._replace(unconfirmed=unconfirmed, again=t + int(later)), unconfirmed <= free
 
     def _hold_tick(self, x: State, t: int, sample: Point) -> State:
+        # Once a reference is taken, samples matter only for a proof that may still have to be withdrawn.
         watched = x.reference == math.inf or not x.void
         if watched and not self.no_signal(sample, x.window[-1]):
             x, begun = self._breaks_off(x, t, sample)
@@ -416,13 +444,15 @@ class CommandSearch(Block[P], ABC):
         if x.since == NEVER or t - x.since < x.next_sample:
             return x
         held, value = t - x.since, _mean(x)
-        # also after bad samples a whole hold_time apart
+        # The next look counts from this one, so that looks are a whole hold_time apart after bad samples too.
         x, changed = self._changed(x._replace(next_sample=held + self._hold), t, value, held)
+        # Before the value has settled a deviation from the expected one proves nothing.
         judged, expected = x.lost or x.reference < math.inf, x.search.expected
         if judged and not x.void and abs(value - expected) > x.search.gap * abs(expected):
             x = self._withdraw(x)
         if changed or (t >= x.again and not x.lost):
             return self._note(self._begin(x, t, t))
+        # Without a signal a new search would find nothing; it begins when the signal is back.
         if 0 < self._rescan <= t - x.began and not x.lost:
             return self._note(self._begin(x, t))
         if t >= x.look and x.reference < math.inf and not x.lost:
@@ -438,6 +468,7 @@ class CommandSearch(Block[P], ABC):
             return x, True
         if x.reference == math.inf:
             before, x = x.seen, x._replace(seen=value)
+            # The reference must be a value at rest, for every later change is measured against it.
             if held < self._settle or self._differs(value, before, STEADY):
                 return x, False
             return self._refuted(x._replace(reference=value), t, value)
@@ -452,12 +483,14 @@ class CommandSearch(Block[P], ABC):
 
     def _press(self, x: State, t: int, pressed: tuple[bool, ...]) -> State:
         """Act on the buttons that went down: stop before restart before start."""
+        # Buttons act on their edge: they are held, so a level would act again at each tick.
         start, stop, restart = (now and not before for now, before in zip(pressed, x.pressed, strict=True))
         x = x._replace(pressed=pressed)
         if stop:
             x = x._replace(phase=Phase.STOPPED)
             if x.search.now.best is not None:
                 x = x._replace(target=x.search.now.result, since=NEVER)
+        # A person asked for this search, so its result is judged without those that were refuted before.
         elif restart or (start and x.phase == Phase.STOPPED):
             x = self._begin(x._replace(unconfirmed=0), t)
         return self._note(x)
@@ -499,6 +532,7 @@ class OptimiserParams(SearchParams):
     def _search(self) -> Self:
         if len(self.lower) != len(self.channels):
             raise ValueError(f"{len(self.lower)} values of lower for {len(self.channels)} channels")
+        # This builds a search to check its settings now, because an error inside a run would come too late.
         self.search(np.random.default_rng(0))
         return self
 

@@ -50,6 +50,8 @@ class PerturbObserve(Search):
         x, step = self.initial, self.step
         (cost,) = yield [(x,)]
         while True:
+            # A step beyond a bound turns before it is made: clipped to the bound, it could evaluate the same point
+            # again.
             if not low <= x + step <= high:
                 step = -step
             self.iteration += 1

@@ -88,7 +88,8 @@ class Scan(Search):
             if golden:
                 e = (a if x >= m else b) - x
                 d = GOLDEN * e
-            u = x + (d if abs(d) >= tol else tol if d >= 0.0 else -tol)  # up, too, where the step is -0.0
+            # Two evaluations closer than tol cannot be told apart. The comparison with 0.0 sends a step of -0.0 up too.
+            u = x + (d if abs(d) >= tol else tol if d >= 0.0 else -tol)
             (fu,) = yield [(u,)]
             if fu <= fx:
                 a, b = (x, b) if u >= x else (a, x)
@@ -97,5 +98,6 @@ class Scan(Search):
                 a, b = (u, b) if u < x else (a, u)
                 if fu <= fw or w == x:
                     v, fv, w, fw = w, fw, u, fu
+                # The equalities of points are exact on purpose: they are copies of each other, as in Brent's localmin.
                 elif fu <= fv or v in (x, w):
                     v, fv = u, fu

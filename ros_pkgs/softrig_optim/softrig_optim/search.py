@@ -204,9 +204,12 @@ class Search(ABC):
             raise ValueError("the value of a candidate is NaN; measure it again")
         told = Evaluation(self.ask(), value)
         self.history.append(told)
+        # The strict comparison keeps the earliest of equal values, so that the result does not depend on later
+        # repetitions.
         if self.best is None or (value > self.best.value if self.maximise else value < self.best.value):
             self.best = told
         self.sample = tuple(sample)
+        # Algorithms minimise only, so the sign of a maximisation is turned here and nowhere else.
         self._costs.append(-value if self.maximise else value)
         if len(self._costs) == len(self._generation):
             costs, self._costs = self._costs, []
@@ -214,6 +217,7 @@ class Search(ABC):
                 self._generation = self._moves.send(costs)
             except StopIteration:
                 self._done = True
+        # The budget ends a search in the middle of a generation too, for each evaluation costs time at the plant.
         if self.evaluations == self._budget or (self._stop is not None and self._stop(self)):
             self._done = True
 
@@ -251,7 +255,8 @@ class Population(Search):
         if n_iter < 1:
             raise ValueError(f"n_iter is {n_iter}, expected at least 1")
         self.n_pop, self.n_iter = n_pop, n_iter
-        super().__init__(lower, upper, seed, **options)  # last: it starts `moves`
+        # This stands last because it starts `moves`, which reads the settings above.
+        super().__init__(lower, upper, seed, **options)
 
     def iterations(self) -> Iterator[int]:
         """Count from 1 to n_iter."""
@@ -304,6 +309,7 @@ class Told:
     def now(self) -> Search:
         """The search as it stands, to be read only."""
         line = self._line
+        # Another value has told the shared live search more than this one knows, so this one builds its own.
         if len(line.said) != self._n:
             line = self._line = _Line(line.make, line.rng, line.said[: self._n])
         return line.live
@@ -385,13 +391,15 @@ class ToldNow(NamedTuple):
         return _handed[self.number]
 
 
-_handed: WeakValueDictionary[int, Told] = WeakValueDictionary()  # those that native code has, by their numbers
+# Native code holds numbers only, so it names a search by the id under which Python finds it here.
+_handed: WeakValueDictionary[int, Told] = WeakValueDictionary()
 
 
 class _Line:
     """What the values of one search share: the live one, which knows all that was said."""
 
     def __init__(self, make: Any, rng: np.random.Generator, said: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        # The generator is copied because a search draws from it, and a later line must begin from the same numbers.
         self.make, self.rng, self.said = make, copy.deepcopy(rng), list(said)
         self.live: Search = make(copy.deepcopy(rng))
         for method, values in said:
@@ -418,6 +426,7 @@ def run(
         The best.
     """
     while not search.done:
+        # Candidates after the stop rule are evaluated by a parallel mapper, but their values no longer count.
         for value in mapper(objective, search.pending):
             search.tell(value)
             if search.done:

@@ -27,11 +27,16 @@ C = TypeVar("C")
 R = TypeVar("R")
 Chunk = list[tuple[int, C]]  # cases and their numbers
 
-ATTEMPTS = 3  # of a case whose worker died under it
-NEWS = 10.0  # s of wall-clock time between two lines of a few long cases
-AHEAD = 3  # chunks handed to each worker at a time: none idles, and memory stays bounded
-CHUNK = 0.25  # s that the cases which are handed over together take: less than that, and handing over costs as much
-FAR = 5.0  # s: the same for a cluster, where a task costs milliseconds of its scheduler
+# The number of times that a worker may die at one case: a case that kills its worker must not run for ever.
+ATTEMPTS = 3
+# Wall-clock time in s between two progress lines, so that a few long cases show that they still run.
+NEWS = 10.0
+# Chunks submitted for each worker: no worker idles between two of them, and memory stays bounded.
+AHEAD = 3
+# The time in s that the cases of a chunk take together: with much less, passing them on costs as much as they do.
+CHUNK = 0.25
+# The same for a cluster, in s, where each task costs milliseconds of its scheduler.
+FAR = 5.0
 LARGEST = 1000  # cases of a chunk
 
 
@@ -54,14 +59,17 @@ class Workers:
         self._count, self._scheduler = count or cores(), scheduler
         self._pool: ProcessPoolExecutor | None = None
         self._client: Any = None
-        self._mean = math.inf  # s of a case, of the newest chunks
+        self._mean = math.inf
         self._frozen = False
 
     def __enter__(self) -> Workers:
         if self._count > 1 and not self._scheduler and _has_one_thread():
-            gc.freeze()  # a collection in a worker would touch, and so copy, all that they share
+            # A garbage collection in a forked worker would touch, and so copy, all memory that it shares with this
+            # process.
+            gc.freeze()
             self._pool = ProcessPoolExecutor(self._count, get_context("fork"), _end_with_parent)
-            self._pool.submit(_freeze)  # starts them, before a progress bar has a thread
+            # This starts the workers now, before a progress bar has its thread, because a fork copies one thread only.
+            self._pool.submit(_freeze)
             gc.unfreeze()
         return self
 
@@ -72,7 +80,8 @@ class Workers:
             gc.unfreeze()
         if self._pool is not None:
             for process in list((self._pool._processes or {}).values()) if kind is not None else ():
-                process.kill()  # nobody wants what it works on
+                # After an exception no result is read any more, so waiting for a long case would only delay the error.
+                process.kill()
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     def stream(self, function: Callable[[C], R], cases: Iterable[C]) -> Iterator[tuple[int, R]]:
@@ -125,6 +134,7 @@ class Workers:
 
     def _chunks(self, cases: Iterator[tuple[int, C]], room: int, seconds: float, workers: int) -> Iterator[Chunk[C]]:
         """Split cases into so many chunks; a small number is spread over all workers."""
+        # Before the first result the mean is infinite, so that the first chunks have one case each.
         size = max(1, min(LARGEST, int(seconds / max(self._mean, 1e-6))))
         taken = list(islice(cases, room * size))
         size = min(size, -(-len(taken) // workers)) if len(taken) < room * size else size
@@ -135,10 +145,12 @@ class Workers:
         """Return the results of a chunk, with the numbers of its cases."""
         found, seconds = answer
         mean = seconds / len(chunk)
+        # The newest chunk counts half, so that the size follows a sweep whose cases become slower or faster.
         self._mean = mean if self._mean == math.inf else (self._mean + mean) / 2
         return zip((k for k, _ in chunk), found, strict=True)
 
     def _on_cores(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
+        # The number beside a chunk counts how often its worker died.
         waiting: list[tuple[Chunk[C], int]] = []  # and how often their worker died
         open_: dict[Future[tuple[list[R], float]], tuple[Chunk[C], int]] = {}
         while True:
@@ -154,6 +166,7 @@ class Workers:
                     answer = future.result()
                     yield from self._told(open_.pop(future)[0], answer)
             except BrokenProcessPool:
+                # The pool does not name the case that killed its worker, so all open ones are repeated one by one.
                 again = [([one], died + 1) for chunk, died in open_.values() for one in chunk]
                 worst = max((died for _, died in again), default=0)
                 if worst >= ATTEMPTS:
@@ -195,7 +208,8 @@ class Workers:
                 yield from self._told(open_.pop(future.key), future.result())
                 submit(1)
         except (CancelledError, OSError, distributed.comm.CommClosedError) as error:
-            if isinstance(error, OSError) and client.status == "running":  # of the case itself
+            # With a running client the error comes from the case itself, not from the connection.
+            if isinstance(error, OSError) and client.status == "running":
                 raise
             raise RunError(
                 f"--scheduler {self._scheduler}: the scheduler has gone; finished work is kept, and the same command "
@@ -209,7 +223,8 @@ def _each(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], floa
     return [function(case) for case in cases], time.perf_counter() - started
 
 
-_own: list[bool] = []  # of a worker: whether it has a chunk behind it
+# Objects are frozen after the first chunk only, because its imports are what the garbage collection shall skip.
+_own: list[bool] = []
 
 
 def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
@@ -222,7 +237,8 @@ def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R],
 
 def _freeze() -> bool:
     """Exclude imported objects from garbage collection: it takes a tenth of a short case."""
-    gc.collect(1)  # of the newest: a look at all that is imported would take longer than many a study
+    # Only the young generations: a collection of everything that is imported takes longer than many a study.
+    gc.collect(1)
     gc.freeze()
     return True
 
@@ -278,8 +294,10 @@ def _own_imports() -> Iterator[None]:
 
 def _end_with_parent() -> None:
     """End this worker when its parent has gone, whatever killed it: nobody would ever give it another case."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; it ends us
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a fork has the handler of its parent
+    # Ctrl-C reaches the whole process group; the parent handles it and ends its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A fork inherits the handler of its parent, which would not end this process.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -299,12 +317,14 @@ def _connected(scheduler: str) -> Any:
         comm = await connect(scheduler)
         await comm.close()
 
-    # Not a Client at once: one that never came up is closed when it is collected as garbage, which, in the thread that
-    # starts the next one's loop, waits for a lock that this start holds.
+    # No Client is created before the scheduler has answered. A Client that never came up is closed when it is collected
+    # as garbage; in the thread that starts the loop of the next one, this waits for a lock which that start holds.
     try:
-        with ThreadPoolExecutor(1) as thread:  # where a loop runs here already (a notebook), asyncio.run refuses
+        # A thread of its own, because in a notebook a loop runs already and asyncio.run refuses to start another one.
+        with ThreadPoolExecutor(1) as thread:
             thread.submit(lambda: asyncio.run(knock())).result()
-    except (OSError, ValueError, TypeError) as error:  # TypeError: its own, of an address that is a word
+    # distributed itself raises a TypeError for an address that is a plain word.
+    except (OSError, ValueError, TypeError) as error:
         raise ScenarioError(
             f"--scheduler {scheduler}: no Dask scheduler there, expected an address as tcp://127.0.0.1:8786: {error}"
         ) from None
@@ -329,7 +349,8 @@ def _check_peers(client: Any, scheduler: str) -> None:
     how = "start it by `scripts/softrig python -m distributed.cli.dask_{kind}` of the same checkout and packages"
     try:
         client.run_on_scheduler(_made_of)
-    except Exception as error:  # whatever unpickling raises there
+    # Unpickling on the scheduler may raise anything, as it runs other versions of other packages.
+    except Exception as error:
         why = str(error).splitlines()[0][:200]
         raise ScenarioError(
             f"--scheduler {scheduler}: it cannot import softrig ({why}); {how.format(kind='scheduler')}"
@@ -368,7 +389,8 @@ def progress(title: str, total: int) -> Iterator[Callable[[], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    name = TextColumn("{task.description}", markup=False)  # a title is text, whatever it holds
+    # A title may hold square brackets, which rich would read as its markup.
+    name = TextColumn("{task.description}", markup=False)
     with Progress(name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=total)
         yield lambda: bar.advance(task)

@@ -37,6 +37,7 @@ class Whale(Population):
             A, C, l = 2.0 * a * r1 - a, 2.0 * r2, 2.0 * u - 1.0  # noqa: E741
             prey = np.where(np.abs(A) < 1.0, star, whale)
             encircle = prey - A * np.abs(C * prey - x)
+            # numpy's own exp differs from CPU to CPU, the C library's does not.
             grown = np.array([[math.exp(each)] for each in l[:, 0].tolist()])
             spiral = np.abs(star - x) * grown * np.cos(2.0 * np.pi * l) + star
             x = self.clip(np.where(p < 0.5, encircle, spiral))

@@ -32,6 +32,7 @@ class GreyWolf(Population):
         for k in self.iterations():
             costs = yield points(x)
             leader_costs = np.append(leader_costs, costs)
+            # A stable sort prefers the older of two equal leaders, and is the same on every CPU.
             order = np.argsort(leader_costs, kind="stable")[:3]
             leaders, leader_costs = np.vstack([leaders, x])[order], leader_costs[order]
             a = 2.0 - 2.0 * (k - 1) / self.n_iter

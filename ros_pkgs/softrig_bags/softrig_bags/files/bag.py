@@ -119,7 +119,8 @@ class BagWriter:
                     self._reserve.write_bytes(bytes(reserve))
                 self._open_file()
         except OSError:
-            shutil.rmtree(directory, ignore_errors=True)  # it holds nothing
+            # The directory holds no message yet, and left behind it would keep a second attempt from using its name.
+            shutil.rmtree(directory, ignore_errors=True)
             raise
 
     def _open_file(self) -> None:
@@ -130,7 +131,8 @@ class BagWriter:
             for number, topic in enumerate(self.topics, 1):
                 file.add_topic(number, topic)
         except OSError:
-            path.unlink(missing_ok=True)  # it holds nothing, and the bag ends with the file before
+            # This file holds nothing; without it the bag ends properly with the file before.
+            path.unlink(missing_ok=True)
             raise
         self._file = file
         self._files.append(file)
@@ -150,7 +152,8 @@ class BagWriter:
             try:
                 self._split(t)
             except OSError:
-                self._unwritten += 1  # this message: no file has it
+                # No file has this message, so `salvage` must count it as lost.
+                self._unwritten += 1
                 raise
         self._file.write(number, t, data)
 
@@ -173,7 +176,8 @@ class BagWriter:
             due = self._split_ns and t - self._started >= self._split_ns
             if due or (self._split_bytes and self._file.size - self._head >= self._split_bytes):
                 self.next_file()
-        if self._started is None:  # what stands before the first message counts for none
+        # The size of a file counts from its first message, so that headers alone never split a bag.
+        if self._started is None:
             self._started, self._head = t, self._file.size
 
     def next_file(self) -> None:
@@ -193,13 +197,16 @@ class BagWriter:
     def close(self) -> None:
         """Flush, write index and metadata."""
         self._close_file()
+        # The index and the metadata are written already, so the space is no longer needed.
         self._reserve.unlink(missing_ok=True)
+        # A reader must never find half of the metadata, so they are moved into place whole.
         temporary = self.directory / "metadata.yaml.part"
         temporary.write_text(to_yaml({"rosbag2_bagfile_information": self._metadata()}))
         temporary.replace(self.directory / "metadata.yaml")
 
     def _close_file(self) -> None:
-        if not self._open:  # no room for the file after this one
+        # The file is closed already when there was no room to open the one after it.
+        if not self._open:
             return
         self._file.flush()
         self._file.close(to_yaml(self._metadata()))
@@ -213,6 +220,7 @@ class BagWriter:
         int
             Number of messages lost.
         """
+        # This frees the space that index and metadata need on a full disk.
         self._reserve.unlink(missing_ok=True)
         lost = self._file.discard() + self._unwritten
         self.close()

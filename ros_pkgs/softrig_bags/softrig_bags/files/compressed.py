@@ -19,10 +19,11 @@ if sys.version_info >= (3, 14):
 else:
     from backports.zstd import ZstdDecompressor, ZstdError, decompress, get_frame_info
 
-_MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR message begins so
+# The first bytes of a zstd frame. No CDR message begins with them, so compressed messages need no other mark.
+_MAGIC = b"\x28\xb5\x2f\xfd"
 _PIECE = 1 << 20
 _SMALL_PIECE = 1 << 16
-# bytes of a chunk uncompressed: rosbag2's default is 768 KiB, but a message that is larger has a chunk of its own
+# Bytes of a chunk uncompressed: rosbag2's default is 768 KiB, but a larger message has a chunk of its own.
 LIMIT = 1 << 31
 SUFFIXES = (".mcap", ".db3")
 
@@ -80,7 +81,8 @@ class Expanded:
 def _expand(source: BinaryIO, target: BinaryIO) -> bool:
     """Decompress a file of one or several frames, in pieces; return whether it ends with the end of a frame."""
     stream = ZstdDecompressor()
-    with suppress(ZstdError):  # what comes before the damage is not lost
+    # Damage ends the output here, so that everything before it is kept.
+    with suppress(ZstdError):
         while True:
             piece = b""
             if stream.eof:
@@ -121,11 +123,14 @@ def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, b
 
         stream = LZ4FrameDecompressor()
     out = bytearray()
-    with suppress(ZstdError, RuntimeError, EOFError):  # lz4 says RuntimeError
-        for at in range(0, len(data), _SMALL_PIECE):  # in pieces, so that what comes before the damage is not lost
+    # lz4 raises RuntimeError for damaged data.
+    with suppress(ZstdError, RuntimeError, EOFError):
+        # A decompressor returns nothing for a call that fails; small pieces keep what comes before the damage.
+        for at in range(0, len(data), _SMALL_PIECE):
             piece = data[at : at + _SMALL_PIECE]
             while piece and len(out) <= limit:
-                if stream.eof:  # several frames may follow each other
+                # Several frames may follow each other.
+                if stream.eof:
                     stream = type(stream)()
                 out += stream.decompress(piece, max_length=limit + 1 - len(out))
                 piece = stream.unused_data if stream.eof else b""
@@ -157,6 +162,7 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
     Damaged
         The claim is wrong, too large to be believed, or the data cannot be decompressed.
     """
+    # The size in the frame is checked before anything is decompressed: a damaged chunk may claim terabytes.
     told = None
     if compression == "zstd":
         with suppress(ZstdError):

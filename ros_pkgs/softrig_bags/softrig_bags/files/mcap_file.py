@@ -120,6 +120,7 @@ class McapFile:
         index.append(t)
         index.append(self._size)
         self._size += size + 31
+        # The chunk is closed after the message that fills it, so that a message is never split.
         if self._size >= self.CHUNK_BYTES:
             self.flush()
 
@@ -168,6 +169,7 @@ class McapFile:
         record += pack("<Q", len(index)) + _text(self.compression) + pack("<QQ", len(compressed), len(content))
         self._chunk_index.append(_record(CHUNK_INDEX, record))
         written = sum(self.counts.values())
+        # The zero of an empty file is no time of a message.
         self.first, self.last = min(self.first, first) if written else first, max(self.last, last)
         for number, entries in self._index.items():
             self.counts[number] += len(entries) // 2
@@ -180,6 +182,7 @@ class McapFile:
             while view:
                 view = view[self._file.write(view) or 0 :]
         except OSError:
+            # A record cut in half would hide everything behind it from readers, so the file ends where it was whole.
             self._file.seek(self._end)
             self._file.truncate()
             raise
@@ -200,7 +203,8 @@ class McapFile:
     def close(self, metadata: str) -> None:
         """Write the open chunk, the metadata of the bag and the index."""
         self.flush()
-        del self._metadata_index[1:]  # of a close that found no room
+        # An earlier close that found no room has noted its metadata already; only the first record was written.
+        del self._metadata_index[1:]
         data_end = self._metadata_record(metadata) + _record(DATA_END, pack("<I", 0))
         counts = {n: c for n, c in sorted(self.counts.items()) if c}
         statistics = pack(

@@ -26,7 +26,7 @@ def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
     """Return the records in a chunk's content up to the first that is not whole, and the bytes they take."""
     file, good = BytesIO(content), 0
     records: list[McapRecord] = []
-    # there is no footer in a chunk, hence the end of file; the others come of damage that no checksum shows
+    # A chunk has no footer, so its end raises; the other errors come of damage that no checksum covers.
     with suppress(McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError):
         for record in StreamReader(file, skip_magic=True, record_size_limit=len(content)).records:
             records.append(record)
@@ -74,7 +74,8 @@ class Recovery:
                         break
                     yield from records
                 good = file.tell()
-                if code == 0x02:  # the footer
+                # What follows the footer is no record.
+                if code == 0x02:
                     break
         if damaged:
             self.lost.append(f"{damaged} damaged chunks")
@@ -93,7 +94,8 @@ class Recovery:
         self.compression = "zstd" if compression == "zstd" else self.compression
         data = body[start : start + length]
         content, whole = inflate(data, compression, min(size, LIMIT))
-        if len(data) < length:  # cut: no checksum to ask, but what is whole was written whole
+        # The checksum is of the whole content, which is cut; records that are whole were written whole.
+        if len(data) < length:
             return whole_records(content)[0], False
         if not whole or len(content) != size or (checksum and zlib.crc32(content) != checksum):
             return [], False
@@ -107,6 +109,7 @@ def _chunk_head(body: bytes) -> tuple[int, int, str, int, int] | None:
         return None
     _, _, size, checksum, letters = _CHUNK.unpack_from(body)
     start = _CHUNK.size + letters + 8
+    # Names of compressions are short; a longer one comes of damage.
     if letters > 16 or len(body) < start:
         return None
     compression = body[_CHUNK.size : start - 8].decode(errors="replace")

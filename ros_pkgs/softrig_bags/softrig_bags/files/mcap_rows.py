@@ -20,7 +20,8 @@ from .mcap_format import MESSAGE
 _HEAD = [("code", "u1"), ("length", "<u8"), ("number", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 _HEAD_SIZE = np.dtype(_HEAD).itemsize
 _LENGTH = 22  # bytes of a message's record beside its data
-_BATCH = 1 << 20  # messages whose places are computed at a time
+# The places of so many messages are computed at a time, which bounds the memory for long recordings.
+_BATCH = 1 << 20
 
 
 class _Feed:
@@ -81,6 +82,7 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
         done = 0
         while done < len(ranks):
             before = int(ends[done - 1]) if done else 0
+            # The bytes must be those of `McapFile.write`, so a chunk ends with the message that reaches its size.
             full = int(np.searchsorted(ends, before + file.CHUNK_BYTES - file.waiting)) + 1
             part = slice(done, min(full, len(ranks)))
             begins = ends[part] - sizes[part] - _HEAD_SIZE - before
@@ -117,7 +119,8 @@ def _place(
     count, length = data.shape
     kind = np.dtype([*_HEAD, ("data", "u1", (length,))])
     steps = np.diff(places)
-    regular = not len(steps) or bool((steps == steps[0]).all())  # a rig publishes the same topics at each tick
+    # A rig publishes the same topics at each tick, so a topic's records mostly lie at equal distances in the chunk.
+    regular = not len(steps) or bool((steps == steps[0]).all())
     if regular:
         step = int(steps[0]) if len(steps) else kind.itemsize
         rows: Any = np.ndarray((count,), kind, content.data, int(places[0]), (step,))

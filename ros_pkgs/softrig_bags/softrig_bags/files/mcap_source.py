@@ -32,14 +32,17 @@ from .mcap_format import (
 )
 from .source import Damaged, SourceTopic
 
-WINDOW = 1 << 23  # bytes of messages outside of chunks that are read at a time
-LATEST = 2**63 - 1  # ns: times are signed in every ROS API
+# Bytes that are read at a time where messages are outside of chunks, which may be most of a large file.
+WINDOW = 1 << 23
+# MCAP has unsigned times of 64 bits, but they are signed in every ROS API (ns).
+LATEST = 2**63 - 1
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, letters of the compression
 _MESSAGE_HEAD = 31  # bytes of a message record before its data
 _NOTED = (SCHEMA, CHANNEL, STATISTICS, METADATA, ATTACHMENT)
 _LONGEST = 1 << 16  # bytes of an attachment's head that are read
-_PROBE = 64  # records that are looked at one by one before their lengths are expected to repeat
+# Reading records one by one is slow in Python; after so many the pattern of their lengths is tried on all that follow.
+_PROBE = 64
 
 
 class Part(NamedTuple):
@@ -92,8 +95,9 @@ class McapSource:
         self._file = self.path.open("rb", buffering=0)
         try:
             self._walk(os.fstat(self._file.fileno()).st_size)
+            # Channels need not be repeated outside of the chunks that use them, so the chunks are read for them.
             if self._channels_stated is None or len(self.topics) < self._channels_stated:
-                for part in self._parts:  # channels need not be repeated outside of the chunks that use them
+                for part in self._parts:
                     self._load(part)
         except BaseException:
             self.close()
@@ -143,7 +147,8 @@ class McapSource:
                 if length < _CHUNK.size:
                     raise Damaged("a chunk is shorter than its fields")
                 first, last, size, _, _ = _CHUNK.unpack_from(head, _HEAD.size)
-                if size:  # a last time of 0 or before the first is no claim: writers leave the field unset
+                # A last time of 0 or before the first is no claim, because some writers leave the field unset.
+                if size:
                     self._parts.append(Part(at, after, first, last if last and last >= first else LATEST, None))
             elif code == MESSAGE_INDEX and self._parts:
                 part = self._parts[-1]
@@ -202,6 +207,7 @@ class McapSource:
             return _block(view, message_run(record, view, 0, len(record))[0])
         content = _content(record)
         view = np.frombuffer(content, np.uint8)
+        # The index is a hint only: what it does not name is read record by record in the gaps.
         starts, gaps = self._indexed(part, view) if part.hint else (np.empty(0, np.int64), [(0, len(content))])
         found = [starts]
         for at, stop in gaps:

@@ -169,7 +169,8 @@ def custom_data(text: str) -> dict[str, str]:
     """Read what the writer of a bag left in its metadata, YAML that may be damaged."""
     try:
         found = loaded(str(text or ""))
-    except Exception:  # damaged text makes the parser raise whatever it leads to
+    # The text may be damaged, and then the parser may raise anything.
+    except Exception:
         return {}
     found = found.get("custom_data") if isinstance(found, dict) else None
     return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}

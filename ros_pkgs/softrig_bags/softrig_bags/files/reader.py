@@ -31,9 +31,11 @@ from .metadata import Metadata, embedded, profiles, read_metadata
 from .source import Damaged, Source, SourceTopic
 from .sqlite_source import SqliteSource
 
-BATCH = 1 << 22  # bytes of messages that are given at a time, about
+# Bytes of a block, about: blocks bound the memory, and numpy needs many messages at a time to pay off.
+BATCH = 1 << 22
 _SQLITE = b"SQLite format 3\0"
-_OTHERS = {  # first bytes of files that people take for bags
+# People take files that begin so for bags; the message then names what the file is and what to do.
+_OTHERS = {
     b"#ROSBAG V": "a bag of ROS 1; convert it by rosbags-convert of the Python package rosbags",
     b"ULog": "a log of PX4 (ULog), not a bag",
     b"PK\3\4": "a ZIP archive; unpack it first",
@@ -44,7 +46,8 @@ _OTHERS = {  # first bytes of files that people take for bags
     b"version https://git-lfs": "a pointer of Git LFS, not the file itself; fetch it by `git lfs pull`",
 }
 LATEST = 2**63 - 1
-SHOWN = 5  # bags below a folder that is none: named, so that one of them can be chosen
+# So many bags below a folder are named, so that the reader of the message can choose one.
+SHOWN = 5
 
 
 class _Waiting(NamedTuple):
@@ -144,7 +147,8 @@ class BagReader:
                 version=found.version, custom_data=found.custom_data, distribution=found.distribution
             )
         self._map_topics()
-        if self.topics:  # else a file names them where their messages are
+        # Some files declare topics only where their messages are, so there is nothing to check yet.
+        if self.topics:
             self._require_namespace()
 
     def _require_namespace(self) -> None:
@@ -169,7 +173,8 @@ class BagReader:
     def _file(self, name: str) -> Path:
         """Return a file of the bag: older versions name it with its folder, and it may be compressed since."""
         found = [self.path / Path(name).name]
-        if not Path(name).is_absolute():  # of a bag that was moved since: the folder is what counts
+        # An absolute path is that of the folder in which the bag was recorded; it may have been moved since.
+        if not Path(name).is_absolute():
             found.insert(0, self.path / name)
         found += [p.with_name(p.name + ".zstd") for p in found] + [plain(p) for p in found]
         for path in found:
@@ -203,6 +208,7 @@ class BagReader:
             found = SourceTopic(stated.name, stated.msgtype, "", "", stated.digest, stated.offered, "")
             self._add(found)
         for source in self._sources:
+            # Numbers of topics differ from file to file; name and type identify a topic.
             self._numbers.append({number: self._add(topic) for number, topic in source.topics.items()})
 
     def _add(self, found: SourceTopic) -> int:
@@ -253,7 +259,8 @@ class BagReader:
         claimed = max((s.last for s in self._sources), default=0)
         if self._counts is None and self.start <= claimed < LATEST:
             return claimed
-        return self._end if self.counts else 0  # no claim, or a wrong one: all has to be read
+        # There is no claim, or a wrong one, so everything has to be read.
+        return self._end if self.counts else 0
 
     @property
     def counts(self) -> list[int]:
@@ -307,7 +314,8 @@ class BagReader:
         chosen = None if topics is None else np.array(sorted(topics), np.int64)
         last = 0
         whole = start <= (self._start or 0)
-        for block in self._by_time(counted, 0 if whole else start):  # the whole is read whatever the files claim
+        # The whole bag is read from 0 on, because the files may claim a wrong start.
+        for block in self._by_time(counted, 0 if whole else start):
             last = int(block.t[-1])
             rows = block.t >= start
             if chosen is not None:
@@ -332,10 +340,13 @@ class BagReader:
     def _by_time(self, counted: list[Counter[int]], start: int = 0) -> Iterator[Block]:
         """Merge the files, which give their blocks by time, and give what can be given: nothing earlier follows."""
         streams = {i: source.blocks(start) for i, source in enumerate(self._sources)}
+        # No earlier message follows in a file than its bound, so that messages before all bounds are in their final
+        # order.
         bounds = {i: source.first for i, source in enumerate(self._sources)}
         waiting: list[_Waiting] = []
         size = 0
         while streams:
+            # The file that is furthest behind is read next, which keeps few messages waiting.
             i = min(streams, key=lambda k: (bounds[k], k))
             try:
                 place, block, bounds[i] = next(streams[i])
@@ -463,8 +474,9 @@ def _is_same(old: BagTopic, new: BagTopic) -> bool:
         return True
     try:
         one, two = (types_of(t.msgtype, t.definition, t.encoding).get(t.msgtype, (0, 0))[1] for t in (old, new))
+    # A definition that cannot be read is reported when the topic is to be decoded.
     except UnknownType:
-        return True  # said when it is to be decoded
+        return True
     return bool(one == two)
 
 

@@ -12,7 +12,8 @@ from .source import Damaged
 from .sqlite_recover import JOURNALS, journals
 
 METADATA = "metadata.yaml"
-SHARD, DIED = ".shard", ".shard.died"  # the second: of a node that has died, until it has come back
+# The second suffix marks the record of a node that has died, until the node has started again.
+SHARD, DIED = ".shard", ".shard.died"
 
 
 @dataclass
@@ -83,7 +84,8 @@ def _in_folder(path: Path) -> Remains | None:
     patterns = [f"*{suffix}{packed}" for packed in (".zstd", "") for suffix in SUFFIXES]
     found = {plain(p): p for pattern in patterns for p in path.glob(pattern) if p.is_file()}
     shards = {p.name.removesuffix(SHARD): p for p in path.glob(f"*{SHARD}")}
-    for died in path.glob(f"*{DIED}"):  # a node that comes back writes its record from the beginning
+    # A node that starts again writes its record from the beginning, so the longer one of both has more messages.
+    for died in path.glob(f"*{DIED}"):
         name = died.name.removesuffix(DIED)
         if name not in shards or shards[name].stat().st_size < died.stat().st_size:
             shards[name] = died

@@ -41,7 +41,9 @@ class Sqlite3File:
         if path.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
         self._db = sqlite3.connect(path)
-        self._db.execute("PRAGMA synchronous = OFF")  # a crash of the process is safe, only power loss is not
+        # Without this each commit waits for the disk. A crash of the process is still safe; only a loss of power is
+        # not.
+        self._db.execute("PRAGMA synchronous = OFF")
         self._pending: list[tuple[int, int, bytes]] = []
         self._pending_size = 0
         self._types: set[str] = set()

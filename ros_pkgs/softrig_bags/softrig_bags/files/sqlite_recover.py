@@ -11,12 +11,15 @@ from typing import Any, NamedTuple
 
 from .metadata import custom_data
 
-JOURNALS = "-wal", "-journal"  # what SQLite keeps beside a database; it makes a -shm anew from the -wal
-ERRORS = (sqlite3.Error, UnicodeDecodeError)  # the latter when SQLite's own words quote damaged names
+# SQLite keeps these beside a database. It creates the -shm again from the -wal, so that one is not copied.
+JOURNALS = "-wal", "-journal"
+# A UnicodeDecodeError comes when a message of SQLite quotes damaged names.
+ERRORS = (sqlite3.Error, UnicodeDecodeError)
 _ROWS = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
 _LAST_ROW = 1 << 40
 _GAP = 1 << 20
-_SMALLEST_ROW = 8  # bytes in the file
+# Bytes that a row takes at least, which bounds how many rows a file can hold.
+_SMALLEST_ROW = 8
 _TRIES = 3
 
 
@@ -41,7 +44,8 @@ def _state(path: Path) -> list[tuple[str, int, int]]:
     """List name, size and time of change of a database and its journals, of those that hold something."""
     result = []
     for suffix in ("", *JOURNALS):
-        with suppress(FileNotFoundError):  # a recorder that is at work removes them
+        # A recorder that still works may remove a journal between two calls.
+        with suppress(FileNotFoundError):
             state = path.with_name(path.name + suffix).stat()
             result += [(path.name + suffix, state.st_size, state.st_mtime_ns)] if state.st_size else []
     return result
@@ -76,8 +80,10 @@ class SqliteRecovery:
     def __iter__(self) -> Iterator[tuple[int, int, bytes]]:
         """Yield the number of the topic, the time in ns and the bytes of each message, in the order of the rows."""
         size = sum(file.stat().st_size for file in [self._copy, *journals(self._copy)])
-        with closing(sqlite3.connect(self._copy)) as database:  # opening it undoes a commit that was cut off
-            with suppress(*ERRORS):  # older schemas have no such table
+        # Opening undoes a commit that was cut off, which changes the file; hence the copy.
+        with closing(sqlite3.connect(self._copy)) as database:
+            # Older schemas have no such table.
+            with suppress(*ERRORS):
                 for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
                     self.custom_data = custom_data(text) or self.custom_data
             try:
@@ -86,7 +92,8 @@ class SqliteRecovery:
                 for _, number, t, data in _rows(database, size, self.lost):
                     if number in self.topics and isinstance(t, int) and t >= 0 and isinstance(data, bytes):
                         yield number, t, data
-                    else:  # from a damaged page SQLite returns anything
+                    else:
+                        # SQLite returns values of any kind from a damaged page.
                         damaged += 1
                 if damaged:
                     self.lost.append(f"{damaged} damaged rows")
@@ -96,7 +103,7 @@ class SqliteRecovery:
 
 def _topics(database: sqlite3.Connection) -> dict[int, Declared]:
     columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
-    # converters leave NULL where they know nothing
+    # Converters of bags leave NULL where they know nothing.
     offered = "coalesce(offered_qos_profiles, '')" if "offered_qos_profiles" in columns else "''"
     digest = "coalesce(type_description_hash, '')" if "type_description_hash" in columns else "''"
     texts: dict[str, tuple[str, str]] = {}
@@ -118,7 +125,8 @@ def _all_text(values: Sequence[Any]) -> bool:
 
 def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[tuple[int, Any, Any, Any]]:
     """Yield the rows of all messages; behind a damaged page go on with steps that double until there is a row."""
-    last, step, left = 0, 1, size // _SMALLEST_ROW  # pages that claim each other as children give rows without end
+    # Damaged pages that claim each other as children yield rows without end, so the number of rows is bounded.
+    last, step, left = 0, 1, size // _SMALLEST_ROW
     while last < _LAST_ROW and left > 0:
         try:
             for row in database.execute(_ROWS, (last,)):
@@ -127,7 +135,8 @@ def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[
                     break
                 if row[0] > last:
                     yield row
-                    if row[0] < last + _GAP:  # else a damaged number
+                    # A larger jump comes of a damaged number, and going on behind it would skip the rows in between.
+                    if row[0] < last + _GAP:
                         last, step = row[0], 1
             else:
                 return
@@ -160,6 +169,7 @@ def _whole_copy(path: Path, directory: Path) -> Path:
         head = database.read(32)
         if len(head) == 32:
             page_size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-            with suppress(OSError):  # a damaged head may claim more than a file can have
+            # A damaged head may claim more pages than a file can have.
+            with suppress(OSError):
                 database.truncate(max(copy.stat().st_size, pages * (page_size if page_size != 1 else 65536)))
     return copy

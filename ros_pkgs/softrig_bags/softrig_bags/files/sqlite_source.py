@@ -17,7 +17,8 @@ from ..content.block import Block
 from .source import Damaged, SourceTopic
 from .sqlite_recover import journals
 
-ROWS, BYTES = 1 << 14, 1 << 22  # that are read at a time, at most and about
+# Rows that are read at a time at most, and their bytes, about: messages may be of a few bytes or of megabytes.
+ROWS, BYTES = 1 << 14, 1 << 22
 LATEST = 2**63 - 1
 _MESSAGES = "SELECT topic_id, timestamp, data FROM messages WHERE timestamp >= ? ORDER BY timestamp, id"
 
@@ -41,9 +42,11 @@ class SqliteSource:
 
     def __post_init__(self) -> None:
         self._copy: TemporaryDirectory[str] | None = None
-        self._numbers: dict[Any, int] = {}  # of topics: those in the file may be any
+        # Topics are numbered here again, because their numbers in the file may be any.
+        self._numbers: dict[Any, int] = {}
         path = self.path
-        if beside := journals(path):  # of a recorder that was killed; SQLite would write into the folder
+        # A recorder was killed. SQLite would finish its commit in the folder itself, so a copy is opened.
+        if beside := journals(path):
             self._copy = TemporaryDirectory(prefix="softrig-bag-")
             for file in (path, *beside):
                 shutil.copyfile(file, Path(self._copy.name) / file.name)
@@ -86,7 +89,7 @@ class SqliteSource:
                 "FROM message_definitions ORDER BY id"
             ):
                 definitions.setdefault(name, (text, language))
-        # converters leave NULL where they know nothing
+        # Converters of bags leave NULL where they know nothing.
         offered = "coalesce(offered_qos_profiles, '')" if "offered_qos_profiles" in columns else "''"
         digest = "coalesce(type_description_hash, '')" if "type_description_hash" in columns else "''"
         for number, name, msgtype, encoding, profiles, hashed in self._db.execute(

@@ -38,7 +38,7 @@ def to_yaml(content: Any) -> str:
 
 
 _WIDTH = 1 << 16
-# what ruamel.yaml, which decides the bytes of bags, quotes or escapes otherwise: quotes in quotes, all beyond ASCII
+# ruamel.yaml decides the bytes of bags; it quotes or escapes these otherwise: quotes in quotes, all beyond ASCII.
 _OTHERWISE = re.compile(r"[^ ]''|''[^\n]|\\[^n\"\\]|[^\x00-\x7f]")
 
 
