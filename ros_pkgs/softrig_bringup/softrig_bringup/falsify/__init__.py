@@ -1,1 +1,1 @@
-"""The search for the run that violates a requirement."""
+"""The search for a run that violates a requirement."""

@@ -1,1 +1,1 @@
-"""What the verb `new` writes: a controller in place of another, laws in other languages, drives from data sheets."""
+"""The verb `new`: a controller in place of another, controllers in other languages, drives from data sheets."""

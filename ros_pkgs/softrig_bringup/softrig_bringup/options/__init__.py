@@ -1,1 +1,1 @@
-"""What a run was asked to be, and how to ask for it again."""
+"""The options of a run, and the command that repeats it."""

@@ -1,1 +1,1 @@
-"""Pages in parts: HTML, diagrams, citations, words of numbers."""
+"""Parts of pages: HTML, diagrams, citations, numbers as text."""

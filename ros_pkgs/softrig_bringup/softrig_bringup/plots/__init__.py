@@ -1,1 +1,1 @@
-"""Pictures of runs: curves from signals, marks of what is expected, axes that draw both."""
+"""Pictures of runs: curves of signals, marks of expected values, axes for both."""

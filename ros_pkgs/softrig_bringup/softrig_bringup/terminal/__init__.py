@@ -1,1 +1,1 @@
-"""What a terminal shows: lists, bars, completion."""
+"""Output on the terminal: lists, bars, completion."""

@@ -1,1 +1,1 @@
-"""The verbs of the command line that are no world of their own."""
+"""The verbs of the command line that have no room of their own."""

@@ -1,1 +1,1 @@
-"""A page in the browser that shows a rig while it runs, or a run from its bag; knobs, buttons, pause and step."""
+"""A page in the browser that shows a running rig, or a run from its bag; with parameters, buttons, pause and step."""

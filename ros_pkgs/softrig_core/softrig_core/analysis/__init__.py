@@ -1,1 +1,1 @@
-"""A rig as a map: its linear view, its operating points, an agent in the place of a law."""
+"""A rig as a map: its linearisation, its operating points, an agent in place of a controller."""

@@ -1,1 +1,1 @@
-"""Blocks, and what a tick of one is: ports, parameters, schedule, step, loop."""
+"""Blocks and the definition of their tick: ports, parameters, schedule, step, loop."""

@@ -1,1 +1,1 @@
-"""Boards in a rig: frames, wires, and blocks whose ticks a board answers."""
+"""Boards in a rig: frames, wires, and blocks whose ticks run on a board."""

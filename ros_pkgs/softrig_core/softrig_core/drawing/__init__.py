@@ -1,4 +1,4 @@
-"""Plants as drawings: shapes that follow from what a rig publishes, for whoever puts them on a screen.
+"""Plants as drawings: shapes computed from the published signals of a rig, for any display.
 
 No drawing library: `drawing_for` gives a `Drawing`, its `frame` a list of shapes for one row of signal values. A plant
 names its own by `Plant.DRAWN_BY`.

@@ -1,1 +1,1 @@
-"""Blocks as C99: a controller or plant that ran as a node leaves Python with its golden rows."""
+"""Blocks as C99: a controller or plant that ran as a node is exported with its golden rows."""

@@ -1,1 +1,1 @@
-"""How a record is judged: figure functions, formulas, units, expectations, claims; arrays and words, no rig."""
+"""Evaluation of records: figure functions, formulas, units, expectations, claims; arrays and texts, no rig."""

@@ -1,1 +1,1 @@
-"""The model kit: what plants and laws are made of; integrators, histories, linear algebra, compiled steps."""
+"""The model kit for plants and controllers: integrators, histories, linear algebra, compiled steps."""

@@ -1,1 +1,1 @@
-"""Rigs as native code: the blocks' own text, specialised to their parameters, compiled as one function a rig."""
+"""Rigs as native code: the blocks' own code, specialised to their parameters, compiled as one function per rig."""

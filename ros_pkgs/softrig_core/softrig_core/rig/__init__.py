@@ -1,1 +1,1 @@
-"""A rig: the members of a scenario, wired and checked."""
+"""A rig: the nodes of a scenario, wired and checked."""

@@ -1,1 +1,1 @@
-"""Blocks whose work runs in a process of its own."""
+"""Blocks whose work runs in a separate process."""

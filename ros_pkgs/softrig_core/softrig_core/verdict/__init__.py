@@ -1,1 +1,1 @@
-"""A rig judged: its figures, requirements and claims."""
+"""The verdict on a rig: its figures, requirements and claims."""

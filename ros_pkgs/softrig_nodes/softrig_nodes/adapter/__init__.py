@@ -1,1 +1,1 @@
-"""What every node does with its step, in lockstep and in real time."""
+"""The execution of a node's step, in lockstep and in real time."""

@@ -1,4 +1,4 @@
-"""All that softrig uses of rclpy, rcl and launch below their public interfaces; nothing else in the packages does.
+"""All uses of non-public interfaces of rclpy, rcl and launch; no other room uses them.
 
 `uses` lists what is used of Python, with a test and the public way; `arrival` and `tf_message` call C, `leave` ends the
 process.

@@ -1,1 +1,1 @@
-"""What people see of a node and do with it by usual ROS tools."""
+"""What users see of a node, and how they operate it, with the usual ROS tools."""

@@ -1,1 +1,1 @@
-"""Nodes whose ticks end when everything due has been exchanged."""
+"""Nodes in lockstep: a tick ends when all messages that are due have been exchanged."""

@@ -1,1 +1,1 @@
-"""A rig as processes: started, watched, ended."""
+"""A rig as processes: their start, supervision and end."""

@@ -1,1 +1,1 @@
-"""Nodes against the wall clock."""
+"""Nodes in real time: ticks follow the wall clock."""

@@ -1,1 +1,1 @@
-"""ROS 2 behind the seam."""
+"""The implementation of the seam by ROS 2."""

@@ -1,1 +1,1 @@
-"""What a node's logic knows of the middleware: endpoints, ticks, buttons, health; no ROS in it."""
+"""The middleware as the logic of a node sees it: endpoints, ticks, buttons, health; without ROS."""
