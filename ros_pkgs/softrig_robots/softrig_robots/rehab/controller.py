@@ -94,14 +94,15 @@ Answer = tuple[State, Mapping[str, Vector]]
 class VoltageController(Block[VoltageControllerParams]):
     """Joint and motor states and a reference in, motor voltages out.
 
-    Reads the topic ``reference``; remap it to ``regenerated`` behind an impedance law.
+    It subscribes to the topic ``reference``; remap it to ``regenerated`` if there is an impedance node.
 
-    A reference older than `stale_after` periods is lost: 0 V (SAFE) or its last position with speed and acceleration
-    zero, as `reference_lost` says, until it comes again. Joint or motor states as old give 0 V. Messages that are
-    refused are answered by the last voltages, after as many ticks by 0 V: what is refused shows no position to hold.
+    A reference older than `stale_after` periods is lost. The controller then sets 0 V (SAFE) or holds the last position
+    with speed and acceleration zero, depending on `reference_lost`, until a new reference arrives. If joint or motor
+    states are as old, it sets 0 V. If a message is rejected, it repeats the last voltages. After `stale_after` such
+    ticks it sets 0 V, because without valid states it cannot hold a position.
 
-    Gains and limits may change while it runs, the law itself may not; `robot` is what a stability limit is told for,
-    on which the nodes of a rig agree.
+    Gains and limits may change during a run; the control law may not. The stability limit is reported for `robot`,
+    which must equal the plant of the rig.
     """
 
     @classmethod

@@ -74,10 +74,10 @@ Answer = tuple[State, Mapping[str, Vector]]
 class Impedance(Block[ImpedanceParams]):
     """Reference, force and joint states in, regenerated reference out; semi-implicit Euler.
 
-    Starts on the reference. When the force or the reference stops coming, or something of every tick is refused for as
-    long, the regenerated reference stays where it is with speed zero, and goes on from there when they come again.
-    Stiffness, damping and inertia can be changed while it runs: the regenerated reference and its rate go on without a
-    jump. Who publishes stiffness or damping on its topic overrules the parameter.
+    The regenerated reference starts on the reference. If the force or the reference is lost, or if a message of every
+    tick is rejected for as long, the regenerated reference keeps its position with speed zero. It continues from there
+    when valid messages arrive again. Stiffness, damping and inertia can be changed during a run: the regenerated
+    reference and its rate have no jump. A message on the topic of stiffness or damping overrules the parameter.
     """
 
     INPUTS = (

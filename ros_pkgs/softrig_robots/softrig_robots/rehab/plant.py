@@ -123,7 +123,7 @@ class State(NamedTuple):
 
 
 class RehabPlant(DrivenRobot[RehabParams]):
-    """Motor voltages and the patient's force in; joints, motors and the voltages really applied out.
+    """Motor voltages and the patient's force in; joint states, motor states and applied voltages out.
 
     The force acts at the foot with the sign of the left side of (1): positive J^T F_e opposes positive motion.
     A joint outside its range of motion or too fast stops the robot: 0 V until the next start.
