@@ -42,7 +42,8 @@ class Account:
         item.refused += 1
         if item.last_refusal != reason:
             item.last_refusal = reason
-            kind = reason.split()[0]  # not the whole: a wrong stamp is another each time
+            # The rest of the reason has numbers: with them each wrong stamp would be logged.
+            kind = reason.split()[0]
             self._log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
 
     def watch(self) -> None:
@@ -94,11 +95,13 @@ class Account:
         if node.state != "running":
             status |= node.drive.native()
         status |= node.drive.counts()
-        if node.lacking and node.state != "done":  # ROS may have been shut down by then
+        # When the node is done ROS may have been shut down, and the graph cannot be read.
+        if node.lacking and node.state != "done":
             status["published"] = {
                 t: [[p.msgtype, p.full_name] for p in node.middleware.publishers(t)] for t in node.middleware.topics()
             }
-        if node.state != "running":  # what takes longer than a tick
+        # These take longer than a tick, so they wait until no tick is under way.
+        if node.state != "running":
             status |= {"peak_memory_mb": peak_memory()} | node.drive.statistics()
         if node.state == "done":
             self._figures = self._figures or figures(node.step)

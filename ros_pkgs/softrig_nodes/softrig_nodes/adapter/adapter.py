@@ -123,7 +123,7 @@ class Adapter:
         self.waits_for: list[str] = []  # the nodes whose absence or silence ended the run
         self.absent: list[str] = []  # what its start waits for
         self.lacking: list[str] = []  # topics of external nodes that no node publishes yet
-        self.files = self._files()  # of one that comes back
+        self.files = self._files()  # of a node that was started again
         self.on_finished: Callable[[], None] = lambda: None
         self.account = Account(self)
         self.inputs: list[Input] = []  # what is read of other nodes, by the table of the drive
@@ -146,9 +146,11 @@ class Adapter:
             sink,
         )
         self.overheard = OverheardTopics(self, self.record.overheard)
+        # An array carries a number of its own, and some records need each message; any other answer goes out row by
+        # row.
         self._plain = self.step.plain and not any(o.numbered for o in self.outputs) and self.record.by_numbers
-        self.alone = False  # whether nothing of what it says is read in another process, in which case it stays here
-        self._unread = False  # the same of one that says plain numbers: a look at its record is enough
+        self.alone = False  # whether nothing that it publishes has a subscriber in another process
+        self._unread = False  # the same of a node with plain answers, which are then only recorded
         self.buttons = Buttons(self.values, self._record_press)
         self.pauses = self._owns_clock or self._may_stand()  # whether people pause the run here
         self.hold = Hold(options.paused, options.pace, self._owns_clock) if self.pauses else Hold()
@@ -186,6 +188,7 @@ class Adapter:
         """Return whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
         links = self.links
         own = links.owns_clock and links.starter == self.middleware.name and not links.guests
+        # With a given epoch there is no common start, and so no topic on which the others learn that the clock stands.
         return own and self.options.mode == "realtime" and not self.options.epoch
 
     def _files(self) -> Callable[[], Files] | None:
@@ -221,7 +224,7 @@ class Adapter:
 
     def _look_for_readers(self) -> None:
         outputs = *self.outputs, self.clock_output, self.tick_output
-        # a guest gets the first message late, who comes back what was said last
+        # Rigs with outside nodes or restarts repeat messages, so these are made even while no subscriber is matched.
         silent = self.middleware.mute and not (self.links.guests or self.links.returns)
         self.alone = silent and not any(o.readers for o in outputs)
         self._unread = self.alone and self._plain
@@ -239,7 +242,8 @@ class Adapter:
         recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
         """
         stamp, record = self.epoch + t, self.record
-        if self._unread:  # in a container, nearly always
+        # In a container this is nearly always so.
+        if self._unread:
             if record.add_row is not None:
                 record.add_row(stamp, numbers)
             return
@@ -297,6 +301,7 @@ class Adapter:
 
     def fail(self, text: str) -> None:
         """End the run with an error."""
+        # Errors after the first one are its consequences.
         if self.error is None:
             self.error = RunError(text)
         self.finish("failed")
@@ -304,6 +309,7 @@ class Adapter:
     def broke(self, error: RunError) -> None:
         """End the run because the block failed or said what may not leave it: one line, the stack of a mistake."""
         cause = error.__cause__
+        # Arithmetic errors come from values that diverge, where the stack of the block's code explains nothing.
         if cause is not None and not isinstance(cause, ArithmeticError):
             traceback.print_exception(cause)
         self.fail(str(error).removeprefix(f"{self.step.name}: "))

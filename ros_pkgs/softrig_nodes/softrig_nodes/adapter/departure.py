@@ -23,9 +23,9 @@ from .adapter import Adapter
 from .handshake import CHECK, Handshake
 
 READY, START = "softrig/ready", "softrig/start"
-LEAD = SECOND // 2  # from saying when to t = 0
-CLOCKS = SECOND // 2  # from which on two clocks are taken for different
-REPEAT = 5  # checks between two times that a node says it is ready
+LEAD = SECOND // 2  # ns from the first message with the start time to t = 0, in which it has to reach every node
+CLOCKS = SECOND // 2  # ns from which on two clocks are taken for different
+REPEAT = 5  # checks between two messages in which a node reports that it is ready
 
 
 class Departure:
@@ -54,12 +54,12 @@ class Departure:
         self._heard = heard
         self._words: Sequence[str] = ()
         self.handshake = handshake
-        self.absent: list[str] = []  # who is not there yet
+        self.absent: list[str] = []  # what is not there yet
         self.neighbours: list[Departure] = []  # those of the other nodes of this process
         self.is_starter = node.links.starter == node.middleware.name
         self._silent = set(node.links.starts) - {node.middleware.name}
         self._others = len(self._silent - local)  # nodes of other processes
-        self._unheard = self._others  # those that do not hear the starter yet
+        self._unheard = self._others  # those that are not matched with the starter yet
         self._epoch = 0
         self._checks = 0
         self._header, self._read = TickWriter(), TickReader()
@@ -80,6 +80,8 @@ class Departure:
         self._send(data)
         for other in self.neighbours:
             if other.is_starter is not self.is_starter:
+                # Nodes of one process are not connected by the middleware here, and a call from within would run one
+                # node inside another.
                 self._node.middleware.post(lambda other=other: other.hear(data))  # type: ignore[misc]
 
     def _hear_ready(self, data: bytes) -> None:
@@ -89,8 +91,9 @@ class Departure:
             self._node.account.refuse(self._input, str(error))
             return
         self._silent -= names
+        # A node that still reports that it is ready has missed the start time, or was started again.
         if self._epoch:
-            self._say_start()  # it has not heard it yet
+            self._say_start()
 
     def _hear_start(self, data: bytes) -> None:
         try:
@@ -105,6 +108,7 @@ class Departure:
             self._epoch = epoch
             clock = next((int(word) for word in said if word.isdigit()), 0)
             ahead = clock - self._node.middleware.now() if clock else 0
+            # A smaller difference is the time that the message took, and leaves the own clock as it is.
             self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
         self._heard(said)
 
@@ -132,6 +136,7 @@ class Departure:
             if not self.absent:
                 self._timer.cancel()
                 grid = Schedule(self._node.links.grid)
+                # `held` rounds down to the grid; one period more keeps the lead.
                 self._epoch = grid.held(self._node.middleware.now() + LEAD + grid.time(1))
                 self._say_start()
                 self._begin(self._epoch, 0)

@@ -45,6 +45,7 @@ def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
     """
     status = {who: read_status(folder / f"{who}.status") for who in peers}
     gone = frozenset(who for who, said in status.items() if said.get("state") == "done")
+    # A node that has left has answered all its ticks, whatever time its last status has.
     answered = {who: math.inf if who in gone else float(said.get("t", 0)) for who, said in status.items()}
     shards = read_shards(folder / f"{who}.shard" for who in status)
     return Files(shards, read_shards([folder / f"{name}{DIED}"]), answered, gone)

@@ -10,7 +10,7 @@ from ..seam.middleware import Peer, other_types
 from .adapter import Adapter
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
-SETTLED = 25  # checks in a row in which what the graph says has not changed
+SETTLED = 25  # checks in a row (half a second) in which the graph has not changed
 
 
 class Handshake:
@@ -48,7 +48,8 @@ class Handshake:
         self._seen: list[tuple[str, str | int]] = []
         self.lacking: list[str] = []
         self.missing: list[str] = []
-        alone = not node.options.links  # in a domain where others live, as what is launched is
+        # A node without a rig, and a public rig, share their domain with recorders that may ask to be awaited.
+        alone = not node.options.links
         self._recorders = Awaited(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
@@ -58,7 +59,8 @@ class Handshake:
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
             for i, sender in self._awaited
-            if not i.publishers and not i.heard  # who has said all it had to say is gone
+            # A publisher that was heard and is gone has published everything.
+            if not i.publishers and not i.heard
         ]
         found: list[tuple[str, str]] = []
         for peer in self._outside(absent):
@@ -67,12 +69,13 @@ class Handshake:
         for output, known in self._wanted:
             names = known + [name for topic, name in found if topic == output.topic and name not in known]
             names += self._recorders.of(output.topic) if self._recorders else []
+            # A subscriber of another type is never matched, so nothing waits for it.
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
             there = [name for name in there if name not in self._local]
             unmatched = [name for name in names if name not in there]
             self.missing += unmatched
             absent += [f"{name} does not subscribe {output.topic}" for name in unmatched]
-            # The graph knows a reader before the writer is matched with it; only what the writer says counts.
+            # The graph knows a subscriber before the writer is matched with it, so the count of the writer decides.
             if names and output.readers < len(there):
                 unfit = node.middleware.unfit(output.topic, output.port.msgtype)
                 never = [(name, why) for name, why in unfit if name in names]
@@ -81,14 +84,15 @@ class Handshake:
                 if not never and output.readers < len(there) - len(unfit):
                     absent.append(f"{output.topic} has {output.readers} readers of {len(there) - len(unfit)}")
         unread = [] if node.options.links or self._local else [o.topic for o in node.outputs if not o.readers]
-        # A node announces its endpoints one by one, and by hand nobody says who reads what: what is seen counts when
-        # all senders have come and it has not changed for a while. Who is no ROS node has no name: of it only the
-        # matched readers tell.
+        # A node announces its endpoints one by one, and without a rig nothing names the subscribers. So what the graph
+        # shows counts once all publishers are there and it has not changed for a while. A program that is no ROS node
+        # has no name in the graph and is seen only as a matched subscriber.
         seen: list[tuple[str, str | int]] = [*found, *((output.topic, output.readers) for output, _ in self._wanted)]
         self._settled = self._settled + 1 if seen == self._seen and not absent else 0
         self._seen = seen
         if absent or self._settled >= SETTLED or self._knows_all():
-            if len(unread) == len(node.outputs) and not node.is_plant:  # only a plant may do without any reader
+            # Only a plant may run without any subscriber.
+            if len(unread) == len(node.outputs) and not node.is_plant:
                 absent += [f"no node subscribes to {topic}" for topic in unread]
             return absent or node.overheard.absent()
         return [f"no node subscribes to {topic}" for topic in unread] or [

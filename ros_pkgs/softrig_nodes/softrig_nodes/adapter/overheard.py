@@ -68,6 +68,8 @@ class Overheard(Input):
             return
         self.decode.kept = values
         self.heard = True
+        # A message equal to the last one is a repetition if it has a stamp or a number. Without either this is only
+        # certain of the first message, before the first tick: later ones may be two with the same values.
         known = self._stamped or (self.port.type.shaped and mark >= 0)
         if node.record.sink is None or (data == self._last and (known or (self._count == 1 and not node.ticks))):
             return
@@ -136,6 +138,7 @@ class OverheardTopics:
             return item.receive, item.matched
 
         def receive(data: bytes) -> None:
+            # It is recorded first, because the input may answer the last tick at once and end the run.
             self._receive(row, data)
             item.receive(data)
 
@@ -149,6 +152,7 @@ class OverheardTopics:
         """Record a message; before t = 0 is set in real time, and after the run, it belongs to no tick."""
         if self._node.state == "running" or (self._node.state, self._node.options.mode) == ("starting", "lockstep"):
             row.receive(data)
+            # Each message renews the patience, so a slow publisher is waited for as long as it goes on.
             self._since.pop("end", None)
             self._then()
 

@@ -66,6 +66,8 @@ class Record:
         records = links.records
         outside = [p for p in inputs if (p.name not in links.inputs if records is None else p.name in records)]
         if options.mode == "lockstep":
+            # In lockstep `OverheardTopics` records these at their own times; the input must not record them a second
+            # time.
             overheard = {of_rig(k.shape["topic"]) for k in links.overheard}
             outside = [p for p in outside if resolve(p.topic) not in overheard]
         self.foreign = {port.name: len(self.topics) + k for k, port in enumerate(outside)}
@@ -82,7 +84,7 @@ class Record:
         self.shard = ShardWriter(Path(options.shard), self.topics, row) if wanted else None
         self.sink = self.shard if sink is None else sink
         self.add_row = self.shard.add_row if self.shard is not None and row else None
-        # whether an answer is recorded by its numbers, or not at all: nobody needs its messages here
+        # An answer that is recorded by its numbers, or not at all, need not be encoded for the record.
         self.by_numbers = self.add_row is not None or self.sink is None or not row
 
     def change(self, stamp: int, who: str, values: Mapping[str, Any]) -> None:

@@ -97,6 +97,7 @@ class Sender(Input):
         expected = self.following
         if number < 0 or expected is None:
             pass
+        # A 0 may begin a new round, as of a bag that is played in a loop, unless it repeats the 0 right before it.
         elif number < expected and (number or expected == 1):
             self.repeated(number, expected)
             return False

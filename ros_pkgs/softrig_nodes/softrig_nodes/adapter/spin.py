@@ -24,11 +24,13 @@ def spin(node: Node, adapter: Adapter) -> int:
     try:
         executor = uses.executor()
         executor.add_node(node)
+        # Objects of the start live to the end; frozen, they are not visited by the collections that happen during
+        # ticks.
         gc.collect()
         gc.freeze()
         try:
             while rclpy.ok() and not finished.done():
-                # without a timeout this executor never delivers anything (rclpy 7.1)
+                # Without a timeout this executor never delivers anything (rclpy 7.1).
                 executor.spin_until_future_complete(finished, 5.0)
         finally:
             adapter.middleware.close()
@@ -37,10 +39,12 @@ def spin(node: Node, adapter: Adapter) -> int:
         stopped = not finished.done()
     except (KeyboardInterrupt, ExternalShutdownException):
         stopped = True
-    except Exception as error:  # a law or a plant that failed: the executor has printed the traceback
+    # A controller or plant has failed; the executor has printed the traceback.
+    except Exception as error:
         if rclpy.ok() or isinstance(error, RunError | OSError):
             adapter.error, adapter.state = failure(adapter, error), "failed"
-        else:  # a signal has shut the context down under a callback that was about to publish
+        # A signal has shut the context down under a callback that was about to publish.
+        else:
             stopped = True
     return conclude(adapter, stopped)
 
@@ -63,7 +67,8 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
         tell(adapter.middleware.name, f"stopped before it could begin: {'; '.join(adapter.absent)}")
     if stopped and adapter.state not in ("done", "failed"):
         adapter.left_early = True
-        adapter.state = "done"  # who is stopped by a person has not failed
+        # A node that a person has stopped has not failed.
+        adapter.state = "done"
     try:
         adapter.account.write_status()
     except OSError as error:

@@ -99,6 +99,7 @@ class Lockstep(Link):
         if links.clock is not None and links.clock.node not in local:
             senders.follow_clock(links.clock)
         if links.hears_clock:
+            # An outside plant may publish /clock and wait for its subscribers, although this node does not need it.
             node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", lambda data: None, lambda count: None)
         if links.guests:
             # A subscriber recognises a repeated message by the stamp of its tick, so arrays and delayed ports are not

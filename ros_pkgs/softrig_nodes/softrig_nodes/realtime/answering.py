@@ -50,6 +50,7 @@ class Answering:
 
     def excuse(self, row: Live, due: int, now: int) -> None:
         """A bad one has."""
+        # Before t = 0 is set there is no tick that could be answered.
         if not self._node.epoch:
             return
         row.excuse(due, now)
@@ -62,8 +63,11 @@ class Answering:
         """The tick that `due` belongs to is to be answered."""
         node = self._node
         stamp = self._table.grid_time(due)
+        # Messages from before t = 0 belong to no tick.
         if stamp >= node.epoch:
             self._following = node.epoch + node.schedule.next(stamp - node.epoch)
+            # Most ticks are complete at once, so the timer of the limit is set only when the oldest tick lacks
+            # something.
             self._unarmed = self._unarmed or not self._pending
             self._pending.append(stamp)
 
@@ -79,10 +83,13 @@ class Answering:
             self._drop()
         while pending and node.state == "running":
             stamp = pending[0]
+            # What has arrived for this tick stays there, so the look goes on at the input that lacked something last
+            # time.
             for k in range(self._complete, len(awaited)):
                 row = awaited[k]
+                # Nearly always this decides it, without a call.
                 if (row.stamp == stamp and not row.by_arrival) or stamp < row.holds:
-                    continue  # nearly always
+                    continue
                 if row.lacks(stamp):
                     self._complete = k
                     if self._unarmed:
@@ -91,7 +98,8 @@ class Answering:
                     return
             self._complete = 0
             self._say(pending.popleft())
-            if pending and not self._unarmed:  # the limit that runs was that of the tick before
+            # The limit that runs was that of the tick before.
+            if pending and not self._unarmed:
                 self._deadline.cancel()
                 self._unarmed = True
         if self._unarmed:
@@ -119,16 +127,20 @@ class Answering:
             return
         stamp = self._pending.popleft()
         self._complete = 0
-        if all(f.ready(stamp) for f in self._required):  # else it lies before the first message
+        # Without a value for a required input the tick lies before that input's first message and cannot be answered.
+        if all(f.ready(stamp) for f in self._required):
             self.incomplete += 1
             lacking = [f for f in self.awaited if not f.complete(stamp)]
             for row in lacking:
+                # A held input that did not come in time is not waited for again until it has come, or each tick would
+                # be late.
                 row.expected = False
             topics = ", ".join(f.port.topic for f in lacking)
             node.step.note(Level.WARN, "incomplete", f"answered without what was due on {topics}")
             self._say(stamp)
         elif not self._pending:
-            self._following = stamp  # it may begin again
+            # The messages that are still missing may begin this tick again.
+            self._following = stamp
         self._answer_complete()
         if self._pending:
             self._deadline.again(self._patience)
@@ -138,6 +150,7 @@ class Answering:
         node, now = self._node, self._table.clock()
         last, self._last_stamp = self._last_stamp, stamp
         missed = 0
+        # Stamps are rounded to ns, so neighbouring ticks may be 1 ns further apart than the period.
         if last is not None and stamp - last > self._period + 1:
             missed = node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
             self.missed += missed

@@ -14,7 +14,7 @@ from softrig_core.timebase import SECOND
 from .live import Live
 from .realtime import SOON, Realtime, newest
 
-BEHIND = SECOND // 20  # ns; who is further behind leaves ticks out
+BEHIND = SECOND // 20  # ns; a beat that is further behind skips ticks
 
 
 class Beat:
@@ -53,14 +53,18 @@ class Beat:
         now, epoch = first.clock(), first.node.epoch
         t = newest(self._timer, grid, now - epoch)
         number = grid.tick(t)
+        # The timer may fire a little early, when the newest tick has already been answered.
         if number <= self._number:
             return
-        if t - grid.time(self._number + 1) <= BEHIND:  # late, but in order: what is said is what it would have been
+        # Ticks that are made up for in order have the numbers that they would have had in time.
+        if t - grid.time(self._number + 1) <= BEHIND:
             for k in range(self._number + 1, number):
                 self._say(k, grid.time(k), first.clock())
         else:
             for drive in self._drives:
                 schedule = drive.node.schedule
+                # Nodes that were due since the last beat answer before this tick, as their readers would have their
+                # values by now.
                 if (own := schedule.held(t)) < t:
                     drive.tick(schedule.tick(own), own, now)
         self._say(number, t, first.clock())

@@ -18,7 +18,7 @@ from ..adapter.sender import Sender
 from .rivals import Rivals
 
 KEPT = 64  # messages of a faster sender that may come before our tick is complete
-GONE = SECOND  # of several writers one may be late for so long without another one being believed
+GONE = SECOND  # ns by which one of several publishers may be late before another one is believed
 
 
 class LiveSenders:
@@ -95,6 +95,7 @@ class LiveSenders:
             It is not.
         """
         off = stamp - self.clock()
+        # A delayed message may be old on purpose; a stamp from the future is wrong in any case.
         if off > self.window or (-off > self.window and not delayed):
             most = f"expected at most {self.window / SECOND:g} s"
             raise Refused(f"stamp is {off / SECOND:+.3g} s from now, {most}")
@@ -206,7 +207,8 @@ class Live(Sender):
         if self.node.is_plant:
             return
         stamp = 0 if self.by_arrival else readable_stamp(data) or 0
-        if not stamp or abs(stamp - now) <= table.window:  # else nobody knows of which tick it is
+        # With a stamp that is far off it is unknown to which tick the message belongs.
+        if not stamp or abs(stamp - now) <= table.window:
             table.excuse(self, stamp or table.grid_time(now), now)
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
@@ -214,7 +216,7 @@ class Live(Sender):
         if not (self.port.stamped or self.in_order(stamp)):
             return
         now = self.table.clock()
-        # A delayed message tells when it was measured, one without a stamp nothing: the answer is due now.
+        # A delayed message is stamped when it was measured, and some have no stamp: they count for the present tick.
         due = stamp if stamp and not self.by_arrival else self.table.grid_time(now)
         self._begin(due)
         if self._number is not None:
@@ -267,6 +269,7 @@ class Live(Sender):
             if self.schedule is None and newest is not None:
                 self._interval = due - newest
             self.stamp = due
+        # An older stamp is accepted only for the tick whose message was rejected: this may be the corrected one.
         elif stamp > 0 and not self.by_arrival and due != self.bad:
             self.late += 1
             return
@@ -307,7 +310,7 @@ class Live(Sender):
             if there and self.ready(stamp):
                 self.holds = epoch + self.schedule.next(stamp - epoch)
             return there
-        # by hand: a sender whose interval is not known yet is not waited for
+        # Without a rig the interval is learned from two stamps; until then the publisher is not waited for.
         return self._interval == 0 or stamp - self.stamp < self._interval - 2 - period // 1000
 
     def ready(self, stamp: int) -> bool:
@@ -338,6 +341,7 @@ class Live(Sender):
     def silent(self, now: int) -> bool:
         """Return whether the sender has been silent for too long; reports it once."""
         node, table = self.node, self.table
+        # Nearly always this ends it, before the limit is computed.
         if self.arrived is None or now - self.arrived <= table.least:
             return False
         limit = self._silence()

@@ -33,10 +33,10 @@ from .live import Live, LiveSenders
 from .sporadic import Sporadic, listen
 from .stand import Stand
 
-AGAIN = 10.0  # s between two times that a silence which lasts is told
+AGAIN = 10.0  # s between two reports of a silence that lasts
 SOON = SECOND // 1000  # ns from the beginning to the first look at the clock
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
-END_GRACE = SECOND  # a node that waits for a sender ends this much after the end of the run all the same
+END_GRACE = SECOND  # ns after the end of the run after which a node ends that still waits for a publisher
 
 
 class Realtime(Link):
@@ -47,7 +47,8 @@ class Realtime(Link):
     node : Adapter
     """
 
-    status_every = 4  # a file takes longer than a tick
+    # Writing the file may take longer than a tick.
+    status_every = 4
 
     def __init__(self, node: Adapter) -> None:
         self.node = node
@@ -57,7 +58,7 @@ class Realtime(Link):
         self._stand = Stand(node, self._go_by)
         self.senders = LiveSenders(node, self.now)
         self._sent: deque[tuple[int, int]] = deque(maxlen=2 * node.block.STALE_PERIODS)  # stamp, when it went out
-        # the newest: they are sorted for each status file, between two ticks
+        # Only the newest are kept, because they are sorted for each status file, between two ticks.
         self._round_trip: deque[int] = deque(maxlen=5_000)
         self._lateness: deque[int] = deque(maxlen=5_000)
         self._longest = self._latest = -CATCH_UP
@@ -78,7 +79,7 @@ class Realtime(Link):
         self._answering: Answering | None = None
         self._paired: list[Live] = []  # what it takes by stamp; a law does when it answers
         self._fed: list[Live] = []  # inputs that neighbours fill
-        self._rivals: list[Live] = []  # those of them that others write, too
+        self._rivals: list[Live] = []  # those of them that other processes write, too
         self._begun: Callable[[], object] | None = None
         self.departure: Departure | None = None
         self._over = False  # the last tick is answered
@@ -155,6 +156,7 @@ class Realtime(Link):
             for row in sorted(self.senders.rows, key=lambda row: row.name):
                 if row.name in self.senders.stale:
                     node.middleware.log(Level.ERROR, node.step.reports[f"stale {row.port.topic}"][1])
+        # A plant that has not been commanded moves its t = 0 with the clock, so its run would never end by that.
         end, begun = node.schedule.end, self._started if self._idle else node.epoch or self._started
         if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
             node.finish()
@@ -220,6 +222,7 @@ class Realtime(Link):
 
     def commanded(self, stamp: int, now: int) -> None:
         """The command of a plant's tick is there."""
+        # The newest stamps are at the end, and a command answers one of them.
         for said, sent in reversed(self._sent):
             if said <= stamp:
                 if said == stamp:
@@ -261,10 +264,11 @@ class Realtime(Link):
             self._timer.cancel()
             return
         now = self.clock()
-        # The first tick is the next point of the grid, or the common start that the runner gave.
+        # The first tick is the next point of the grid, or the common start that was given.
         node.epoch = node.epoch or schedule.next(now)
         self._idle = self._idle and any(row.stamp is None for row in self._commands)
-        if self._idle:  # what it says at t = 0, again and again
+        # Until it is commanded, a plant by hand publishes its t = 0 at each period, and t = 0 moves with the clock.
+        if self._idle:
             node.epoch, self.tick_number = schedule.held(now), -1
         due = newest(self._timer, schedule, now - node.epoch)
         self.tick(schedule.tick(due), due, now)
@@ -272,15 +276,17 @@ class Realtime(Link):
     def tick(self, number: int, due: int, now: int) -> None:
         """Move a plant, or let another node speak, at its newest tick: its number and time (ns from t = 0), now."""
         node, end = self.node, self.node.schedule.end
-        if end is not None and due > end:  # it was held over the end of the run
+        # A process that was stopped over the end of the run still answers its last tick.
+        if end is not None and due > end:
             due = node.schedule.held(end)
             number = node.schedule.tick(due)
             if number <= self.tick_number:
                 self._leave()
         if number <= self.tick_number or node.state != "running" or self._over:
             return
+        # With two publishers on an input neither is believed, so there is nothing to answer with.
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
-            return  # neither of two publishers is believed
+            return
         late = now - node.epoch - due
         self._lateness.append(late)
         if late > self._latest:
@@ -300,9 +306,12 @@ class Realtime(Link):
             self._answer(due)
             return
         try:
+            # A late plant makes up for each missed period, so its state is at the time that it publishes.
             for k in range(number - behind, number):
                 t = node.schedule.time(k)
                 self._use(t)
+                # Staleness is judged at the time of the tick: a plant that is late itself must not take its controllers
+                # for silent.
                 node.step.advance(t, self._fresh_inputs(node.epoch + node.schedule.time(k + 1)))
             node.step.say(due)
         except RunError as error:
@@ -338,11 +347,14 @@ class Realtime(Link):
         try:
             step.say(t)
         except RunError as error:
+            # Arithmetic errors and rejected values may pass as the loop moves on; anything else is a mistake in the
+            # block's code.
             if not isinstance(error.__cause__, ArithmeticError | ValueError | None):
-                node.broke(error)  # a mistake in its code
+                node.broke(error)
                 return
             text = str(error).removeprefix(f"{step.name}: ")
             node.step.note(Level.ERROR, "failed", f"{text}; safe output")
+            # Without an answer before it, `held` returns the safe values.
             step.said = ()
             step.hand_on(t, step.checked(step.held()))
         self._ticked(t)

@@ -40,6 +40,7 @@ class Rivals:
         last, self._last = self._last, number
         if number is None or (last is not None and number <= last):
             self._several = True
-        elif last is None or number > last + 1:  # some are lost, or another one speaks
+        # Either messages are lost or another publisher has published in between.
+        elif last is None or number > last + 1:
             self._since = now
         self.alone = not self._several and now - self._since > silence

@@ -14,7 +14,7 @@ from softrig_core.timebase import SECOND
 
 from ..adapter.adapter import Adapter
 
-LEAD = SECOND // 20  # from saying that the clock stands or goes on to when it does: as long as a message may take
+LEAD = SECOND // 20  # ns from the message that the clock stands or goes on to when it does: what a message may take
 NEVER = 2**63 - 1
 
 
@@ -59,13 +59,15 @@ class Stand:
             return
         own, ahead, first, until = self._own, said["ahead"], said["from"], said["until"]
         self._ahead, self._until = ahead, until
+        # `first` keeps the clock from going back when `ahead` becomes smaller.
         self._go_by(lambda: min(max(own() + ahead, first), until))
 
     def _turn(self) -> None:
         """Set the rig to what its `Hold` says."""
         node, now, ahead = self._node, self._clock(), self._ahead
         hold, epoch, schedule = node.hold, node.epoch, node.schedule
-        if now >= self._until and (hold.steps or not hold.held):  # it stands: from there on
+        # The clock stands and is to go on: it continues from where it stands, whatever the wall clock did meanwhile.
+        if now >= self._until and (hold.steps or not hold.held):
             ahead = now - self._own() - LEAD
         soon = schedule.next(now + LEAD - epoch) if now + LEAD > epoch else 0
         until = min(self._until, epoch + soon) if hold.held else NEVER

@@ -9,7 +9,7 @@ from softrig_core.block.port import Port
 
 from .middleware import Numbered, Send
 
-COPY = "copy the stamp of what you answer"  # to who writes a node outside
+COPY = "copy the stamp of what you answer"  # advice to the author of an outside node
 
 
 class Input:
@@ -65,6 +65,7 @@ class Input:
 
     def matched(self, count: int) -> None:
         """Note how many writers there are in other processes."""
+        # Another publisher may number its arrays from 0 again.
         if count != self.outside:
             self.following = None
         self.outside = count
@@ -90,7 +91,7 @@ class Output:
         self.numbered = self.layout.numbered
         self.send: Send = _unbound
         self.readers = 0
-        self.joined: Callable[[], object] = _nobody  # called when a reader has come
+        self.joined: Callable[[], object] = _nobody  # called when a subscriber has been matched
 
     def matched(self, count: int) -> None:
         """Note how many readers there are in other processes."""

@@ -42,6 +42,7 @@ class ExchangeTimer:
 
     def again(self, ns: int, period: int = 0) -> None:
         """Fire after `ns` and then with a period, see `Timer`."""
+        # A timer of 0 ns would always be due, and `serve` would never wait.
         self.period = max(1000, period or ns)
         self.due: int | None = time.monotonic_ns() + max(1000, ns)
         if not self.moved:
@@ -133,6 +134,8 @@ class Exchange:
             if due <= t:
                 self._fire()
             elif not queue:
+                # Publishing wakes other processes, which costs the loop time: it waits for a gap before the next timer,
+                # but not without end.
                 if self._outbox:
                     self._turns += 1
                     if due - t > min(SLACK, awake) or self._turns >= BURST:
@@ -152,6 +155,7 @@ class Exchange:
     def _wait(self, limit: int) -> None:
         """Stay awake until a time (ns, monotonic)."""
         now = time.monotonic_ns
+        # Sleeping and waking up takes longer than what is left here.
         while now() < limit:
             pass
 
@@ -179,7 +183,8 @@ class Exchange:
             if timer.due is not None:
                 heapq.heappush(timers, (timer.due, next(self._order), timer))
         self._moved.clear()
-        while timers and timers[0][0] != timers[0][2].due:  # it was moved or cancelled
+        # A heap cannot remove an entry inside of it, so those of moved or cancelled timers are dropped on top.
+        while timers and timers[0][0] != timers[0][2].due:
             heapq.heappop(timers)
         return timers[0][0] if timers else 1 << 62
 
@@ -191,5 +196,6 @@ class Exchange:
         except BaseException:
             self._culprit = timer.callback
             raise
-        if timer.due == due:  # it has not moved itself
+        # The callback may have moved or cancelled its own timer.
+        if timer.due == due:
             timer.again(timer.period)

@@ -77,6 +77,7 @@ class Hold:
             self._timer.again(LOOK)
         elif self._timer is not None:
             self._timer.cancel()
+            # No timer fires any more that would run the tick that waits.
             self._middleware.post(self._look)
         return True
 
@@ -124,5 +125,6 @@ class Hold:
         else:
             self.held, self.steps, self._until = False, 0, 0
             self._pace.go_on(self._middleware.steady())
+        # The service call returns before the ticks go on.
         self._middleware.post(self._turn)
         return True, {"pause": "paused", "step": "one step"}.get(what, "goes on")

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Self
 
-LONG = 5_000_000  # ns: work that takes longer is for the executor; meanwhile the receiving thread hears nothing else
+LONG = 5_000_000  # ns: longer work is for the executor, since the receiving thread takes no other message in this time
 SHORT_ONES = 20  # in a row, after which messages are worked on where they come again
 
 
@@ -62,6 +62,8 @@ class Monitor:
             if not self._asked:
                 self._wake()
             return
+        # Another thread may add work after the last look at the queue and fail to get the lock before it is released,
+        # so the queue is looked at again after the release.
         while came and not self._asked and lock.acquire(blocking=False):
             try:
                 while came and not self._asked and self._short >= SHORT_ONES:
@@ -96,7 +98,10 @@ class Monitor:
     def __exit__(self, kind: object, *failed: object) -> None:
         self.closed = self.closed or kind is not None
         try:
-            self._asked = False  # before the look at what has come: from here on who brings something looks himself
+            # This comes before the look at the queue: a thread that adds work from here on looks at the queue itself.
+            self._asked = False
+            # Messages that arrive during this work are left for the next turn, or the executor might never return to
+            # its own work.
             for _ in range(len(self._came)):
                 self._do(self._came.popleft())
         except BaseException:

@@ -14,7 +14,7 @@ from .endpoint import Input
 from .middleware import Middleware
 from .tick import TICK, TickWriter
 
-BUSY = "/softrig/busy"  # std_msgs/Header, frame_id = the node: who waits for progress is to be patient
+BUSY = "/softrig/busy"  # std_msgs/Header, frame_id = the node: nodes that wait for progress are to be patient
 TOLD_EVERY = 0.5  # s
 LOOK = 2_000_000  # ns
 
@@ -40,9 +40,11 @@ class Solving(Link):
         self._resume = resume
         self._told = 0.0
         self._timer = middleware.timer(LOOK, self._look)
+        # The timer runs only while an answer is waited for.
         self._timer.cancel()
         self._waits = False
 
+    # The inputs were read when the tick began, so the answer needs none.
     READS = False
 
     def respond(self, x: Any, t: int, **inputs: Any) -> Any:
@@ -57,6 +59,8 @@ class Solving(Link):
     def finished(self, t: int) -> bool:
         """Begin a tick (ns) if that is not done; tell whether its answer can be given."""
         step, block = self.step, self._block
+        # This is asked again and again until the answer is there, but a tick begins once. After a rejected input there
+        # is no new request, only the work under way.
         if step.begun != t:
             step.begun = t
             step.x = block.carry_on(step.x, t) if step.bad else block.begin(step.x, t, **step.values)

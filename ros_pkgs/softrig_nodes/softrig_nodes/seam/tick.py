@@ -31,6 +31,7 @@ def needed(schedule: Schedule, clock: Schedule, t: int) -> int:
     if clock.end is not None and clock.next(t) >= clock.end:
         return schedule.awaited(t)
     k = (clock.tick(t) - LAG) // schedule.every
+    # Only every so many ticks are acknowledged, so the tick is rounded down to one that is.
     return schedule.time(k - (k + 1) % _together(schedule))
 
 
@@ -67,6 +68,8 @@ class TickReader:
         Refused
             Malformed bytes.
         """
+        # Behind the stamp the bytes repeat from tick to tick, so they are parsed once. Other encodings than CDR in
+        # little endian are left to the parser.
         sent = self._known.get(data[12:]) if data[:4] == b"\x00\x01\x00\x00" else None
         if sent is None:
             try:
@@ -74,6 +77,7 @@ class TickReader:
             except CdrError as error:
                 raise Refused(str(error)) from None
             sent = frozenset(message.frame_id.split())
+            # The limit bounds the memory that a publisher of ever new texts can take.
             if data[:4] == b"\x00\x01\x00\x00" and len(self._known) < 64:
                 self._known[bytes(data[12:])] = sent
             return message.stamp or 0, sent
