@@ -57,4 +57,5 @@ def arithmetic(tree: Tree, samples: Samples) -> Any:
 def sure(values: Any) -> Any:
     """Return NaN in the place of what is no number."""
     finite = np.isfinite(values)
+    # An infinity is no distance: it would let a comparison pass or fail by a division by zero.
     return values if finite.all() else np.where(finite, values, np.nan)

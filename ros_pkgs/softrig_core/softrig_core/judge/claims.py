@@ -19,8 +19,9 @@ VERDICTS: dict[Verdict, str] = {
     "refuted": "what was measured disagrees",
     "not_checkable": "cannot be decided, for the reason given",
 }
-NEVER = "never"  # in place of the number of what does not happen
-TOLERANCE = 0.05  # share of the published value, when a claim states none
+NEVER = "never"
+# The share of the published value that agrees where a claim states no tolerance of its own.
+TOLERANCE = 0.05
 _PERCENT = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*%\s*")
 
 
@@ -114,6 +115,7 @@ class Claim(Entry):
         )
 
     def _near(self, value: float, wanted: float) -> bool:
+        # Infinity equals infinity ("never"), but their difference is NaN. The factor leaves room for rounding.
         return value == wanted or abs(value - wanted) <= self.width(wanted) * (1.0 + 1e-9)
 
     def width(self, wanted: float) -> float:

@@ -18,7 +18,8 @@ _TWO_SIDED = re.compile(rf"{_NUMBER}\s*\+-\s*{_NUMBER}\s*(%?)")
 _BOUND = re.compile(rf"at (most|least) {_NUMBER}")
 _RANGE = re.compile(rf"between {_NUMBER} and {_NUMBER}")
 _FOLLOWING = re.compile(r"(?:at (most|least)|between) (.+)")  # of forms with $ references
-WIDEST = 0.25  # a tolerance beyond this share of its value judges nothing
+# A tolerance beyond this share of its value judges nothing, so it has to be written as bounds.
+WIDEST = 0.25
 FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or 'between A and B'"
 
 
@@ -73,6 +74,7 @@ class Expectation(Entry):
         if self.text and (self.expected, self.at_most, self.at_least) == (None, None, None):
             raise ScenarioError(f"{self.text!r} takes numbers from nodes: expected the expectation of a rig")
         return (
+            # NaN compares false with bounds and infinity would satisfy "at least", so neither may pass.
             math.isfinite(value)
             and (self.expected is None or abs(value - self.expected) <= (self.tolerance or 0.0))
             and (self.at_most is None or value <= self.at_most)
@@ -115,6 +117,7 @@ def parse(given: Any) -> Any:
             tolerance *= abs(value) / 100.0
         if tolerance < 0.0:
             raise ValueError("a tolerance is not negative")
+        # The factor leaves room for the rounding of a tolerance that is written as exactly the limit.
         if value and tolerance > WIDEST * abs(value) * (1.0 + 1e-9):
             raise ValueError(
                 f"the tolerance is {tolerance / abs(value):.0%} of the value and judges little; say what is meant: "

@@ -112,7 +112,8 @@ class _Part:
         if self.kind in (*FUTURE, "Until"):
             self.low, self.high = limits(body)
             self.trees = body[1:]
-        else:  # what is asked at the first instant only
+        else:
+            # What is asked at the first instant only is "always" over this one instant, so that one rule serves all.
             self.kind, self.low, self.high, self.trees = "Always", 0.0, 0.0, [tree]
         spans = [span(each) for each in self.trees]
         self.back, self.ahead = max(s[0] for s in spans), max(s[1] for s in spans)
@@ -136,19 +137,22 @@ class _Part:
         record = Record(times, samples, truths=truths, late=late, ended=False)
         values = [record.bounds(tree) for tree in self.trees]
         begin = int(np.searchsorted(times, after))
-        settled = int(np.searchsorted(times, t - self.ahead, side="right"))  # nothing that comes changes those before
+        # No later sample changes what an operator below says of the instants before this one.
+        settled = int(np.searchsorted(times, t - self.ahead, side="right"))
         end = int(np.searchsorted(times, self.high, side="right"))
         sure = self._fold(sure, times, values, begin, min(settled, end))
         value, held = self._fold(sure, times, values, max(begin, settled), end)
         if settled > begin:
             after = float(np.nextafter(times[settled - 1], INF))
         over = after > self.high
-        if not over and self.high > t:  # instants of the window are still to come
+        # Instants of the window are still to come, and they may make the value worse (of "always") or better (else).
+        if not over and self.high > t:
             value = value.copy()
             if self.kind == "Always":
                 value[0] = -INF
             else:
                 value[1] = np.maximum(value[1], held[1])
+        # Operators of the past look back from open instants, so these samples must stay.
         gone = int(np.searchsorted(times, after - self.back))
         left = tuple({name: values[gone:] for name, values in each.items()} for each in columns)
         return Opened(sure, value, over, after, times[gone:], left)

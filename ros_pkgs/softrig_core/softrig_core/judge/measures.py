@@ -49,9 +49,12 @@ __all__ = [
 
 NS = 1e-9
 UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
-ROUNDING = 1e-9  # what is so little beyond what is possible is rounding
-SIDE_BY_SIDE = 64  # instants from which on it pays to look whether each has its own newest time
-HALF_NS = 5e-10  # s; times are whole ns: what is nearer to an end of a window than this is inside
+# A figure that is less than this beyond what is possible comes of rounding and is no error.
+ROUNDING = 1e-9
+# Below so many instants a binary search is faster than the check whether each has its own newest time.
+SIDE_BY_SIDE = 64
+# Times in s are whole ns, so a sample nearer than this (s) to an end of a window is at it.
+HALF_NS = 5e-10
 
 Array = NDArray[np.float64]
 SignalMap = Mapping[str, tuple[Array, Array]]
@@ -170,6 +173,7 @@ def settling_time(
         return float("inf")
     if at == "sample":
         return float(t[k + 1] - zero)
+    # The signal leaves the band on the side of its last error, so it is that edge which it crosses.
     edge = np.copysign(band, error[k])
     return float(t[k] + (t[k + 1] - t[k]) * (error[k] - edge) / (error[k] - error[k + 1]) - zero)
 
@@ -370,7 +374,8 @@ def growth_rate(
         Fewer than three peaks.
     """
     t, x = _error(signals, signal, reference, start, end)
-    new = np.flatnonzero(np.diff(x, prepend=np.nan))  # what only repeats the value before says nothing
+    # A value that only repeats the one before would hide a peak: neither of the two is above its neighbours.
+    new = np.flatnonzero(np.diff(x, prepend=np.nan))
     t, x = t[new], x[new]
     side = np.sign(x[1:-1])
     before, here, after = side * x[:-2], side * x[1:-1], side * x[2:]
@@ -473,6 +478,7 @@ def held(
     t, x = window(signals, signal, start, end)
     whole, values = signals[signal]
     first = int(np.searchsorted(whole, t[0]))
+    # The value from before the window holds until its first sample, so it belongs to a mean over time.
     if start is not None and first and t[0] - start > HALF_NS:
         t, x = np.append(start, t), np.append(values[first - 1], x)
     stop = max(float(t[-1]), min(_record_end(signals), math.inf if end is None else end))
@@ -480,6 +486,7 @@ def held(
 
 
 def _record_end(signals: SignalMap) -> float:
+    # A record may be longer than its newest message of a signal; plain dicts of arrays do not know its end.
     told: float | None = getattr(signals, "end", None)
     return max(float(t[-1]) for t, _ in signals.values() if t.size) if told is None else told
 
@@ -492,9 +499,11 @@ def mean_over(x: Array, gaps: Array) -> float:
     x, gaps : array, shape (n,)
         Values; ns, as `held` returns them.
     """
+    # The last sample of a record holds for no time, yet it must count: a final error would be lost.
     if gaps[-1] == 0.0:
         gaps = np.append(gaps[:-1], np.min(gaps[:-1], initial=np.inf))
-    if (gaps == gaps[0]).all():  # the same, and the same bits whatever the period
+    # Equal gaps weigh nothing, and without weights the bits do not depend on the period.
+    if (gaps == gaps[0]).all():
         return float(np.mean(x))
     return float(np.average(x, weights=gaps))
 
@@ -515,6 +524,7 @@ def interval(t: Array, signal: str) -> float:
         The samples are not even: some are lost, or were taken at other times.
     """
     shortest, longest = float(np.min(np.diff(t))), float(np.max(np.diff(t)))
+    # Each end of a gap is rounded to 1 ns; what is beyond that and a millionth of the gap is an uneven grid.
     if longest - shortest > 4.0 * HALF_NS + 1e-6 * shortest:
         raise ValueError(
             f"{signal} has samples {shortest:g} to {longest:g} s apart, expected an even grid: use the signal before "
@@ -533,6 +543,7 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
     at : array, shape (m,)
         Ascending.
     """
+    # With few times and many instants counting is faster than a search for each instant.
     if len(times) > len(at) / 4:
         return _one_each(times, at) if len(at) > SIDE_BY_SIDE else np.searchsorted(times, at, side="right") - 1
     come = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
@@ -543,6 +554,7 @@ def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
     """Return what `newest` does, of two nodes of one period without a search: each instant has its own newest time."""
     first = int(np.searchsorted(times, at[0], side="right")) - 1
     last = first + len(at)
+    # Two nodes of one period have one time for each instant. The guess is checked as a whole, else it is searched for.
     if first >= 0 and last <= len(times):
         guess = times[first:last]
         if (guess <= at).all() and (at[:-1] < guess[1:]).all() and not (times[last : last + 1] <= at[-1]).any():
@@ -589,6 +601,7 @@ def step_levels(
 
     def value(name: str, shift: float) -> float:
         when, x = signals[name]
+        # "At" the begin includes a sample there, "before" excludes it; hence half a ns to either side.
         count = int(np.searchsorted(when, (when[0] if start is None else start) + shift)) if when.size else 0
         if not count:
             raise ValueError(f"{name} has no value {'at' if shift > 0.0 else 'before'} the begin of the window")
@@ -635,6 +648,7 @@ def _error(
     if not isinstance(reference, str):
         return t, x - reference
     when, values = signals[reference]
+    # A plant publishes once more than its controller at the end of a run, so the last sample has no reference.
     if t.size > 1 and _unpaired(t, when):
         t, x = t[:-1], x[:-1]
     return t, x - values[_known(signal, reference, t, when)]
@@ -672,6 +686,7 @@ def _aligned(
     when, values = signals[reference]
     stop = float(t[-1]) + float(gaps[-1]) * NS
     own = when[(when > t[0]) & (when < stop - HALF_NS)]
+    # A reference sample at a time of the signal is covered already; a second one would count for no time.
     own = own[own - t[newest(t, own + HALF_NS)] > HALF_NS]
     both = np.sort(np.concatenate([t, own]))
     e = x[newest(t, both)] - values[_known(signal, reference, both, when)]

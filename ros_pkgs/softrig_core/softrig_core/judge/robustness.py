@@ -93,7 +93,8 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
         return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
     count = last - first + 1
     result = np.full((*values.shape[:-1], len(first)), none)
-    span = 1  # values[..., j] is that over span samples from j on
+    # values[..., j] covers span samples from j on. Doubling span needs n log n steps for windows of any length.
+    span = 1
     longest = count.max(initial=0)
     while longest >= span:
         at = np.flatnonzero((count >= span) & (count < 2 * span))
@@ -171,7 +172,8 @@ class Record:
         """
         if id(tree) not in self._found:
             ((kind, body),) = tree.items()
-            self._found[id(tree)] = tree, self._measured(kind, body)  # with the tree, whose id stays its own
+            # The tree is stored too: while it lives, no other tree can have its id.
+            self._found[id(tree)] = tree, self._measured(kind, body)
         return self._found[id(tree)][1]
 
     def _measured(self, kind: str, body: Any) -> Array:
@@ -206,6 +208,7 @@ class Record:
         first, last, over = self._window(kind, low, high, times)
         least = kind in ("Always", "Historically")
         inner = self.bounds(body[1])
+        # An operator without end would stay open for ever; at the end of the record it takes what is decided of it.
         if kind in FUTURE and high == INF and self.ended:
             inner = np.broadcast_to(inner[1:] if least else inner[:1], inner.shape)
         pick, none = (np.minimum, INF) if least else (np.maximum, -INF)
@@ -223,6 +226,8 @@ class Record:
             return np.broadcast_to(values, (2, 2, len(values)))
         found = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
         for those in late:
+            # What compares a signal that has not come yet is false there, not undefined, so that the formula is judged
+            # all the same.
             found[:, those] = -INF
         return np.array((found, found))
 
@@ -251,12 +256,14 @@ class Record:
         first = np.searchsorted(times, times + low)
         result = extremes(held, np.arange(n), first - 1, np.minimum, INF)
         for come, lost in np.ndindex(2, 2):
-            start = INF if come and not past else -INF  # of what is after the last sample
+            # After the last sample anything may come; before the first one there was nothing.
+            start = INF if come and not past else -INF
             later = np.array([*_scan(held[come, lost].tolist(), then[come, lost].tolist(), start), start])
             result[come, lost] = np.minimum(result[come, lost], later[first])
         if high == INF and self.ended and not past:
             result[1] = np.where(first < n, result[0], result[1])
-        if high != INF:  # within the window, and at any time from its begin on: the same as both at once
+        if high != INF:
+            # "Until within a window" is "until at any time from its begin on" and "at some time within it" together.
             last = np.searchsorted(times, times + high, side="right") - 1
             within = extremes(then, first, last, np.maximum, -INF)
             if not past:
@@ -320,12 +327,14 @@ class Record:
             low, high = limits(body)
             first_, last, _ = (int(each[0]) for each in self._window(kind, low, high, self.times[k : k + 1]))
             if last < first_:
+                # A comparison decides at its own instant; for until and since the instant at which they are asked is
+                # returned.
                 return k
             least = kind in ("Always", "Historically")
             come = (1 if least else 0) if kind in FUTURE and high == INF and self.ended else come
             values = self.bounds(body[1])[come, lost, first_ : last + 1]
             return self._decides(body[1], come, lost, first_ + int(np.argmin(values) if least else np.argmax(values)))
-        return k  # a comparison; until, since: the instant they are asked at
+        return k
 
     def _violated(self, tree: Tree) -> tuple[tuple[float, float], ...]:
         ((kind, body),) = tree.items()
@@ -336,6 +345,7 @@ class Record:
         low, high = limits(body)
         inside = (self.times >= self.times[0] + low) & (self.times <= self.times[0] + high)
         bad = (self.bounds(body[1])[1, 1] < 0.0) & inside
+        # The zeros at both ends close a violation that begins or ends with the record.
         edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
         return tuple(
             (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
@@ -352,6 +362,7 @@ def truth(condition: Condition, now: Array | float, before: Array | float) -> Ar
     """
     edge = EDGES.get(condition.edge)
     lost = np.isnan(now) | (np.isnan(before) if edge else False)
+    # A condition has no distance, so it counts as infinitely far from changing.
     return np.where(lost, np.nan, np.where(edge(now, before) if edge else now > 0.5, INF, -INF))
 
 

@@ -81,6 +81,7 @@ def _base(name: str) -> tuple[float, str]:
     if name in _OTHERS:
         return _OTHERS[name]
     if name in _SI:
+        # The SI base unit is kg, so g, and every prefix before it, is a thousandth.
         return 1e-3 if name == "g" else 1.0, _SI[name]
     if name[:1] in _PREFIXES and name[1:] in _SI:
         power = _PREFIXES[name[0]] - 3 * (name[1:] == "g")
@@ -102,6 +103,7 @@ def misfit(given: str, wanted: str) -> str:
     (a, own), (b, other) = base(given), base(wanted)
     if own != other:
         return f"is in {given!r}, expected {wanted!r}, which is another quantity"
+    # Products of factors round, so equal units may differ in the last bits.
     if math.isclose(a, b, rel_tol=1e-12):
         return ""
     same = f"1 {given}".removesuffix(" 1") + f" = {a / b:.9g} {wanted}".removesuffix(" 1")
@@ -120,6 +122,7 @@ def factor(given: str, wanted: str) -> float | None:
         Units such as ``rad/s``.
     """
     a, b = powers(given), powers(wanted)
+    # The same unit needs no factor, not even a rounded one.
     if a == b:
         return 1.0
     turned = {"deg" if name == "rad" else name: power for name, power in a.items()}

@@ -16,7 +16,8 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.errors import NumbaRuntimeError
 from numba.core.typed_passes import NoPythonSupportedFeatureValidation
 
-OF_TUPLES = frozenset({"static_getitem", "exhaust_iter", "getattr"})  # what they give is there already
+# These expressions return a part of a tuple, which exists already and is counted by its caller.
+OF_TUPLES = frozenset({"static_getitem", "exhaust_iter", "getattr"})
 
 
 @register_pass(mutates_CFG=False, analysis_only=True)
@@ -32,7 +33,8 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
         """Judge a typed function; nothing of it is changed."""
         if not state.func_ir.is_generator and not any(self._counted(state, made) for made in self._made(state)):
             state.targetctx = state.targetctx.subtarget(enable_nrt=False)
-            vars(state.targetctx).pop("nrt", None)  # of before: what allocates after all is refused by numba
+            # The context of before would still count; without it numba refuses what allocates after all.
+            vars(state.targetctx).pop("nrt", None)
         return False
 
     def _made(self, state: Any) -> list[Any]:
@@ -68,6 +70,7 @@ class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
         try:
             return super().compile_extra(func)
         except NumbaRuntimeError:
+            # The function makes arrays although it returns none, so it is compiled again with counting.
             return Compiler(*self._arguments).compile_extra(func)
 
     def define_pipelines(self) -> list[Any]:

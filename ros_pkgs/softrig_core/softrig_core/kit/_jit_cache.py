@@ -38,7 +38,8 @@ class Cache:
         try:
             self.cache_path = str(cache_folder() / "numba")
         except OSError:
-            self.cache_path = os.devnull  # no folder: nothing is found and nothing is kept
+            # Without a folder nothing is found in this path and nothing can be stored.
+            self.cache_path = os.devnull
         self._name = "".join(c if c.isalnum() or c in "._" else "" for c in name)
         self._digest, self._unnamed = digest, unnamed
 
@@ -52,14 +53,15 @@ class Cache:
             return CompileResult._rebuild(target, *pickle.loads(content))  # type: ignore[no-untyped-call]
         except FileNotFoundError:
             return None
-        except Exception:  # a damaged file, whatever the unpickler makes of it: compile again and replace it
+        # The unpickler may raise anything for a damaged file, which is then compiled again and replaced.
+        except Exception:
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep a compiled function; without a writable folder it is compiled again in the next process."""
         from numba.core.serialize import dumps
 
-        # a function among the arguments has no name that holds in another process
+        # A function among the arguments has no name that is valid in another process.
         if compiled.library.has_dynamic_globals or "Dispatcher" in str(signature):
             return
         content = dumps(compiled._reduce())  # type: ignore[no-untyped-call]
@@ -72,6 +74,7 @@ class Cache:
             try:
                 with os.fdopen(descriptor, "wb") as file:
                     file.write(content)
+                # The file is moved into place whole, so that no other process reads half of it.
                 os.replace(scratch, path)
             except BaseException:
                 os.unlink(scratch)
@@ -105,7 +108,7 @@ def teach(numba: Any, functions: type, power: Callable[[float, float], float]) -
     def _type(value: Any, _: Any) -> Any:
         return value.dispatcher(numba)._numba_type_
 
-    # under its own name constant powers would become products, exp2 or square roots
+    # Under its own name the optimiser would turn constant powers into products, exp2 or square roots, with other bits.
     binding.add_symbol("softrig_pow", ctypes.cast(ctypes.CDLL(None).pow, ctypes.c_void_p).value)
     library_pow: Any = types.ExternalFunction("softrig_pow", types.float64(types.float64, types.float64))
 

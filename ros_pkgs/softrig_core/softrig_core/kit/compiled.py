@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 # No contraction into fused multiply-adds: the numbers must not depend on the processor.
 FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
-TEMPORARY = Path("/tmp")  # not TMPDIR: locks are the same for all processes of a user
+# TMPDIR may differ between the processes of a user, but they must find the same locks.
+TEMPORARY = Path("/tmp")
 
 
 class Compiled:
@@ -59,7 +60,8 @@ class Compiled:
     >>> x = step((*x, *u, 1e-3))
     """
 
-    SCRATCH = frozenset({"_arguments", "_results", "_views", "_buffer"})  # each call writes all of them before it reads
+    # Each call writes all of these before it reads them, so nothing of a tick is left in them.
+    SCRATCH = frozenset({"_arguments", "_results", "_views", "_buffer"})
 
     def __init__(self, function: ca.Function) -> None:
         for i in range(function.n_in()):
@@ -174,7 +176,8 @@ def cache_folder() -> Path:
         Neither can be.
     """
     base = os.environ.get("XDG_CACHE_HOME")
-    with suppress(OSError, RuntimeError):  # RuntimeError: a user without a home
+    # `Path.home` raises a RuntimeError for a user without a home.
+    with suppress(OSError, RuntimeError):
         folder = (Path(base) if base else Path.home() / ".cache") / "softrig"
         folder.mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK | os.X_OK):
@@ -182,6 +185,7 @@ def cache_folder() -> Path:
     folder = TEMPORARY / f"softrig-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     state = folder.lstat()
+    # Anyone may create a folder in /tmp, and what is in this one is executed.
     if not stat.S_ISDIR(state.st_mode) or state.st_uid != os.getuid() or state.st_mode & 0o022:
         raise PermissionError(errno.EPERM, "expected a folder that only this user may write into", str(folder))
     return folder
@@ -223,6 +227,7 @@ def build(function: ca.Function) -> Path | None:
         warnings.warn(f"no C compiler found: {function.name()} runs about a hundred times slower", stacklevel=3)
         return None
     source = _source(function)
+    # Another compiler may give other bits, so its path, size and date are part of the name of what it compiled.
     used = Path(compiler).stat()
     content = "\0".join((source, *FLAGS, compiler, str(used.st_size), str(used.st_mtime_ns)))
     digest = hashlib.sha256(content.encode()).hexdigest()[:32]

@@ -59,7 +59,8 @@ def confine(keep: Iterable[str | Path] = ()) -> None:
     for name, text in (("setgroups", "deny"), ("uid_map", f"{user} {user} 1"), ("gid_map", f"{group} {group} 1")):
         Path("/proc/self", name).write_text(text)
     mount("none", "/", "none", _REC | _PRIVATE)
-    opened = {path: os.open(path, os.O_PATH) for path in kept}  # here: those of before are of other mounts
+    # The files are opened after `unshare`, because descriptors from before belong to other mounts.
+    opened = {path: os.open(path, os.O_PATH) for path in kept}
     for place in hidden:
         mount("none", place, "tmpfs", _NOSUID | _NODEV)
     for path, descriptor in opened.items():
@@ -70,13 +71,14 @@ def confine(keep: Iterable[str | Path] = ()) -> None:
             Path(path).touch()
         mount(f"/proc/self/fd/{descriptor}", path, "none", _BIND | _REC)
         os.close(descriptor)
-    # a device can be written on a read-only mount by who owns it: root gets none
+    # The owner of a device can write to it on a read-only mount too, so root gets no devices.
     attributes("/", _RECURSIVE, _RDONLY | _ATTR_NOSUID | (0 if user else _ATTR_NODEV), 0)
     attributes(SCRATCH, 0, 0, _RDONLY)
     os.chdir(SCRATCH)
     os.environ["TMPDIR"] = SCRATCH
     for capability in range(64):
-        libc.prctl(_CAPBSET_DROP, capability, 0, 0, 0)  # those that this kernel does not know are refused
+        # The kernel refuses numbers of capabilities that it does not know, hence no check of the result.
+        libc.prctl(_CAPBSET_DROP, capability, 0, 0, 0)
     call("prctl", _NO_NEW_PRIVS, 1, 0, 0, 0)
     call("capset", (ctypes.c_uint32 * 2)(_CAPABILITIES, 0), (ctypes.c_uint32 * 6)())
 

@@ -74,11 +74,13 @@ def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Traje
     def value(t: float) -> Array:
         return np.atleast_1d(np.asarray(past(t) if callable(past) else past, dtype=float))
 
+    # The tolerance keeps a delay of whole steps from being rounded up by its last bit.
     capacity = math.ceil(longest / step - 1e-9) + 3 + spare
     begin = np.arange(-capacity, 0, dtype=float) * step
     x = np.array([value(t) for t in (*begin, 0.0)] if callable(past) else [value(0.0)] * (capacity + 1))
     dx = np.zeros_like(x)
     if callable(past):
+        # The past is given by values alone, but the cubic between two steps needs slopes.
         dx[:] = [_slope(value, t, 1e-3 * step) for t in (*begin, 0.0)]
     length = np.full(capacity, step)
     meta = np.array([capacity, 0])
@@ -113,7 +115,8 @@ class Track:
     _count: int  # rows of this one
     _shared: _Shared
 
-    SCRATCH = frozenset({"_shared"})  # later values append to it; what this one reads of it stays
+    # Later tracks append to the shared arrays, but the rows that this one reads never change.
+    SCRATCH = frozenset({"_shared"})
 
     def __init__(self, begin: Trajectory) -> None:
         self._capacity = self._count = len(begin.begin)
@@ -256,9 +259,10 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
     row = newest % size
     usual = past.length[row]
     guess = int((past.begin[row] - t) / usual)
-    oldest = max(newest - size + 1, 0)  # more than that where the ring is not full yet
+    # While the ring is not full, it has fewer steps than rows.
+    oldest = max(newest - size + 1, 0)
     k = max(newest - max(guess, 0), oldest)
-    # on a border: the last stage of a step still belongs to the time before a jump that comes back there
+    # The last stage of a step is at its border but still belongs to the time before a jump that comes back there.
     edge = 1e-9 * usual if past.meta[1] == 1 else -1e-9 * usual
     while k > oldest and t < past.begin[k % size] + edge:
         k -= 1
@@ -268,6 +272,7 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
     s = (t - past.begin[row]) / past.length[row]
     if s <= 0.0:
         return past.x0[row, channel]
+    # At the end of a step its own value is exact, where the polynomial would round.
     if s == 1.0:
         return past.x1[row, channel]
     return between(
@@ -324,6 +329,7 @@ def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = Non
                     stage[j] = start[j] + ahead * slope[j]
                 clip(stage, p)
             clip(total, p)
+            # A fifth evaluation: the slope at the end of the step, after `limit`, is needed for the cubic.
             rhs(now + h, total, past, p, slope)
             for j in range(width):
                 past.x0[row, j], past.x1[row, j] = start[j], total[j]

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from .jit import Jit, jit
 
 Number = TypeVar("Number", float, complex)
-FEW = 20_000  # multiplications that plain Python does in some milliseconds
+# Plain Python does so many multiplications in some milliseconds, while loading numba takes longer.
+FEW = 20_000
 
 
 @jit
@@ -25,7 +26,8 @@ def _product(a: Any, b: Any, out: Any) -> None:
     for i in range(a.shape[0]):
         for j in range(b.shape[1]):
             out[i, j] = 0.0
-        for k in range(a.shape[1]):  # each sum in the order of k, many at a time
+        # The loop over k is outside j: each sum keeps its order, yet many can be added at a time.
+        for k in range(a.shape[1]):
             for j in range(b.shape[1]):
                 out[i, j] += a[i, k] * b[k, j]
 
@@ -39,6 +41,7 @@ def _eliminate(a: Any, b: Any) -> bool:
         for i in range(k + 1, n):
             if abs(a[i, k]) > abs(a[pivot, k]):
                 pivot = i
+        # This also catches NaN, which compares false.
         if not 0.0 < abs(a[pivot, k]) < math.inf:
             return False
         if pivot != k:
@@ -96,6 +99,8 @@ def product(a: ArrayLike, b: ArrayLike) -> Any:
         raise ValueError(f"product of shapes {A.shape} and {B.shape}: the inner sizes differ")
     n, m = left.shape[0], right.shape[1]
     if left.dtype.kind == "c" or right.dtype.kind == "c":
+        # numpy fuses complex multiplications on some CPUs, so the real and imaginary parts are multiplied as real
+        # matrices.
         parts = np.empty((2 * n, 2 * m))
         _run(
             _product,
@@ -181,5 +186,6 @@ def turn(angle: ArrayLike) -> NDArray[np.complex128]:
     """Return e^(j angle) of angles in rad."""
     angles = np.asarray(angle, dtype=np.float64)
     out = np.empty(angles.shape, dtype=np.complex128)
-    out.real, out.imag = np.cos(angles), np.sin(angles)  # the C library's at every level of numpy, unlike np.exp
+    # numpy takes sine and cosine from the C library at every level of its kernels, unlike exp.
+    out.real, out.imag = np.cos(angles), np.sin(angles)
     return out

@@ -9,8 +9,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-SIZE = 4096  # numbers drawn at once
-KEPT = 4  # such rows at hand
+# Numbers drawn in one call: one call for each number would take most of its time in numpy's overhead.
+SIZE = 4096
+# So many rows are at hand, so that going back a little draws nothing again.
+KEPT = 4
 
 
 class Stream:
@@ -22,7 +24,8 @@ class Stream:
         At its beginning, as `numpy.random.default_rng` makes it; nobody else draws from it from now on.
     """
 
-    SCRATCH = frozenset({"_generator", "_at"})  # where it stands: a number depends on its index alone
+    # A number depends on its index alone; these only remember where the generator is.
+    SCRATCH = frozenset({"_generator", "_at"})
 
     def __init__(self, generator: np.random.Generator) -> None:
         self._generator, self._begin, self._at = generator, generator.bit_generator.state, 0
@@ -61,7 +64,8 @@ class Draws:
         Normal with mean 0 and variance 1, or uniform in [0, 1).
     """
 
-    SCRATCH = frozenset({"_generator", "_draw", "_before", "_rows"})  # a cache: a number depends on its index alone
+    # A number depends on its index alone; these are a cache.
+    SCRATCH = frozenset({"_generator", "_draw", "_before", "_rows"})
 
     def __init__(self, stream: Callable[[], np.random.Generator], kind: Literal["standard_normal", "random"]) -> None:
         self._stream, self._kind = stream, kind

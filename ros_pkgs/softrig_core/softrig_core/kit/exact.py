@@ -19,11 +19,15 @@ Rows = Sequence[Sequence[Fraction]]
 Integers = NDArray[Any]  # of Python's integers, in units of 2^-bits
 Result = TypeVar("Result")
 
-BITS = (128, 320, 768, 1600, 3200, 6400)  # the fourth holds all that float64 does, of any matrix of moderate norm
+# Numbers of bits to try. The fourth holds all that float64 does, of any matrix of moderate norm.
+BITS = (128, 320, 768, 1600, 3200, 6400)
 MORE = 64
-SMALL = 8  # the Taylor series is of a matrix whose norm is at most 2^-SMALL
-SWEEPS, ENOUGH = 50, Fraction(95, 100)  # of balancing: most rounds, and what is no gain
-LARGEST = 1100  # a power of two beyond float64
+# The Taylor series is of a matrix with a norm of at most 2^-SMALL, so that each term adds eight bits or more.
+SMALL = 8
+# The most rounds of balancing, and the ratio above which a round is no gain (0.95, as Parlett and Reinsch).
+SWEEPS, ENOUGH = 50, Fraction(95, 100)
+# A power of two beyond the largest float64.
+LARGEST = 1100
 
 
 class UnsettledError(ArithmeticError):
@@ -103,7 +107,8 @@ def balance(rows: Rows) -> tuple[Rows, list[int]]:
             of_column = sum(sizes[j][i] << exponents[i] - e + up for j, e in enumerate(exponents) if j != i) << down
             low = up + down + unit.bit_length()
             shift = (of_row.bit_length() - low if of_row else 0) - (of_column.bit_length() - low if of_column else 0)
-            if of_row and of_column:  # else an input is a row of zeros: its column is made about 1
+            # Else an input is a row of zeros; there is no balance, so its column is scaled to about 1.
+            if of_row and of_column:
                 shift //= 2
                 after = (of_column << max(0, 2 * shift)) + (of_row << max(0, -2 * shift))
                 if after >= ENOUGH * ((of_column + of_row) << abs(shift)):
@@ -166,13 +171,15 @@ def exponential(rows: Rows, bits: int) -> Integers:
     """
     norm = max(sum(map(abs, row), Fraction(0)) for row in rows)
     squarings = max(0, _exponent(norm) + 1 + SMALL)
-    wide = bits + squarings + 2 * SMALL  # each squaring doubles the error of what was cut off
+    # Each squaring doubles the error of what was cut off, so it needs a bit more.
+    wide = bits + squarings + 2 * SMALL
     scaled = integers([[x / 2**squarings for x in row] for row in rows], wide)
     one = np.empty_like(scaled)
     one.fill(0)
     np.fill_diagonal(one, 1 << wide)
     found, term, k = one + scaled, scaled, 1
-    while max(map(abs, term.flat)) > 1:  # cutting off leaves -1 of a negative number for ever
+    # Cutting off rounds downwards, so a negative term never becomes 0 but stays at -1.
+    while max(map(abs, term.flat)) > 1:
         k += 1
         term = product(term, scaled, wide) // k
         found = found + term
@@ -200,7 +207,8 @@ def expm(rows: Rows) -> tuple[tuple[float, ...], ...]:
     """
     balanced, exponents = balance(rows)
     reached = _reached(rows)
-    smallest = LARGEST + max(exponents) - min(exponents)  # bits below which no entry has a value in float64
+    # With so many bits, an entry that is still 0 is 0 in float64 too.
+    smallest = LARGEST + max(exponents) - min(exponents)
 
     def entries(bits: int) -> tuple[tuple[float, ...], ...]:
         found = exponential(balanced, bits)

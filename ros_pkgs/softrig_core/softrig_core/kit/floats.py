@@ -17,6 +17,7 @@ def leaves(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     Left out are named tuples whose class says so, by a property ``aside``: nothing that a block says depends on them
     but its reports.
     """
+    # What such a class holds goes into reports only, so that a linear view need not disturb it.
     if hasattr(type(x), "aside"):
         return
     if isinstance(x, tuple) and not _is_row(x):
@@ -91,6 +92,7 @@ def _put(x: Any, rows: Iterator[Array]) -> Any:
         return x
     if isinstance(x, float):
         new = float(next(rows)[0])
+        # The same object is returned where nothing changed, so that a caller can test by identity.
         return x if new == x else new
     if kind is complex:
         re, im = next(rows).tolist()

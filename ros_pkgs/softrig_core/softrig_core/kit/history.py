@@ -50,7 +50,8 @@ class History:
 
     __slots__ = ("_count", "_line")
     RING: ClassVar[type[HistoryRing]]
-    SCRATCH = frozenset({"_line"})  # later values append to it; what this one reads of it stays
+    # Later histories append to the shared list, but the rows that this one reads never change.
+    SCRATCH = frozenset({"_line"})
 
     _line: _Line
     _count: int  # rows of the line up to its newest sample
@@ -79,6 +80,7 @@ class History:
         line, count = self._line, self._count
         if len(values) != line.width:
             raise ValueError(f"{len(values)} values, expected {line.width}")
+        # A later history has added to the list already, or the list is full, so this one gets its own.
         if count != len(line.rows) or count == line.full:
             line = _Line(line.step, line.longest, line.size, self._newest())
             count = line.size
@@ -110,6 +112,7 @@ class History:
             The delay is negative, longer than the longest, or NaN.
         """
         line = self._line
+        # A delay computed from the same parameters may exceed the longest one by rounding.
         if not 0.0 <= delay <= line.longest * (1.0 + 1e-9):
             raise ValueError(f"delay = {delay} s: expected 0 to {line.longest} s")
         return self.aged(delay / line.step)

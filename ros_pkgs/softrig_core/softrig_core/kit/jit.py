@@ -23,8 +23,10 @@ from functools import lru_cache, update_wrapper
 from typing import Any, NamedTuple, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
-MOST_PARTS = 100  # of the arguments of a call
-HOW = b"borrowed: parts"  # how it is compiled: with another word here nothing older is taken from the cache
+# The most parts of the arguments of a call that are handed over one by one.
+MOST_PARTS = 100
+# Part of the digest. Change it with the way of compiling, so that no older code is taken from the cache.
+HOW = b"borrowed: parts"
 
 _NUMPY = """abs array ceil empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum nan
 ndarray ones ones_like pi sign sqrt trunc zeros zeros_like"""
@@ -97,7 +99,9 @@ class Jit:
     def _first(self, *arguments: Any) -> Any:
         if os.environ.get("SOFTRIG_JIT", "1") == "0" or (numba := our_numba()) is None:
             if getattr(getattr(sys.modules.get(self.py_func.__module__), "__spec__", None), "_initializing", False):
-                return self.py_func(*arguments)  # what its module defines later is not there yet
+                # During the import of its module the functions that it calls may not be defined yet, so nothing is
+                # fixed now.
+                return self.py_func(*arguments)
             self._run = self.straight()
         else:
             self._run = self._by_parts(numba, arguments) or self.dispatcher(numba)
@@ -144,9 +148,10 @@ class Jit:
         digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()
         scope: dict[str, Any] = {"function": self, "__name__": __name__, **kinds}
         exec(text, scope)
-        scope["parted"].__qualname__ = f"parted_{digest[:32]}"  # its symbol: no two must share one
+        # numba makes the symbol of the native code from this name, and no two functions may share one.
+        scope["parted"].__qualname__ = f"parted_{digest[:32]}"
         parted = numba.njit(fastmath=False, error_model="numpy", pipeline_class=Borrowing)(scope["parted"])
-        # a class that cannot be imported would be another one in the next process
+        # A class that cannot be imported would be another class in the next process, so such code is not stored.
         parted._cache = Cache(self.py_func.__qualname__, digest, (b"__main__", b"<locals>"))
         scope |= {"parted": parted, "whole": self.dispatcher(numba)}
         given, handed = ", ".join(f"a{k}" for k, _ in enumerate(arguments)), ", ".join(part.handed for part in found)
@@ -178,7 +183,7 @@ class Jit:
 def our_numba() -> Any:
     """Import numba and teach it `Jit` and `power`; None where it is not installed."""
     if "numba" not in sys.modules:
-        # with Intel's short vector library loops give other bits than single calls
+        # With Intel's short vector library, loops give other bits than single calls do.
         os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
     try:
         import numba
@@ -235,7 +240,8 @@ def _check(code: types.CodeType, function: Callable[..., Any]) -> None:
         if step.opname in ("LOAD_GLOBAL", "LOAD_DEREF"):
             found = _named(function, word)
         elif step.opname in ("LOAD_ATTR", "LOAD_METHOD"):
-            if owner is None and word in REFUSED:  # of an array
+            # The attribute is that of an array, such as x.sum().
+            if owner is None and word in REFUSED:
                 raise _refusal(function, word)
             found = getattr(owner, word, None)
             if getattr(owner, "__name__", "") == "numpy" and word not in NUMPY | REFUSED.keys():
@@ -278,7 +284,8 @@ def _named(function: Callable[..., Any], word: str) -> Any:
     if word in cells:
         try:
             return cells[word].cell_contents
-        except ValueError:  # not made yet
+        # The variable of the enclosing function is not assigned yet.
+        except ValueError:
             return None
     return function.__globals__.get(word, getattr(builtins, word, None))
 
@@ -307,7 +314,8 @@ def _reached(value: Any, names: list[str], seen: set[int]) -> Iterator[str]:
     elif id(value) not in seen:
         seen.add(id(value))
         yield value.__name__
-        for name in names:  # of a module in it, too: `package.module.function(x)`
+        # Names of a module within it are followed too, for `package.module.function(x)`.
+        for name in names:
             if hasattr(value, name):
                 yield from _reached(getattr(value, name), names, seen)
 
@@ -318,7 +326,8 @@ def tokens_of(value: Any, seen: set[int]) -> Iterator[str]:
         yield from _tokens(value.py_func, seen)
     elif hasattr(value, "tobytes") and not isinstance(value, type):  # an array or a number, not np.int64 itself
         yield f"{value.dtype}{value.shape}{value.tobytes().hex()}"
-    elif isinstance(value, tuple):  # part by part: of a large array `repr` shows its corners
+    # Part by part, because `repr` shows only the corners of a large array and two tuples could look equal.
+    elif isinstance(value, tuple):
         yield f"{type(value).__qualname__}{getattr(value, '_fields', '')}{len(value)}"
         for part in value:
             yield from tokens_of(part, seen)

@@ -11,7 +11,8 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 A = TypeVar("A")
 S = ParamSpec("S")
-KEPT = 256  # answers of a function: those of some runs of a study, each with values of its own
+# Answers of a function that are stored: enough for some runs of a study, each with values of its own.
+KEPT = 256
 
 
 class Newest(Generic[K, V]):
@@ -60,7 +61,8 @@ def once(function: Callable[S, A]) -> Callable[S, A]:
             found = function(*arguments, **keywords)
             if len(kept) >= KEPT:
                 kept.clear()
-            kept[key] = arguments, found  # an argument that is kept is the only one with its identity
+            # The arguments are stored too: while they live, no other object can have their identity.
+            kept[key] = arguments, found
         return kept[key][1]
 
     return known
@@ -76,7 +78,8 @@ def shared(function: Callable[[Any, Any], A], of: Any, values: Any) -> A:
     """
     try:
         key = of, pickle.dumps(values)
-    except Exception:  # no plain data: the function will say so
+    # These are no plain data; the function itself reports that.
+    except Exception:
         return function(of, values)
     if key not in _made:
         found = function(of, values)

@@ -17,10 +17,14 @@ from ..native.compile import compiled, plain
 from ..native.engine import Engine
 from ..native.fitted import known
 
-MAKING = 6.0  # s of Python that have to be left: native code is compiled sooner
-READY = 0.01  # s: the same where it is there already
-WRITING = 0.15  # s: the same for a text that Python runs as it is, which saves less
-ROUND, ROUNDS = 16, 4  # ticks that are timed together, how often: the least is what they cost
+# In s of Python that are left: compiling takes seconds, so it pays off beyond this only.
+MAKING = 6.0
+# In s: the same where the native code is cached and only has to be loaded.
+READY = 0.01
+# In s: the same for generated Python source, which costs less to make but also saves less.
+WRITING = 0.15
+# Ticks timed together, and how often. The least counts, because other processes can only make a round slower.
+ROUND, ROUNDS = 16, 4
 SHORT = "Python is through before native code is made"
 
 _costs: dict[Any, float] = {}  # of a tick in Python, s, by the classes of the blocks: as the first of such rigs took
@@ -61,7 +65,8 @@ def ticks_of(
         first, tick = 0, cost(steps)
         if tick is None:
             first, tick = yield from _timed(loop)
-            if first <= ticks:  # else it was over before one knew
+            # A run that is over by then has not shown what a tick costs.
+            if first <= ticks:
                 _costs[_classes(steps)] = tick
         left = (ticks + 1 - first) * tick
         reason = unwanted(steps, left, runs)
@@ -74,7 +79,8 @@ def ticks_of(
         engines.append(Engine(steps, plain if reason else compiled, alone))
         _say_why(steps, reason)
         yield from engines[0].run(first)
-        if not engines[0].native.members:  # there is no text of such members: none is looked for again
+        # No member could be translated, so the time spent must never lead to another attempt.
+        if not engines[0].native.members:
             _spent[_classes(steps)] = -math.inf
 
     def tell() -> None:
@@ -104,9 +110,11 @@ def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
     count, took, spent = 0, [], 0.0
     began = time.thread_time()
     for t in loop.run():
+        # The time of this thread, not of the clock, because the machine may do other work meanwhile.
         spent += time.thread_time() - began
         if t is not None:
-            if count % ROUND == 0:  # the first of them is one tick, in which much is made
+            # The first round is a single tick, which creates much that later ones reuse; `took[1:]` leaves it out.
+            if count % ROUND == 0:
                 took.append(spent)
                 spent = 0.0
             count += 1

@@ -90,13 +90,16 @@ def run_inprocess(
                     look.check(t)
                 if progress is not None and t is not None and (t >= due or t == end):
                     progress(t)
+                    # About a hundred calls are enough to show the progress.
                     due = t + end // 100
             look.check()
     finally:
         for step in steps.values():
             if step.link is not None:
                 step.link.settle()
-            step.link = None  # it may go on without, and keeps nothing of the sink
+            # The step may continue without a sink, and it must not hold the memory of the recording.
+            step.link = None
+            # Its process can serve the next run, which saves a second of imports.
             if isinstance(step.block, Solver):
                 step.block.rest()
     return steps
@@ -192,6 +195,7 @@ class _RowKeeper(_ToSink):
 
     def __init__(self, step: Step, sink: Sink, layouts: Mapping[int, Layout]) -> None:
         super().__init__(step, sink)
+        # The methods are looked up once, because `send` runs at each tick.
         self.add_row = self._add_row = sink.row(layouts)
         self._add_rows = sink.rows(layouts)
 

@@ -15,7 +15,8 @@ from ..rig.rig import Rig
 from ..solver.solver import Solver
 from .inprocess import check_here, wired
 
-TICKS = 20  # of the rig's clock that are tried
+# Hidden state shows in the first ticks of the rig's clock, and each of them costs twice the time.
+TICKS = 20
 HIDDEN = "hidden_state"  # key of the report of a block whose library keeps state outside of x
 _pure: set[Any] = set()
 
@@ -55,7 +56,8 @@ def check_pure(rig: Rig, seed: int | None = None) -> None:
             pass
     except Impure:
         raise
-    except RunError:  # what else is wrong the run says by itself
+    # Any other error will be raised by the run itself, with its own message.
+    except RunError:
         return
     finally:
         for block, method in watched:
@@ -88,6 +90,7 @@ def _watch(member: Member, block: Block, method: str) -> None:
         one = _parts(method, first)
         after = None if is_value or method == "outputs" else block.save(one[0])
         second = once(x if is_value else block.load(kept), t, **inputs)
+        # The second computation must not report everything twice.
         block.events[:] = events
         if difference := _differing(member.outputs, one, _parts(method, second), is_value):
             error = Impure(
@@ -114,12 +117,14 @@ def _differing(ports: Sequence[Port], one: tuple[Any, Any], other: tuple[Any, An
     """Name the first output, else the first number of the state, that differs; with both values."""
     for port in ports:
         rows = [_row(found[1], port.name) for found in (one, other)]
+        # Texts tell -0.0 from 0.0 and find NaN equal to itself, as a comparison of bits does.
         if repr(rows[0]) != repr(rows[1]):
             for label, a, b in zip(port.labels, *(row or [None] * port.size for row in rows), strict=False):
                 if repr(a) != repr(b):
                     return f"{port.topic}/{label} = {a} and then {b}"
             return f"{port.topic} = {rows[0]} and then {rows[1]}"
-    if is_value:  # objects in a state are compared by their numbers: the second call may have copied a buffer
+    # Objects in a state are compared by their numbers, because the second call may have copied a buffer.
+    if is_value:
         for (name, a), (_, b) in zip(_known(one[0]), _known(other[0]), strict=False):
             if a != b:
                 return f"its state {name} = {a} and then {b}"

@@ -20,7 +20,8 @@ from .expand import rig_of
 from .inprocess import check_here, record, wired
 from .simulate import Run
 
-KEPT = 256  # states at most that are kept to go back to
+# So many states at most are kept to go back to; the ticks from the nearest one are computed again.
+KEPT = 256
 
 
 class _Turned(NamedTuple):
@@ -81,7 +82,8 @@ class Session:
         self.seed = self.rig.scenario.seed if seed is None else seed
         self._turned: list[_Turned] = []
         self._kept: dict[int, Moment] = {}
-        self._why = ""  # no state can be kept
+        # The reason why no state can be kept, if so; the run itself is not affected.
+        self._why = ""
         self._begin(
             {m.name: m.block(self.seed) for m in self.rig.members},
             Recording((topic, port.msgtype) for topic, port in self.rig.topics.items()),
@@ -238,8 +240,10 @@ class Session:
         other.rig, other.seed, other._every, other._why = self.rig, self.seed, self._every, self._why
         other._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
         other._kept = {at: moment for at, moment in self._kept.items() if at <= k}
-        other._look = Look({})  # blocks of the same classes
-        other.recording, other._loop = self.recording, self._loop  # of which `_come` takes what was before
+        # The blocks are of classes that this run has checked already.
+        other._look = Look({})
+        # `_come` takes the messages before the branch from this recording and replaces it.
+        other.recording, other._loop = self.recording, self._loop
         other._come({m.name: m.block(self.seed) for m in self.rig.members}, k)
         return other
 
@@ -266,7 +270,8 @@ class Session:
         recording = self.recording.before(self._loop.plan.clock.time(begin))
         self._begin(blocks, recording, begin, self._kept[begin])
         for turned in self._turned:
-            if turned.k >= begin:  # what the kept state does not know
+            # The kept state was taken before this change, so the change is made again at its tick.
+            if turned.k >= begin:
                 self._answer(turned.k)
                 self.steps[turned.node].set(turned.values)
         self._answer(k)
@@ -282,5 +287,7 @@ class Session:
             self._kept.clear()
             return
         if len(self._kept) > KEPT:
+            # Every other state goes, so that memory stays bounded and the distance to the nearest one grows with the
+            # run.
             self._every *= 2
             self._kept = {k: moment for k, moment in self._kept.items() if k % self._every == 0}

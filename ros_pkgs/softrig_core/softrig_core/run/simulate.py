@@ -314,10 +314,12 @@ def simulate(
     0.6941...
     >>> t, speed = run.signals["motor/state/shaft/velocity"]
     """
-    rig = rig_of(what, duration=duration, overrides=overrides, live=runs == 1)  # of many, they are left out
+    # Nobody watches one of many runs, so observers without outputs are left out.
+    rig = rig_of(what, duration=duration, overrides=overrides, live=runs == 1)
     number = rig.scenario.seed if seed is None else seed
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
-    wanted = figures_of(rig)  # what does not fit is found before the run, not after it
+    # A figure that does not fit the rig is an error before the run, not after it.
+    wanted = figures_of(rig)
     topics = None if signals is None else _topics(rig, wanted, signals)
     if thorough:
         check_pure(rig, number)

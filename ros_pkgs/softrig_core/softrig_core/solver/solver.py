@@ -205,6 +205,7 @@ class Solver(Block[S]):
         return self.carry_on(x, t)
 
     def _in_vain(self, t: int, effect: int) -> bool:
+        # In lockstep simulated time decides, for the state of the process would make runs differ.
         return self.worker.state == "working" if self.realtime else t < effect
 
     def carry_on(self, x: Any, t: int) -> Any:
@@ -217,6 +218,7 @@ class Solver(Block[S]):
             if self.worker.state == "working":
                 self.worker.cancel()
             self.worker.warm()
+        # This is a new request, or the state went back to one whose work must be done once more.
         elif self.worker.job is not jobs.active:
             if self.worker.state == "working":
                 self.worker.cancel()
@@ -233,7 +235,8 @@ class Solver(Block[S]):
 
     def _finish(self, x: Any, t: int) -> tuple[Any, Values]:
         while not self.ready(x, t):
-            # a while at a time: the limit counts from a begin that may not have come yet
+            # The wait is cut into pieces, because the limit counts from the begin of the work, which may be still to
+            # come.
             self.worker.wait(min(max(0.0, self.p.limit - self.worker.elapsed()), 0.25) + 1e-3)
         return self.end(x, t)
 
@@ -248,12 +251,15 @@ class Solver(Block[S]):
         jobs: Jobs = x.jobs
         worker, job, new = self.worker, jobs.active, False
         due = job is not None and t >= jobs.effect
-        if job is not None and due and worker.state == "working" and t > job.stamp:  # against the wall clock
+        # Work can be unfinished here against the wall clock only: in lockstep `ready` has waited for it.
+        if job is not None and due and worker.state == "working" and t > job.stamp:
             self.report(Level.OK, UNFINISHED, "the work was not done when its result was due: answered without it")
         elif job is not None and due and worker.state != "working":
             jobs = replace(jobs, active=None)
             if worker.state == "failed":
                 text = f"work on the request of t = {to_s(job.stamp):.9g} s failed: {worker.error}"
+                # In lockstep a run without this result would be another run, so it ends; on the wall clock the rig
+                # continues.
                 if not self.realtime:
                     raise RunError(text)
                 self.report(Level.ERROR, "work", text)

@@ -30,7 +30,8 @@ from ..bits import pin
 State = Literal["idle", "working", "done", "failed"]
 Figures = Mapping[str, "float | str"]
 LENGTH = struct.Struct("<Q")
-MOST_IDLE = 4  # processes without an owner
+# The most processes without an owner, as each holds the memory of its imports.
+MOST_IDLE = 4
 
 
 class Work:
@@ -91,6 +92,7 @@ class Worker:
     def warm(self) -> None:
         """Start the process, so that its imports are done when the first request comes."""
         if self._process is not None and self._process.alive():
+            # A process that was killed may have sent this before.
             return
         process = self._process = _Process.of(*self._call)
         process.owner = weakref.ref(self)
@@ -148,7 +150,7 @@ class Worker:
         """Process a message of the worker process."""
         with self._changed:
             if process is not self._process:
-                return  # a killed one's last words
+                return
             if kind == "begun":
                 self.since = time.monotonic()
             elif kind == "status":
@@ -178,7 +180,7 @@ class _Process:
     @classmethod
     def of(cls, module: str, name: str) -> _Process:
         """Return one that is idle, or a new one."""
-        # the kernel kills it when the thread that started it ends
+        # The thread belongs to the key, because the kernel kills the process when the thread that started it ends.
         key = (module, name, os.getpid(), threading.get_ident(), tuple(sys.path), _directory(), _variables())
         for process in reversed(cls.idle):
             if process.key == key:
@@ -196,10 +198,10 @@ class _Process:
         self.owner: Callable[[], Worker | None] = lambda: None
         variables = dict(os.environ)
         pin(variables)
-        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        # One thread each: a BLAS that splits sums by the number of cores would change the last bits.
         for one in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
             variables.setdefault(one, "1")
-        # -P: nothing is imported from the current directory, which is anybody's
+        # -P: no module is imported from the current directory, into which others may write.
         command = [sys.executable, "-P", "-c", "from softrig_core.solver.worker import main; main()"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=variables)
         self.pid = self._process.pid
@@ -213,7 +215,8 @@ class _Process:
     def write(self, content: Any) -> None:
         """Send it something."""
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # the listener tells why
+        # The process has ended; the listener reports why.
+        with contextlib.suppress(BrokenPipeError):
             _send(self._process.stdin, content)
 
     def leave(self) -> None:
@@ -234,7 +237,8 @@ class _Process:
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
-                with contextlib.suppress(OSError):  # a request that it had not read yet
+                # Closing flushes a request that the process had not read, and the pipe is broken by now.
+                with contextlib.suppress(OSError):
                     pipe.close()
 
     def _listen(self) -> None:
@@ -248,14 +252,16 @@ class _Process:
         while True:
             try:
                 data = _read(self._process.stdout)
-            except (EOFError, OSError, ValueError):  # ValueError: the pipe was closed under the reader
+            # A ValueError comes when the pipe is closed under the reader.
+            except (EOFError, OSError, ValueError):
                 code = self._process.wait()
                 how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
                 tell("failed", f"the process that works {how}")
                 return
             try:
                 kind, content = pickle.loads(data)
-            except Exception as error:  # whatever an object raises that is made anew here
+            # Unpickling runs the code of the object's class, which may raise anything.
+            except Exception as error:
                 kind, content = "failed", f"its answer cannot be read: {type(error).__name__}: {error}"
             if kind in ("done", "failed"):
                 self.busy = False
@@ -309,16 +315,21 @@ def main() -> None:
     incoming = os.fdopen(os.dup(0), "rb")
     outgoing = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(2, 1)  # a solver that prints must not break the pickles
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
+    # Whatever the solver prints goes to standard error, because a print would break the pickles on standard output.
+    os.dup2(2, 1)
+    # Ctrl-C reaches this process too, but the caller handles it and ends its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent, path, module, name = pickle.loads(_read(incoming))
     pr_set_pdeathsig = 1
     ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+    # The caller may have ended before the line above took effect.
     if os.getppid() != parent:
         os._exit(0)
-    os.nice(5)  # a loop on the wall clock goes first
+    # A loop on the wall clock must not wait for this work.
+    os.nice(5)
     sys.path[:] = path
-    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()  # to read one may import modules, and fail
+    # The bytes are queued as they are: unpickling may import modules and fail, which must not end the listener.
+    requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def listen() -> None:
         try:
@@ -346,6 +357,7 @@ def main() -> None:
             send("done", function(request, Work(send)))
         except Exception as error:
             traceback.print_exc()
+            # Without the function no request can be answered, so each one is read and fails.
             if function is None:
                 requests.get()
             place = traceback.extract_tb(error.__traceback__)[-1]

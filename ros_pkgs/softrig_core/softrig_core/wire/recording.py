@@ -20,7 +20,8 @@ _RECORD = struct.Struct("<qHI")  # time, number of the topic, length of the mess
 _ROW_HEAD = struct.Struct("<qH")  # time, `_ROW`; the numbers of all messages of a row follow
 _ROW = 0xFFFF
 _MAGIC = b"softrig shard 2\n"
-CHUNK = 4096  # messages that are made at a time
+# So many messages are turned into bytes at a time: they take ten times the memory of their numbers.
+CHUNK = 4096
 
 
 def relative(name: str) -> str:
@@ -66,7 +67,8 @@ class ShardWriter:
         The messages of a row, in order: number of the topic and layout.
     """
 
-    LIMIT = 1 << 12  # bytes: the loop waits while they are written, 2 us a kB in files that are new
+    # Bytes. The loop waits while they are written, 2 us a kB in new files, so a write must stay short.
+    LIMIT = 1 << 12
 
     def __init__(self, path: Path, topics: Sequence[tuple[str, str]], row: Mapping[int, Layout] | None = None) -> None:
         row = row or {}
@@ -76,6 +78,7 @@ class ShardWriter:
         self._buffer = bytearray(_MAGIC + json.dumps(head).encode() + b"\n")
         self._pack_row = _row_packer(row.values())
         self.flush()
+        # The first message is written at once, so that the file shows that the node runs.
         self._limit = 0
 
     def add(self, topic: int, t: int, data: bytes) -> None:
@@ -110,6 +113,7 @@ class ShardWriter:
     def flush(self) -> None:
         """Pass everything to the operating system; raises OSError (disk full), never drops silently."""
         while self._buffer:
+            # An unbuffered file may write less than it is given, for instance on a disk that is nearly full.
             written = self._file.write(self._buffer)
             del self._buffer[: written or 0]
         self._limit = self.LIMIT
@@ -207,7 +211,8 @@ class Topic:
 
     def newest(self) -> int | None:
         """Return the time of its last message, ns; None without one."""
-        if parts := self.parts():  # which need not be joined for it
+        # The parts need not be joined for this.
+        if parts := self.parts():
             return next(int(part.times[-1]) for part in reversed(parts) if len(part.times))
         return self.times[-1] if self.times else None
 
@@ -255,7 +260,8 @@ class Recording:
         """Return what was recorded before t, ns; what is added to one of the two is not in the other."""
         result = Recording(())
         result.topics = {name: topic.before(t) for name, topic in self.topics.items()}
-        if EVENTS in result.topics and not result.topics[EVENTS].times:  # there with the first change
+        # The topic of changes exists from the first change on only; an empty one would make two equal runs differ.
+        if EVENTS in result.topics and not result.topics[EVENTS].times:
             del result.topics[EVENTS]
         result._order = list(result.topics.values())
         return result
@@ -269,7 +275,7 @@ class Recording:
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Return what appends one message of each of some topics; their bytes are made when somebody asks for them."""
         buffer, pack = bytearray(), _row_packer(layouts.values())
-        # weak: what a topic calls must not keep it, or memory stays taken until Python looks for cycles
+        # References are weak: a cycle through `settle` would hold the memory until the garbage collector runs.
         topics = [(weakref.ref(self._order[number]), layout) for number, layout in layouts.items()]
 
         def settle() -> None:
@@ -304,12 +310,14 @@ class Recording:
             self.topics[EVENTS] = Topic(EVENTS, EVENT)
             self._order.append(self.topics[EVENTS])
         topic = self.topics[EVENTS]
+        # Changes of several nodes at one time are sorted by content, because shards are read in any order.
         k = bisect_right(list(zip(topic.times, topic.data, strict=True)), (t, data))
         topic.times.insert(k, t)
         topic.data.insert(k, data)
 
     def order(self) -> NDArray[np.int64]:
         """Return the place among the topics of each message, by time; equal times in topic order."""
+        # A topic keeps its own order even where a time goes back, as `messages` takes them one after the other.
         ticks = [np.maximum.accumulate(topic.ticks()) for topic in self._order] or [np.empty(0, np.int64)]
         ranks = np.repeat(np.arange(len(ticks)), [len(times) for times in ticks])
         return ranks[np.argsort(np.concatenate(ticks), kind="stable")]
@@ -373,6 +381,7 @@ class Recording:
             if at + size > len(content):
                 break
             t, topic, length = _RECORD.unpack_from(content, at)
+            # The last record may be cut off by a crash.
             if at + size + length > len(content):
                 break
             data = bytes(content[at + size : at + size + length])
@@ -419,6 +428,7 @@ class ShardTail:
         if self._head is None:
             self._head, start = _read_head(content)
         if self._head is not None:
+            # Only whole messages advance the place, so that a record still being written is read again.
             self._at += start + recording.take(self._head, content[start:])
         return len(content) == self.LIMIT
 
@@ -437,7 +447,8 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) 
     values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
     first = 0
     for topic, layout in row:
-        if topic is not None:  # else nobody has it any more
+        # The topic may be gone with its recording, as the reference is weak.
+        if topic is not None:
             topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
         first += layout.size
     return int(block.size)

@@ -64,6 +64,7 @@ class Reader:
 
     def __init__(self, msgtype: str, data: bytes) -> None:
         self._type, self._data, self._at = msgtype, data, 4
+        # The second byte of the encapsulation has the byte order; other writers than DDS on this CPU may differ.
         self._order = ">" if len(data) > 1 and data[1] == 0 else "<"
 
     def take(self, code: str, n: int = 1) -> tuple[Any, ...]:
@@ -96,6 +97,7 @@ class Reader:
             More than fit.
         """
         n: int = self.one("I")
+        # A damaged count could ask for gigabytes; no message has more items than bytes.
         if n * size > len(self._data):
             raise CdrError(f"{self._type}: claims {n} {what} in {len(self._data)} bytes")
         return n
