@@ -68,7 +68,7 @@ class State(NamedTuple):
 
 
 class Tape(Block[TapeParams]):
-    """Says of each topic, at a tick, the newest message that the bag has up to there and that has not been said.
+    """Publishes the newest message of each topic in the bag up to a tick, if it was not published before.
 
     A run records what comes from outside at the tick that uses it; said at that tick it is used again. What its reader
     refuses was refused then, and is left out. Channels that a message does not name are what they were.

@@ -157,7 +157,7 @@ class State(NamedTuple):
 
 
 class Fault(Block[FaultParams]):
-    """Hands messages on, changed while the fault is there, or says nothing where one is lost.
+    """Forwards messages, changed while the fault is active, or drops those that the fault loses.
 
     Its output is sporadic: who reads it keeps the value it has, and `Block.age` tells how old that is, at a message
     that is lost, late or silenced. What it says carries the stamp of the tick at which it says it. A reader that is

@@ -27,7 +27,7 @@ class ForwardCommandParams(BlockParams):
 
 
 class ForwardCommand(Block[ForwardCommandParams]):
-    """Hands a std_msgs/Float64MultiArray on to the actuators, at every tick, as it is.
+    """Forwards a std_msgs/Float64MultiArray to the actuators at every tick, unchanged.
 
     The array needs no layout. One of another length, with NaN or beyond the limits is refused, the one before it holds.
     """

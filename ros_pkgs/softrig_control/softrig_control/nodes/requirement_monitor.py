@@ -81,7 +81,7 @@ class State(NamedTuple):
 
 
 class RequirementMonitor(Block[RequirementMonitorParams]):
-    """Says at each tick between which bounds the margin of a requirement lies, whatever comes.
+    """Publishes bounds on the margin of a requirement at each tick, valid for any continuation of the run.
 
     The upper bound falls as the run goes on: below zero the requirement is violated, and nothing can mend it. `decided`
     is 1 once nothing that comes can change it. Signals are held; what has not come yet compares as false.

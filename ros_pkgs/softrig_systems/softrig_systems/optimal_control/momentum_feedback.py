@@ -19,7 +19,7 @@ class State(NamedTuple):
 
 
 class MomentumFeedback(Block[ProblemParams]):
-    r"""Brings the momentum h = I w of a spacecraft straight to zero.
+    r"""Drives the momentum h = I w of a spacecraft to zero along a straight line.
 
     :math:`u = -I \omega / (T - t)`. The gyroscopic torque cannot change \|h\|, so no control does with less
     than \|h_0\|^2/(2T). In the last period T - t is held at the period; after the horizon the command is zero.
