@@ -54,6 +54,7 @@ def answered(
         newest = [(spoken or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
         step.spoken = [None if t == NEVER else t for t in newest]
     for fill in step.readers:
+        # A silent tick must not overwrite what the reader holds; `Fitted.take` fills it where something was published.
         if not step.outputs[fill.output].sporadic:
             fill.bring(said[fill.output])  # type: ignore[arg-type]
 
@@ -82,6 +83,7 @@ class Answers(NamedTuple):
 def numbers_of(step: Step) -> tuple[float, ...]:
     """Return all numbers of a step's newest answer, zeros for silent outputs, and flags of sporadic ones."""
     if step.plain:
+        # The text is compiled for floats, and a block may answer with whole numbers.
         return tuple(map(float, step.numbers))
     rows: Sequence[Any] = step.said or [None] * len(step.outputs)
     found = [
@@ -200,10 +202,12 @@ class Audience:
         result: dict[str, Messages] = {}
         every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
         readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen
+        # Only where one period divides the other are the messages that the watcher sees evenly spaced.
         if readings and max(every, often) % min(every, often):
             return None
         seen = slice(-own.start % step, None, step)
         for fill, (low, high, _, flag) in readings:
+            # Stamps are not in the table of numbers, and with silences the newest message is not at an even spacing.
             if fill.stamp != "none" or (flag is not None and step > 1):
                 return None
             stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]

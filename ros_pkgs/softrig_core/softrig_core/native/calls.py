@@ -128,7 +128,7 @@ class Calls(Expressions):
                 if any(isinstance(t, str) for t in tests):
                     raise self.unknown("a list whose length is computed", node)
                 if all(tests):
-                    # what the target is bound to is bound anew in the next turn
+                    # The target is bound to another value in the next turn, so what was read gets names of its own.
                     before = len(items)
                     turn(level + 1)
                     items[before:] = [self._held(v) for v in items[before:]]
@@ -278,6 +278,7 @@ class Calls(Expressions):
         if number is complex:
             numbers += [f"{code}.real", f"{code}.imag"]
             return lambda row: complex(row[at], row[at + 1])
+        # The table of reports holds floats, and a larger whole number would lose digits in the text.
         if number is int:
             self.emit(f"if not -{EXACT} < {code} < {EXACT}:")
             self.emit(f"    {GIVEN_UP}")
@@ -312,13 +313,14 @@ class Calls(Expressions):
             if len(sample) > LONGEST:
                 raise self.unknown(f"an array of {len(sample)} as a list, expected at most {LONGEST}", node)
             simple = self.simple(base)
+            # The text is written out for this length.
             self.emit(f"if len({simple.code}) != {len(sample)}:")
             self.emit(f"    {GIVEN_UP}")
             return Group(tuple(self.item(simple, Static(k), node) for k in range(len(sample))))
         if name == "get" and isinstance(base, Record):
             return base.items.get(self.program.guard(self.value(node.args[0])), NONE)  # type: ignore[arg-type]
         if not self.program.typed and isinstance(base, Dynamic) and hasattr(sample, "native") and hasattr(sample, name):
-            # an object that is a value, in Python: of arguments of the same types, always the same
+            # The object is a value that Python has: with arguments of the same types it returns the same type.
             given = [self.dynamic(self.value(a)) for a in node.args]
             samples = [v.sample for v in given]
             if node.keywords or not all(map(is_sure, given)) or None in samples:
@@ -392,6 +394,7 @@ class Calls(Expressions):
 
     def _native(self, function: Jit, given: Sequence[Value], node: ast.AST) -> Dynamic:
         values = [self.dynamic(v) for v in given]
+        # The function may write into its arguments, which are the states and constants of the blocks.
         samples = deepcopy([v.sample for v in values])
         sample = computed(function.py_func, *samples)
         name = self.program.name(function, "jit")
@@ -429,6 +432,7 @@ class Calls(Expressions):
             return Group(tuple(values))
         if function is sum:
             samples = [sample_of(v) for v in values]
+            # Python's `sum` compensates floats since 3.12, which the text does not.
             if any(not isinstance(s, int) for s in samples):
                 raise self.unknown("sum of numbers that are no whole ones", node)
             return Dynamic(

@@ -18,7 +18,7 @@ from .rig_text import RigText
 from .twins import form
 from .words import OWN
 
-# what every text may name
+# Every text may name these.
 BASE: dict[str, Any] = {
     "math": math,
     "array_": np.array,
@@ -44,8 +44,11 @@ def compiled(made: RigText) -> Callable[..., Any]:
     _teach(numba)
     names = made.program.names
     scope = {"same_": same, **BASE}
+    # Where Python would raise (division by zero, a wrong index) the text has to raise as well, so that the tick is
+    # discarded.
     options = {"error_model": "python", "boundscheck": True, "nogil": True}
-    inner = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # called by the rig's alone
+    # Only the rig's function calls the others, so they need no wrappers, which take time to compile.
+    inner = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     content = hashlib.sha256(HOW + f"{options} {inner}\0{made.text}".encode())
     for name, thing in names.items():
         content.update(f"\0{name}\0".encode())
@@ -56,16 +59,17 @@ def compiled(made: RigText) -> Callable[..., Any]:
         scope[name] = thing
         for token in tokens_of(thing, set()):
             content.update(token.encode())
-    scope["__name__"] = __name__  # numba's cache looks for the module of what it finds
+    # numba's cache looks for the module of the functions that it finds.
+    scope["__name__"] = __name__
     exec(code_of(made.text, "rig"), scope)
     for name, thing in list(scope.items()):
         if callable(thing) and getattr(thing, "__globals__", None) is scope:
-            # its symbol: two texts from the cache in one process must not share one
+            # The symbol is made of this name, and two texts from the cache must not share one in a process.
             thing.__qualname__ = f"{name}_{content.hexdigest()[:32]}"
             more = {} if name == "rig" else inner
             scope[name] = numba.njit(**options, **more, pipeline_class=Borrowing)(thing)
     result: Any = scope["rig"]
-    # a class that cannot be imported would be another one in the next process
+    # A class that cannot be imported would be another one in the next process, so such a text is not cached.
     result._cache = Cache("rig", content.hexdigest(), (b"__main__", b"<locals>"))
     return result  # type: ignore[no-any-return]
 
@@ -92,7 +96,8 @@ def plain(made: RigText) -> Callable[..., Any]:
 def same(before: Any, after: Any) -> Any:
     """Return a state, which must be of the type of the one before."""
     if form(before) != form(after):
-        raise RuntimeError("a state that changes its type")  # a TypeError would be a defect of the text
+        # A TypeError would be taken for a defect of the text.
+        raise RuntimeError("a state that changes its type")
     return after
 
 

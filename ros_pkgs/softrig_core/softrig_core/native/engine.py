@@ -23,8 +23,8 @@ from .rig_text import RigText
 from .value import NotNative
 
 LONGEST = 1 << 20  # ticks that are answered in one go, at most
-GO = 0.05  # s: so long a go may last; who wants to stop a run waits for it
-SHORT_GO = 0.005  # s: the same where others are to be served in between
+GO = 0.05  # s: how long one call may last, since a run can be stopped only between two calls
+SHORT_GO = 0.005  # s: the same where messages are to be served in between
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
 RARE = 8  # ticks of the others for each of a member that Python answers
 PATIENCE = 64  # given up before that is judged
@@ -135,11 +135,11 @@ class Engine:
     def _run(self, k: int) -> Iterator[int | None]:
         assert self._plan.ticks is not None
         last = self._plan.ticks
-        # from here on a plant that is due would be moved beyond the end, which Python does not do
+        # From here on a plant that is due would be moved beyond the end, so Python answers these ticks.
         end = min((self._plan.newest(s.schedule, last) for s in self.steps if s.plant), default=last)
         failures = 0
-        # The first tick is always Python's: it gives what blocks remember the types that they keep. `fresh` says that
-        # these types may have changed since the text was looked for.
+        # The first tick runs in Python, because it gives the states the types that they keep. `fresh` means that these
+        # types may have changed since the text was looked for.
         fits, fresh = False, True  # whether there is a text, and it is to be looked at again
         while k <= last:
             if k and not self._free():
@@ -169,6 +169,7 @@ class Engine:
                     self.native = Native(reason=str(reason))
                     fits, failures = False, failures + 1
                     continue
+                # Only a call of full length measures how many ticks fit into the time that a call may take.
                 if fit and reached == until and until == k + go:
                     took = time.perf_counter() - started
                     if took < self._longest / 2:
@@ -186,6 +187,7 @@ class Engine:
                     if self._often():
                         self.native.reason = "many ticks are given up"
                         break
+            # Python applies the change in this tick, and with it constants and guards of the text may be others.
             fresh = fresh or (bool(k) and self._next_change(k) <= k)
             for t in self.loop.run(k):
                 yield t
@@ -244,7 +246,8 @@ class Engine:
 
     def _next_stop(self, k: int) -> int:
         """Return the first tick, from k on, that is one of Python's."""
-        left = [s for s in self.steps if s.bad or s.name in self._aside]  # bad: something refused between its ticks
+        # A step is bad if a message was rejected between its ticks: only Python answers by `Block.refused`.
+        left = [s for s in self.steps if s.bad or s.name in self._aside]
         due = [self._plan.following(s.schedule, k) for s in left]
         return min(self._next_change(k), *due) if due else self._next_change(k)
 
@@ -266,7 +269,7 @@ class Engine:
                 return False
             self._fit = Fitted(kept, core, recorded, self._plan, self._typed)
         except NotNative as reason:
-            # Python can run the ticks of members that are rarely due: the others may go without them
+            # Python can run the ticks of members that are rarely due, so the others are tried without them.
             often = RARE * min(self._plan.every(s.schedule) for s in core.steps)
             aside = {s.name: str(reason) for s in core.steps if self._plan.every(s.schedule) >= often}
             if aside:
@@ -305,7 +308,8 @@ class Engine:
         spoken = [s.spoken for s in self._core.steps]
         try:
             self._audience.watch(fit.recorded, first, reached, said)
-        except RunError:  # of one who watches: all again up to that tick, which Python answers
+        # An observer has failed: the ticks before that one are computed again, and Python answers the tick itself.
+        except RunError:
             reached = self._plan.clock.tick(max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick))
             self._watching.go_back(begun)
             for s, before in zip(self._core.steps, spoken, strict=True):

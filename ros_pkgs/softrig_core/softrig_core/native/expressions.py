@@ -126,9 +126,8 @@ class Expressions(Ways):
                     return made(self.program, found.fget, [base], {}, self.arrays)
                 if not callable(found):
                     return Static(getattr(own, name))
-            if (
-                not self.program.typed and hasattr(base.sample, "native") and hasattr(base.sample, name)
-            ):  # of an object that is a value, in Python
+            # In a text that is not compiled such an object stays one of Python, with its own attributes.
+            if not self.program.typed and hasattr(base.sample, "native") and hasattr(base.sample, name):
                 return Dynamic(f"{base.code}.{name}", getattr(base.sample, name))
             if name in ("real", "imag") and isinstance(base.sample, (complex, float)):
                 return Dynamic(f"{self.simple(base).code}.{name}", getattr(base.sample, name))
@@ -251,6 +250,7 @@ class Expressions(Ways):
     def binary(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
         """Compute with two values."""
         both = [v for v in (left, right) if isinstance(v, Static)]
+        # Numbers of a block are handed in, so that one text serves all its variants; only others are computed here.
         folded = len(both) == 2 and not any(v.path is not None and is_number_slot(v.value) for v in both)
         if folded and type(op) in (*BINARY, ast.Pow, ast.LShift, ast.RShift):
             function = BINARY[type(op)][1] if type(op) in BINARY else FOLDED[type(op)]
@@ -285,6 +285,7 @@ class Expressions(Ways):
         if isinstance(sample, np.ndarray):
             raise self.unknown("arithmetic of whole arrays", node)
         whole = all(isinstance(v, int) and not isinstance(v, bool) for v in (x.sample, y.sample))
+        # numba's whole numbers have 64 bits and wrap silently, Python's do not.
         if text == "*" and whole and self.program.typed:
             self.program.words.add("times_")
             return Dynamic(f"times_({x.code}, {y.code})", sample)
@@ -317,12 +318,15 @@ class Expressions(Ways):
             other: bool | str | None = self.test(rest)
         except NotNative:
             other = None
-        if other is not None and len(self.lines) == at and not self.ended:  # nothing to be computed before it
+        # An expression serves only if nothing has to be computed before it.
+        if other is not None and len(self.lines) == at and not self.ended:
             if isinstance(other, bool):
                 self.sampled = sampled
                 return stop if other is stop else first
             self.sampled = self._either(stop, sampled, self.sampled)
             return f"({first} {'or' if stop else 'and'} {other})"
+        # Python computes the right side only where it is needed, so its lines must stand inside a test: it is read
+        # again there.
         del self.lines[at:]
         self.env, self.ended = before, False
         name = self._fresh()

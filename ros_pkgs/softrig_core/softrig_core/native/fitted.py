@@ -117,6 +117,8 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
         try:
             text = rig_text(core.steps, recorded, typed)
         except NotNative:
+            # Without reports in the text a tick in which something is reported is discarded, which is better than no
+            # text.
             text = rig_text(core.steps, recorded, typed, reports=False)
         result = Kept(kinds, text, make(text), wired, SHORTEST)
         _texts.insert(0, result)
@@ -185,7 +187,7 @@ class Fitted:
         self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
         tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         self._tables = tables
-        # good as long as states have these forms; the way back is known when the first states have come back
+        # These hold as long as states have these forms; the way back is known with the first states that come back.
         self._pack = [packer(s.x, typed) for s in core.steps]
         self._unpack: list[Way] = []
         self._newest = [follow(path, roots) for path in program.newest]
@@ -217,7 +219,8 @@ class Fitted:
         counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self.recorded}
         rows = {
             id(s): Answers(np.empty((size, counts[id(s)])).T, np.empty((counts[id(s)], stamps), np.int64))
-            if self._typed  # column after column in memory: so they are read
+            # The memory holds column after column, because the tables are read by columns.
+            if self._typed
             else Answers([], [])
             for _, s, size, stamps in self._written
         }
@@ -280,7 +283,8 @@ class Fitted:
                 if not self._typed:
                     rows |= self.said_by(rows, begin, first)
                     self._name(rows)
-                if n[1]:  # random numbers have run out
+                # The random numbers that were drawn in advance have run out.
+                if n[1]:
                     for name, draws in self._sources.items():
                         self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
                     self._name(rows)
@@ -290,9 +294,11 @@ class Fitted:
                     return first, None
                 last = int(n[0])
                 continue
+            # An UnboundLocalError is a NameError, too; it has been caught above, because a block's values can cause it.
             except NameError as error:
                 raise RunError(f"{_told(error)}: {DEFECT}; until then run with SOFTRIG_JIT=0") from error
             except Exception as error:
+                # numba compiles at the first call, so what it does not know is raised here.
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
                 _texts[:] = [other for other in _texts if other is not kept]

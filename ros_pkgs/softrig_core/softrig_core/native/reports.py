@@ -53,6 +53,7 @@ class Reports:
         newest: dict[tuple[int, str], Place] = {}
         for place in sorted(heard, key=lambda p: table[p.at + 2]):
             newest[place.block, place.key] = place
+        # Python keeps keys in the order of their first report and the text of the newest one.
         for place in sorted(heard, key=lambda p: table[p.at + 1]):
             reports, last = held[place.block].reports, newest[place.block, place.key]
             before = reports[place.key][2] if place.key in reports else 0

@@ -29,7 +29,7 @@ from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, St
 
 LONGEST = 64  # parts of a tuple that is written out, or indexed
 TURNS = 16  # of a loop that is written out
-SMALL = 4096  # whole numbers beyond it are slots: times in ns
+SMALL = 4096  # smaller whole numbers (counts, places) choose the text; larger ones (times in ns) are slots
 GIVEN_UP = "raise RuntimeError"
 
 BINARY: dict[type, tuple[str, Callable[[Any, Any], Any]]] = {
@@ -113,7 +113,7 @@ class Program:
     callers: dict[str, str] = field(default_factory=dict)
     known: dict[Any, Made] = field(default_factory=dict)
     seldom: list[str] = field(default_factory=list)
-    aside: bool = False  # what is being read is on no way that the samples take: what is unknown there gives a tick up
+    aside: bool = False  # whether the branch being read is not the samples' one: what is unknown there discards a tick
     under_way: set[Any] = field(default_factory=set)
     reports: Reports | None = None
 
@@ -317,6 +317,7 @@ def made(
     """
     inner: dict[str, Value] = {}
     outer: list[str] = []
+    # Read aside, a function may discard ticks where it is unknown; such a text must not serve the usual branch.
     key: list[Any] = [function, program.aside]
     parameters: list[str] = []
 
@@ -359,6 +360,7 @@ def made(
     done = program.known[whole]
     if done is NEVER:
         raise GivesUp(f"{function.__qualname__} gives each tick up")
+    # A result that is fixed needs no call.
     if not isinstance(done.result, Dynamic):
         return done.result
     arrays.update(done.arrays)

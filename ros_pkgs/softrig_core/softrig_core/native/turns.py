@@ -16,10 +16,10 @@ from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
 from .ways import alike
 from .writer import Writer
 
-EDGE = 1.0 - 1e-9  # what is nearer to the bound of a port is left to the check of Python
+EDGE = 1.0 - 1e-9  # of the bound: the sum of squares is rounded, so what is nearer is left to Python's check
 LARGEST = 1 << 62
 FEW = 3  # squares of fewer numbers are written out
-# table of times, ns: of the tick, of what each holding is of, at which each that may be silent spoke last
+# Table of times, ns: of the tick, of the message in each holding, of the newest message of each sporadic output.
 WHEN = "when"
 
 
@@ -138,6 +138,7 @@ class Turns:
 
     def check_times(self) -> None:
         """Ensure that whole numbers of 64 bits hold all times of the run."""
+        # `time` computes twice the time before it divides.
         if 2 * self._ns[0] * (self.steps[0].schedule.ticks or 1) > LARGEST:
             raise NotNative("times beyond whole numbers of 64 bits")
 
@@ -255,7 +256,9 @@ class Turns:
     def _asked(self, k: int, name: str, inputs: Mapping[str, Value]) -> Value:
         step, program = self.steps[k], self.program
         state: Value = Dynamic(f"x{k}", packed(step.x, program.typed))
-        program.aside = decides(step)  # what it remembers may be what it decides by: no way is the one of most ticks
+        # The state that is at hand may be the one by which it decides, so no branch counts as the usual one.
+        program.aside = decides(step)
+        # The sample of a time is never 0: a branch for the first tick would pass for the usual one.
         given = [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)]
         return made(program, getattr(type(step.block), name), given, inputs, self.arrays)
 
@@ -280,6 +283,8 @@ class Turns:
             raise NotNative(f"{step.name}: its answer: {error}") from None
         lines = writer.lines
         if numbers:
+            # One comparison checks all numbers: if their squares add up to less than the least bound, each is within
+            # its limits. NaN and infinity fail it.
             bound = min(p.bound for p in step.outputs) * EDGE
             lines += _row_of(f"q{k}", numbers, flags, size, bound, typed)
             lines.append(f"r{k} = q{k}")
@@ -311,6 +316,8 @@ class Turns:
             for i, one in enumerate(kept):
                 if (one.source, one.fill.output) != (k, j):
                     continue
+                # The first message changes the type of what the reader holds, so this tick is Python's and then another
+                # text fits.
                 if one.value is None or one.fill.told() is None:
                     said.append(GIVEN_UP)
                     continue
@@ -366,6 +373,7 @@ def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bou
     return [
         f"{q} = ({', '.join(numbers)},)",
         f"squares_ = sum_of_products({q}, {q})",
+        # Whole numbers among those of an answer show by the type of the sum, and are made floats.
         "if type(squares_) is not float:",
         f"    {q} = tuple(map(float, {q}))",
         f"    squares_ = sum_of_products({q}, {q})",
@@ -379,4 +387,4 @@ class _Nowhere:
     lineno = 1
 
 
-NOWHERE: Any = _Nowhere()  # of what stands in no line of a method
+NOWHERE: Any = _Nowhere()  # the node of what stands in no line of a method

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 Path = tuple[Any, ...]  # number of a block, then ("attr", name) or ("item", key) each
-UNKNOWN: Any = type("Unknown", (), {"__repr__": lambda self: "unknown"})()  # a sample that nobody has
+UNKNOWN: Any = type("Unknown", (), {"__repr__": lambda self: "unknown"})()  # a sample that is not known
 
 
 class NotNative(Exception):
@@ -96,7 +96,8 @@ def computed(function: Callable[..., Any], *values: Any) -> Any:
         return UNKNOWN
     try:
         return function(*values)
-    except Exception:  # in a branch that was not taken
+    # The samples are those of the branch that was taken; in another one the operation may fail.
+    except Exception:
         return UNKNOWN
 
 

@@ -54,7 +54,7 @@ class Ways:
         self._temporaries = 0
         self._inside = 0  # loops of native code
         self.sampled: Any = UNKNOWN  # what the test read last was, by the samples
-        self.left = False  # whether the way that they take through the last `if` does not come back
+        self.left = False  # whether the samples' branch of the last `if` leaves the function or the loop
 
     def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
         """Describe what native code does not know, and where."""
@@ -137,6 +137,7 @@ class Ways:
         if isinstance(found, float):
             if math.isfinite(found):
                 return repr(float(found))
+            # NaN and infinity have no literal in Python.
             return "float_nan" if found != found else "float_inf" if found > 0 else "float_less"
         if isinstance(found, complex):
             return f"complex({float(found.real)!r}, {float(found.imag)!r})"
@@ -211,6 +212,7 @@ class Ways:
                 parts = [*parts[:at], Group(tuple(parts[at : len(parts) - after])), *parts[len(parts) - after :]]
             if len(parts) != len(target.elts):
                 raise self.unknown(f"{len(parts)} values for {len(target.elts)} names", target)
+            # All values are stored before any name is bound, as `a, b = b, a` needs it.
             parts = [self._held(p) for p in parts]
             for one, part in zip(target.elts, parts, strict=True):
                 self.assign(one.value if isinstance(one, ast.Starred) else one, part, apart)
@@ -280,7 +282,8 @@ class Ways:
                 found.append(None)
                 self._give_up()
             except NotNative as reason:
-                if not aside and taken is not (not wanted):  # the way that is gone, as far as anybody knows
+                # As far as is known the samples take this branch, so it has to be translated.
+                if not aside and taken is not (not wanted):
                     raise
                 self.program.seldom.append(str(reason))
                 self.env, self.lines = dict(before), []
@@ -368,7 +371,8 @@ class Ways:
         try:
             a: Value | None = one()
             b = other() if not self.ended else None
-        except NotNative:  # of one way: told by `_fork` whether that is the one that is gone
+        # One of the two is not known; `_fork` finds out whether it is the branch that is taken.
+        except NotNative:
             a = b = None
         if a is not None and b is not None and not self.ended and len(self.lines) == at:
             if isinstance(a, Static) and isinstance(b, Static) and a == b:

@@ -14,8 +14,10 @@ from collections.abc import Callable
 from typing import Any
 
 COMPLEX = ("phase", "rect")  # of `cmath`
-WHOLE = "4e18"  # beyond it a whole number is no int64
+WHOLE = "4e18"  # beyond it a float may be no int64, whose largest is 9.2e18
 
+# C returns NaN or infinity where Python's `math` raises. The text raises there as well, so that Python answers the tick
+# with its own error.
 _BELOW = "def {name}(x):\n    if x {wrong}:\n        raise ValueError\n    return math.{name}(x)\n"
 _FINITE = "def {name}(x):\n    if x - x != 0.0 and x == x:\n        raise ValueError\n    return math.{name}(x)\n"
 _LARGE = (
@@ -44,6 +46,7 @@ TEXTS: dict[str, str] = {
     "power_": "def power_(x, y):\n    if (x < 0.0 and y != math.floor(y)) or (x == 0.0 and y < 0.0):\n"
     "        raise ValueError\n    z = power(x, y)\n"
     "    if z - z != 0.0 and x - x == 0.0 and y - y == 0.0:\n        raise OverflowError\n    return z\n",
+    # numba's whole numbers wrap silently; a product of two below 3e9 fits 64 bits.
     "times_": "def times_(x, y):\n    if not (-3000000000 < x < 3000000000 and -3000000000 < y < 3000000000):\n"
     "        raise OverflowError\n    return x * y\n",
     "bisect_right": "def bisect_right(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
@@ -67,7 +70,7 @@ TEXTS: dict[str, str] = {
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
     "    return float(row[k])\n",
 }
-# what of them a text that Python runs has from Python itself: that raises by itself
+# A text that Python runs uses Python's own functions for these, which raise by themselves.
 OWN: dict[str, Callable[..., Any]] = {
     **{n: getattr(math, n) for n in TEXTS if hasattr(math, n)},
     **{n: getattr(cmath, n) for n in COMPLEX},
@@ -81,6 +84,7 @@ IN_PYTHON = TEXTS | {
     "drawn_": "def drawn_(row, n, k):\n    try:\n        return row[k]\n    except IndexError:\n"
     "        n[1] = k + 1\n        raise\n",
 }
+# Python raises for no float in any of these, so they are called as they are.
 PLAIN = {name: f"math.{name}" for name in ("atan", "atan2", "tanh", "copysign", "fabs", "isfinite", "isnan", "isinf",
                                            "radians", "degrees", "asinh")}  # fmt: skip
 

@@ -62,7 +62,7 @@ class Writer(Calls):
             self.program.aside = aside
 
     def _run(self, statements: Sequence[ast.stmt]) -> None:
-        left: tuple[int, int] | None = None  # where the way that the samples take has left, as far as anybody knows
+        left: tuple[int, int] | None = None  # where the samples' branch has left, as far as is known
         for k, statement in enumerate(statements):
             if self.ended:
                 return
@@ -120,7 +120,8 @@ class Writer(Calls):
             and isinstance(call.func, ast.Attribute)
             and call.func.attr == "append"
             and (isinstance(call.func.value, ast.Name) and call.func.value.id in self.env)
-        ):  # a list is written as a tuple: with one more it is another
+        ):
+            # A list is written as a tuple, so one with one more item is another value.
             before = self.parts(self.env[call.func.value.id], node)
             self.assign(
                 ast.Name(call.func.value.id, ast.Store()),
@@ -220,6 +221,7 @@ class Writer(Calls):
     def _for(self, node: ast.For) -> None:
         if node.orelse:
             raise self.unknown("else of a loop", node)
+        # A loop that is written out turn after turn has no place to which a break or continue could jump.
         leaves = any(isinstance(n, (ast.Break, ast.Continue)) for one in node.body for n in ast.walk(one))
         values = None if leaves else self.listed(node.iter)
         if values is not None:
