@@ -34,19 +34,20 @@ if TYPE_CHECKING:
     import control
 
 Array = NDArray[np.float64]
+# Powers of two are added to a state without rounding where this is possible.
 STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # of the size of what is moved
 AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
-CHECKED = 10  # periods of the whole over which the linear rig is held against the rig
-HEARD_FOR = 40  # periods over which each output is
-LEFT_OUT = 1e-3  # of what an output does in them, and a hundred times what the states are off: beyond it is none
+CHECKED = 10  # periods of the whole over which the linear rig is compared with the rig
+HEARD_FOR = 40  # periods over which each output is compared
+LEFT_OUT = 1e-3  # of its largest value: how far an output may be off, or a hundred times as far as the states are
 LATER = 3  # periods after which an output is looked at again: whether it is another function of the states at each tick
 FOLLOWED = 200  # periods that can be run from where the view is
 NEARER = 2.0**-8  # of the steps of the columns, how far all states together are moved off there
-ROUNDS = 5  # in which sizes of states are found that are at zero in the run
+ROUNDS = 5  # rounds in which sizes are found for states that are zero in the run
 POINTS = 1000  # frequencies
 MOST = 800  # states
 TRIED = 2000  # numbers that may be moved to see whether they are states
-ON_CIRCLE = 1e-6  # of the sizes of z and A, the smallest singular value of z - A where a pole is told to be
+ON_CIRCLE = 1e-6  # of the sizes of z and A: below it the least singular value of z - A confirms a pole at z
 NOTHING = 1e-12  # of the sizes of its terms, what a sum is by rounding alone
 DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
 
@@ -208,6 +209,7 @@ class LinearView:
         left = np.linalg.pinv(right)
         result = []
         for k in np.argsort(-np.abs(poles)):
+            # A pole near zero is gone within a period, and of a complex pair one stands for both.
             if abs(poles[k]) < DEAD or poles[k].imag < 0.0:
                 continue
             shares = np.abs(left[k] * right[:, k])
@@ -225,6 +227,7 @@ class LinearView:
     @cached_property
     def omega(self) -> Array:
         """Frequencies up to that of Nyquist, rad/s, dense where poles of the opened or closed loop are near."""
+        # At the frequency of Nyquist itself L is real, and `_ends` looks at it.
         top = np.pi / self.period * (1.0 - 1e-9)
         poles = np.concatenate([np.linalg.eigvals(self._loop[0]).astype(complex), self.loop_poles])
         rates = np.log(poles[np.abs(poles) > DEAD]) / self.period
@@ -233,6 +236,7 @@ class LinearView:
         found = [np.geomspace(low, top, POINTS)]
         for rate in rates:
             width = max(abs(rate.real), 1e-6 * abs(rate.imag))
+            # A lightly damped pole is narrower than the spacing of the other frequencies.
             if 0.0 < width < 0.1 * abs(rate.imag):
                 found.append(abs(rate.imag) + width * np.linspace(-5.0, 5.0, 41))
         whole = np.unique(np.concatenate(found))
@@ -289,7 +293,8 @@ class LinearView:
         down = max((g for g in gains if g[0] < 1.0), default=(0.0, 0j))
         for gain, z in (up, down):
             self._confirm(gain, z)
-        lost = (np.angle(self.at_frequencies(crossings)) + np.pi) % (2.0 * np.pi)  # a delay turns all towards -1
+        # A delay only turns the curve clockwise, so the phase that may be lost is counted from 0 to 2 pi.
+        lost = (np.angle(self.at_frequencies(crossings)) + np.pi) % (2.0 * np.pi)
         return Margins(
             up[0],
             down[0],
@@ -321,10 +326,12 @@ class LinearView:
         A, b, c, d, _ = self._loop
         result: list[tuple[float, complex]] = []
         for z in (1.0, -1.0):
-            with suppress(np.linalg.LinAlgError):  # a pole of the opened loop itself
+            # The opened loop may have a pole there itself.
+            with suppress(np.linalg.LinAlgError):
                 parts = [*(c * np.linalg.solve(z * np.eye(len(b)) - A, b)).tolist(), d]
                 back = math.fsum(parts)
-                if NOTHING * math.fsum(map(abs, parts)) < back < 1.0 / NOTHING:  # beyond, a pole at z but for rounding
+                # A smaller sum is zero but for rounding, and a larger one means a pole of the opened loop at z.
+                if NOTHING * math.fsum(map(abs, parts)) < back < 1.0 / NOTHING:
                     result.append((1.0 / back, complex(z)))
         return result
 
@@ -556,6 +563,7 @@ def _check_link(found: StateMap, link: str) -> None:
     member, port, _ = found.places[link]
     if port.sporadic:
         raise ScenarioError(f"{found.rig.scenario.name}: {link} is not published at each tick: it cannot be opened")
+    # With several messages in one period there is no single value at which the loop could be opened.
     if member.params.period < found.period * (1.0 - 1e-9):
         slow = [
             f"{p.topic}/{x}"
@@ -581,7 +589,8 @@ class Differences:
         self.said = self._begin()
         self.fixed = {link: self.said[link]} if link else {}
         self.heard = [*outputs, *([link] if link else [])]
-        self.finite = np.isfinite(found.start)  # a limit may be without one
+        # A limit that is not set is infinite, and infinity cannot be moved.
+        self.finite = np.isfinite(found.start)
         self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
         self.errors: dict[int | str, float] = {}
         self.steps: dict[int | str, float] = {}
@@ -606,8 +615,10 @@ class Differences:
         whole = self._square(on)
         heard = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
         counts = _reach(whole.T, (heard != 0.0).any(axis=0))
-        held = (whole == np.eye(len(on))).all(axis=1)  # nothing moves them here: as good as parameters
-        held |= self.map.resting[on] & (whole == 0.0).all(axis=1)  # or what a plant was told, which it hears again
+        # What nothing moves here is as good as a parameter.
+        held = (whole == np.eye(len(on))).all(axis=1)
+        # So is a plant's copy of its command, which is replaced in each period.
+        held |= self.map.resting[on] & (whole == 0.0).all(axis=1)
         for key, (column, _) in self.columns.items():
             if isinstance(key, str):
                 held &= column[on] == 0.0
@@ -718,7 +729,8 @@ class Differences:
 
         begun, after = back(0.0), f"at {m.t:g} s, within {CHECKED} periods"
         for n in range(-20, 4):
-            with suppress(RunError):  # too far: a limit, a domain
+            # A step that is too large leaves a limit or a domain.
+            with suppress(RunError):
                 if any(back(sign * size * 2.0**n) != begun for sign in (1.0, -1.0)):
                     return (
                         f"a change of {link} by {size * 2.0**n:.3g} comes back there {after}, a smaller one does "
@@ -766,14 +778,17 @@ class Differences:
         for share in STEPS:
             try:
                 up, down = at(size * share), at(-size * share)
-            except RunError:  # too far: a limit, a domain
+            # The step leaves a limit or the domain of a block; smaller ones may not.
+            except RunError:
                 before = None
                 continue
-            if parted := up[3] or down[3]:  # too far, too: what follows from those no column would tell
+            # This step is too large as well: no column would show what follows from values that are no floats.
+            if parted := up[3] or down[3]:
                 before, stepping = None, parted
                 continue
             width = up[2] - down[2]
-            if not width:  # a number so large that it has not moved
+            # The step is lost in the rounding of a large number, and so are all smaller ones.
+            if not width:
                 break
             apart_by = np.subtract(up[0], down[0], out=np.zeros(len(up[0])), where=self.finite)
             now = apart_by / width, (up[1] - down[1]) / width
@@ -782,6 +797,8 @@ class Differences:
                 apart = max(np.abs(now[0] - before[0]).max(initial=0.0), np.abs(now[1] - before[1]).max(initial=0.0))
                 error = float(apart / largest) if largest else float(apart)
                 if best is None or error < best[0]:
+                    # Where two steps agree to rounding the map is linear, and the larger step has the smaller rounding
+                    # error.
                     best = error, before if error <= AGREED else now, size * share
                 if error <= AGREED:
                     break
@@ -842,7 +859,8 @@ class Differences:
         result = {}
         if quiet := [k for k, error in enumerate(heard) if not error and not C[k].any()] if kept else []:
             late = np.zeros(len(heard), bool)
-            with suppress(RunError):  # so far off the rig breaks
+            # The rig may break so far off.
+            with suppress(RunError):
                 far_off = self._apart(kept, FOLLOWED - LATER - 1, 1.0 / NEARER)
                 late = np.array([y for _, y in far_off]).any(axis=0)
             why = "goes in steps (counts, a quantised sensor) or belongs to other ticks: what the states do comes later"

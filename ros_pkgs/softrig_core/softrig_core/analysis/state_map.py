@@ -30,11 +30,11 @@ from ..wire.signals import full_name
 
 Array = NDArray[np.float64]
 LONGEST = 20_000  # ticks that one period of the whole may have
-LATER = 10  # periods that something may take to be seen, besides those of what it goes through
+LATER = 10  # periods that an effect may take to be seen, besides those of the values that it passes
 LOOKS = 20  # times before that are looked at to see how large states are
 
 
-HEARD = "heard "  # before the names of inputs: a state may be called as an input is
+HEARD = "heard "  # before the names of inputs, because a state may have the name of an input
 
 
 class Place(NamedTuple):
@@ -118,6 +118,7 @@ class _Probe(Link):
         if row is None:
             return found
         data = tuple(row.data if isinstance(row, Sample) else row)
+        # The first message of a period is what the linear view is about; NaN marks that it has not come.
         if math.isnan(self.said):
             self.said = data[k]
         new = (data[k] if self.fixed is None else self.fixed) + self.added
@@ -184,6 +185,7 @@ class StateMap:
                 f"{rig.scenario.name}: all members are due together every {self.period:g} s only, {every} ticks, "
                 f"expected at most {LONGEST}: choose periods that divide each other with --set ({rates})"
             )
+        # Rounding keeps a time that is a whole number of periods from the next period.
         first = math.ceil(round(at / self.period, 9))
         rig = rig_of(rig, duration=max((first + periods + 1) * self.period, rig.scenario.duration))
         self.rig, self.t = rig, first * self.period
@@ -201,6 +203,8 @@ class StateMap:
 
     def _come(self) -> None:
         """Run to where it begins, and see on the way what changes."""
+        # A state's size and whether it moves are seen only along the run, since it may pass zero or rest where the view
+        # is.
         looks: list[tuple[list[str], Array]] = [self._read()]
         often = max(1, self._first // LOOKS)
         if self._first:
@@ -229,6 +233,7 @@ class StateMap:
                     moved[name] |= last.setdefault(name, x) != x
         self.names = [self._labels.get(name, name) for name in self.names]
         sizes = np.array(list(size.values()))
+        # An infinite limit has no size that a step could be a part of.
         self.sizes, self.moved = np.where(np.isfinite(sizes), sizes, 0.0), np.array(list(moved.values()), bool)
 
     def _check(self) -> None:
@@ -241,6 +246,7 @@ class StateMap:
             own = sum(len(row) for _, row in read(step.x))
             self.resting[here.start : here.start + own] = name in plants
         self.resting &= ~self.moved
+        # A block that keeps something outside of its state goes on differently the second time.
         again, _ = self(self.start, {})
         if not np.array_equal(once, again):
             bad = sorted({n.partition(".")[0] for n, a, b in zip(self.names, once, again, strict=True) if a != b})
@@ -297,7 +303,8 @@ class StateMap:
                 says != said or not np.array_equal(x, y, equal_nan=True)
                 for (x, says), (y, said) in zip(true[1:], without, strict=True)
             )
-        except RunError:  # it breaks, or has become longer
+        # A rig that breaks, or whose state has become longer, does depend on it.
+        except RunError:
             return True
 
     def _write(self, numbers: Array, kept: Array) -> None:

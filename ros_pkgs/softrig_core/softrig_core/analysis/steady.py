@@ -115,6 +115,8 @@ def steady(
     whole: dict[str, Member] = {}
     for name in told:
         upstream(place_of(rig, name).member, whole)
+    # What controllers command counts as heard, so that an integrator which moves a plant is not taken for one that
+    # drifts unread.
     commands = [
         f"{p.topic}/{x}"
         for n, member in whole.items()
@@ -130,6 +132,7 @@ def steady(
     on = _core(A, (C[: len(commands)] != 0.0).any(axis=0))
     core, loose = [i for i, x in zip(kept, on, strict=True) if x], [i for i, x in zip(kept, on, strict=True) if not x]
     A, sizes = A[np.ix_(on, on)], m.sizes[core]
+    # A state that was zero all the way has no size of its own.
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     steps, move = 0, _move(m, core)
     while steps < STEPS:
@@ -139,7 +142,8 @@ def steady(
         steps += 1
         _go(m, core, step)
         move, A = _move(m, core), found.again(core)
-    m.start = m(m.start, {})[0]  # what only tells of the others follows them
+    # Newton's method has moved the core alone; states that follow from it take one period to do so.
+    m.start = m(m.start, {})[0]
     begin, moved, off = m.start, 0.0, np.zeros(len(m.start))
     said: dict[str, float] = {}
     for x, says in m.go_on(begin, CHECKED):
@@ -148,6 +152,7 @@ def steady(
         moved = max(moved, float(np.abs(off[core] / sizes).max(initial=0.0)))
     slowest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if core else 0.0
     span = CHECKED * m.period
+    # A run leaves an unstable point by rounding alone, so leaving counts against stable ones only.
     if steps == STEPS or (moved > STAYS and slowest < 1.0 + AT_REST):
         worst = core[int(np.argmax(np.abs(off[core]) / sizes))]
         how = "Newton's method ends nowhere" if steps == STEPS else "what is found does not last"
@@ -174,6 +179,7 @@ def _core(A: Array, heard: Any) -> Any:
     """Return the states with a lasting effect on others: not those that only count or integrate them unread."""
     on = np.ones(len(A), dtype=bool)
     own = np.diag(A)
+    # A state with a pole at 0 or 1 only copies or integrates others; unread, it may drift without any effect.
     ends = ~heard & ((own == 0.0) | (np.abs(own - 1.0) < 1e-9))
     moves = (A != 0.0) & ~np.eye(len(A), dtype=bool)
     while True:
@@ -185,12 +191,14 @@ def _core(A: Array, heard: Any) -> Any:
 
 def _move(m: StateMap, kept: list[int]) -> Array:
     after, _ = m(m.start, {})
-    result: Array = after[kept] - m.start[kept]  # of others some are infinite for good
+    # Other numbers may be infinite for good, and their difference would be NaN.
+    result: Array = after[kept] - m.start[kept]
     return result
 
 
 def _least_squares(A: Array, move: Array, sizes: Array) -> Array:
     """Solve (I - A) step = move with each state in its size, the shortest step that comes nearest."""
+    # I - A is singular where a state may rest anywhere, so the shortest step is taken instead of a solution.
     scaled = (np.eye(len(A)) - A) * sizes[None, :] / sizes[:, None]
     result: Array = np.linalg.lstsq(scaled, move / sizes, rcond=1e-11)[0] * sizes
     return result
@@ -198,6 +206,7 @@ def _least_squares(A: Array, move: Array, sizes: Array) -> Array:
 
 def _go(m: StateMap, kept: list[int], step: Array) -> None:
     """Try a Newton step, then half of it, and so on, until the rig accepts it."""
+    # A full step may leave the domain of a block far from the point.
     for share in 0.5 ** np.arange(8.0):
         there = m.start.copy()
         there[kept] += share * step

@@ -101,9 +101,9 @@ class Step(Held):
         self.begun: int | None = None
         self.counts = {p.name: 0 for p in outputs}
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
-        self.spoken: list[int | None] = [None] * len(outputs)  # of one that is not plain: when each output spoke last
+        self.spoken: list[int | None] = [None] * len(outputs)  # if it is not plain: when each output published last
         self.numbers: tuple[float, ...] = ()
-        self.said: Rows = ()  # the newest answer as it was admitted: what is held when an input is refused
+        self.said: Rows = ()  # the newest answer that was admitted; it is held when an input is rejected
         self.readers: list[Fill] = []
         self.doubters: list[Fill] = []
         self.plant = isinstance(block, Plant)
@@ -175,13 +175,14 @@ class Step(Held):
             self._change(t)
         if self.bad:
             x, found = self.refused(t)
+            # A plant moves in `advance` alone, so the state of its answer is dropped.
             return self.x if self.plant else x, found
         found = self.respond(self.x, t, **{name: self.values[name] for name in self.asked_for})
         return (self.x, found) if self.plant else found
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Forward what is not an answer of the block to subscribers in this and other processes."""
-        # before any reader is filled: the age of what it gets is asked for here (`Fill.told`)
+        # This comes before any reader is filled, because `Fill.told` reads the age of what a reader gets from it.
         if not self.plain:
             self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
         for fill in (*self.readers, *self.doubters):
@@ -205,6 +206,7 @@ class Step(Held):
         if told is None or (stamp := told()) is None:
             return None
         value = self.values[name]
+        # A delayed value is as old as its acquisition, not as its message.
         age = self.t - (value.stamp if type(value) is Sample else stamp)
         return age if age > 0 else 0
 
@@ -242,6 +244,7 @@ class Step(Held):
         """
         waiting: dict[str, Any] = {}
         for change in self.changes:
+            # Changes that wait for the next tick are checked together with the new one, as they take effect together.
             waiting |= change.values if change.at <= self.t else {}
         now = revise(self.params, waiting) if waiting else self.params
         known = flatten(permit(type(self.block), now, values, self.name))
@@ -302,6 +305,7 @@ class Step(Held):
         reason = port.beyond(found.data if isinstance(found, Sample) else found)
         if not reason:
             self.values[port.name] = found
+        # A plant has no command for this tick then, and an old one would move it unnoticed.
         elif isinstance(self.block, Plant):
             raise RunError(f"{self.name} refuses {port.topic} at t = {t / 1e9:.9g} s: {reason}")
         else:
@@ -310,6 +314,7 @@ class Step(Held):
 
     def fail(self, error: Exception) -> NoReturn:
         """Raise what the block has raised as an error that names the step and the time; what it reported counts."""
+        # What the block reported before it failed may explain the failure.
         self.tell()
         if isinstance(error, RunError):
             error.node = self.name
