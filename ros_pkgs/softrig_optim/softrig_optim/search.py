@@ -309,7 +309,7 @@ class Told:
     def now(self) -> Search:
         """The search as it stands, to be read only."""
         line = self._line
-        # Another value has told the shared live search more than this one knows, so this one builds its own.
+        # The shared live search has received more than this value knows, so this value builds its own.
         if len(line.said) != self._n:
             line = self._line = _Line(line.make, line.rng, line.said[: self._n])
         return line.live

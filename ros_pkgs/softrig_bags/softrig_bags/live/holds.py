@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 
 from softrig_nodes.processes.executables import given_profile
 
-LEASE, ANNOUNCEMENT = 20.0, 3.0  # s: of Fast DDS, where the profile says nothing
+# The defaults of Fast DDS in s, where the profile sets neither.
+LEASE, ANNOUNCEMENT = 20.0, 3.0
 
 
 class Holds:

@@ -13,8 +13,10 @@ from softrig_core.wire.types import ARRAY
 from ..content.stamps import is_stamped, stamp
 from ..content.topics import BagTopic
 
-INTERVALS = 8  # that must agree before a topic is taken for one that speaks at each tick
-SIMULATED = 10**8 * SECOND  # stamps of wall clocks are larger
+# So many intervals must agree before a topic counts as one with a message at each tick.
+INTERVALS = 8
+# Stamps of wall clocks are larger: 10^8 s after 1970 is 1973, and no simulation lasts three years.
+SIMULATED = 10**8 * SECOND
 
 
 class Join:
@@ -44,7 +46,8 @@ class Join:
             try:
                 self._number = parse(ARRAY.name, data).number or 0
             except CdrError:
-                return  # of somebody's, in another byte order, say
+                # Another writer may use another byte order; such messages have no number that could be read.
+                return
             return
         self._stamps.append(stamp(data))
         first, last = self._stamps[0], self._stamps[-1]
@@ -67,10 +70,13 @@ class Join:
         if len(intervals) < 2 or not 0 < self._stamps[0] < SIMULATED:
             return 0
         mean = Fraction(sum(intervals), len(intervals))
-        if mean <= 0 or any(abs(i - mean) > 1 for i in intervals):  # ticks are rounded to 1 ns
+        # Ticks are rounded to 1 ns, so equal intervals may differ by that.
+        if mean <= 0 or any(abs(i - mean) > 1 for i in intervals):
             return 0
         count = round(self._stamps[0] / mean)
+        # The error of the mean interval grows with the number of intervals before the first stamp.
         rest = abs(self._stamps[0] - count * mean)
+        # A first stamp that is no multiple of the interval comes from a topic that begins late by itself.
         return count if rest <= 1 + Fraction(count, len(intervals)) else 0
 
 

@@ -34,7 +34,8 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
         part = span(bag, options.start_offset, options.duration)
         chosen = [t for t in bag.topics if t.name in selection and t.name not in answers]
         chosen = [t for t in chosen if not (options.clock and t.name == CLOCK)]
-        if answers:  # set, not said
+        # In lockstep these changes are set on the node by its parameter services, so they are not published too.
+        if answers:
             chosen = [t for t in chosen if t.name != CHANGES or CHANGES in selection.names]
         for name in [*selection.names, *remap]:
             if name not in [t.name for t in bag.topics]:

@@ -36,8 +36,10 @@ from .ros import Session, publisher_profile
 
 CLOCK = "/clock"
 CHANGES = f"/{parameter_event.TOPIC}"
-OVER = 2**63 - 1, None  # no tick follows
-CLOCK_STEP = 0.025  # s: longest wall-clock time between two /clock messages
+# Stands for "no tick follows"; it is later than any change of parameters that is still to be set.
+OVER = 2**63 - 1, None
+# The longest wall-clock time in s between two /clock messages, also where the bag has long gaps.
+CLOCK_STEP = 0.025
 WATCH_PERIOD = 0.25  # s
 
 
@@ -195,6 +197,7 @@ class Player:
         while wait and not self._session.stopped and self._publishers.unheard(list(self._publishers.names.values())):
             self._session.spin(0.02)
         gc.collect()
+        # What exists by now lives until the end; a collection that looks at it would delay messages.
         gc.freeze()
         while not self._session.stopped:
             self._once()
@@ -208,7 +211,8 @@ class Player:
         for i, t, data in self._bag.messages(self._publishers.names, self._part.start):
             if t > self._part.end:
                 break
-            if i not in publish:  # of another type
+            # A topic of two types has one publisher, so the messages of the other type are left out.
+            if i not in publish:
                 continue
             if t != now:
                 self._wait(t)
@@ -225,7 +229,8 @@ class Player:
             if not pauser.paused:
                 self._now += round((wall - self._wall) * self._rate * SECOND)
             self._wall = wall
-            if wall - self._served > CLOCK_STEP:  # late, but services must be answered
+            # The player is late, but ~/pause and ~/resume must be answered all the same.
+            if wall - self._served > CLOCK_STEP:
                 self._served = wall
                 session.spin(0)
             if pauser.paused and pauser.steps:
@@ -394,6 +399,7 @@ class LockstepPlayer:
             answer.take(data)
             self._step()
 
+        # Every answer counts, so none may be replaced by a newer one in the queue.
         profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         self._heard.append(self._session.node.create_subscription(_class(topic), live, receive, profile, raw=True))
 
@@ -404,6 +410,7 @@ class LockstepPlayer:
         for subscription in list(self._heard):
             topic = subscription.topic_name
             publishers = node.get_publishers_info_by_topic(topic)
+            # The answers of two nodes could not be told apart.
             if len(publishers) > 1:
                 raise RunError(f"{len(publishers)} publishers on {topic}, expected exactly one")
             if not publishers or not subscription.get_publisher_count():
@@ -465,7 +472,8 @@ class LockstepPlayer:
         """Set what the bag changes before the next tick; whether an answer is to be waited for."""
         _, node, values = self._changes.popleft()
         client = self._tuned.get(node)
-        if client is None:  # another node's
+        # The change is of another node than the one under test.
+        if client is None:
             return False
         self._setting = True
         asked = client.set_parameters_atomically([Parameter(name, value=v) for name, v in values.items()])
@@ -500,9 +508,11 @@ class LockstepPlayer:
         stamped = [is_stamped(t) for t in self._bag.topics]
         messages: Iterator[tuple[int, int, bytes]]
         ours = {i for i, topic in enumerate(self._bag.topics) if topic.name in self._names}
-        ours |= self._publishers.publish.keys()  # of two types on a topic one is played
+        # Of two types on a topic one is played.
+        ours |= self._publishers.publish.keys()
         said = self._bag.messages(wanted, part.start)
         messages = ((t, i, d) for i, t, d in said if t <= part.end and i in ours)
+        # The first messages show whether bag time is simulated time; one whose stamp is its bag time decides.
         head = list(islice(messages, 200))
         messages = chain(head, messages)
         if not any(stamped[i] and stamp(data) == t for t, i, data in head):

@@ -25,9 +25,11 @@ from .join import Join, missed
 from .ros import EventPoll, Session, offered, subscription_profile
 from .selection import Selection
 
-FLUSH_PERIOD = 0.5  # s: with the 0.5 MB of a chunk, the most that a kill -9 can cost
+# In s. With the 0.5 MB of a chunk this is the most that a kill -9 can cost.
+FLUSH_PERIOD = 0.5
 DISCOVERY_PERIOD = 0.1  # s
-RESERVE = 1 << 20  # bytes kept free for index and metadata when the disk fills up
+# Bytes kept free on the disk, so that index and metadata can be written when it is full.
+RESERVE = 1 << 20
 
 
 class Recorder:
@@ -171,6 +173,7 @@ class Recorder:
             self._node.get_logger().error(f"{name} is not recorded {reason}")
 
     def _publishers(self, name: str) -> list[TopicEndpointInfo]:
+        # The recorder publishes on topics of its own, which are not to be recorded.
         own = self._node.get_name()
         return [p for p in self._node.get_publishers_info_by_topic(name) if p.node_name != own]
 
@@ -231,12 +234,14 @@ class Recorder:
             return by_arrival
 
         def by_stamp(data: bytes) -> None:
+            # A bag cannot hold a negative time, but a message with a bad stamp must not end the recording.
             t = max(stamp(data), 0)
             self._newest = max(self._newest, t)
             write(number, t, data)
             if join.open:
                 join.look(data)
 
+        # A topic without a header has no time of its own; the newest stamp is the tick at which it was sent.
         def by_newest(data: bytes) -> None:
             write(number, self._newest, data)
             if join.open:

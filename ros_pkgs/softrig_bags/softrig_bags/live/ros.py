@@ -29,8 +29,10 @@ from ..content.topics import BagTopic
 from ..errors import BagError
 
 _OF_ROS = ("use_sim_time", "start_type_description_service")
-SLICE = 0.1  # s: longest wait before a signal is noticed
-_ADAPTED = 10  # depth of `rmw_qos_profile_default`
+# In s. Python handles a signal between two calls only, so this is the longest wait before one is noticed.
+SLICE = 0.1
+# The depth of `rmw_qos_profile_default`, to which rosbag2 adapts the offers of latched publishers.
+_ADAPTED = 10
 _QUEUE = 1000
 
 
@@ -71,12 +73,14 @@ class Session:
                 except RuntimeError as error:
                     raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
                 self.node = Node(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
-        except ValueError as error:  # of the profile
+        # The profile of the middleware could not be read.
+        except ValueError as error:
             raise BagError(str(error)) from None
         Session.opened = self
         options = {declaration.name: value for declaration, value in parameters}
         for name, given in self.node.get_parameters_by_prefix("").items():
-            if name in options and given.value == options[name]:  # as in a file of `ros2 param dump`
+            # A file of `ros2 param dump` has the options too; the same value is no attempt to change one.
+            if name in options and given.value == options[name]:
                 self.node.undeclare_parameter(name)
             elif name not in _OF_ROS and not name.startswith("qos_overrides."):
                 raise BagError(
@@ -107,7 +111,8 @@ class Session:
 
     def settle(self) -> None:
         """Handle what had arrived when `spin` was stopped."""
-        for _ in range(1 if uses.works("take_message") else _QUEUE):  # a turn takes a message where we cannot
+        # Where messages cannot be taken directly, each turn of the executor takes one.
+        for _ in range(1 if uses.works("take_message") else _QUEUE):
             self._executor.spin_until_future_complete(Future(), 0.0)
 
 

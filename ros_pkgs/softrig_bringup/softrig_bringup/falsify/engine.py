@@ -228,6 +228,7 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
 
 def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:
     """Return what a margin is divided by before it is compared with those of other requirements."""
+    # One margin keeps its unit; several are divided by their nominal size to be compared.
     if len(nominal) == 1:
         return dict.fromkeys(nominal, 1.0)
     return {n: abs(m) if m is not None and 0.0 < abs(m) < LARGE else 1.0 for n, m in nominal.items()}

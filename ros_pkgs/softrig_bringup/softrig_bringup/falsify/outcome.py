@@ -45,7 +45,8 @@ def main(options: argparse.Namespace) -> int:
     said = [*options.over, *options.requirement, *(f"{k}_{changes[k]}" for k in keys if k in changes)]
     out = options.out or Path("runs") / folder_of([f"falsify_{task.name}", *said])
     folder = ResultsFolder(out, FALSIFICATION)
-    prepared = prepare(task)  # who is refused leaves no folder
+    # Input that is refused must leave no folder behind.
+    prepared = prepare(task)
     with folder.alone():
         try:
             outcome = falsify(task, prepared, out, workers=options.workers, scheduler=options.scheduler)

@@ -53,7 +53,8 @@ def draw_worst(runs: Mapping[str, Run], requirement: str, path: Path, title: str
         for name, signal in signals.items()
     }
     different = {n: c for n, c in rows.items() if any(not np.array_equal(c[0].y, other.y) for other in c[1:])}
-    rows = different or rows  # a reference that is the same in all says nothing
+    # A reference that is the same in all runs shows nothing, unless there is nothing else.
+    rows = different or rows
     first = next(iter(signals.values()), "")  # a requirement is marked on each of its signals
     marks = [m for m in marks_of(last.rig, last.signals).get(first, ()) if m.name == requirement]
     figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(rows)), dpi=look.DPI)

@@ -16,10 +16,12 @@ Measure = Callable[[Sequence[Point]], list[float]]  # margins of a batch, NaN fo
 Sampler = Literal["cmaes", "tpe", "random"]
 
 MANY = 1000  # corners that are drawn
-BATCH = 4  # points asked for at a time, whatever the number of cores: the result does not depend on it
+# Points asked for at a time. It is fixed, so that the result does not depend on the number of cores.
+BATCH = 4
 CORNERS, HELD, POLISH = 0.1, 0.1, 0.25  # shares of the budget
 FEW = 2 * BATCH  # corners at least
-WORST = 1e300  # told of a point that could not be measured
+# Reported for a point that could not be measured, because samplers accept no NaN.
+WORST = 1e300
 
 
 @dataclass
@@ -127,7 +129,8 @@ def search(
     start = result.point or (0.0,) * size
     while not over():
         if _climb(start, known, tell, over) == 0 and sum(set(p) <= {0.0, 1.0} for p in known) == 2**size:
-            _sample(sampler, size, seed + 1, tell, over, result)  # no corner is left
+            # No corner is left to climb from, so the rest of the budget goes to the sampler.
+            _sample(sampler, size, seed + 1, tell, over, result)
         start = _corner(size, rng)
     return result
 
@@ -145,7 +148,8 @@ def _sample(
         rng = np.random.default_rng(seed)
         while not over():
             tell([tuple(point) for point in rng.random((BATCH, size)).tolist()])
-    elif sampler == "cmaes" and size > 1:  # one coordinate has no covariance
+    # One coordinate has no covariance matrix to adapt.
+    elif sampler == "cmaes" and size > 1:
         _cmaes(size, seed, tell, over, found)
     else:
         _tpe(size, seed, tell, over)
@@ -156,16 +160,19 @@ def _cmaes(
 ) -> None:
     CMA = _cma_class()
     cube = np.array([[0.0, 1.0]] * size)
-    mean = np.full(size, 0.5)  # not the best corner: it may lie far from all that is between
+    # The search starts in the middle, not at the best corner, which may be far from the violations between the bounds.
+    mean = np.full(size, 0.5)
     while not over():
         asked = CMA(mean, sigma=0.3, bounds=cube, seed=seed)
         while not over() and not asked.should_stop():
             points = [asked.ask() for _ in range(asked.population_size)]
             margins = tell([tuple(point.tolist()) for point in points])
-            if len(margins) < len(points):  # the budget is used up
+            # The budget is used up, and CMA-ES accepts whole generations only.
+            if len(margins) < len(points):
                 return
             asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, margins, strict=True)])
-        seed += 1  # it has converged: again from the best point, with other random numbers
+        # It has converged, so it starts again from the best point with other random numbers.
+        seed += 1
         mean = np.array(found.point) if len(found.point) == size else mean
 
 
@@ -217,7 +224,8 @@ def _corners(
     if len(listed) + 2 * size <= budget:
         listed += alone((k, k + 1) for k in range(size))
     listed += [_corner(size, rng) for _ in range(MANY)]
-    corners = dict.fromkeys(listed)  # each once, in this order
+    # Drawn corners may repeat; each is measured once.
+    corners = dict.fromkeys(listed)
     every = list(corners)
     for k in range(0, len(every), BATCH):
         if over():

@@ -10,7 +10,8 @@ from softrig_core import Scenario
 from .space import Over, Space
 
 Case = tuple[Scenario, dict[str, Any]]  # a scenario and what is changed in it
-HALVINGS = 12  # of the way of a parameter back to its nominal value: it is found to 1/4096 of that
+# With so many halvings a parameter is found to 1/4096 of the way back to its nominal value.
+HALVINGS = 12
 
 
 def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], bool], budget: int) -> tuple[Case, int]:
@@ -41,6 +42,7 @@ def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], b
         return violates(candidate)
 
     case: Case = (space.scenario, dict(overrides))
+    # Faults are dropped first, because their parameters then need no shrinking.
     case = _greedily(_without_faults, space, case, still)
     case = _nominal(space, case, still)
     return _greedily(_fewer_steps, space, case, still), runs
@@ -85,6 +87,7 @@ def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, stil
     """A parameter between its nominal value and its own, as near as the violation lasts; lists as a whole."""
     scenario, overrides = case
     worst, good = (x if isinstance(x, list) else [x] for x in (overrides[target], nominal))
+    # Lists of different lengths have no values in between.
     if len(worst) != len(good):
         return case
     log = over.log and min(good) > 0.0
@@ -97,6 +100,7 @@ def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, stil
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = (low + high) / 2.0
+        # Whole numbers have no value left in between.
         if between(middle) in (between(low), between(high)):
             break
         if still((scenario, overrides | {target: between(middle)})):

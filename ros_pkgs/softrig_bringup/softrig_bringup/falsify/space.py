@@ -44,6 +44,7 @@ class Over(Span):
 
     def value(self, u: float) -> float:
         """Turn a number from 0 to 1 into one of the range; both ends are met exactly."""
+        # The ends are returned as they are, because the formulas below would round them.
         if u <= 0.0 or u >= 1.0:
             return self.low if u <= 0.0 else self.high
         if self.log:
@@ -155,7 +156,9 @@ def space_of(scenario: Scenario, overs: Sequence[Over]) -> Space:
             raise ScenarioError(f"{over.key} is {kind}: {'a number is searched' if not over.count else FORMS}")
     changed = scenario.having(faults=faults)
     space = Space(changed, tuple(overs), tuple(targets), tuple(nominal), tuple(whole))
-    for corner in (0.0, 0.5, 1.0):  # what a block refuses is said now, with the parameter's bounds
+    # A block that refuses an end of a range does so now, with the bounds of the parameter, not in the middle of a
+    # search.
+    for corner in (0.0, 0.5, 1.0):
         rig_of(changed.changed(overrides=space.overrides([corner] * space.size)))
     return space
 

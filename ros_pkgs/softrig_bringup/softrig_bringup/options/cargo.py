@@ -29,8 +29,10 @@ from .packed import PACKAGES, SCENARIO, About, digest_of
 
 GROUPS = ("console_scripts", "softrig_figures", "softrig_policies", "softrig_problems")
 LETTERS = 16  # of a SHA-256 that are shown
-SETUP = 1 << 20  # bytes of a setup.cfg
-_STARTS = {"sitecustomize", "usercustomize"}  # what Python imports by itself when it starts
+# In bytes. A setup.cfg is read as a whole, and a stranger's may be of any size.
+SETUP = 1 << 20
+# Python imports these by itself when it starts, so a package of this name would run without being asked for.
+_STARTS = {"sitecustomize", "usercustomize"}
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)|find_spec\(\"(\w+)\"\)", re.MULTILINE)
 _POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _TARGET = re.compile(r"(\w+)((?:\.\w+)*):(\w+(?:\.\w+)*)", re.ASCII)
@@ -201,6 +203,7 @@ def check_name(name: str) -> None:
     ------
     ScenarioError
     """
+    # A package with the name of a module that is imported elsewhere would run in its place.
     if name in sys.stdlib_module_names or name in _STARTS or keyword.iskeyword(name):
         whose = "Python's own"
     elif name.lower().startswith("softrig"):
@@ -308,6 +311,7 @@ def _read(folder: Path, said: About) -> Package:
     files = {str(f.relative_to(folder)): f for f in sorted(folder.rglob("*")) if f.is_file()}
     if not any(place.startswith(f"{name}/") and place.endswith(".py") for place in files):
         raise ScenarioError(f"{PACKAGES}/{name}: no Python in {name}/{name}, expected the package's modules there")
+    # Compiled files may hold other code than the sources that a person has read.
     compiled = next((k for k, f in files.items() if f.suffix in _COMPILED or "__pycache__" in f.parts), None)
     if compiled is not None:
         raise ScenarioError(

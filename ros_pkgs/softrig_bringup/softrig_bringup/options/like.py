@@ -32,7 +32,8 @@ from .packed import METRICS, SCENARIO, Digest, about, is_pack, need_packages, op
 #: Of the versions of a run, what decides its bits, the likeliest first.
 DECIDE = ("math", "casadi", "pin", "daqp", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")
 MADE_WITH = ("versions", "code", "contents")
-TAPE = "recorded_inputs"  # node that says what came from outside
+# The name of the node that publishes what came from outside.
+TAPE = "recorded_inputs"
 #: What a node in real time counts when a tick is not what it would be in lockstep, in words.
 LATE = {
     "missed_deadlines": "deadlines missed",
@@ -118,7 +119,8 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
         with BagReader(bag) as reader:
             data = reader.custom_data
         content = _content(bag.absolute().parent / METRICS)
-        begun = json.loads(data.get("from", "{}")).get("command", "")  # of one that went on from another
+        # A run that continued another one was begun by the command of that one.
+        begun = json.loads(data.get("from", "{}")).get("command", "")
         command = shlex.split(begun or data.get("command", "") or str(content["command"]))
         late = json.loads(data.get("late", "{}"))
         made_with = {key: json.loads(data[key]) for key in MADE_WITH if key in data}
@@ -173,7 +175,8 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
         Somebody else's plant: it alone knows what it does.
     """
     if run.digests:
-        return scenario  # its file has them
+        # The file of a pack without its bag has the changes already.
+        return scenario
     by_time: dict[float, dict[str, Any]] = {}
     for t, node, values in recorded(run.recording, run.epoch):
         by_time.setdefault(t / SECOND, {}).update({f"{node}.{name}": value for name, value in values.items()})
@@ -259,7 +262,8 @@ def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
         a = list(_values(port, old_topic, before.epoch))
         b = list(_values(port, run.recording.topics[port.topic], run.epoch))
         common = min(a[-1][0], b[-1][0]) if a and b else -1
-        if port.sporadic:  # its last message may be long ago
+        # Its last message may be long ago, so it does not show how far the node came.
+        if port.sporadic:
             common = min(
                 _reached(before.recording, before.epoch), _reached(run.recording, run.epoch)
             ) - member.schedule.time(2)
@@ -284,7 +288,8 @@ def digests(run: Run) -> dict[str, Digest]:
         rows = list(_values(port, run.recording.topics[port.topic], run.epoch))
         hashed = hashlib.sha256()
         for t, stamp, values in rows:
-            hashed.update(struct.pack(f"<qq{len(values)}d", t, stamp, *(v + 0.0 for v in values)))  # -0 equals 0
+            # Adding 0.0 turns -0.0 into 0.0, as the two compare equal.
+            hashed.update(struct.pack(f"<qq{len(values)}d", t, stamp, *(v + 0.0 for v in values)))
         result[port.topic] = Digest(messages=len(rows), sha256=hashed.hexdigest()[:32])
     return result
 

@@ -28,10 +28,14 @@ ABOUT, METRICS, CRATE = "pack.json", "metrics.json", "ro-crate-metadata.json"
 SCENARIO, PACKAGES, BAG, STUDY = "scenario", "packages", "bag", "study"
 MOST = 4 << 30  # bytes, unpacked
 FILES = 10_000
-SMALL = 64 << 20  # bytes, unpacked: less is never too much for the size of the file
-TIMES = 100  # unpacked by packed size; bags of real runs have 2 to 20
-HEAD = 512  # bytes of an entry in the list at the end of a file
-LARGEST = {ABOUT: 8 << 20, METRICS: 64 << 20}  # bytes of what is read as a whole
+# In bytes, unpacked. A file that unpacks to less is accepted however small it is packed.
+SMALL = 64 << 20
+# The largest ratio of unpacked to packed size, against zip bombs: bags of real runs have 2 to 20.
+TIMES = 100
+# In bytes, for an entry of the list at the end of a zip file, on average.
+HEAD = 512
+# In bytes. These files are read as a whole, so their size must fit in memory.
+LARGEST = {ABOUT: 8 << 20, METRICS: 64 << 20}
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)
 _NAME = re.compile(
     rf"(?:{ABOUT}|{METRICS}|{CRATE}|(?:{SCENARIO}|{PACKAGES}|{BAG}|{STUDY})(?:/[^/\\\x00-\x1f\x7f]{{1,150}}){{1,20}})"
@@ -147,11 +151,12 @@ def opened(path: Path) -> Path:
             with TemporaryDirectory(dir=folder.parent, prefix=".new_") as aside:
                 new = Path(aside) / "new"
                 _check_content(new, unpack(path, new))
+                # Another process may have unpacked the same file meanwhile; its folder has the same content.
                 if not folder.is_dir():
                     new.rename(folder)
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
-    # papers that only its maker's folders of scenarios have
+    # The scenario may cite papers that only the folders of its maker have, so its own folder is searched too.
     known = os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep)
     if (mine := str(folder / SCENARIO)) not in known:
         os.environ["SOFTRIG_SCENARIOS"] = os.pathsep.join(filter(None, (*known, mine)))
@@ -185,6 +190,7 @@ def unpack(path: Path, folder: Path) -> dict[str, str]:
             if size > max(SMALL, TIMES * path.stat().st_size):
                 raise ScenarioError(f"unpacks to {size} bytes, expected at most {TIMES} times its own size")
             for entry in entries:
+                # The entry is checked before it is written, for a name such as ../x would leave the folder.
                 _check(entry, result)
                 result[entry.filename] = _extract(archive, entry, folder / entry.filename)
     except ScenarioError:
@@ -209,7 +215,8 @@ def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, place: Path) -> s
     """Write one file; give its SHA-256."""
     place.parent.mkdir(parents=True, exist_ok=True)
     digest = hashlib.sha256()
-    with archive.open(entry) as packed, place.open("xb") as file:  # gives what the entry declares, no more
+    # zipfile reads what the entry declares and no more, so the sum of sizes that was checked holds.
+    with archive.open(entry) as packed, place.open("xb") as file:
         while block := packed.read(1 << 20):
             digest.update(block)
             file.write(block)
@@ -221,6 +228,7 @@ def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
     name, kind = entry.filename, stat.S_IFMT(entry.external_attr >> 16)
     parts = name.split("/")
     plain = _NAME.fullmatch(name) and "." not in parts and ".." not in parts and kind in (0, stat.S_IFREG)
+    # zipfile cuts a name at a null byte; then the name that was checked is not the one in the file.
     if not plain or name in seen or entry.orig_filename != name:
         raise ScenarioError(
             f"{name[:100]!r}: expected plain files below {SCENARIO}, {PACKAGES}, {BAG}, {STUDY}, each once"

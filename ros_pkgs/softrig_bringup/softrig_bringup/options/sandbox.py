@@ -27,13 +27,15 @@ from softrig_core.scenario.scenario_file import scenario_folders
 
 from .packed import digest_of
 
-VARIABLE = "SOFTRIG_SANDBOX"  # set inside
+# Set in the environment inside, so that the run there does not start a sandbox of its own.
+VARIABLE = "SOFTRIG_SANDBOX"
 _HIDDEN = ("/tmp", "/var/tmp", "/run")
 _PASSED = re.compile(
     r"PATH|HOME|LANG|LC_\w+|TZ|TERM|COLUMNS|VIRTUAL_ENV|AMENT_PREFIX_PATH|LD_LIBRARY_PATH|XDG_CACHE_HOME"
     r"|(?:SOFTRIG|PYTHON|ROS|RMW|OMP|OPENBLAS|NUMBA|MKL)\w*"
 )
-_OUTSIDE = ("view", "junit", "domain", "connect", "scheduler")  # options that need the network or another file
+# These options need the network or a file elsewhere, which a sandbox has not.
+_OUTSIDE = ("view", "junit", "domain", "connect", "scheduler")
 
 
 def inside() -> bool:
@@ -106,7 +108,7 @@ def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
     for path in _read(source.absolute(), hidden):
         yield from ("--ro-bind", path, path)
     yield from ("--dir", here, "--bind", str(out), str(out), "--chdir", here)
-    # compiled code is executed: what is in there is used by this pack's runs in a sandbox alone
+    # Compiled code is executed, so a pack gets a cache of its own, which no run outside of a sandbox uses.
     cache = cache_folder() / "packs" / f"{digest_of(source)[:32]}-cache"
     cache.mkdir(parents=True, exist_ok=True)
     yield from ("--bind", str(cache), str(cache))
@@ -121,7 +123,7 @@ def _read(source: Path, hidden: Iterable[str]) -> list[str]:
     command_folder = os.path.dirname(os.path.dirname(os.environ.get("SOFTRIG_COMMAND", "")))
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     places = [sys.prefix, sys.base_prefix, *sys.path, command_folder, *prefixes, str(source), f"{source}.sig"]
-    # inside, a pack is unpacked again, into a cache of its own
+    # The cache of packs is left out, because a pack is unpacked again inside, into its own cache.
     places += [str(folder) for folder in scenario_folders() if not folder.is_relative_to(cache_folder() / "packs")]
     seen = sorted({p for p in places if p and os.path.exists(p)} | {os.path.realpath(p) for p in places if p})
     below = [p for p in seen if os.path.exists(p) and any(p.startswith(f"{h}/") for h in hidden)]
@@ -142,8 +144,9 @@ def run(words: list[str]) -> int:
     ]
 
     def stop(number: int, _: FrameType | None) -> None:
-        # bubblewrap itself passes no signal on; what runs in it ends by one as it does anywhere, its bag written
-        with suppress(OSError):  # it has just ended
+        # bubblewrap does not pass signals on. The run in it must receive them, so that it ends in order and writes its
+        # bag.
+        with suppress(OSError):
             for child in _below(process.pid):
                 os.kill(child, number)
 

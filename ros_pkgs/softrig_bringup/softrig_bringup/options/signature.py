@@ -10,7 +10,8 @@ from pathlib import Path
 
 from softrig_core import ScenarioError
 
-NAMESPACE = "softrig-pack"  # of a signature: one that was made for mail or git is none for a pack
+# Part of each signature, so that one made for mail or git does not count for a pack.
+NAMESPACE = "softrig-pack"
 SIGNERS = "SOFTRIG_SIGNERS"  # names a file of allowed signers, as in ssh-keygen(1)
 _LONG = 60.0  # s
 
@@ -49,7 +50,7 @@ def signed_by(path: Path) -> str:
     if shutil.which("ssh-keygen") is None:
         return f"signature {signature.name} not checked, for want of ssh-keygen"
     signers = os.environ.get(SIGNERS) or str(Path("~/.config/softrig/allowed_signers").expanduser())
-    # without a file of signers a signature still says that one key's owner has signed these very bytes
+    # Without a file of signers a signature still proves that the owner of one key has signed these very bytes.
     checked = _keygen(["check-novalidate", "-n", NAMESPACE, "-s", str(signature)], path)
     key = re.search(r"key (SHA256:[A-Za-z0-9+/]+)", checked.stdout + checked.stderr)
     if checked.returncode or key is None:

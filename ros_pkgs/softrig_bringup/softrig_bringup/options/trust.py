@@ -53,7 +53,8 @@ def admitted(options: argparse.Namespace) -> int | None:
             say(f"{path}: no code in it, {who}")
         return None
     if cargo.units:
-        need("fmpy", f"the FMU {cargo.units[0].name}")  # a sandbox has no network to fetch it
+        # The package is fetched now, because a sandbox has no network.
+        need("fmpy", f"the FMU {cargo.units[0].name}")
     if not sandbox.inside():
         _confirm(path, cargo, who, options.trust)
         if (command := sandbox.command(options)) is not None:

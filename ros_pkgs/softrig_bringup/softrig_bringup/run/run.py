@@ -57,7 +57,8 @@ from ..plots.curves import check_plots, shown
 from ..plots.pictures import plot_run
 from ..report.report import write_report
 
-CHANGED, OUTSIDE = "parameters were changed while it ran", "messages came from outside"  # why a run is there once
+# The reasons why a run cannot be repeated from its scenario.
+CHANGED, OUTSIDE = "parameters were changed while it ran", "messages came from outside"
 
 
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
@@ -149,7 +150,8 @@ def gaps(rig: Rig, recording: Recording) -> str:
 def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") -> dict[str, Any]:
     """Create the content of metrics.json; `label` is what the run is to be called."""
     scenario = run.rig.scenario
-    own = [m for m in run.rig.members if not m.external]  # what is outside is not ours to tell
+    # Code and parameters of external nodes are not known here.
+    own = [m for m in run.rig.members if not m.external]
     return {
         "scenario": scenario.name,
         "title": scenario.title,
@@ -208,7 +210,8 @@ def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
     try:
         recording = read_shards(shards)
         found = [CHANGED] if turned(Run(rig, rig.scenario.seed, recording)) else []
-    except (ValueError, KeyError):  # damaged on the disk: whether there was a change nobody can say
+    # The shards are damaged on the disk, so it is unknown whether there was a change.
+    except (ValueError, KeyError):
         return ["parameters may have been changed while it ran"]
     return found + ([OUTSIDE] if from_outside(rig, recording) else [])
 
@@ -225,7 +228,8 @@ def turned(run: Run) -> list[str]:
         f"{node}.{name}={json.dumps(value)} from {t / SECOND:.9g} s"
         for t, node, values in recorded(run.recording, run.epoch)
         for name, value in values.items()
-        if scripted.get((t, node, name)) != value  # somebody may have turned it at that very tick
+        # A person may have set another value at the tick of a change of the scenario.
+        if scripted.get((t, node, name)) != value
     ]
 
 
@@ -264,7 +268,8 @@ def checkout() -> dict[str, str]:
             subprocess.run([*git, *command], capture_output=True, text=True, timeout=10, check=True).stdout.strip()
             for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
         ]
-    except (OSError, subprocess.SubprocessError):  # no git, or an archive without its history
+    # There is no git here, or the checkout is an archive without its history.
+    except (OSError, subprocess.SubprocessError):
         return result
     return {"commit": said[0] + ("+" if said[1] else "")} | result
 
@@ -289,7 +294,7 @@ def save(
             recording = with_scenery(run.recording, _scenes(run.rig))
             recording = with_health(recording, texts, run.status) if health else recording
             content = {**content, "run": identity(run.rig, run.seed, recording)}
-        # first: if the disk is full, this is what tells why
+        # This is written first, because it tells the reason when the disk is full.
         (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
         if record:
             write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=[*LATCHED, *texts])

@@ -1,3 +1,4 @@
 """Studies: a scenario over cases, grids, draws, seeds, or a search."""
 
-RUNS = 1_000_000  # of one study or search: more would take weeks
+# The most runs of one study or search, because more would take weeks.
+RUNS = 1_000_000

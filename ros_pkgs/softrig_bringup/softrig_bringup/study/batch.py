@@ -119,7 +119,8 @@ class Log:
             self.passed_over = lines - len(self._known)
         self._file = path.open("ab")
         if not whole:
-            self._file.write(b"\n")  # the next row is a line of its own
+            # The last line was cut off, and the next row must be a line of its own.
+            self._file.write(b"\n")
 
     def __len__(self) -> int:
         return len(self._known)
@@ -144,6 +145,7 @@ class Log:
         """Write one row to the disk."""
         with naming(self.path):
             self._file.write(json.dumps(row, separators=(",", ":")).encode() + b"\n")
+            # Each row is passed to the operating system at once, so that an interruption loses no finished run.
             self._file.flush()
         self._known[row["number"]] = _content(row)
 

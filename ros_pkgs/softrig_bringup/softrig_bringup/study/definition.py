@@ -18,7 +18,8 @@ from softrig_core.scenario.references import fill
 from softrig_core.scenario.scenario_file import scenario_folders
 from softrig_core.scenario.yaml_file import read_mapping
 
-MOST = 1_000_000  # seeds, points, candidates: room is made for all of them at once
+# The most seeds, points or candidates, because memory is allocated for all of them together.
+MOST = 1_000_000
 
 
 Bound = float | list[float]

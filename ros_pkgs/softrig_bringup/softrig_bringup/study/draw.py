@@ -47,7 +47,8 @@ def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[C
     drafts : mapping, optional
         What `drafts_of` gave; read when absent.
     """
-    count(study)  # before any of it is made
+    # A study that is too large is refused before its draws fill the memory.
+    count(study)
     drafts = drafts or drafts_of(study)
     number = 0
     points = draw(study.draws) if study.draws else [{}]
@@ -99,6 +100,7 @@ def _unit(draws: Draws, dimensions: int) -> Array:
         return np.asarray(qmc.LatinHypercube(dimensions, rng=rng).random(draws.count))
     if draws.method == "sobol":
         return np.asarray(qmc.Sobol(dimensions, rng=rng).random(draws.count))
+    # Two sets from one sequence of twice the dimensions are independent of each other; two sequences need not be.
     first, second = np.hsplit(qmc.Sobol(2 * dimensions, rng=rng).random(draws.count), 2)
     mixed = [np.where(np.arange(dimensions) == k, second, first) for k in range(dimensions)]
     return np.vstack([first, second, *mixed])
@@ -133,6 +135,7 @@ def _values(d: Distribution, u: Array) -> list[Any]:
         from scipy.special import ndtri
 
         mean, deviation = (np.broadcast_to(np.asarray(x, float), u.shape) for x in d.normal)
+        # The ends 0 and 1 would be infinite.
         return [float(v) for v in mean + deviation * ndtri(np.clip(u, 1e-12, 1.0 - 1e-12))]
     pair = d.uniform or d.log_uniform
     assert pair is not None

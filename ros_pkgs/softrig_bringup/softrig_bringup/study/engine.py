@@ -27,8 +27,10 @@ from .definition import Search, Study
 from .draw import Case, _values, cases, count, drafts_of, seeds_of
 from .work import Work, recorded, repeating, run, value_of
 
-OURS = "softrig_"  # begin of the modules whose blocks are tested for what they keep
-LEAST = 8  # rows of a study of which one is computed again
+# Modules with this prefix have tests which show that their blocks keep nothing outside of x.
+OURS = "softrig_"
+# A shorter study is not checked, because one more row would be a large share of its time.
+LEAST = 8
 
 
 def run_study(
@@ -57,19 +59,22 @@ def run_study(
         work there.
     """
     folder = ResultsFolder(out, STUDY)
-    drafts = drafts_of(study)  # an edit while it runs does not change it
+    # The files are read once, so that an edit during the study does not change it.
+    drafts = drafts_of(study)
     rigs = check_study(study, drafts)
     given = content_of(study, drafts, rigs)
     same(given, out / "study.json", "study")
     if distinct and not (out / "study.json").exists():
         check_seeds(study, drafts)
-    for rig in rigs:  # a row must not depend on those that its worker has run before
+    # Workers stay from row to row, and a row must not depend on those that its worker has run before.
+    for rig in rigs:
         check_pure(rig)
     if study.search:
         repeating(_work(study, next(_first(study, study.search, drafts)), drafts))
     with folder.alone():
         try:
-            replace(out / "study.json", same(given, out / "study.json", "study"))  # another call may have been here
+            # The folder is checked again under the lock, because another call may have written to it since.
+            replace(out / "study.json", same(given, out / "study.json", "study"))
             log = Log(out / "rows.jsonl", count(study), None if study.search else cases(study, drafts))
             with Batch(study.name, log, workers, scheduler) as batch:
                 if study.search:
@@ -285,6 +290,8 @@ def _search(study: Study, search: Search, batch: Batch, drafts: Mapping[str, Dra
             for i, trial in enumerate(trials)
             for k, seed in enumerate(seeds)
         ]
+        # Values are reported in the order of the trials, not as they end, so that the search repeats on any number of
+        # cores.
         rows = batch.rows(works)
         for i, trial in enumerate(trials):
             own = rows[i * len(seeds) : (i + 1) * len(seeds)]

@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-FEW = 10  # pairs below which a bootstrap covers less than it says: 0.75 of three normal ones, 0.92 of five
+# With fewer pairs a bootstrap covers less than 95 %: 0.75 of three normal pairs, 0.92 of five.
+FEW = 10
 LEVEL = 0.95  # confidence of every interval
-RESAMPLES = 4999  # of a bootstrap; the 2.5 % quantile of them is the 125th
-ROOM = 200_000  # numbers of resamples at a time, which fit a processor's cache
+# Resamples of a bootstrap. With this number the 2.5 % quantile is exactly the 125th of them.
+RESAMPLES = 4999
+# Numbers of resamples computed at a time, so that they fit into a processor's cache.
+ROOM = 200_000
 
 Statistic = Callable[..., Any]
 
@@ -57,7 +60,8 @@ def deviation(values: Array) -> Estimate:
     if n < 2:
         return Estimate(math.nan)
     found, z = float(np.std(values, ddof=1)), float(stats.norm.ppf(0.5 + LEVEL / 2.0))
-    if n < 5 or found == 0.0:  # its trimmed mean is of more than four
+    # The trimmed mean below divides by the root of n - 4.
+    if n < 5 or found == 0.0:
         return Estimate(found, *((0.0, 0.0) if found == 0.0 else ()))
     about = values - stats.trim_mean(values, 0.5 / math.sqrt(n - 4.0))
     kurtosis = n * float(np.sum(about**4)) / float(np.sum((values - values.mean()) ** 2)) ** 2
@@ -189,6 +193,7 @@ def runs_for_share(portion: float, width: float) -> int:
 
 def _least(width_of: Callable[[int], float], width: float) -> int:
     """Find the least number of runs, at least two, whose interval is no wider; the width falls with the number."""
+    # The width falls with n, so doubling and then halving finds the least n.
     high = 2
     while width_of(high) > width:
         high *= 2

@@ -39,7 +39,8 @@ from .work import absent, value_of
 
 FEW = 20  # runs whose figures are printed where a study has no summaries
 MOST = 60  # rows of statistics that are printed
-LONGEST = 200  # rows on the page; the table files have them all
+# The most rows on the page; the table files have them all.
+LONGEST = 200
 
 
 def main(options: argparse.Namespace) -> int:
@@ -53,7 +54,8 @@ def main(options: argparse.Namespace) -> int:
     name = f"study_{study.name}-again" if before is not None else folder_name(study.name, options)
     out = options.out or Path("runs") / name
     widths = dict(map(_width, options.width))
-    need("pyarrow", "the table of a study")  # before hours of runs, not after
+    # A missing package is an error before hours of runs, not after them.
+    need("pyarrow", "the table of a study")
     log = run_study(
         study,
         out,

@@ -135,7 +135,8 @@ class Sample:
         """Return a number of each run, shape (independent runs, runs that belong to one of them)."""
         values = np.array([value(row) for row in self.rows], float).reshape(-1, self.seeds)
         values = values[:, :1] if (self.one_run if one_run is None else one_run) else values
-        return values.T if len(values) == 1 else values  # of a single draw the seeds are independent
+        # With a single draw the seeds are the independent runs.
+        return values.T if len(values) == 1 else values
 
 
 def statistics(
@@ -174,6 +175,7 @@ def statistics(
 def samples_of(study: Study, rows: Sequence[Row]) -> dict[str, Sample]:
     """Return the runs of each case and grid point, those that are independent draws."""
     seeds = len(study.seeds or [0])
+    # A sensitivity study has two independent sets of points; the others are mixed of these and would count twice.
     sets = 2 * study.draws.count * seeds if study.draws and study.draws.method == "sensitivity" else None
     return {group: Sample(own[:sets], seeds) for group, own in _groups(study, rows).items()}
 
@@ -188,7 +190,8 @@ def _groups(study: Study, rows: Sequence[Row]) -> dict[str, list[Row]]:
 def _line(group: str, figure: str, unit: str, sample: Sample) -> Line | None:
     """Estimate over a sample; nothing where it is one run."""
     table = sample.table(lambda row: value_of(row, figure))
-    known = table[~np.isnan(table).any(axis=1)]  # what was not measured is not known to be small or large
+    # A figure that was not measured is not known to be small or large, so its run belongs to no tail.
+    known = table[~np.isnan(table).any(axis=1)]
     finite = known[np.isfinite(known).all(axis=1)]
     if table.size < 2 or not known.size:
         return None
@@ -221,7 +224,8 @@ def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
     if len(sample.rows) < 2:
         return
     asked: dict[str, Callable[[Row], float]] = {}
-    if all("missed" in row for row in sample.rows):  # rows of an older version do not say
+    # Rows of an older version do not have this entry.
+    if all("missed" in row for row in sample.rows):
         for name in load_scenario(sample.rows[0]["scenario"]).requirements:
             if not all(name in row.get("not_judged", ()) for row in sample.rows):
                 asked[name] = partial(_holds, name)
@@ -230,7 +234,8 @@ def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
     for name, holds in asked.items():
         table = sample.table(holds)
         held = table[~np.isnan(table).any(axis=1)]
-        if not held.size:  # judged at no draw by all of its seeds
+        # The requirement was judged at no draw by all of its seeds.
+        if not held.size:
             continue
         yield Share(group, name, round(held.sum()), held.size, estimate.share(float(held.mean()), len(held)))
 
@@ -244,7 +249,8 @@ def not_judged(rows: Sequence[Row]) -> str:
     """Describe what does not judge the runs of a study, and for what machine that is published; empty for nothing."""
     others = [row for row in rows if row.get("not_judged")]
     names = dict.fromkeys(name for row in others for name in row["not_judged"])
-    machine = max((row["published_for"] for row in others), key=len, default="")  # that of which most was changed
+    # The longest description is of the machine of which most was changed.
+    machine = max((row["published_for"] for row in others), key=len, default="")
     said = f"not judged in {len(others)} of {len(rows)} runs: {', '.join(names)}, published for {machine}"
     return f"{said} (--strict judges them)" if others else ""
 
@@ -264,6 +270,7 @@ def _differences(study: Study, samples: Mapping[str, Sample], figure: str, unit:
 
     first = next(iter(study.cases), "")
     for group, sample in samples.items():
+        # Cases are compared at equal draws and seeds, which removes what these contribute to the spread.
         case = sample.rows[0]["case"]
         other = samples.get(first + group[len(case) :])
         if case == first or other is None or len(sample.rows) != len(other.rows) or len(sample.rows) < 2:

@@ -13,7 +13,8 @@ from softrig_core.scenario.scenario import Draft
 
 from .draw import Case
 
-LARGE = 1e300  # stands for infinity in margins of rows of JSON
+# JSON has no infinity, so this number stands for it in the margins of rows.
+LARGE = 1e300
 
 
 class Work(NamedTuple):
@@ -139,14 +140,16 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
         "figures": {r.name: r.number if np.isfinite(r.number) else None for r in wanted},
         "never": [r.name for r in wanted if r.number == np.inf],
         "missed": [r.name for r in done.missed],
-        "passed": not done.missed if judged or done.missed else None,  # nothing judged is no verdict
+        # Where nothing was judged there is no verdict, which is neither passed nor failed.
+        "passed": not done.missed if judged or done.missed else None,
         **({"not_judged": others, "published_for": done.published_for} if others else {}),
         **({"signals": sampled} if sampled else {}),
     }
 
 
 def _margins(done: Run, names: Collection[str]) -> dict[str, Any]:
-    wanted = [f for f in done.wanted or () if f.name in names]  # a search asks for these alone
+    # A search needs these alone, and measuring the others would take time in each run.
+    wanted = [f for f in done.wanted or () if f.name in names]
     found, scenario = {r.name: r for r in evaluate(done.rig, done.signals, wanted)}, done.rig.scenario
     margins: dict[str, float | None] = {}
     error = ""

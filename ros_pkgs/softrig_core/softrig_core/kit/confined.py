@@ -12,7 +12,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-STRANGE = "SOFTRIG_CONFINED"  # set in the environment of a run whose FMUs are somebody else's
+# This variable is set in the environment of a run whose FMUs came with a pack.
+STRANGE = "SOFTRIG_CONFINED"
 SCRATCH = "/tmp"
 HIDDEN = (SCRATCH, "/var/tmp", "/run", "/dev/shm")  # and the home: keys, and sockets of agents and of containers
 # of sched.h, sys/mount.h and linux/mount.h

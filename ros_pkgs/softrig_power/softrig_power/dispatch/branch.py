@@ -18,7 +18,8 @@ from softrig_core import jit
 from .conditions import Conditions, Losses
 from .units import NARROW, Array, Units
 
-MEMORY = 30_000_000  # corners of all hulls on the stack
+# The most corners of all hulls on the stack, which bounds its memory for many units.
+MEMORY = 30_000_000
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ def branch_and_bound(
     order, n = units.order, len(units)
     groups = units.groups[order]
     given = conditions or Conditions(units.p_min, units.p_max, Losses.none(n), 0.0, units.p_max - units.p_min)
-    if conditions is not None:  # units that are alike differ in ramps and losses
+    # Identical units differ in ramps and losses, so their order may not be fixed.
+    if conditions is not None:
         groups = np.arange(n)
     losses = given.losses
     problem = Problem(
@@ -177,21 +179,24 @@ def _hull(unit: Any, lo: Any, hi: Any, narrow: Any, x: Any, y: Any) -> Any:
     p_min, e, f = unit[0], unit[5], unit[6]
     x[0], y[0] = lo, unit_cost(unit, lo)
     if hi - lo <= narrow:
-        # so narrow a box is one point: its cost can only be less by its width times the steepest slope
+        # A box this narrow is one point; within it the cost is less by at most its width times the steepest slope.
         y[0] -= (hi - lo) * (abs(unit[3]) + 2.0 * unit[2] * abs(hi) + e * f)
         return 1
     step = np.pi / f if e > 0.0 and f > 0.0 else 4.0 * (hi - lo)
     n = 1
+    # A lower end that is a valve point up to rounding belongs to the arch above it.
     k = math.floor((lo - p_min) / step + 1e-9) + 1.0
     x0, y0 = lo, y[0]
     while x0 < hi:
         x1 = p_min + k * step
         k += 1.0
+        # A last piece narrower than a point would have a slope made of rounding.
         if x1 > hi - narrow:
             x1 = hi
         y1 = unit_cost(unit, x1)
         low = chord_excess(unit, x0, x1)
-        y[n - 1] = min(y[n - 1], y0 - low)  # the lower of the two chords that meet here
+        # Two chords meet here, and the function must stay below both.
+        y[n - 1] = min(y[n - 1], y0 - low)
         while n > 2 and (y[n - 1] - y[n - 2]) * (x[n - 2] - x[n - 3]) <= (y[n - 2] - y[n - 3]) * (x[n - 1] - x[n - 2]):
             x[n - 2], y[n - 2] = x[n - 1], y[n - 1]
             n -= 1
@@ -271,7 +276,8 @@ def _tangent(problem: Problem, relaxed: Relaxed) -> Any:
             row += B[j, i] * centre[i]
             off += abs(B[j, i]) * half[i] * half[j]
         relaxed.weight[j] = 1.0 - 2.0 * row - problem.B0[j]
-        target -= row * centre[j]  # P_L at the centre less what its slope says of it: -c'Bc + B00
+        # The losses at the centre less their linear part: -c'Bc + B00.
+        target -= row * centre[j]
     return target - off, target + off
 
 
@@ -372,7 +378,8 @@ def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
             whole = x[j, i + 1] - x[j, i]
             rise = (y[j, i + 1] - y[j, i]) / whole
             cut = knee - x[j, i]
-            if reserve > 0.0 and 0.0 < cut < whole:  # beyond the knee a unit gives less reserve
+            # Beyond the knee each MW of output takes a MW from the reserve, so the piece is cut there.
+            if reserve > 0.0 and 0.0 < cut < whole:
                 width[pieces], slope[pieces], owner[pieces], beyond[pieces] = cut, rise, j, 0.0
                 pieces += 1
                 width[pieces], slope[pieces], owner[pieces], beyond[pieces] = whole - cut, rise, j, 1.0
@@ -401,7 +408,7 @@ def _relax(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed, enough: Any
             return np.inf, 0.0
         least, most = _tangent(problem, relaxed)
     base, filled, room, pieces = _cut(problem, boxes, t, relaxed)
-    # a box narrower than `narrow` counts as its lower end: as much may be missing a unit
+    # A box narrower than `narrow` counts as its lower end, so each unit may lack as much.
     if filled > most + 1e-9 or room < least - n * problem.narrow:
         return np.inf, 0.0
     lack = (least - filled, most - filled, pieces)
@@ -450,7 +457,8 @@ def _widest(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
         here = unit_cost(table[j], P[j])
         cost += here
         missing = here - _value(x[j], y[j], count[j], P[j])
-        if problem.conditioned:  # what the tangent and the reserve can be wrong by goes with the width, too
+        # The errors of the tangent and of the reserve shrink with the width, so wide units are split for them too.
+        if problem.conditioned:
             for i in range(n):
                 missing += 10.0 * abs(B[i, j]) * half[i] * half[j]
             if problem.reserve > 0.0:
@@ -466,6 +474,7 @@ def _split(problem: Problem, boxes: Boxes, t: Any, split: Any, at: Any, lower: A
     lo, hi, x, y, count, bound = boxes
     table, groups, narrow, n = problem.table, problem.groups, problem.narrow, lo.shape[1]
     at = min(max(at, lo[t, split]), hi[t, split])
+    # A split at an end would leave the box as it was and never end.
     if min(at - lo[t, split], hi[t, split] - at) <= 2.0 * narrow:
         at = 0.5 * (lo[t, split] + hi[t, split])
     s = t + 1
@@ -474,7 +483,8 @@ def _split(problem: Problem, boxes: Boxes, t: Any, split: Any, at: Any, lower: A
         for i in range(count[t, j]):
             x[s, j, i], y[s, j, i] = x[t, j, i], y[t, j, i]
     bound[t] = bound[s] = lower
-    # identical units stand in falling order: what is below is at most, what is above at least this
+    # Identical units are in falling order. In the half below, this unit and those after it are at most `at`; in the
+    # half above, this unit and those before it are at least `at`.
     j = split
     while j < n and groups[j] == groups[split] and hi[t, j] > at:
         hi[t, j] = at
@@ -496,7 +506,8 @@ def _search(problem: Problem, start: Any, max_nodes: Any, depth: Any, corners: A
     """Search; with conditions the balance of a box is its tangent (`_tangent`), reserve enters by a multiplier."""
     boxes, relaxed = _room(start.shape[0], depth, corners)
     upper, best = _begin(problem, start, boxes), start.copy()
-    closed = np.inf  # least bound of the boxes that are done with
+    # The proof is as good as the least bound of all boxes that are closed or left open.
+    closed = np.inf
     top, nodes = 1, 0
     while top > 0 and nodes < max_nodes:
         top -= 1
@@ -513,6 +524,7 @@ def _search(problem: Problem, start: Any, max_nodes: Any, depth: Any, corners: A
         if cost < upper and rest <= 1e-9:
             upper = cost
             best[:] = relaxed.P
+        # A box that cannot be split, or for which the stack has no room, is closed with the bound that it has.
         if bound >= upper - problem.tol or split < 0 or top + 2 >= depth:
             closed = min(closed, bound)
             continue

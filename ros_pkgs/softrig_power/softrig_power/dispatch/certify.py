@@ -216,7 +216,7 @@ class Optimiser:
                 return
             low = [lowering(self.units, j, p) for j, p in enumerate(points)]
             try:
-                # while the model is coarse, an exact optimum of it is worth little
+                # While the model is coarse, an exact optimum of it is worth little, so the solver may stop early.
                 gap = max(0.25 * self.tol, 0.1 * found.gap) if np.isfinite(found.gap) else 1.0
                 model = milp(self.units, demand, points, low, gap=0.0, gap_abs=gap, time_limit=left, start=found.P)
             except NoDispatch as error:

@@ -61,8 +61,9 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
     levels = Levels(table, groups, sizes, powers, costs)
     best, least, tried = np.zeros(len(units)), np.inf, 0
     for free in range(len(units)):
+        # An identical unit as the free one is the same problem again.
         if free and groups[free] == groups[free - 1]:
-            continue  # the same problem again
+            continue
         cost, count = _enumerate(levels, free, demand, least, best, most - tried)
         least, tried = min(least, cost), tried + count
         if tried >= most:
@@ -82,7 +83,7 @@ def _enumerate(fleet: Levels, free: Any, demand: Any, least: Any, best: Any, mos
     others = np.empty(m, np.int64)
     for k in range(m):
         others[k] = k if k < free else k + 1
-    # what the units from i on can still give
+    # The least and most that the units from i on can add.
     low, high = np.zeros(m + 1), np.zeros(m + 1)
     for i in range(m - 1, -1, -1):
         low[i] = low[i + 1] + table[others[i], 0]
@@ -109,7 +110,7 @@ def _enumerate(fleet: Levels, free: Any, demand: Any, least: Any, best: Any, mos
             pick[i] += 1
             continue
         j = others[i]
-        # identical units in falling order: the same multiset is counted once
+        # Identical units are in falling order, so that the same multiset is counted once.
         last = sizes[j]
         if i > 0 and groups[others[i - 1]] == groups[j]:
             last = min(last, pick[i - 1] + 1)

@@ -227,7 +227,7 @@ class DispatchSolver(Solver[DispatchParams]):
                 result = Dispatch(P, units.total(P), price=marginal_cost(units, P), stage=p.method)
         except (InfeasibleError, NoDispatch, TooManyError) as error:
             return str(error)
-        # these methods prove nothing: what the same units without ripples would cost is a bound all the same
+        # These methods prove nothing, but the cost of the same units without ripples is a lower bound.
         plain = without_ripples(units)
         result.bound = plain.total(lambda_iteration(plain, demand))
         return result
@@ -244,13 +244,15 @@ class DispatchSolver(Solver[DispatchParams]):
                 Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay", anew=True
             )
             return x, {}
-        for key in ("infeasible", "no dispatch", "NLP", "time limit"):  # what was wrong with an earlier demand is over
+        # A dispatch was found, so the faults of earlier demands are over.
+        for key in ("infeasible", "no dispatch", "NLP", "time limit"):
             self.withdraw(key)
         if "failed" in found.reason:
             self.report(Level.WARN, "NLP", found.reason)
         if found.limited:
             self.report(Level.WARN, "time limit", f"{found.reason}: gap {found.gap:.6g} $/h, not repeatable")
-        units, demand = result.request.units, result.request.demand  # newer ones may have come meanwhile
+        # The units of the request, because newer ones may have come since.
+        units, demand = result.request.units, result.request.demand
         low, high = arch_bounds(units, found.P)
         arches = [int(np.searchsorted(units.valve_points(j), low[j] + 1e-9, "right")) for j in range(len(units))]
         at_valve = (np.abs(found.P - low) < 1e-6) | (np.abs(found.P - high) < 1e-6)

@@ -144,6 +144,7 @@ def milp(
     solver: Any = highspy.Highs()  # type: ignore[no-untyped-call]
     for option, setting in (
         ("output_flag", False),
+        # One thread and a fixed seed, so that a run repeats.
         ("threads", 1),
         ("random_seed", 0),
         ("mip_rel_gap", gap),
@@ -191,6 +192,7 @@ def arch_bounds(units: Units, P: Array) -> tuple[Array, Array]:
     for j, p in enumerate(P):
         ends = units.valve_points(j)
         if len(ends) > 1:
+            # A valve point may take the arch on either side; with the upper one all cases here end at their optimum.
             k = max(0, min(int(np.searchsorted(ends, p + 1e-7, "right")) - 1, len(ends) - 2))
             low[j], high[j] = ends[k], ends[k + 1]
     return low, high
@@ -228,11 +230,12 @@ def nlp(units: Units, demand: float, P: Array) -> tuple[Array, bool]:
         found = solver(x0=np.clip(P, low, high), lbx=low, ubx=high, lbg=demand, ubg=demand)
         succeeded = bool(solver.stats()["success"])
         after = np.array(found["x"]).reshape(-1)
-    except RuntimeError:  # casadi's word for anything
+    # casadi raises RuntimeError for every failure.
+    except RuntimeError:
         return before, False
     if not succeeded or not np.isfinite(after).all():
         return before, False
-    # ipopt ends a tolerance inside its bounds: what rests on a valve point or limit is put there
+    # ipopt ends a tolerance inside its bounds, so an output beside a valve point or limit is put onto it.
     for ends in (low, high):
         after = np.where(np.abs(after - ends) < 1e-5, ends, after)
     after = balanced(units, after, demand)

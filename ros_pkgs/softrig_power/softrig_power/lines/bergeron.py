@@ -26,7 +26,8 @@ from softrig_core.kit import dense
 from .section import Complex, Section
 
 Array = NDArray[np.float64]
-LEAST_DELAY = 4  # steps; a shorter section has no place for the cubic
+# In steps. A shorter section has no room for the cubic through four samples.
+LEAST_DELAY = 4
 
 
 class Lines(NamedTuple):

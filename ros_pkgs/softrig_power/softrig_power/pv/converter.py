@@ -110,6 +110,7 @@ def _slopes(v: float, i: float, o: float, line: Line, p: Any) -> tuple[float, fl
     a, b, low, scale, per_C, d_C, d_L, e_L, r_L, e_o, g_o = p
     k, at_0, slope = line
     place = (v - low) * scale
+    # Between two stages the voltage mostly stays on its segment, so the line is looked up only where it leaves it.
     if not k <= place < k + 1.0:
         number = min(int(place), a.size - 1)
         k, at_0, slope = float(number), a[number], b[number]

@@ -73,8 +73,9 @@ class Cell(NamedTuple):
         low, high = -1e3, self.I_ph + self.I_0 + max(-V, 0.0) / self.R_p
         while high - low > 1e-14 * max(1.0, -low):
             I = 0.5 * (low + high)  # noqa: E741
+            # The two are neighbouring floats: a large current has no finer numbers than these.
             if not low < I < high:
-                break  # neighbours: large currents have no finer numbers
+                break
             U = V + self.R_s * I
             if self.I_ph - self.I_0 * math.expm1(U / self.aV_t) - U / self.R_p > I:
                 low = I
@@ -85,6 +86,7 @@ class Cell(NamedTuple):
     def start(self, I: Array) -> Array:  # noqa: E741
         """Return an upper bound of the junction voltage U, from which Newton's method converges monotonically."""
         c = self.I_ph - I
+        # numpy's own logarithm differs from CPU to CPU, hence the loop over the C library's.
         diode = self.aV_t * _log1p(np.maximum(c, 0.0) / self.I_0, np.empty_like(I))
         return np.minimum(np.where(c > 0.0, diode, math.inf), (c + self.I_0) * self.R_p)
 

@@ -123,7 +123,8 @@ def characteristic(p: ModuleParams, irradiance: tuple[float, ...], temperature: 
     cells = [cell(p, g, t) for g, t in zip(irradiance, temperature, strict=True)]
     open_circuit = total(p.V_oc + p.K_V * (t - STC[1]) for t in temperature)
     v = np.linspace(-p.V_f * len(cells), HEADROOM * open_circuit, POINTS)
-    high = max(c.current(-p.V_f) for c in cells)  # from there on every bypass diode conducts
+    # From this current on every bypass diode conducts.
+    high = max(c.current(-p.V_f) for c in cells)
     low = -1.0
     while _voltage(cells, p.V_f, np.array([low]))[0] < v[-1]:
         low *= 2.0
@@ -137,7 +138,10 @@ def characteristic(p: ModuleParams, irradiance: tuple[float, ...], temperature: 
         below, above = np.where(error > 0.0, i, below), np.where(error > 0.0, above, i)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = i - error / slope
+        # Where a bypass diode begins to conduct the slope jumps, so a Newton step may leave the bracket, which is then
+        # halved.
         better = np.where((newton >= below) & (newton <= above), newton, 0.5 * (below + above))
+        # At the first voltage all bypass diodes conduct: the slope is zero there and no current follows from it.
         better[0] = high
         change, i = np.max(np.abs(better - i)), better
         if change < 1e-10:

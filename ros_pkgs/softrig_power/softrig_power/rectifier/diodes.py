@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-STEP = 1e-6  # s, longest step; half of it changes the voltage of a loaded link by less than 0.01 %
+# The longest step in s. Half of it changes the voltage of a loaded link by less than 0.01 %.
+STEP = 1e-6
 
 
 @jit
@@ -44,7 +45,9 @@ def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
     )
     count = on_a + on_b + on_c
     if count > 1.0:
-        rail = (on_a * drive_a + on_b * drive_b + on_c * drive_c) / count  # negative rail to the grid's neutral
+        # The currents of the conducting legs add to zero, which gives the voltage from the negative rail to the
+        # neutral.
+        rail = (on_a * drive_a + on_b * drive_b + on_c * drive_c) / count
         if count == 2.0:
             if on_a == 0.0 and (g[0] - rail > v or g[0] < rail):
                 on_a, s_a = 1.0, (1.0 if g[0] - rail > v else 0.0)
@@ -61,7 +64,8 @@ def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
         x[1] = carried(x[1], on_b, s_b, h * (drive_b - rail) / circuit.L)
         x[2] = carried(x[2], on_c, s_c, h * (drive_c - rail) / circuit.L)
         left = (1.0 if x[0] != 0.0 else 0.0) + (1.0 if x[1] != 0.0 else 0.0) + (1.0 if x[2] != 0.0 else 0.0)
-        if left > 0.0:  # what one leg has lost by ending is missing in the others
+        # A current that ends within the step leaves a rest in the others, which must add to zero again.
+        if left > 0.0:
             rest = (x[0] + x[1] + x[2]) / left
             x[0] = carried(x[0], x[0], s_a, -rest)
             x[1] = carried(x[1], x[1], s_b, -rest)

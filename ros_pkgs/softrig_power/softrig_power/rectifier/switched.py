@@ -91,8 +91,9 @@ def advance(
     h = period.length / steps
     t = period.start
     half = float(math.floor(2.0 * frequency * t + 1e-9))
-    legs = x[:3].copy()  # `compare` sets them: the command has jumped
-    compare(t, x[3], legs, circuit, period, frequency, half, injection)  # the command has jumped
+    legs = x[:3].copy()
+    # The command has jumped at the begin of the period, so a leg may have to switch without crossing the carrier.
+    compare(t, x[3], legs, circuit, period, frequency, half, injection)
     for j in range(steps):
         end = period.start + (j + 1) * h
         while t < end:
@@ -165,7 +166,8 @@ def crossing(
     waiting = 1.0 if sign > 0.0 else 0.0  # state of a leg that has its edge before it
     steep = 4.0 * frequency
     tau, leg = stop, -1
-    for _ in range(4):  # an earlier edge may show up at most once a leg
+    # An earlier edge may show up at most once a leg.
+    for _ in range(4):
         s = tau - t
         now = modulation(tau, v + s * (rate + 0.5 * s * bend), circuit, period, injection)
         z = carrier(tau, frequency, half)
@@ -234,5 +236,6 @@ def piece(
     )
     sample(sums, here[0], here[1], sums[PLAIN, PENDING] + w, (a, b, c, v), g)
     sample(sums, s_1, c_1, 4.0 * w, middle, between)
-    sums[PLAIN, PENDING] = w  # of the end, where the next piece begins
+    # The end of this piece is the begin of the next one, which adds its weight to this.
+    sums[PLAIN, PENDING] = w
     x[0], x[1], x[2], x[3] = a_1, b_1, j_1, v_1

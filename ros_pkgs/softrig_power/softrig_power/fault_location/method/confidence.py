@@ -17,7 +17,8 @@ from .location import Location, Locator, locate
 from .objective import LocatorParams
 
 Array = NDArray[np.float64]
-STRETCHES = 8  # of the window, that locate by themselves
+# The window is cut into so many stretches; their locations show the scatter within the record.
+STRETCHES = 8
 
 
 class ErrorBudget(Params):

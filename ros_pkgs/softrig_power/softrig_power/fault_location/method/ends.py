@@ -14,10 +14,14 @@ from .equations import model, objectives
 from .objective import Objective
 
 Array = NDArray[np.float64]
-WIRED = 1e-3  # of the voltage: ends that agree as well as this are not asked how they are wired
-SHARE = 4  # the wirings are first tried on one of so many parts of the window
-LIKELY = 3.0  # times as well the ends must agree in it
-BETTER = 10.0  # times as well must the ends agree under another wiring; at most 3 for right ones with usual errors
+# A share of the voltage. Ends that agree this well are wired rightly, so no other wiring is tried.
+WIRED = 1e-3
+# There are many wirings, so each is tried on this fraction of the window first.
+SHARE = 4
+# On that part the ends must agree so many times better; only then the whole window is evaluated.
+LIKELY = 3.0
+# The ends must agree so many times better under another wiring. Right wirings with usual errors reach 3 at most.
+BETTER = 10.0
 FINE = 1e-2  # km
 EXCHANGES = {
     "b and c": (0, 2, 1),
@@ -35,10 +39,11 @@ def contradiction(work: Objective, limit: float) -> str:
     F over the modes. Records with a wiring fault at one end can have a sharp minimum in one mode, at a wrong place.
     """
     curve = work.curves.mean(axis=0)
+    # At an end of the line the voltage follows from that end alone, whatever the current of the other one is.
     if int(np.argmin(curve)) in (
         0,
         len(curve) - 1,
-    ):  # there one end alone tells the voltage, whatever the other's current
+    ):
         for name, other in _otherwise(work.record):
             if np.max(_apart(work, other, (work.first, work.count))(work.grid)) < work.p.f_threshold:
                 return f"contradictory: with {name} the ends are those of a healthy line: wired so?"

@@ -7,7 +7,8 @@ import numpy as np
 from ..records.record import GROUPS, Record, RecordError, Status
 from .objective import LocatorParams
 
-CHANGE = 0.2  # of the largest value of a channel group in the first cycle
+# A share of the largest value of a channel group in the first cycle, which has no fault yet.
+CHANGE = 0.2
 AFTER = 1e-3  # s from the inception to the window, as in the study of the paper
 LASTS = 18.5e-3  # s, length of the window there
 

@@ -12,8 +12,10 @@ from . import search, transient
 from .ends import contradiction
 from .objective import LocatorParams, Objective
 
-NOWHERE = 0.02  # of the voltage: ends that disagree by more and nowhere less are not those of a healthy line
-NEAR_END = 1e-3  # km, a minimum this near to an end of the line is one at the end
+# A share of the voltage. Ends that disagree by more everywhere are not those of a healthy line.
+NOWHERE = 0.02
+# In km. A minimum this near to an end of the line may belong to a fault beyond it.
+NEAR_END = 1e-3
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ def brent(work: Objective, mode: int) -> tuple[float, float]:
         method="bounded",
         options={"xatol": work.p.tolerance},
     )
-    if curve[k] < found.fun:  # Brent never looks at the ends of its interval, where the minimum may be
+    # Brent's method never evaluates the ends of its interval, where the minimum may be.
+    if curve[k] < found.fun:
         return float(work.grid[k]), float(curve[k])
     return float(found.x), float(found.fun)
 

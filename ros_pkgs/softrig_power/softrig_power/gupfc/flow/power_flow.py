@@ -120,7 +120,7 @@ class PowerFlow:
         self._loss = params.r_sh if converter_loss else 0.0
         network = Network(params)
         self._Y = network.admittance
-        # the injections contain the Norton sources of the series transformers, whose impedances are in Y
+        # The injections contain the Norton sources of the series transformers, as their impedances are in Y.
         self._source = network.injection
 
     def solve(self, references: References, tolerance: float = TOLERANCE, surplus: float = 0.0) -> Solution | Diverged:
@@ -141,7 +141,8 @@ class PowerFlow:
         """
         flat = np.zeros(UNKNOWNS)
         flat[:6] = 1.0
-        with np.errstate(over="ignore", invalid="ignore"):  # where it diverges
+        # A flat start may diverge, which is found by its mismatch and is no reason for warnings.
+        with np.errstate(over="ignore", invalid="ignore"):
             first = self._newton(flat, references, tolerance, surplus)
         r = references
         points = operating_points(self.params, complex(r.p1, r.q1), complex(r.p2, r.q2), r.v, surplus, self._loss)

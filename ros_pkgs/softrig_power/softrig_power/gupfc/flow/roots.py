@@ -28,7 +28,8 @@ from softrig_core.kit import dense
 
 from ..network import NetworkParams
 
-STEPS = 8  # in which the coupling is put in
+# The coupling is added in steps, so that Newton's method stays near the root that it follows.
+STEPS = 8
 ITERATIONS = 30
 HALVINGS = 12
 SOLVED = 1e-11  # pu
@@ -93,9 +94,11 @@ def operating_points(
         w = (j - i12).conjugate() - i34.conjugate() * b / a + 2.0 * r_sh * y * j.conjugate()
         series = (v2 + p.z_se * i12) * i12.conjugate() + (v4 + p.z_se * i34 + (k_a + i34) / a) * i34.conjugate()
         constant = (y.real + r_sh * abs(y) ** 2) * v * v + series.real + r_sh * abs(j) ** 2
+        # The balance does not depend on the angle here, so it determines none.
         if abs(w) < TINY:
-            continue  # the balance does not depend on the angle
+            continue
         cosine = (surplus - constant) / (v * abs(w))
+        # No angle balances the powers; the form also excludes NaN.
         if not abs(cosine) <= 1.0:
             continue
         for side in (1.0, -1.0):
