@@ -29,6 +29,7 @@ SOURCES = {  # modules that another name brings
     "PIL": "pil",
     "elftools": "pyelftools",
     "serial": "pyserial",
+    "can": "python-can",
     "pinocchio": "pin",
     "llvmlite": "numba",
     "backports": "backports.zstd",

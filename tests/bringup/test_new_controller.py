@@ -61,8 +61,14 @@ def test_each_of_them_meets_what_is_expected_of_the_controller_that_it_replaces(
     ("wanted", "said"),
     [
         ("pwa_delay_hayes", "it has no controller to replace"),
-        ("dc_motor_fsfb/fsfb", "no controller of it; it has fsfb_controller, fieldbus_delay"),
-        ("dc_motor_fsfb/dc_axis_plant", "no controller of it; it has fsfb_controller, fieldbus_delay"),
+        (
+            "dc_motor_fsfb/fsfb",
+            "no controller of it (did you mean 'fsfb_controller'?); it has fsfb_controller, fieldbus_delay",
+        ),
+        (
+            "dc_motor_fsfb/dc_axis_plant",
+            "no controller of it; it has fsfb_controller, fieldbus_delay",
+        ),
         ("dc_motor_sms", "scenario 'dc_motor_sms' is unknown"),
     ],
 )

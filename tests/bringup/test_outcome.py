@@ -170,6 +170,7 @@ def test_the_outcome_as_data_has_all_that_was_found(space):
         "nominal": {"low": 0.2, "last": LARGE}, "worst": {"low": -0.25, "last": None},
         "small": {"low": -0.01, "last": -LARGE}, "changes": CHANGES, "small_changes": {"gain.k": 2.5},
         "broken": [{"changes": {"gain.k": 1.0}, "error": "gone"}], "trace": [1.0, -0.25],
+        "not_judged": [], "published_for": "",
     }  # fmt: skip
     nothing = content(task(), found(space, case=False, least=math.inf))
     assert (nothing["changes"], nothing["small_changes"], nothing["worst"], nothing["small"]) == ({}, {}, {}, {})

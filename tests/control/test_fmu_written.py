@@ -9,7 +9,7 @@ import pytest
 from softrig_control.fmu import export as exports
 from softrig_control.fmu.export import _can, _check, export, main
 from softrig_control.nodes.policy import Policy
-from softrig_core import ScenarioError, joint_state, load_scenario, rig_of
+from softrig_core import BlockParams, ScenarioError, joint_state, load_scenario, rig_of
 from softrig_drives.dc_motor.plant import DcMotorPlant
 
 pytest.importorskip("pythonfmu")
@@ -30,6 +30,7 @@ def asked(monkeypatch):
         script, path, what, *can = command[4:]
         result.calls.append((command[:4], Path(script).name, Path(script).read_text(), path, Path(what), can))
         result.node = json.loads(Path(what).read_text())
+        Path(path).write_bytes(b"an FMU")
         return result.answer
 
     monkeypatch.setattr(exports.subprocess, "run", run)
@@ -49,10 +50,10 @@ def test_a_node_is_written_with_its_script_and_what_it_is(asked, motor, tmp_path
     (command, name, text, file, what, can), (_, other, _, _, _, _) = asked.calls
     assert (command[0], command[1], command[2]) == (sys.executable, "-P", "-c")
     assert "FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]], **dict.fromkeys(sys.argv[4:], True))" in command[3]
-    assert (name, other, file, what.name) == (
+    assert (name, other, Path(file).name, what.name) == (
         "softrig_dc_motor_plant.py",
         "softrig_dc_motor_smc.py",
-        str(path),
+        path.name,
         "node.json",
     )
     assert "class dc_motor_plant(Node, Fmi2Slave):" in text
@@ -86,7 +87,10 @@ def test_why_there_is_none_is_the_last_that_the_tool_said(asked, motor, tmp_path
 
 
 def test_nodes_that_cannot_be_exported_are_told(motor, tmp_path):
-    with pytest.raises(ScenarioError, match=r"^dc_motor_smc has no node 'plant'; it has dc_motor_plant, "):
+    with pytest.raises(
+        ScenarioError,
+        match=r"^dc_motor_smc has no node 'plant' \(did you mean 'dc_motor_plant'\?\); it has dc_motor_plant, ",
+    ):
         export(motor, "plant", tmp_path)
     plain, late = (
         joint_state("a", "t/a", ["x"], position="m"),
@@ -98,8 +102,8 @@ def test_nodes_that_cannot_be_exported_are_told(motor, tmp_path):
         ):
             _check(SimpleNamespace(name="n", inputs=inputs, outputs=outputs, external=False))
     with pytest.raises(ScenarioError, match=r"^node n is external: its code is not here$"):
-        _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), external=True))
-    _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), external=False))
+        _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), params=BlockParams(), external=True))
+    _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), params=BlockParams(), external=False))
     assert _can(SimpleNamespace(block_class=Policy)) == ()  # what its policy remembers is opaque
     assert _can(SimpleNamespace(block_class=DcMotorPlant)) == ("canGetAndSetFMUstate", "canSerializeFMUstate")
 

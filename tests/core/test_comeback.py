@@ -194,5 +194,5 @@ def test_where_no_node_could_come_back_that_is_said_before_the_run(keys, message
 
 def test_with_a_node_outside_no_node_could_come_back():
     nodes = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}}
-    with pytest.raises(ScenarioError, match=r"^--restart: gain is outside"):
+    with pytest.raises(ScenarioError, match=r"^--restart: gain is an outside node"):
         check_restart(rig_of(make_scenario(nodes)), Placement(restart=1))

@@ -254,7 +254,7 @@ def test_of_two_writers_none_is_believed_until_one_has_gone(monkeypatch):
     run.run(run.epoch + SECOND // 50)
     during = run.adapters["im_plant"].ticks - before
     assert item.refused == during + 1  # the change itself counts, too
-    assert "2 publishers at once" in item.last_refusal
+    assert "2 publishers at the same time" in item.last_refusal
     tell(0)
     refused, ticks = item.refused, controller.ticks
     run.run(run.epoch + 3 * SECOND // 100)

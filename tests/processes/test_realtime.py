@@ -214,7 +214,7 @@ def test_of_two_publishers_the_one_that_alone_speaks_is_believed(bench):
     bench.wait(lambda: 3.0 in bench.signal("plant", APPLIED).x)
     bench.wait(lambda: "rivals lag/command" in bench.status("plant")["reports"])
     refused = bench.status("plant")["refused"]["lag/command"]
-    assert refused[1].startswith("2 publishers at once")
+    assert refused[1].startswith("2 publishers at the same time")
     goes_on(bench, 50)
     assert bench.status("plant")["refused"]["lag/command"] == refused
 

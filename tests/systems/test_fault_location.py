@@ -1090,7 +1090,7 @@ def test_command_line(record, tmp_path, capsys):
         write_comtrade(tmp_path / end, record, end)
     files = [str(tmp_path / "s.cfg"), str(tmp_path / "r.cfg")]
     assert main(["locate", *files]) == 2
-    assert "the line's length, r1, l1, c1 are not told" in capsys.readouterr().err
+    assert "the line's length, r1, l1, c1 are missing" in capsys.readouterr().err
     files += ["--line", "paper"]
     assert main(["locate", *files, "--bag", str(tmp_path / "bag"), "--pictures", str(tmp_path), "--truth", "50"]) == 0
     said = capsys.readouterr().out
@@ -1131,7 +1131,7 @@ def test_own_line(record, tmp_path, capsys):
     assert main(["locate", file, "--line", str(tmp_path / "line.yaml")]) == 0
     assert capsys.readouterr().out.splitlines()[0].split(",")[0] == said.splitlines()[0].split(",")[0]
     assert main(["locate", file, "--set", "line.length=87.5"]) == 2
-    assert "the line's r1, l1, c1 are not told" in capsys.readouterr().err
+    assert "the line's r1, l1, c1 are missing" in capsys.readouterr().err
     assert main(["locate", file, "--line", "paper", "--set", "line.length=87.5", "--set", "line.length=90"]) == 2
     assert "line.length is 87.5 already" in capsys.readouterr().err
     (tmp_path / "line.yaml").write_text("length: 87.5\nr: 0.0275\n")

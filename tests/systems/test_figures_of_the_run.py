@@ -187,7 +187,7 @@ class Nodes:
 
 
 def converter_error(signals, nodes, a):
-    p = nodes("im_plant")
+    p = nodes("induction_dtc_plant")
     _, measured = window(signals, f"currents_meas/{a.get('channel', 'x')}", a.get("start", 0.3))
     _, true = window(signals, f"currents_true/{a.get('channel', 'x')}", a.get("start", 0.3))
     error = (measured - true) * 2 ** p["bits"] / (2 * p["full_scale"])
@@ -393,7 +393,7 @@ TAKEN = {  # what functions take from the rig, of the parameters of the nodes al
     "tcp/N": lambda n: n("tcp_fluid", "tcp_packets")["N"],
     "tcp/C": lambda n: n("tcp_fluid", "tcp_packets")["C"],
     "tcp/tau_p": lambda n: n("tcp_fluid", "tcp_packets")["tau_p"],
-    "induction_dtc/lsb": lambda n: 2.0 * n("im_plant")["full_scale"] / 2 ** n("im_plant")["bits"],
+    "induction_dtc/lsb": lambda n: 2.0 * n("induction_dtc_plant")["full_scale"] / 2 ** n("induction_dtc_plant")["bits"],
     "fault_location/x_km": lambda n: n("line_plant")["fault.x_km"],
     "fault_location/length": lambda n: n("line_plant")["line.length"],
     "gupfc/network.frequency": lambda n: n("gupfc_plant")["network.frequency"],

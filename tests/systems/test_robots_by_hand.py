@@ -568,8 +568,10 @@ def test_urdf_of_a_continuous_joint():
     assert root_link(text) == "a"
     turned = for_pinocchio(text)
     assert "continuous" not in turned
-    assert '<limit effort="1e9" velocity="1e9" lower="-1e9" upper="1e9" />' in turned
-    assert '<limit effort="3" velocity="4" lower="-1e9" upper="1e9" />' in turned
+    assert (
+        '<limit effort="1000000000.0" velocity="1000000000.0" lower="-1000000000.0" upper="1000000000.0" />' in turned
+    )
+    assert '<limit effort="3.0" velocity="4.0" lower="-1000000000.0" upper="1000000000.0" />' in turned
     zero = '<inertial><mass value="0"/><inertia ixx="0" iyy="0.0"/></inertial>'
     assert "inertial" not in for_pinocchio(f'<robot><link name="a">{zero}</link></robot>')
     assert "inertial" in for_pinocchio(f'<robot><link name="a">{zero.replace("0.0", "0.1")}</link></robot>')
