@@ -231,6 +231,7 @@ class LinearView:
         top = np.pi / self.period * (1.0 - 1e-9)
         poles = np.concatenate([np.linalg.eigvals(self._loop[0]).astype(complex), self.loop_poles])
         rates = np.log(poles[np.abs(poles) > DEAD]) / self.period
+        # An integrator has the rate 0, which has no place on a logarithmic axis.
         slow = np.abs(rates[np.abs(rates) > 1e-9 * top])
         low = max(1e-7 * top, min(0.01 * slow.min(initial=top), 1e-2 * top))
         found = [np.geomspace(low, top, POINTS)]
@@ -255,6 +256,7 @@ class LinearView:
             return np.full(len(omega), -d, dtype=complex)
         import scipy.linalg
 
+        # In triangular form each frequency costs a substitution instead of a factorisation.
         T, left, right = self._triangular
         one, points = np.eye(len(b)), np.exp(1j * np.asarray(omega) * self.period)
         return np.array([-left @ scipy.linalg.solve_triangular(z * one - T, right) - d for z in points], dtype=complex)
@@ -690,6 +692,7 @@ class Differences:
         if self.link:
             column, direct = self.columns[self.link]
             b, c, d = column[kept], C[-1], float(direct[-1])
+            # The rig is the opened loop closed by v = s, where d is the direct way around it.
             A = a + np.outer(b, c) / (1.0 - d)
             B = B + np.outer(b, D[-1]) / (1.0 - d)
             C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
@@ -873,6 +876,7 @@ class Differences:
         for _ in range(LATER + 1):
             own.append(self.rows(kept)[1] @ off)
             off = A @ off
+            # An output that turns with an angle has another row at each tick, so the rows are taken along the run.
             start.advance()
         turning = shares(seen[: LATER + 1], np.array(own))
         for k, error in far.items():

@@ -182,7 +182,7 @@ class Step(Held):
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Forward what is not an answer of the block to subscribers in this and other processes."""
-        # This comes before any reader is filled, because `Fill.told` reads the age of what a reader gets from it.
+        # This comes before any reader is filled: the age of what it gets counts from these times (`Fill.told`).
         if not self.plain:
             self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
         for fill in (*self.readers, *self.doubters):

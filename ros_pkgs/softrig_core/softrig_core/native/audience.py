@@ -187,6 +187,7 @@ class Audience:
         for s in recorded:
             found = self._seen(s, watcher, self._plan.own(s.schedule, first, last), said[id(s)].numbers)
             if found is None:
+                # What cannot be shown in one batch once cannot be later, so it is not tried again.
                 self.tick_by_tick.add(watcher.name)
                 return False
             messages |= found

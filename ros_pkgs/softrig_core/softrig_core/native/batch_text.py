@@ -172,6 +172,8 @@ def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Fo
         f"        for k in range(K[i], K[i] + {every}):",
         f"            t = {turns.time('k')}",
         *(f"            {line}" for line in (*plants, *body)),
+        # A row keeps what is before the agent's tick; what follows is only for R and is computed again in the next
+        # call.
         f"        z_ = ({kept})",
         f"        k = K[i] + {every}",
         f"        t = {turns.time('k')}",

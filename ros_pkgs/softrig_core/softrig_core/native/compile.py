@@ -89,6 +89,7 @@ def plain(made: RigText) -> Callable[..., Any]:
         if isinstance(thing, Jit):
             scope[name] = thing.direct
         elif isinstance(thing, Compiled):
+            # Python calls a casadi function with values; only native code needs the memory in which it works.
             scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
     return scope["rig"]  # type: ignore[no-any-return]
 

@@ -89,7 +89,7 @@ class Engine:
         self._audience = Audience(self.steps, self._plan)
         self._watchers = self._audience.watchers
         self._watching = Tables(self._watchers)
-        self._aside: dict[str, str] = {}  # members that are seldom due, so that Python may run their ticks, and why
+        self._aside: dict[str, str] = {}  # members that are rarely due, so that Python may run their ticks, and why
         self._core = self._native_members()
         self._later = [_Later(s) for s in self.steps if self._core.deciding and s.link is not None]
         self._smooth = False  # whether all that watch take what is recorded in one batch
@@ -154,6 +154,8 @@ class Engine:
                 if fits and self._compile_beside(k):
                     fresh = True
                     continue
+            # A state may change its type in the first ticks, as None until a message has come; later it is taken to
+            # keep its type.
             if k and not fits and (k > LATEST or failures > TRIES):
                 break
             fit = self._fit
@@ -224,6 +226,7 @@ class Engine:
         fit = self._fit
         if fit is None or self._alone is None or fit.kept.made or not self._typed:
             return False
+        # Messages must be served while the text is compiled, which takes seconds.
         self._compiling = threading.Thread(target=fit.compilation(k), daemon=True)
         self._compiling.start()
         return True

@@ -55,7 +55,7 @@ class Kept:
 
 
 _texts: list[Kept] = []
-_refused: dict[Any, str] = {}  # kinds that only go without those of their members that are seldom due, and why
+_refused: dict[Any, str] = {}  # kinds that are native only without their rarely due members, and why
 _counts: dict[Any, tuple[int, int]] = {}  # of each kind: rigs that asked for another text, texts
 
 

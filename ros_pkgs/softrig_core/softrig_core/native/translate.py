@@ -68,7 +68,7 @@ class Made:
     result: Value
 
 
-NEVER = Made("", (), Dynamic("", UNKNOWN, False))  # of a function that always gives the tick up
+NEVER = Made("", (), Dynamic("", UNKNOWN, False))  # of a function that always discards the tick
 
 
 @dataclass
@@ -349,6 +349,8 @@ def made(
     for name, value in _arguments(function, given, words).items():
         inner[name] = handed(value, name)
     whole = tuple(key)
+    # Each specialised function is written once, with the type of its result known, which a recursive call would need
+    # before.
     if whole in program.under_way:
         raise NotNative(f"{function.__qualname__} calls itself")
     if whole not in program.known:

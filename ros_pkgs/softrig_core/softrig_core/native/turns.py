@@ -215,6 +215,7 @@ class Turns:
                     result[k, port.name] = None
                 elif held is not None:
                     result[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{held + 1}]), 0)"
+                # Each tick of the reader is a tick of the publisher, too, so the value is of the same tick.
                 elif step.schedule.every % fill.source.schedule.every == 0:
                     result[k, port.name] = 0
         return result
@@ -303,6 +304,7 @@ class Turns:
     def _state(self, k: int, value: Dynamic) -> str:
         """Store a state, which must have the type of the previous one."""
         typed = self.typed
+        # Where the type is certain the check of each tick is left out.
         known = not typed and is_sure(value) and alike(value.sample, packed(self.steps[k].x, typed))
         return f"x{k} = {value.code}" if known else f"x{k} = same_(x{k}, {value.code})"
 

@@ -28,6 +28,7 @@ def is_twinned(kind: Hashable) -> bool:
     if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
         return False
     frozen: bool = kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    # Only a class at the top of a module is found again by module and name.
     return frozen and "<" not in kind.__qualname__ and "." not in kind.__qualname__
 
 
@@ -43,7 +44,8 @@ def twin(kind: type) -> Any:
     return result
 
 
-def __getattr__(name: str) -> Any:  # native code in the cache names its types by module and name
+# Native code in the cache names its types by module and name, so a twin must be found here in another process, too.
+def __getattr__(name: str) -> Any:
     module, mark, kind = name.rpartition(MARK)
     if not mark or not module or name.startswith(MARK):
         raise AttributeError(name)

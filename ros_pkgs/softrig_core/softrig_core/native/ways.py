@@ -319,6 +319,7 @@ class Ways:
                 found = a or b
                 assert found is not None
                 if isinstance(found, Dynamic):
+                    # A name bound on one branch alone may have no value, so its type is not certain.
                     env[name] = Dynamic(found.code, found.sample, False, found.keys, found.parts)
                 continue
             joined = self._join(f"v_{name}", a, b, then, orelse, taken)

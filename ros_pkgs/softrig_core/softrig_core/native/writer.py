@@ -155,7 +155,8 @@ class Writer(Calls):
         except NotNative:
             if not keep:
                 raise
-            self.emit("return None")  # an object: known without a call
+            # An object has no text; the caller knows it without a call.
+            self.emit("return None")
         self.ended = True
 
     def _with_silence(self, value: Value, node: Any) -> Value:
@@ -190,6 +191,7 @@ class Writer(Calls):
         value = self.value(node.value)
         if self.ended:
             return
+        # Python computes the value once for all targets.
         if len(node.targets) > 1 and isinstance(value, Dynamic):
             value = self.simple(value)
         for target in node.targets:
@@ -280,6 +282,7 @@ class Writer(Calls):
         for name, value in after.items():
             if name in before:
                 if name in names and not (isinstance(value, Dynamic) and value.code == f"v_{name}"):
+                    # The body is written once for all turns, so a name must be of one type in each of them.
                     raise self.unknown(f"{name} changes what it is in a loop", node)
                 if name in assumed and not (is_sure(value) and alike(sample_of(value), assumed[name])):
                     raise self.unknown(f"{name} changes what it is in a loop", node)

@@ -51,6 +51,7 @@ class Account:
         node = self._node
         if node.record.shard is not None:
             node.record.shard.flush()
+        # A report that was made again after its cause had gone is to be logged again.
         self._logged -= node.step.anew
         node.step.anew.clear()
         for key, (level, text, _) in node.step.reports.items():

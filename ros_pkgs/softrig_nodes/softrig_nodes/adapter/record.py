@@ -78,6 +78,7 @@ class Record:
         row = {o.number: o.layout for o in outputs} if plain else {}
         if links.owns_clock:
             self.topics.append((CLOCK.topic, CLOCK.msgtype))
+            # /clock is published with each answer, so its message is made of the same row of numbers.
             if plain and owns_clock:
                 row[self.clock] = CLOCK_LAYOUT
         wanted = options.shard and sink is None

@@ -148,6 +148,7 @@ class Comeback:
         self.gone = set(files.gone)
         self._told = time.monotonic()
         rows = [*drive.senders.rows, *drive.senders.unpaced]
+        # Acknowledgements are not recorded; the status files show which ticks a node has answered.
         self._paired = {row: _Heard(row, files, outside=False) for row in rows if not isinstance(row, Ticks)}
         free = [i for i in self._node.inputs if isinstance(i, Sender) and i not in rows]
         self._free = [_Heard(row, files, outside=True) for row in free]
@@ -156,6 +157,7 @@ class Comeback:
         """Answer all ticks for which everything is there; then the node waits for what it lacks, as any other."""
         drive, node = self._drive, self._node
         step = node.step
+        # Changes that people made while the node ran are only in its own record.
         changes = [Change(t, values) for t, who, values in recorded(self._files.own) if who == node.middleware.name]
         step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
         spoken = drive.spoken

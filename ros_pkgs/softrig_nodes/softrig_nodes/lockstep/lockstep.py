@@ -146,6 +146,7 @@ class Lockstep(Link):
         """Return where the node works: of a loop of two only one works at a time, who follows works meanwhile."""
         links = self.node.links
         loop = set(links.starts) - set(links.followers)
+        # Only in a loop of two does one node wait while the other works, so that they can share a processor.
         if links.guests or len(loop) != 2 or len(links.followers) > FEW:
             return "anywhere"
         return "together" if self.node.middleware.name in loop else "beside"

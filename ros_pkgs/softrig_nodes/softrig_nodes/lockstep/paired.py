@@ -351,7 +351,7 @@ class Counted(Paired):
         self.received = 0
         self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: refused
         self._announced: deque[int] = deque()  # the ticks at which they were sent
-        self._told = -1  # the newest tick of which the sender has said whether it has spoken
+        self._told = -1  # the newest tick that the publisher has acknowledged
         self._behind = self.port.delayed and self.node.links.returns  # its number is behind a message
 
     def resume(self, used: int, reached: int) -> None:
@@ -393,7 +393,8 @@ class Counted(Paired):
 
     def told(self, position: int, spoke: bool) -> None:
         """A sporadic sender says whether it has spoken at one of its ticks."""
-        if position <= self._told:  # said again
+        # This acknowledgement was repeated.
+        if position <= self._told:
             return
         self._told = position
         if spoke:

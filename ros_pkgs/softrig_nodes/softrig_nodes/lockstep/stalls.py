@@ -93,6 +93,7 @@ class Stalls:
     def _judge(self, waited: float) -> None:
         node = self._node
         lacking = [row for row in self._senders.rows if not row.have]
+        # In the first ticks other nodes may still be starting, which is no stall.
         if lacking and waited > SAY_AFTER and node.ticks > 1 and not self._said:
             self._said = True
             what = ", ".join(f"{row.port.topic} from {row.who}" for row in lacking)

@@ -109,6 +109,7 @@ class Answering:
 
     def _drop(self) -> None:
         """Forget ticks that are older than the window, or than what is kept: the law is far behind."""
+        # A tick whose messages have dropped out of a full row can no longer be answered with the right ones.
         kept = [f.recent[0][0] for f in self._required if len(f.recent) == KEPT and not f.by_arrival]
         oldest, before = max([self._table.clock() - self._table.window, *kept]), self.dropped
         while len(self._pending) > 1 and self._pending[0] < oldest:

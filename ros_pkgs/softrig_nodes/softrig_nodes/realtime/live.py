@@ -165,6 +165,7 @@ class Live(Sender):
         self._used: int | None = None  # stamp of the value that the last tick used
         self._interval = 0 if self.schedule is None else self.schedule.time(1)
         self._rivals = Rivals()
+        # Only a publisher that should publish at each tick shows by its silence that it is gone.
         if self.awaited and untold:
             self.numbered = self._numbered
 
@@ -304,6 +305,7 @@ class Live(Sender):
         if self.stamp is None:
             return False
         if self.by_arrival:
+            # A publisher slower than our ticks has no message for some of them.
             return self.fresh or self._interval > period
         if self.schedule is not None:
             there = self.stamp >= epoch + self.schedule.held(stamp - epoch)
@@ -371,6 +373,7 @@ class Live(Sender):
         """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
         self._rivals.change()
         if not self.port.held and self._refuses():
+            # The newest value may come from either publisher, and neither is believed.
             self.node.values[self.name] = self.port.safe
             self.arrived = None
 

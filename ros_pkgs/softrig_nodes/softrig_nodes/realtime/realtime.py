@@ -110,6 +110,7 @@ class Realtime(Link):
         node = self.node
         self._begun = self._begun or self._by_itself()
         told = listen(self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local])
+        # With a given epoch the nodes need not agree on a start.
         if node.links.starter and not node.epoch:
             readers, inputs = node.links.readers, node.links.inputs
             wanted = [(o, list(readers.get(o.name, []))) for o in node.outputs]
@@ -133,6 +134,7 @@ class Realtime(Link):
             text = f"the clock of the rig is {ahead / SECOND:+.3f} s from this one: followed"
             self.node.step.note(Level.WARN, "clock", text)
         self.node.epoch = epoch
+        # The first tick has no time for generating these functions.
         self.node.step.make()
         self.node.state = "running"
         self._silence_told = self.node.middleware.steady()

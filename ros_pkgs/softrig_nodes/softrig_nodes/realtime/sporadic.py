@@ -20,7 +20,7 @@ class Sporadic(Live):
 
     def __init__(self, table: LiveSenders, port: Port) -> None:
         super().__init__(table, port)
-        self._told = -1  # stamp of the newest tick of the sender of which we know whether it spoke
+        self._told = -1  # stamp of the newest tick that the publisher has acknowledged
         self._sent: deque[int] = deque(maxlen=KEPT)  # stamps of what has been sent and has not come
 
     def told(self, stamp: int, spoke: bool) -> None:
