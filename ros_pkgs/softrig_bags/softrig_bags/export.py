@@ -19,8 +19,10 @@ from .tables import Columns, Piece, lacking, stacked
 
 ROWS = 1 << 14  # that are written at a time
 FORMATS = ("csv", "parquet", "mat")
-LONGEST = 63  # letters of a variable of MATLAB
-LONGEST_NAME = 200  # bytes of a file's name; file systems take 255, and a part of a table has a longer one
+# MATLAB cuts names of variables beyond this number of letters.
+LONGEST = 63
+# In bytes. File systems allow 255, and the parts of a table have longer names.
+LONGEST_NAME = 200
 OWN = ("time", "stamp")  # columns that every table has
 
 
@@ -65,7 +67,8 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
         names: list[str] = []
         try:
             for block in bag.blocks():
-                names += _file_names(bag.labels, names)  # a file may name a topic late
+                # A file may declare a topic only where its first message is.
+                names += _file_names(bag.labels, names)
                 for topic, piece in columns.pieces(block):
                     file(topic).add(piece)
             names += _file_names(bag.labels, names)
@@ -121,7 +124,8 @@ class _TopicFile:
             self._flush()
 
     def _flush(self) -> None:
-        import pyarrow  # half a second, only here
+        # Imported here, because the import takes half a second.
+        import pyarrow
 
         piece = stacked(self._waiting)
         self._waiting, self._rows = [], 0

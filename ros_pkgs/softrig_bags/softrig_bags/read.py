@@ -16,7 +16,8 @@ from .files.reader import BagReader
 from .tables import Columns, Growing
 
 EPOCH = "epoch"  # under which a run in real time leaves, in a bag's metadata, the ns that its stamps count from
-WALL_CLOCK = 10**18  # ns; bag times after September 2001 are wall-clock times, simulated ones begin near zero
+# In ns. Bag times after September 2001 are those of a wall clock; simulated times begin near zero.
+WALL_CLOCK = 10**18
 
 
 def read_bag(path: Path | str, namespace: str = "") -> Recording:

@@ -59,6 +59,7 @@ class Workers:
         self._count, self._scheduler = count or cores(), scheduler
         self._pool: ProcessPoolExecutor | None = None
         self._client: Any = None
+        # The time of a case in s, over the newest chunks.
         self._mean = math.inf
         self._frozen = False
 
@@ -270,7 +271,8 @@ def _has_one_thread() -> bool:
     """Return whether a copy of this process would have all of it: of threads it has the one that copied."""
     try:
         return len(os.listdir("/proc/self/task")) == 1
-    except OSError:  # a system without /proc
+    # This system has no /proc, so a fork is not known to be safe.
+    except OSError:
         return False
 
 

@@ -24,7 +24,8 @@ from .definitions import Types
 Column = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.uint64]
 LONGEST = 4096  # elements of an array that become columns of their own
 LONGEST_OCTETS = 64  # elements of arrays of uint8, byte or char, which are images and other files more often
-MANY = 20_000  # values of a message; more make no table
+# The most values of a message. Each is a column of a table, and more make no table.
+MANY = 20_000
 PADDING = 3  # bytes that may follow the last field: DDS fills up to four
 # and so many for each empty sequence of numbers of eight bytes: Fast CDR counts the alignment of its elements into the
 # length of a message, and `serialize_message` of rclcpp and rclpy gives buffers of that length
@@ -91,7 +92,8 @@ class Template:
             found = rows[:, begin : begin + 8 * len(mask)].view("<u8")
             good &= ((found & mask) == expected).all(axis=1)
         for at, text in self.fixed:
-            if at + len(text) > self.length // 8 * 8:  # in the last bytes, which are no word
+            # These are in the last bytes, which do not fill a word and are not in `_words`.
+            if at + len(text) > self.length // 8 * 8:
                 good &= (rows[:, at : at + len(text)] == np.frombuffer(text, np.uint8)).all(axis=1)
         return good
 
@@ -209,7 +211,8 @@ class _Maker:
 
     def _struct(self, msgtype: str, path: str) -> None:
         fields = self._types[msgtype][1]
-        if not fields:  # there is one on the wire, for IDL has no empty structures
+        # IDL has no empty structures, so an empty message has one byte on the wire.
+        if not fields:
             self._move(1, path)
         for i, (name, kind) in enumerate(fields):
             if not path and kind[0] == Nodetype.NAME and _has_stamp(i, name, kind[1]):
@@ -300,7 +303,8 @@ def template(msgtype: str, types: Types, data: bytes) -> Template:
     except Undecodable:
         if not _is_wide(types):
             raise
-        made = _Maker(types, data, 2).make(msgtype)  # a wide character has had four bytes, and then two
+        # Wide characters had four bytes in older distributions and have two in newer ones; the message shows which.
+        made = _Maker(types, data, 2).make(msgtype)
     _name_columns(msgtype, made, data)
     return made
 

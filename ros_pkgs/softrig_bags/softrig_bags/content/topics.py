@@ -17,7 +17,8 @@ from .known import definition_of
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
+# The value of RMW_DURATION_INFINITE, which rosbag2 writes for a policy without a limit.
+FOREVER = QosTime(9223372036, 854775807)
 
 
 def qos(durability: QosDurability = QosDurability.VOLATILE, depth: int = 10) -> Qos:
@@ -81,7 +82,7 @@ def checked_namespace(text: str) -> str:
 @cache
 def typestore() -> Typestore:
     """Return the store of the Jazzy message types; `_definition` adds installed types that it lacks."""
-    # here: the stores of seven distributions are loaded with it, which takes a tenth of a second
+    # Imported here, because the stores of seven distributions are loaded with it, which costs a tenth of a second.
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -93,7 +94,8 @@ def is_known(msgtype: str) -> bool:
 
     try:
         return _register(msgtype)
-    except (TypesysError, OSError, ValueError):  # an installed text that the library does not read
+    # An installed definition may be one that the library cannot read.
+    except (TypesysError, OSError, ValueError):
         return False
 
 

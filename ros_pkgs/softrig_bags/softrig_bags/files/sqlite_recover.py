@@ -157,7 +157,8 @@ def _whole_copy(path: Path, directory: Path) -> Path:
                 shutil.copyfile(path.with_name(name), directory / name)
             if _state(path) == before:
                 break
-    else:  # a recorder writes faster than files are copied: only SQLite's own locks yield one moment's state
+    else:
+        # A recorder writes faster than files are copied; only the locks of SQLite give the state of one moment.
         for file in [copy, *journals(copy)]:
             file.unlink()
         with (

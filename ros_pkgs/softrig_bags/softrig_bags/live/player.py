@@ -419,7 +419,8 @@ class LockstepPlayer:
             there = publishers[0]
             try:
                 inputs = node.get_subscriber_names_and_types_by_node(there.node_name, there.node_namespace)
-            except (NodeNameNonExistentError, RCLError):  # before discovery has its name
+            # Discovery has found the publisher, but not yet the name of its node.
+            except (NodeNameNonExistentError, RCLError):
                 absent.append(f"the node behind {topic} is not known yet")
                 continue
             wanted |= played.intersection(name for name, _ in inputs)

@@ -19,6 +19,7 @@ VERDICTS: dict[Verdict, str] = {
     "refuted": "what was measured disagrees",
     "not_checkable": "cannot be decided, for the reason given",
 }
+# Written in the place of the number of what does not happen.
 NEVER = "never"
 # The share of the published value that agrees where a claim states no tolerance of its own.
 TOLERANCE = 0.05

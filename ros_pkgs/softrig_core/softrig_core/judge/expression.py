@@ -12,7 +12,8 @@ from typing import Any
 from ..errors import ScenarioError
 
 REFERENCE = re.compile(r"\$([A-Za-z_]\w*(?:\.\w+)*)")
-LONGEST = 500  # characters: deeper nesting would come near Python's own limit
+# In characters. A longer expression could be nested so deeply that Python's own limit of recursion is near.
+LONGEST = 500
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
     ast.Pow: math.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,

@@ -22,7 +22,8 @@ from .arithmetic import SEVERAL, Tree, arithmetic
 from .expression import REFERENCE, number
 from .units import powers, text
 
-LONGEST = 1e9  # s, of an interval
+# The longest interval, in s.
+LONGEST = 1e9
 EDGES = {"rising": np.greater, "falling": np.less, "changed": np.not_equal}
 _WORDS = {"always", "eventually", "until", "since", "once", "historically", "next", "not", "and", "or", "implies"}
 _LETTERS = {"G", "F", "U", "R", "H", "O", "S", "X", "Y", "P"}  # what sentil may take for operators
@@ -181,7 +182,8 @@ def _timed(given: str, known: Mapping[str, float | None]) -> str:
             raise error if str(error).startswith("formula") else ScenarioError(f"formula {given!r}: {error}") from None
         if found < 0.0:
             raise ScenarioError(f"formula {given!r}: {part.strip()} is {found:g} s; expected a time of at least 0 s")
-        return format(found, ".12f").rstrip("0").rstrip(".")  # sentil reads no exponents there
+        # sentil reads no exponents in an interval.
+        return format(found, ".12f").rstrip("0").rstrip(".")
 
     return _INTERVAL.sub(lambda found: f"[{seconds(found[1])}, {seconds(found[2])}]", given)
 
@@ -355,6 +357,7 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
         share = {"Literal": scale[unit]}
         return kind, body | {side: {"Binary": ["Div", body[side], share]} for side in ("lhs", "rhs")}
 
+    # Each comparison is scaled by itself, so that margins in several units can be compared.
     tree = _map(tree, scaled)
     if len(found) > 1:
         several = ", ".join(sorted(u or "1" for u in found))
@@ -392,6 +395,7 @@ def _unit(tree: Tree, units: Mapping[str, str]) -> str | None:
         return text({u: p for u, p in total.items() if p})
     if name == "Pow":
         n = right.get("Literal")
+        # A unit has whole powers only.
         if a and (n is None or n != int(n)):
             raise ScenarioError(f"a power of something in {a} takes a whole number")
         return None if a is None else text({u: p * int(n or 0) for u, p in powers(a).items() if n})

@@ -16,7 +16,8 @@ GROUP = "softrig_figures"
 
 
 def _points() -> dict[str, importlib.metadata.EntryPoint]:
-    return _installed(tuple(sys.path))  # a pack may bring more
+    # The path is part of the key, because a pack extends it and may bring more functions.
+    return _installed(tuple(sys.path))
 
 
 @lru_cache(maxsize=8)

@@ -327,13 +327,12 @@ class Record:
             low, high = limits(body)
             first_, last, _ = (int(each[0]) for each in self._window(kind, low, high, self.times[k : k + 1]))
             if last < first_:
-                # A comparison decides at its own instant; for until and since the instant at which they are asked is
-                # returned.
                 return k
             least = kind in ("Always", "Historically")
             come = (1 if least else 0) if kind in FUTURE and high == INF and self.ended else come
             values = self.bounds(body[1])[come, lost, first_ : last + 1]
             return self._decides(body[1], come, lost, first_ + int(np.argmin(values) if least else np.argmax(values)))
+        # A comparison decides at its own instant; for until and since it is the instant at which they are asked.
         return k
 
     def _violated(self, tree: Tree) -> tuple[tuple[float, float], ...]:

@@ -15,11 +15,13 @@ from pathlib import Path
 # This variable is set in the environment of a run whose FMUs came with a pack.
 STRANGE = "SOFTRIG_CONFINED"
 SCRATCH = "/tmp"
-HIDDEN = (SCRATCH, "/var/tmp", "/run", "/dev/shm")  # and the home: keys, and sockets of agents and of containers
+# These and the home hold keys, and the sockets of agents and of containers.
+HIDDEN = (SCRATCH, "/var/tmp", "/run", "/dev/shm")
 # of sched.h, sys/mount.h and linux/mount.h
 _NEW = 0x00020000 | 0x04000000 | 0x08000000 | 0x10000000 | 0x40000000  # mounts, host name, IPC, user, network
 _BIND, _REC, _PRIVATE, _NOSUID, _NODEV = 0x1000, 0x4000, 0x40000, 2, 4
-_SETATTR = 442  # mount_setattr(2), the same number on every architecture; Linux 5.12
+# mount_setattr(2) has no wrapper in older C libraries; its number is the same on every architecture (Linux 5.12).
+_SETATTR = 442
 _RECURSIVE, _RDONLY, _ATTR_NOSUID, _ATTR_NODEV = 0x8000, 1, 2, 4
 _CAPBSET_DROP, _NO_NEW_PRIVS = 24, 38  # of prctl
 _CAPABILITIES = 0x20080522  # version of capset

@@ -93,7 +93,7 @@ def balance(rows: Rows) -> tuple[Rows, list[int]]:
     13, 1969.
     """
     n = len(rows)
-    # the sums are of integers in units of 1/unit: sums of fractions take ten times as long
+    # The sums are of integers in units of 1/unit, because sums of fractions need ten times as long.
     unit = math.lcm(*(x.denominator for row in rows for x in row))
     sizes = [[abs(x.numerator) * (unit // x.denominator) for x in row] for row in rows]
     exponents = [0] * n
@@ -101,7 +101,7 @@ def balance(rows: Rows) -> tuple[Rows, list[int]]:
     while changed and sweeps < SWEEPS:
         changed, sweeps = False, sweeps + 1
         for i in range(n):
-            # both in units of 2^-(up + down) / unit, so that no shift cuts off a bit
+            # Both are in units of 2^-(up + down) / unit, so that no shift cuts off a bit.
             up, down = max(exponents) - exponents[i], exponents[i] - min(exponents)
             of_row = sum(sizes[i][j] << e - exponents[i] + down for j, e in enumerate(exponents) if j != i) << up
             of_column = sum(sizes[j][i] << exponents[i] - e + up for j, e in enumerate(exponents) if j != i) << down

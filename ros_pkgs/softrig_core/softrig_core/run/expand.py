@@ -72,10 +72,12 @@ def _expanded(scenario: Scenario, classes: Classes, told_what: bool) -> Rig:
     rig = _watched(Rig.from_scenario(_faulty(bare, classes), classes))
     if not live:
         return rig
-    if told_what:  # they read what the figures name, also where a fault changes it for all others
+    # Live nodes read what the figures name from its source, even where a fault changes it for all other readers.
+    if told_what:
         full = _telling(rig.scenario, live, {"period": rig.clock.params.period, **told(rig)})
         rig = rig.listened(full, live)
-    nodes = {**rig.scenario.nodes, **live}  # what they are told may change
+    # The scenario keeps the live nodes as they were written, because what they receive may change with the rig.
+    nodes = {**rig.scenario.nodes, **live}
     return replace(rig, scenario=rig.scenario.model_copy(update={"nodes": nodes}))
 
 

@@ -132,8 +132,8 @@ class Solver(Block[S]):
     ...         return x, {"dispatch": result.answer if result else self.idle}
     """
 
-    # a new request kills the work under way instead of waiting for its end; with requests that come faster than
-    # the latency there is never a result then
+    # With this, a new request kills the work under way instead of waiting for its end. If requests arrive faster than
+    # the latency, there is never a result.
     CANCELS: ClassVar[bool] = False
     SCRATCH = frozenset({"worker"})  # the process: what it works on is in `x.jobs`
 

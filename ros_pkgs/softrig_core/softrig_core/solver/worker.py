@@ -92,7 +92,6 @@ class Worker:
     def warm(self) -> None:
         """Start the process, so that its imports are done when the first request comes."""
         if self._process is not None and self._process.alive():
-            # A process that was killed may have sent this before.
             return
         process = self._process = _Process.of(*self._call)
         process.owner = weakref.ref(self)
@@ -149,6 +148,7 @@ class Worker:
     def heard(self, process: _Process, kind: str, content: Any) -> None:
         """Process a message of the worker process."""
         with self._changed:
+            # A process that was killed may have sent this before.
             if process is not self._process:
                 return
             if kind == "begun":
@@ -184,7 +184,8 @@ class _Process:
         key = (module, name, os.getpid(), threading.get_ident(), tuple(sys.path), _directory(), _variables())
         for process in reversed(cls.idle):
             if process.key == key:
-                with contextlib.suppress(ValueError):  # another thread has taken it
+                # Another thread may have removed it from the list in the meantime.
+                with contextlib.suppress(ValueError):
                     cls.idle.remove(process)
                     if process.alive():
                         return process
@@ -279,7 +280,8 @@ def _variables() -> frozenset[tuple[str, str]]:
     return frozenset((k, v) for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST")
 
 
-# What a fork has copied. It is kept: closing a pipe that a thread of the parent was reading waits for ever.
+# Processes that a fork has copied. They are stored, because closing a pipe that a thread of the parent was reading
+# would never return.
 _of_parents: list[_Process] = []
 
 

@@ -228,7 +228,8 @@ def decode(data):
         return None
     return {mark}, {values}
 """
-SINGLY = 32  # values that are named one by one
+# Up to so many values the generated code names each one; beyond it, slices keep the code short.
+SINGLY = 32
 
 
 def _coders(

@@ -79,7 +79,8 @@ def decode(data: bytes) -> tuple[int, str, dict[str, Any]]:
     reader = Reader(TYPE, data)
     t = reader.one("i") * SECOND + reader.one("I")
     node = reader.text()
-    new, changed, _ = ([_read(reader) for _ in range(reader.one("I"))] for _ in range(3))  # who is deleted has no value
+    # A parameter that was deleted has no value.
+    new, changed, _ = ([_read(reader) for _ in range(reader.one("I"))] for _ in range(3))
     return t, node, dict(new + changed)
 
 

@@ -82,7 +82,8 @@ class Signals(Mapping[str, Signal]):
         self._epoch = epoch
         self._tables: dict[str, Table] = {}
         self._known: dict[str, Signal] = {}
-        self._times: dict[tuple[int, ...], tuple[Any, Array]] = {}  # topics of one node share theirs
+        # Topics of one node have the same times, which are converted once.
+        self._times: dict[tuple[int, ...], tuple[Any, Array]] = {}
         self._also: Mapping[str, Mapping[str, str]] = {}
         self._named: dict[str, Table] = {}
 

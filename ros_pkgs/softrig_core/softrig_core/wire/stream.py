@@ -64,7 +64,7 @@ class Reader:
 
     def __init__(self, msgtype: str, data: bytes) -> None:
         self._type, self._data, self._at = msgtype, data, 4
-        # The second byte of the encapsulation has the byte order; other writers than DDS on this CPU may differ.
+        # The second byte of the encapsulation holds the byte order, which is that of the writer.
         self._order = ">" if len(data) > 1 and data[1] == 0 else "<"
 
     def take(self, code: str, n: int = 1) -> tuple[Any, ...]:

@@ -6,7 +6,8 @@ from typing import Any
 
 from softrig_core import jit
 
-CUTS = 60  # halvings of a step, until the current is zero to the last bits
+# Halvings of a step after which the current at its end is zero to the last bits.
+CUTS = 60
 
 
 @jit

@@ -26,7 +26,8 @@ ASKED = {
 }
 CURRENT, VOLTAGE = 0.3, 0.01  # ripple over rated current and output voltage where nothing is given
 CROSSOVER = 2.4  # crossover over the resonance of L and C
-LEAST = 20.0  # switching frequency over the crossover, so that the delay of 1.5 periods leaves a phase margin
+# The least ratio of switching frequency to crossover, so that the delay of 1.5 periods leaves a phase margin.
+LEAST = 20.0
 
 
 class Converter(NamedTuple):

@@ -40,7 +40,8 @@ def lambda_iteration(units: Units, demand: float) -> Array:
     low, high = float(np.min(b + 2.0 * a * p_min)) - 1.0, float(np.max(b + 2.0 * a * p_max)) + 1.0
     if p_max.sum() - p_min.sum() <= 0.0:
         return p_min.copy()
-    from scipy.optimize import brentq  # here: the dispatch's process, which starts with each run, has no need of it
+    # Imported here, because the process of the dispatch starts with each run and does not need it.
+    from scipy.optimize import brentq
 
     price = brentq(lambda x: float(outputs(x).sum()) - demand, low, high, xtol=1e-13)
     return balanced(units, outputs(price), demand)

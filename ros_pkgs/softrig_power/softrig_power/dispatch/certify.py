@@ -232,7 +232,8 @@ class Optimiser:
             missing = [self._missing(j, model.P[j], points[j], low[j]) for j in range(len(self.units))]
             splits = [(j, at) for j, (at, below) in enumerate(missing) if below > self.tol / (2 * len(self.units))]
             for j, at in splits:
-                for k in np.flatnonzero(groups == groups[j]):  # identical units share their points
+                # Identical units share their points.
+                for k in np.flatnonzero(groups == groups[j]):
                     if at not in points[k]:
                         points[k] = np.sort(np.append(points[k], at))
             if not splits:

@@ -82,7 +82,8 @@ class Row:
 
 @lru_cache(maxsize=64)
 def _told(text: str) -> None:
-    say(text)  # once, however often a table is read
+    # A note is written once, however often the table is read.
+    say(text)
 
 
 def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
@@ -117,7 +118,7 @@ def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
             hint = "; write decimal points, or separate columns by semicolons" if comma else ""
             raise TableError(f"{path.name}, line {k}: {len(row)} fields, but the head has {used}{hint}")
     fields = [field for _, row in body for field in row]
-    # a comma within a field: there are no thousands in tables that write points nowhere
+    # A comma within a field is a decimal comma here, because the table has no decimal points anywhere.
     decimal_comma = separator != "," and any("," in f for f in fields) and not any("." in f for f in fields)
     if decimal_comma:
         _told(f"{path.name}: read with decimal commas")

@@ -23,7 +23,8 @@ COLUMNS = (
     "f_rad_per_MW",
 )
 MORE = ("p_now_MW", "ramp_up_MW", "ramp_down_MW", "reserve_MW")  # columns that a table may have
-NARROW = 1e-6  # MW; a last arch shorter than this is part of the one before
+# In MW. A last arch shorter than this comes of rounding and is part of the one before.
+NARROW = 1e-6
 BALANCE = 1e-6  # MW; how far the sum may be from the demand
 
 

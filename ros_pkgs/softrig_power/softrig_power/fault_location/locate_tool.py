@@ -24,14 +24,16 @@ from .method.objective import LocatorParams
 from .records.comtrade_file import ComtradeFileError, read_comtrade
 from .records.record import COLUMNS, GROUPS, TOPICS, Record, RecordError
 
-EPOCH = 10**15  # ns, no simulated time comes so far
+# In ns. No simulated time reaches this, so later stamps are those of a wall clock.
+EPOCH = 10**15
 
 
 def main(arguments: Sequence[str]) -> int:
     """Read, locate, tell; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
     options = _parser().parse_args(arguments)
     try:
-        _params(options)  # refused before a file is read
+        # Bad parameters are refused before a large file is read.
+        _params(options)
         late = (1e-6 * options.late[0], 1e-6 * options.late[1])
         record = read(options.source, [c for c in options.channels.split(",") if c], late)
         p, budget = _params(options, record.frequency), _budget(options, record.sync)

@@ -165,7 +165,7 @@ def advance(
     g_s, g_se = c.source.conductance, c.series.conductance
     g_sh = 0.0 if tripped else c.shunt.conductance
     y1, y2, y3 = y + g_se + g_sh, y + g_se, y + g_se
-    # reciprocals: plain and native code divide complex numbers in different ways
+    # Reciprocals are used, because plain and native code divide complex numbers in different ways.
     inv_ab, inv12, inv34 = 1.0 / (2.0 * y + g_s), 1.0 / (y1 * y2 - g_se * g_se), 1.0 / (y3 * y3 - g_se * g_se)
     bus[0, :] = u
     current[0, :] = i

@@ -144,7 +144,9 @@ def _first_cycle(signals: SignalMap, axis: str, cycle: float) -> Array:
     """Return one component of the generator's voltage over the first cycle."""
     t, x = window(signals, f"pulses/voltage/{axis}", None, None, least=2)
     t = t - t[0]
-    half = 0.5 * float(t[1])  # stamps are whole ns: no sample is counted that is nearer to the next cycle
+    # Stamps are whole ns, so the first sample of the next cycle may be a little early; half a sample of room leaves it
+    # out.
+    half = 0.5 * float(t[1])
     if t[-1] < cycle - 3.0 * half:
         raise ValueError(f"pulses/voltage is recorded to {t[-1]:g} s, a cycle lasts {cycle:g} s")
     count = int(np.searchsorted(t, cycle - half))

@@ -20,7 +20,8 @@ from .ports import DC_LINK, SERIES, SHUNT, STATUS, TRACE, measured
 
 CONVERTERS = ("shunt", "series_1", "series_2")
 VECTORS = ("u1", "u2", "u4", "i_sh", "i12", "i34")
-MAGNITUDE_LIMIT = 1.2  # pu, of a series command that can be meant
+# In pu. A larger series command cannot be meant and is rejected.
+MAGNITUDE_LIMIT = 1.2
 FREQUENCY_LIMIT = (0.5, 1.5)  # of nominal, of a command that can be meant
 TRIP = (0.5, 1.3)  # pu, of the DC voltage
 
@@ -177,9 +178,11 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         """Return the command of converter k, so many ns old, or what stands in for it."""
         p, last = self.p, x.commands[k]
         amplitude, angle, omega = command
-        if age is None:  # real time: none has come since the start
+        # In real time no command may have arrived since the start.
+        if age is None:
             return Command(last.sigma, math.remainder(last.angle + p.period * last.omega, math.tau), last.omega)
-        if age > 0:  # real time: its angle is that of its own tick
+        # In real time a command may be of an earlier tick, and its angle is that of its own tick.
+        if age > 0:
             angle = math.remainder(angle + omega * (age / SECOND), math.tau)
         nominal = p.network.omega
         highest = math.pi * (1.0 + 1e-12) if k == 0 else MAGNITUDE_LIMIT

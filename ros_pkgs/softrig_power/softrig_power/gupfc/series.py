@@ -14,7 +14,8 @@ from softrig_core import Block, Level, Port, param
 from .operating_point import DeviceParams, operating_point
 from .ports import SERIES, SERIES_REFERENCE, measured
 
-LEAST_VOLTAGE = 0.1  # pu; below it a current reference is not taken from the voltage any more
+# In pu. Below this the current reference is not computed from the voltage any more, for it would grow without bound.
+LEAST_VOLTAGE = 0.1
 
 
 class State(NamedTuple):

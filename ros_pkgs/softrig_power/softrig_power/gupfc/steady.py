@@ -19,7 +19,8 @@ from .flow.power_flow import Solution
 from .network import BUSES, HALVES, NetworkParams, admittance
 
 Complex = NDArray[np.complex128]
-ROUNDS = 4  # of the ripple of the DC voltage, each a thousandth of the one before
+# Rounds for the ripple of the DC voltage; each changes a thousandth of what the one before did.
+ROUNDS = 4
 
 
 class Start(NamedTuple):

@@ -70,7 +70,8 @@ class PvPlant(Plant[PvPlantParams]):
     """
 
     DRAWN_BY = "softrig_power.pv.drawing:PvString"
-    STALE_PERIODS: ClassVar[int] = 200  # 0.2 s: five periods of a tracker at 25 Hz, not five of the sensors
+    # 0.2 s, which is five periods of a tracker at 25 Hz; the plant's own period is that of the sensors.
+    STALE_PERIODS: ClassVar[int] = 200
 
     @classmethod
     def agreed(cls, params: PvPlantParams) -> Mapping[str, Any]:

@@ -134,6 +134,7 @@ def grid_of(angle: float, s: float, c: float, period: Period) -> tuple[float, fl
     """See `grid`, of omega t, its sine and its cosine."""
     v_a, v_b, v_c = phases_of(period.amplitude, 0.0, s, c)
     if period.fifth != 0.0:
-        h_a, h_c, h_b = phases(period.fifth, 0.0, 5.0 * angle)  # negative sequence: b and c change places
+        # The fifth harmonic has negative sequence, so b and c change places.
+        h_a, h_c, h_b = phases(period.fifth, 0.0, 5.0 * angle)
         return v_a + h_a, v_b + h_b, v_c + h_c
     return v_a, v_b, v_c

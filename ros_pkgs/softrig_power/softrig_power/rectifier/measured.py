@@ -89,7 +89,8 @@ class SumsRows(NamedTuple):
     sums: Array
     complete: Array
     found: Array
-    trace: Array  # without rows: a global array would be read only
+    # It has no rows. It is a field because native code treats a global array as read only.
+    trace: Array
 
     def begun(self, windows: float) -> SumsRows:
         """See `Sums.begun`."""

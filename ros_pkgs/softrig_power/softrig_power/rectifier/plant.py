@@ -45,7 +45,8 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
         check_steps(self.period, self.substep, "substep")
         if self.carrier_hz < 10.0 * self.f:
             raise ValueError(f"carrier_hz = {self.carrier_hz:g} Hz: expected at least ten times f = {self.f:g} Hz")
-        _ = self.i_first  # a load that the grid cannot carry has no operating point to begin at
+        # A load beyond what the grid can carry has no operating point, so it is refused before the run.
+        _ = self.i_first
         return self
 
     @property
@@ -152,8 +153,10 @@ class RectifierPlant(Plant[RectifierPlantParams]):
 
     DRAWN_BY = "softrig_power.rectifier.drawing:Rectifier"
     TRIPS = frozenset({"collapse"})
-    STALE_PERIODS = 20  # realtime: an older command is replaced by 0
-    LATE_PERIODS = 5  # older than this it is held with a warning
+    # In real time a command older than this is replaced by 0, so that a dead controller does not drive the converter.
+    STALE_PERIODS = 20
+    # A command older than this is held with a warning.
+    LATE_PERIODS = 5
 
     @classmethod
     def ports(cls, params: RectifierPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -236,7 +239,8 @@ class RectifierPlant(Plant[RectifierPlantParams]):
             v = p.v_least
         applied = (command[0],) if x.applied else ()
         end = t + self._period
-        flows = 0.0 if v != row[-1] else 1.0  # a converter that is given up has no current at first
+        # A converter that has just been given up begins without current.
+        flows = 0.0 if v != row[-1] else 1.0
         if self._dq:
             return StateDq(flows * row[0], flows * row[1], v, applied, held, end, collapsed, record)
         return StateAbc(flows * row[0], flows * row[1], flows * row[2], v, applied, held, end, collapsed, record)
@@ -245,7 +249,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         """Return currents and voltage a period after t (ns), and what was measured on the way."""
         record, start = x.record, t / 1e9
         sums = record.sums
-        # time does not go on where it was (realtime after a pause of the host): the sums begin anew
+        # After a pause of the host in real time the periods are not consecutive, so the sums start again.
         if 2 * abs(t - x.end) > self._period:
             sums = sums.begun(float(math.floor(start / self._window + 1e-9)))
         now, how = self._period_at(x, events, start, command), self._off if command == 0.0 else self._on

@@ -79,7 +79,8 @@ def _fault_admittances(prepared: Lines, fault: FaultParams) -> Array:
     for bits in range(1, 8):
         closed = [phase for phase in phases(fault.type) if bits >> phase & 1]
         if len(closed) != bits.bit_count() or (len(closed) == 1 and not grounded(fault.type)):
-            continue  # phases outside the fault never close; one phase of a floating star carries nothing
+            # Phases outside the fault never close, and a single phase of a floating star carries no current.
+            continue
         n = len(closed)
         z = np.zeros((n + 1, n + 1))  # of the phases and the star point: u0 = (thevenin + R) i + u_star
         z[:n, :n] = thevenin[np.ix_(closed, closed)] + resistance * np.eye(n)

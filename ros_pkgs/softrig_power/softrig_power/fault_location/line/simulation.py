@@ -115,7 +115,8 @@ def _fault(net: Network, state: State, open_circuit: Array, n: int) -> None:
             state.phase[ph] = 1
         if state.phase[ph] == 1:
             bits |= 1 << ph
-    for _ in range(3):  # an opening phase changes the others' currents of this step
+    # A phase that opens changes the currents of the others in this step, so they are tested again.
+    for _ in range(3):
         changed = False
         for ph in range(3):
             i = (

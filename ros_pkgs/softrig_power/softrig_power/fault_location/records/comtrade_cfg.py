@@ -15,7 +15,8 @@ from softrig_core.kit.file_format import FileFormat, number_of
 REVISIONS = ("1991", "1999", "2001", "2013")
 FORMS = ("ASCII", "BINARY", "BINARY32", "FLOAT32")
 SLOWEST, FASTEST = 1e-3, 1e9  # sampling rates, Hz
-UNTRUSTED = 1e-4  # s; clocks that are no nearer than this place a fault nowhere on a line
+# In s. With clocks that may differ by more, a fault could be placed anywhere on the line.
+UNTRUSTED = 1e-4
 _QUALITY = "0123456789AB"  # tmq_code: locked, then within 1 ns, 10 ns, ... 10 s
 
 COMTRADE = FileFormat(

@@ -80,7 +80,8 @@ def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
             continue
         fields = line.split(",")
         while len(fields) > size and not fields[-1].strip():
-            fields.pop()  # some recorders end each line with a comma
+            # Some recorders end each line with a comma.
+            fields.pop()
         if len(fields) != size:
             raise DataError(f"line {k} of the data has {len(fields)} fields, expected {size}")
         found = [number_of(field) for field in fields[: 2 + analog]]
@@ -90,7 +91,8 @@ def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
         rows.append(found)
     table = np.array(rows, dtype=np.float64).reshape(len(rows), 2 + analog)
     raw = table[:, 2:]
-    if settings.revision != "1991":  # there only an empty field is missing
+    # In the revision of 1991 only an empty field stands for missing data, and 99999 is a value.
+    if settings.revision != "1991":
         raw[raw == 99999.0] = np.nan
     return table[:, 0], table[:, 1], raw
 
@@ -98,13 +100,15 @@ def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
 def _binary(settings: Settings, data: bytes, words: int) -> tuple[Array, Array, Array]:
     layout = [("n", "<u4"), ("t", "<u4"), ("x", _KINDS[settings.form], (len(settings.analog),)), ("s", "<u2", (words,))]
     table = np.frombuffer(data, dtype=layout, count=len(data) // np.dtype(layout).itemsize)
-    with np.errstate(invalid="ignore"):  # a signalling NaN, as of bytes in another order
+    # Bytes in another order may form a signalling NaN, which is found later and needs no warning here.
+    with np.errstate(invalid="ignore"):
         raw = table["x"].astype(np.float64)
     if settings.form == "FLOAT32":
         raw[(table["x"] == np.finfo(np.float32).min) | ~np.isfinite(raw)] = np.nan
     elif settings.form == "BINARY32":
         raw[table["x"] == -(2**31)] = np.nan
-    elif settings.revision == "1991":  # unsigned where the range says so; all bits set are missing either way
+    elif settings.revision == "1991":
+        # Values are unsigned where the range requires it. All bits set mean missing data in both cases.
         unsigned = np.array([channel.low >= 0.0 and channel.high > 32767.0 for channel in settings.analog])
         raw = np.where(unsigned & (raw < 0.0), raw + 65536.0, raw)
         raw[table["x"] == -1] = np.nan

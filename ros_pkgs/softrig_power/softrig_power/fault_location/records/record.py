@@ -16,8 +16,10 @@ GROUPS = ("u_s", "i_s", "u_r", "i_r")
 CHANNELS = tuple(f"{group}/{phase}" for group in GROUPS for phase in "abc")
 COLUMNS = ("t", *CHANNELS)
 TOPICS = {"u_s": "line/s/voltage", "i_s": "line/s/current", "u_r": "line/r/voltage", "i_r": "line/r/current"}
-SYNC = 0.1 + 1e-6  # samples, most that a sample may be from its place
-EXACT = 1e-3  # samples: ends nearer to each other are one (7 m at 20 kHz)
+# In samples: how far a sample may be from its place. The last term is for the rounding of times.
+SYNC = 0.1 + 1e-6
+# In samples. Ends that are nearer to each other are not resampled; at 20 kHz this is an error of 7 m.
+EXACT = 1e-3
 
 
 class Status(IntEnum):

@@ -61,4 +61,5 @@ def _resample(x: Array, place: Array, cutoff: float, out: Array) -> None:
             for c in range(x.shape[1]):
                 out[n, c] += w * x[k, c]
         for c in range(x.shape[1]):
+            # The weights do not add to one exactly, and at the ends some are missing.
             out[n, c] /= total

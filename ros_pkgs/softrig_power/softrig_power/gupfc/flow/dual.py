@@ -20,7 +20,8 @@ class Dual:
 
     value: Any
     slope: Any
-    __array_priority__: ClassVar[float] = 1000.0  # arrays leave their operators to this class
+    # With this, numpy arrays leave their operators to this class.
+    __array_priority__: ClassVar[float] = 1000.0
 
     def __getitem__(self, at: Any) -> Dual:
         return Dual(self.value[at], self.slope[at])
