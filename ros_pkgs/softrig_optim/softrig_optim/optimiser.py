@@ -21,7 +21,7 @@ from .search import Point, Search, Told
 CONSECUTIVE = 2
 # A value that still moves is no reference for changes: in a hold_time it may move by this share of the threshold.
 STEADY = 0.1
-# Duration of a look back in hold_times. It need not settle, as points of a transient lie on the characteristic too.
+# Duration of a look back in hold_times. No point of it need settle, as a transient lies on the characteristic too.
 LOOK_BACK = 2
 # A pass spends LOOK_BACK hold_times off the best point; this pause, in hold_times, keeps that share below a tenth.
 LOOK_AFTER = 25

@@ -152,7 +152,7 @@ class Workers:
 
     def _on_cores(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
         # The number beside a chunk counts how often its worker died.
-        waiting: list[tuple[Chunk[C], int]] = []  # and how often their worker died
+        waiting: list[tuple[Chunk[C], int]] = []
         open_: dict[Future[tuple[list[R], float]], tuple[Chunk[C], int]] = {}
         while True:
             room = max(0, self._count * AHEAD - len(open_) - len(waiting))

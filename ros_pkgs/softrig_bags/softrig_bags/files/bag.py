@@ -197,7 +197,7 @@ class BagWriter:
     def close(self) -> None:
         """Flush, write index and metadata."""
         self._close_file()
-        # The index and the metadata are written already, so the space is no longer needed.
+        # The files are closed with their index, so the space is free for metadata.yaml.
         self._reserve.unlink(missing_ok=True)
         # A reader must never find half of the metadata, so they are moved into place whole.
         temporary = self.directory / "metadata.yaml.part"

@@ -74,7 +74,7 @@ class Recovery:
                         break
                     yield from records
                 good = file.tell()
-                # What follows the footer is no record.
+                # This is the footer, and what follows it is no record.
                 if code == 0x02:
                     break
         if damaged:

@@ -81,7 +81,7 @@ def _base(name: str) -> tuple[float, str]:
     if name in _OTHERS:
         return _OTHERS[name]
     if name in _SI:
-        # The SI base unit is kg, so g, and every prefix before it, is a thousandth.
+        # The SI base unit is kg, so g is a thousandth of it.
         return 1e-3 if name == "g" else 1.0, _SI[name]
     if name[:1] in _PREFIXES and name[1:] in _SI:
         power = _PREFIXES[name[0]] - 3 * (name[1:] == "g")
