@@ -51,6 +51,7 @@ def test_fails(kept):
 def run(folder, *options):
     """Return what pytest writes about the tests of a folder, without times, and its status."""
     environment = os.environ | {"PYTHONPATH": f"{TESTS}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    environment.pop("PYTEST_ADDOPTS", None)  # options for the run around would change what this one writes
     command = [
         sys.executable,
         "-m",

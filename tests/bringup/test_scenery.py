@@ -77,6 +77,7 @@ def test_they_are_offered_to_who_comes_later_and_cost_little(tmp_path):
     assert sizes["/tf"] < 0.05 * sum(sizes.values())
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_the_bag_is_the_same_from_processes_containers_and_memory(tmp_path):
     modes = ("inprocess", "processes", "container")

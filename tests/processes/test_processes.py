@@ -105,6 +105,7 @@ def test_an_observer_sees_every_sample_up_to_the_end(tmp_path):
     assert outcome.status["watcher"]["figures"]["seen"] == [101.0, ""]
 
 
+@pytest.mark.long
 def test_many_starts_are_identical_also_under_load(tmp_path):
     """Four starts, two at a time on two cores with a spinning process beside them; test_starts.py has a thousand."""
     wired = rig(BASIC, 0.3)

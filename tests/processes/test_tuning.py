@@ -67,6 +67,7 @@ def asked(bench, code, *arguments):
     return json.loads(answer.read_text())
 
 
+@pytest.mark.long
 def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
     with free_domain() as domain:
         bench = Bench(tmp_path, domain)

@@ -106,6 +106,7 @@ def axis(bench):
     return Axis(bench)
 
 
+@pytest.mark.long
 def test_buttons_by_topic_and_by_service_move_the_axis(axis):
     assert not axis.bench.signal("plant", Y).x.any()  # nobody asked for anything
     axis.ask("press forward", "call-in-vain controller/forward")
@@ -118,6 +119,7 @@ def test_buttons_by_topic_and_by_service_move_the_axis(axis):
     axis.wait(lambda: axis.bench.signal("plant", Y).x[-1] > 3.0)  # on its way; below, one arrives
 
 
+@pytest.mark.long
 def test_a_lost_controller_stops_the_axis_and_a_new_one_takes_over_without_a_bump(axis):
     bench = axis.bench
     axis.ask("press forward")

@@ -165,6 +165,7 @@ def test_tables_as_the_field_has_them(tmp_path):
         Units.read(str(tmp_path / "bad.csv"))
 
 
+@pytest.mark.long
 def test_the_scenario_takes_any_table_whatever_the_names_of_its_units(tmp_path):
     """Its pictures and its first unit were those of a unit called 1."""
     table = resource("package://softrig_power/dispatch/tables/units_3.csv").read_text("utf-8")

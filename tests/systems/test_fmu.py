@@ -525,6 +525,7 @@ def test_real_time_gives_the_numbers_of_lockstep(page, name):
         assert a[:n].tolist() == b[:n].tolist()
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_nodes_and_a_container_give_the_bytes_of_the_run_in_process(page, tmp_path):
     for name in ("plant", "law"):

@@ -218,6 +218,7 @@ def test_only_problems_that_are_registered_are_imported(name, why, tmp_path, mon
     assert not (tmp_path / "sprung").exists()
 
 
+@pytest.mark.long
 def test_a_problem_of_ones_own_gets_plant_planner_and_evaluator(tmp_path, monkeypatch):
     """The page's example; one power series does not reach its end and is not played, eight stages do."""
     (tmp_path / "sleds.py").write_text(SLED)
