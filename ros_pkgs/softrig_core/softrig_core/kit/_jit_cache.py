@@ -13,12 +13,11 @@ import hashlib
 import os
 import pickle
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from .compiled import cache_folder
+from .compiled import cache_folder, store
 
 
 class Cache:
@@ -70,15 +69,7 @@ class Cache:
         path = self._file(signature, compiled.target_context)
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            descriptor, scratch = tempfile.mkstemp(dir=path.parent)
-            try:
-                with os.fdopen(descriptor, "wb") as file:
-                    file.write(content)
-                # The file is moved into place whole, so that no other process reads half of it.
-                os.replace(scratch, path)
-            except BaseException:
-                os.unlink(scratch)
-                raise
+            store(path, content)
 
     def _file(self, signature: Any, target: Any) -> Path:
         import numba

@@ -199,17 +199,38 @@ def kept(name: str, make: Callable[[Path], object]) -> Path:
     name : str
         With a digest of all that decides the content.
     make : callable
-        Writes the file that it is handed, which is alone in a folder. It is moved into place whole, so that any number
-        of processes may make the same one at the same time.
+        See `moved`.
     """
-    folder = cache_folder()
-    place = folder / name
+    place = cache_folder() / name
     if not place.exists():
-        with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            product = Path(scratch, "product")
-            make(product)
-            product.replace(place)
+        moved(place, make)
     return place
+
+
+def moved(place: Path, make: Callable[[Path], object]) -> None:
+    """Create a file and move it into place whole, so that any number of processes may do so at the same time.
+
+    Parameters
+    ----------
+    place : Path
+        A file that is there is replaced.
+    make : callable
+        Writes the file that it is handed, which is alone in a folder beside the place.
+    """
+    with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
+        product = Path(scratch, "product")
+        make(product)
+        product.replace(place)
+
+
+def store(place: Path, content: bytes) -> None:
+    """Write a file that only this user can read, whole or not at all; see `moved`."""
+
+    def make(product: Path) -> None:
+        product.touch(0o600)
+        product.write_bytes(content)
+
+    moved(place, make)
 
 
 def build(function: ca.Function) -> Path | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -97,8 +96,6 @@ def _kept(place: Path) -> list[Listed] | None:
 
 
 def _keep(place: Path, state: State, rows: list[Listed]) -> None:
-    from tempfile import NamedTemporaryFile
+    from ..kit.compiled import store
 
-    with NamedTemporaryFile("w", encoding="utf-8", dir=place.parent, delete=False) as file:
-        json.dump({"folders": _folders(), "state": state, "rows": rows}, file)
-    os.replace(file.name, place)
+    store(place, json.dumps({"folders": _folders(), "state": state, "rows": rows}).encode())
