@@ -9,7 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,7 +17,8 @@ from ..errors import RunError, ScenarioError
 from ..extras import need
 from .entry import ADS, LinkEntry, contents_of
 from .frames import Kind
-from .line import PATIENCE, REMEMBERED, REOPEN, Build, Counts
+from .line import PATIENCE, REOPEN, Build
+from .remote import RemoteLine
 
 WHAT = "a node on a PLC"
 ROUTER = 48898  # TCP port of ADS
@@ -46,8 +47,8 @@ class Plc(Protocol):
         """Close the connection."""
 
 
-class AdsLine:
-    """Requests to one program on a PLC and its answers; has what `Link` wants of a `Line`.
+class AdsLine(RemoteLine):
+    """Requests to one program on a PLC and its answers.
 
     Parameters
     ----------
@@ -72,13 +73,8 @@ class AdsLine:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        self.port, self.build, self.timeout, self.counts = port, build, timeout, Counts()
-        self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
-        self.accepted = b""
-        self._opened, self._clock, self._sleep = opened, clock, sleep
-        self._plc: Plc | None = None
-        self._tried, self._why = -math.inf, ""
-        self._known = False  # whether the program has been there before, in real time
+        super().__init__(port, clock, sleep)
+        self.build, self.timeout, self._opened = build, timeout, opened
         self.begin(b"")
 
     def begin(self, params: bytes) -> None:
@@ -86,13 +82,9 @@ class AdsLine:
         # by chance, so that neither is what the program has answered last
         self._number, self._session = (int.from_bytes(os.urandom(4), "little") or 1 for _ in range(2))
         self._first, self.joined = True, False
-        self._missing: dict[int, bool] = {}  # numbers without an answer, and whether one came late
+        self._missing.clear()
         self._seen = b""  # the answer that was read last
         self._heard = self._clock()
-
-    def told(self) -> str:
-        """Return what was unusual, in words; empty when nothing was."""
-        return self.counts.told()
 
     def ask(self, kind: Kind, values: bytes) -> bytes:
         """Write a request until it is answered, and return the answer.
@@ -111,7 +103,7 @@ class AdsLine:
         self._next()
         end, first = self._clock() + PATIENCE * self.timeout, True
         while first or self._clock() < end:
-            self.counts.repeated += not first and self._plc is not None
+            self.counts.repeated += not first and self._connection is not None
             first = False
             if (answer := self._answer(values, self._clock() + self.timeout)) is not None:
                 return answer
@@ -124,25 +116,15 @@ class AdsLine:
         if not self.joined:
             if not self._join(wait):
                 return None
-            self.counts.rejoined += self._known
-            self._known = True
+            self._returned()
         self._next()
         answer = self._answer(values, end)
         if answer is None:
-            self.counts.lost += 1
-            self._missing[self._number] = False
-            while len(self._missing) > REMEMBERED:
-                del self._missing[next(iter(self._missing))]
-            if self._clock() - self._heard > self.timeout:  # it may have restarted
-                self.begin(b"")
+            self._lose(self._number, self._heard)
         return answer
 
-    def close(self) -> None:
-        """Close the connection."""
-        plc, self._plc = self._plc, None
-        if plc is not None:
-            with suppress(Exception):  # of a PLC that was unplugged
-                plc.close()
+    def _shut(self, connection: Plc) -> None:
+        connection.close()
 
     # one request ----------------------------------------------------------------------------------------------------
 
@@ -180,10 +162,7 @@ class AdsLine:
             self.counts.strays += fresh and session != 0
             return None
         if number != self._number:
-            if self._missing.get(number) is False:
-                self._missing[number] = True
-                self.counts.late += 1
-                self.counts.lost -= 1
+            self._missing.late(number)
             return None
         answer = found[HEAD.size : -TAIL.size]
         if not all(map(math.isfinite, self.build.layout.answer.unpack(answer))):
@@ -211,36 +190,18 @@ class AdsLine:
         return True
 
     def _there(self, wait: float) -> bool:
-        """Return whether the PLC is connected, after a try to connect; rarely enough to cost nothing."""
-        if self._plc is not None:
-            return True
-        if self._clock() - self._tried < REOPEN:
-            return False
-        again = self._tried > -math.inf
-        try:
-            self._plc = self._opened(max(wait, 0.001))
-        except OSError as error:
-            self._why = f"the PLC {self.port} cannot be reached: {error.strerror or error}"
-            self._tried = self._clock()
-            return False
-        except ScenarioError as error:  # waiting does not help
-            raise RunError(str(error)) from None
-        self._tried = self._clock()
-        self.counts.reopened += again
-        self._why = ""
-        return True
+        """Return whether the PLC is connected, after a try to connect."""
+        return self._connected(lambda: self._opened(max(wait, 0.001)), f"the PLC {self.port} cannot be reached")
 
     def _done(self, call: Callable[[Plc], Any], end: float) -> Any:
         """Return what a call gives, True for nothing; None where the PLC is not there."""
-        if self._plc is None:
+        if self._connection is None:
             return None
         try:
-            self._plc.wait(end - self._clock())
-            found = call(self._plc)
+            self._connection.wait(end - self._clock())
+            found = call(self._connection)
         except OSError as error:
-            self._why = f"the PLC {self.port} does not answer: {error.strerror or error}"
-            self._tried = self._clock()
-            self.close()
+            self._gone(f"the PLC {self.port} does not answer: {error.strerror or error}")
             return None
         return True if found is None else found
 

@@ -6,7 +6,6 @@ import math
 import os
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,7 +14,8 @@ from ..extras import need
 from .dbc import NUMBERS, RUN, TICK, WHAT, Frame, Messages, decoded, encoded, messages_of
 from .entry import CAN, LinkEntry
 from .frames import Kind
-from .line import PATIENCE, REMEMBERED, REOPEN, Build, Counts
+from .line import PATIENCE, REOPEN, Build
+from .remote import RemoteLine
 
 RUNS = 1 << 8
 PAUSE = 0.0005  # s after a line that cannot be read: the next one may be no better
@@ -24,8 +24,8 @@ Key = tuple[int, bool]
 Parts = dict[Key, dict[int, float]]
 
 
-class CanLine:
-    """Requests to one node on a bus and its answers; has what `Link` wants of a `Line`.
+class CanLine(RemoteLine):
+    """Requests to one node on a bus and its answers.
 
     Parameters
     ----------
@@ -44,15 +44,10 @@ class CanLine:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        self.port, self.counts = port, Counts()
-        self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
-        self.accepted = b""
-        self._opened, self._clock, self._sleep = opened, clock, sleep
-        self._bus: Any = None
-        self._tried, self._why = -math.inf, ""
+        super().__init__(port, clock, sleep)
+        self._opened = opened
         self._run = int.from_bytes(os.urandom(1), "little")
         self._limited: dict[str, None] = {}
-        self._known = False  # whether the node has been there before, in real time
 
     def use(self, messages: Messages, build: Build, timeout: float) -> Self:
         """Begin with messages, a build and a timeout, and return the line.
@@ -77,7 +72,7 @@ class CanLine:
         self._tick = -1
         self._parts: Parts = {}  # of the answer that is awaited or was taken last
         self._heard: dict[Key, float] = {}
-        self._missing: dict[int, bool] = {}  # ticks without an answer, and whether one came late
+        self._missing.clear()
         self._ready: int | None = None  # the build that the node has said
         self._asked = -math.inf  # when the node was asked for its build
         self.joined = self._messages.ready is None
@@ -121,8 +116,7 @@ class CanLine:
         if not self.joined:
             if not self._join(end):
                 return None
-            self.counts.rejoined += self._known
-            self._known = True
+            self._returned()
         self._next()
         self._send(self._row(values))
         if self._messages.ready is None:
@@ -133,20 +127,13 @@ class CanLine:
         elif self._await(self._complete, end):
             return self._answer()
         else:
-            self._missing[self._tick] = False
-            while len(self._missing) > REMEMBERED:
-                del self._missing[next(iter(self._missing))]
-            if self._clock() - max(self._heard.values(), default=-math.inf) > self.timeout:
-                self.begin(b"")  # it may have restarted
+            self._lose(self._tick, max(self._heard.values(), default=-math.inf))
+            return None
         self.counts.lost += 1
         return None
 
-    def close(self) -> None:
-        """Close the bus."""
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            with suppress(Exception):  # of an adapter that was unplugged
-                bus.shutdown()
+    def _shut(self, connection: Any) -> None:
+        connection.shutdown()
 
     def _next(self) -> None:
         self._pump()
@@ -200,7 +187,7 @@ class CanLine:
         self.counts.sent += 1
         number, extended = frame.key
         try:
-            self._bus.send(can.Message(arbitration_id=number, is_extended_id=extended, data=data), self.timeout)
+            self._connection.send(can.Message(arbitration_id=number, is_extended_id=extended, data=data), self.timeout)
         except (can.CanError, OSError, ValueError):  # a full queue, too; of a bus that is gone reading fails as well
             self.counts.damaged += 1
 
@@ -226,9 +213,9 @@ class CanLine:
         import can
 
         try:
-            return self._bus.recv(wait)
+            return self._connection.recv(wait)
         except (can.CanError, OSError) as error:
-            self._gone(error)
+            self._gone(f"the bus {self.port} is gone: {error}")
         except Exception:  # adapters let errors of their parsers escape, such as an IndexError
             self.counts.damaged += 1
             self._sleep(PAUSE)
@@ -255,11 +242,7 @@ class CanLine:
             self._same(key, values if tick is not None else None)
             self._parts[key] = values
             self._heard[key] = self._clock()
-        elif self._missing.get(tick) is False:
-            self._missing[tick] = True
-            self.counts.late += 1
-            self.counts.lost -= 1
-        else:
+        elif not self._missing.late(tick):
             self.counts.strays += 1
 
     def _greeted(self, build: int) -> None:
@@ -275,38 +258,21 @@ class CanLine:
     # the bus ------------------------------------------------------------------------------------------------------
 
     def _there(self) -> bool:
-        """Return whether the bus is open, after a try to open it; rarely enough to cost nothing."""
-        if self._bus is not None:
+        """Return whether the bus is open, after a try to open it."""
+        if self._connection is not None:
             return True
-        if self._clock() - self._tried < REOPEN:
+        if not self._connected(self._opened, f"the bus {self.port} cannot be opened"):
             return False
-        again = self._tried > -math.inf
-        self._tried = self._clock()
-        try:
-            self._bus = self._opened()
-        except OSError as error:
-            self._why = f"the bus {self.port} cannot be opened: {error.strerror or error}"
-            return False
-        except ScenarioError as error:  # waiting does not help
-            raise RunError(str(error)) from None
-        self.counts.reopened += again
-        self._why = ""
         self._filter()
         return True
 
     def _filter(self) -> None:
         """Let only the node's messages pass the bus filter, since other traffic may be heavy."""
-        if self._bus is not None:
+        if self._connection is not None:
             ready = self._messages.ready
             keys = [*self._back, *([ready.key] if ready is not None else [])]
             masks = {False: 0x7FF, True: 0x1FFFFFFF}
-            self._bus.set_filters([{"can_id": i, "can_mask": masks[x], "extended": x} for i, x in keys])
-
-    def _gone(self, error: Exception) -> None:
-        """Close a bus that is not there: the run goes on if the node kept its power."""
-        self._why = f"the bus {self.port} is gone: {error}"
-        self._tried = self._clock()
-        self.close()
+            self._connection.set_filters([{"can_id": i, "can_mask": masks[x], "extended": x} for i, x in keys])
 
 
 def can_line(entry: LinkEntry, node: str, build: Build) -> Callable[[CanLine | None], CanLine]:

@@ -65,6 +65,40 @@ class Counts:
         return ", ".join(f"{n} {name}" for name, n in asdict(self).items() if n and name != "sent")
 
 
+class Missing:
+    """Requests in real time whose answers did not come in time: an answer that comes late is told from a stray.
+
+    Parameters
+    ----------
+    counts : Counts
+        Of the line: `lost` and `late` are kept up to date.
+    """
+
+    def __init__(self, counts: Counts) -> None:
+        self._counts = counts
+        self._numbers: dict[int, None] = {}
+
+    def add(self, number: int) -> None:
+        """Count a request as lost; only the newest `REMEMBERED` are known."""
+        self._counts.lost += 1
+        self._numbers[number] = None
+        while len(self._numbers) > REMEMBERED:
+            del self._numbers[next(iter(self._numbers))]
+
+    def late(self, number: int) -> bool:
+        """Return whether an answer belongs to a request that was counted as lost, which is late then."""
+        if number not in self._numbers:
+            return False
+        del self._numbers[number]
+        self._counts.late += 1
+        self._counts.lost -= 1
+        return True
+
+    def clear(self) -> None:
+        """Forget all requests: their answers are strays."""
+        self._numbers.clear()
+
+
 class Line:
     """Requests to one board and its answers.
 
@@ -114,9 +148,9 @@ class Line:
         self._session = 0
         self._tried = clock() - REOPEN
         self._newest: Frame | None = None  # the answer that was taken last
-        self._missing: dict[int, None] = {}
         self._heard = 0.0
         self.counts = Counts()
+        self._missing = Missing(self.counts)
         self.joined = False
         self.longest = 0
         self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
@@ -224,10 +258,7 @@ class Line:
         if frame is not None:
             self._heard = self._clock()
             return frame.values
-        self.counts.lost += 1
-        self._missing[number] = None
-        while len(self._missing) > REMEMBERED:
-            del self._missing[next(iter(self._missing))]
+        self._missing.add(number)
         if self._clock() - self._heard > self.timeout:  # it may have restarted
             self.begin(self._params)
         return None
@@ -397,10 +428,7 @@ class Line:
 
     def _stray(self, frame: Frame) -> None:
         """Count an answer that nobody waits for; a second answer to one request tells of a second board."""
-        if frame.number in self._missing:
-            del self._missing[frame.number]
-            self.counts.late += 1
-            self.counts.lost -= 1
+        if self._missing.late(frame.number):
             return
         self.counts.strays += 1
         newest = self._newest

@@ -1,0 +1,105 @@
+"""What a line to a node on a CAN bus and one to a program on a PLC share: the connection, and what is counted."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from ..errors import RunError, ScenarioError
+from .line import REOPEN, Counts, Missing
+
+
+class RemoteLine(ABC):
+    """The base of lines to what has parameters of its own and stays where it is; has what `Link` wants of a `Line`.
+
+    Parameters
+    ----------
+    port : str
+        For errors.
+    clock, sleep : callable
+        Give a time in s, and let one pass.
+    """
+
+    joined: bool
+    timeout: float
+
+    def __init__(self, port: str, clock: Callable[[], float], sleep: Callable[[float], object]) -> None:
+        self.port, self.counts = port, Counts()
+        self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
+        self.accepted = b""
+        self._clock, self._sleep = clock, sleep
+        self._connection: Any = None
+        self._tried, self._why = -math.inf, ""
+        self._missing = Missing(self.counts)
+        self._known = False  # whether the other side has been there before, in real time
+
+    @abstractmethod
+    def begin(self, params: bytes) -> None:
+        """Begin a session with the next request; the other side has its own parameters, so `params` is empty."""
+
+    def told(self) -> str:
+        """Return what was unusual, in words; empty when nothing was."""
+        return self.counts.told()
+
+    def close(self) -> None:
+        """Close the connection."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            # What was unplugged may raise any error.
+            with suppress(Exception):
+                self._shut(connection)
+
+    @abstractmethod
+    def _shut(self, connection: Any) -> None:
+        """Close a connection."""
+
+    def _connected(self, opened: Callable[[], Any], failed: str) -> bool:
+        """Return whether there is a connection, after a try to open it; rarely enough to cost nothing.
+
+        Parameters
+        ----------
+        opened : callable
+            Opens it; an OSError: not now, a ScenarioError: never.
+        failed : str
+            What an OSError means.
+        """
+        if self._connection is not None:
+            return True
+        if self._clock() - self._tried < REOPEN:
+            return False
+        again = self._tried > -math.inf
+        try:
+            self._connection = opened()
+        except OSError as error:
+            self._why = f"{failed}: {error.strerror or error}"
+            return False
+        # Waiting does not help.
+        except ScenarioError as error:
+            raise RunError(str(error)) from None
+        finally:
+            # Counted from the end of the try, which may take as long as the other side does not answer.
+            self._tried = self._clock()
+        self.counts.reopened += again
+        self._why = ""
+        return True
+
+    def _gone(self, why: str) -> None:
+        """Close a connection that is not there: the run goes on if the other side kept its power."""
+        self._why = why
+        self._tried = self._clock()
+        self.close()
+
+    def _returned(self) -> None:
+        """Count that the other side has joined again, in real time."""
+        self.counts.rejoined += self._known
+        self._known = True
+
+    def _lose(self, number: int, heard: float) -> None:
+        """Count a request as lost; a new session begins if nothing was heard for longer than the timeout."""
+        self._missing.add(number)
+        # It may have restarted.
+        if self._clock() - heard > self.timeout:
+            self.begin(b"")
