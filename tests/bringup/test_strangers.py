@@ -14,9 +14,9 @@ import pytest
 import yaml
 from softrig_bringup.cli import main
 from softrig_bringup.new.native import new_native
-from softrig_bringup.options import brought, cargo, packed, sandbox, signature, trust
 from softrig_bringup.options.identity import asked_half, recorded_half
-from softrig_bringup.options.packed import About
+from softrig_bringup.pack import brought, cargo, packed, sandbox, signature, trust
+from softrig_bringup.pack.packed import About
 from softrig_bringup.verbs import pack
 from softrig_bringup.verbs.new import new_package
 from softrig_core import ScenarioError, rig_of

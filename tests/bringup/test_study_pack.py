@@ -9,7 +9,7 @@ from softrig_bags.compare import compare
 from softrig_bags.files.reader import BagReader
 from softrig_bags.write import retell
 from softrig_bringup.cli import main
-from softrig_bringup.options.packed import opened, placeless
+from softrig_bringup.pack.packed import opened, placeless
 from softrig_bringup.study import packed
 
 WORDS = ["study", "mine.yaml", "--against", "dc_motor_smc_b4", "--draw", "dc_motor_plant.R=0.3..0.5", "--draws", "2",
@@ -50,12 +50,24 @@ def test_a_study_packs_and_repeats_row_for_row(folder, capsys):
     assert "1 of 4 rows are others; row 1: figures {'rise_time': 9.0" in capsys.readouterr().out
 
 
-def test_an_archive_reads_what_is_in_a_pack(folder):
+def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
     """RO-Crate 1.1: a descriptor of the root, which has a name, a description, a date, a licence and its parts."""
     assert main(["pack", "s", "--out", "a.softrig.zip"]) == 0
     assert main(["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "r"]) == 0
-    assert main(["pack", "r", "--out", "r.softrig.zip", "--published", "2026-11-28"]) == 0
-    assert main(["pack", "r", "--published", "28.11.2026"]) == 2
+    authors = ["--author", "Ann Example 0000-0002-1825-0097", "--author", "Bo Example"]
+    whose = [*authors, "--publisher", "Zenodo https://zenodo.org", "--license", "CC-BY-4.0"]
+    assert main(["pack", "r", "--out", "r.softrig.zip", "--published", "2026-11-28", *whose]) == 0
+    for words, said in (
+        (["--published", "28.11.2026"], "expected a date as 2026-11-28"),
+        (["--author", "0000-0002-1825-0097"], "expected a name, as"),
+        (["--author", "Ann Example 0000-0002-1825-0098"], "its last digit does not belong to the others"),
+        (["--author", "Ann Example 0000-0002-1825"], "0000-0002-1825: expected an ORCID as"),
+        (["--publisher", "https://zenodo.org"], "expected a name, as"),
+        (["--license", "CC BY"], "'CC BY': expected one identifier of spdx.org/licenses"),
+        (["--license", "MIT OR Apache-2.0"], "expected one identifier"),
+    ):
+        assert main(["pack", "r", *words]) == 2
+        assert said in capsys.readouterr().err
     for name in ("a", "r"):
         with zipfile.ZipFile(f"{name}.softrig.zip") as archive:
             crate = json.loads(archive.read("ro-crate-metadata.json"))
@@ -75,6 +87,11 @@ def test_an_archive_reads_what_is_in_a_pack(folder):
         assert root["license"]["@id"] in entities
         assert not any(isinstance(v, list) and len(v) == 1 for e in crate["@graph"] for k, v in e.items())
         assert root["datePublished"] == ("2026-11-28" if name == "r" else "1980-01-01")
+    made_by = [entities[author["@id"]] for author in root["author"]]
+    assert [(one["@type"], one["name"]) for one in made_by] == [("Person", "Ann Example"), ("Person", "Bo Example")]
+    assert made_by[0]["@id"] == "https://orcid.org/0000-0002-1825-0097"
+    assert entities[root["publisher"]["@id"]]["name"] == "Zenodo"
+    assert root["license"]["@id"] == "https://spdx.org/licenses/CC-BY-4.0"
 
 
 def test_what_is_no_study_or_not_whole_is_refused(folder, capsys):

@@ -15,8 +15,9 @@ from types import SimpleNamespace
 import pytest
 from softrig_bringup import cli, folder as folders
 from softrig_bringup.folder import FALSIFICATION, MANIFEST, RUN, STUDY, ResultsFolder
-from softrig_bringup.options import like, packed
+from softrig_bringup.options import like
 from softrig_bringup.options.branch import began_as
+from softrig_bringup.pack import packed
 from softrig_bringup.run import run as runs
 from softrig_bringup.verbs import pack
 from softrig_core import Recording, Run, RunError, ScenarioError, rig_of, simulate

@@ -19,8 +19,8 @@ from setuptools.config.expand import canonic_data_files
 from softrig_bringup import cli
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.options import packed
 from softrig_bringup.options.naming import folder_of
+from softrig_bringup.pack import packed
 from softrig_bringup.page.citations import Citation
 from softrig_bringup.page.wiring import Node, Wire, Wiring
 from softrig_bringup.report import redraw

@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
-from softrig_bringup.options.cargo import _check_flag
+from softrig_bringup.pack.cargo import _check_flag
 from softrig_control.c_member.ports import described
 from softrig_control.fmu.description import describe
 from softrig_core import Rig, RunError, Scenario, ScenarioError, load_scenario, rig_of, simulate

@@ -8,7 +8,7 @@ import sys
 import zipfile
 from pathlib import Path
 
-from softrig_bringup.options import cargo, packed
+from softrig_bringup.pack import cargo, packed
 from softrig_bringup.verbs.new import new_package
 from softrig_core import ScenarioError
 

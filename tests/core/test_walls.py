@@ -22,7 +22,9 @@ ROOMS = {
         "errors content files tables read messages pairing compare align scenery health info export write repair tape "
         "live cli"
     ),
-    "softrig_bringup": "folder terminal options page plots film report run study falsify view new verbs cli __main__",
+    "softrig_bringup": (
+        "folder terminal pack options page plots film report run study falsify view new verbs cli __main__"
+    ),
 }
 LAYERS = {f"{package}.{room}": k for package, rooms in ROOMS.items() for k, room in enumerate(rooms.split())}
 

@@ -26,8 +26,8 @@ from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import Topic
 
-from .cargo import check_scenario
-from .packed import METRICS, SCENARIO, Digest, about, is_pack, need_packages, opened
+from ..pack.cargo import check_scenario
+from ..pack.packed import METRICS, SCENARIO, Digest, about, is_pack, need_packages, opened
 
 #: Of the versions of a run, what decides its bits, the likeliest first.
 DECIDE = ("math", "casadi", "pin", "daqp", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")

@@ -21,9 +21,9 @@ from softrig_core.verdict.figures import Result
 from softrig_core.wire.signals import full_name
 from softrig_core.wire.types import TYPES
 
-from ..options.cargo import brings, check_scenario
 from ..options.identity import HALF, asked_half, strangers
-from ..options.packed import BAG, METRICS, SCENARIO, about
+from ..pack.cargo import brings, check_scenario
+from ..pack.packed import BAG, METRICS, SCENARIO, about
 from .record import RunRecord, record_of
 
 SAME = 1e-9  # of a figure that other libraries have computed from the same bag

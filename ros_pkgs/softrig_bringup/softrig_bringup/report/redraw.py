@@ -23,8 +23,8 @@ from softrig_core.wire.signals import short_name
 
 from ..folder import replace
 from ..options.naming import folder_of
-from ..options.packed import ABOUT, is_pack, opened
 from ..options.run_options import arguments, scenario_of
+from ..pack.packed import ABOUT, is_pack, opened
 from ..plots.curves import Curve, Source, inside, shown, with_plots
 from ..plots.overlay import Overlay, overlay_figures
 from ..plots.pictures import plot_entry, plot_name, plot_run, write_figure

@@ -13,7 +13,7 @@ from softrig_core.guard import say
 from softrig_core.verdict.figures import Result
 
 from ..folder import MARKS
-from ..options.packed import is_pack, opened
+from ..pack.packed import is_pack, opened
 from ..page.html import e, write_page
 from ..page.paper_table import Column, write_paper_table
 from ..page.wording import NEVER

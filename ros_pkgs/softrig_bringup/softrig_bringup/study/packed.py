@@ -13,8 +13,8 @@ from softrig_core import ScenarioError, load_scenario
 from softrig_core.scenario.scenario_file import locate
 from softrig_core.scenario.yaml_file import read_mapping
 
-from ..options.cargo import check_scenario
-from ..options.packed import SCENARIO, STUDY, about, is_pack, need_packages, opened, placeless
+from ..pack.cargo import check_scenario
+from ..pack.packed import SCENARIO, STUDY, about, is_pack, need_packages, opened, placeless
 from .definition import Study, make_study
 from .draw import drafts_of
 from .engine import check_study, content_of, same
@@ -73,7 +73,7 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
     Raises
     ------
     ScenarioError
-        Another file; code that it brings is admitted before, see `softrig_bringup.options.trust`.
+        Another file; code that it brings is admitted before, see `softrig_bringup.pack.trust`.
     """
     if not is_pack(path):
         raise ScenarioError(f"--like {path}: expected a file that `softrig pack` has written of a study")

@@ -20,7 +20,7 @@ from softrig_core.verdict.findings import Finding
 from softrig_core.wire.signals import short_name
 
 from ..folder import STUDY, ResultsFolder
-from ..options.trust import admitted
+from ..pack.trust import admitted
 from ..page.citations import cited, sources
 from ..page.html import NONE, e, mark, picture, table, write_page
 from ..page.paper_table import write_paper_table

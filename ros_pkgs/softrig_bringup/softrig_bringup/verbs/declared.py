@@ -10,6 +10,7 @@ from pathlib import Path
 from softrig_core.command_line import Number, pair
 
 from ..options import run_options
+from ..pack.publication import license_of, person, publisher
 from ..study import RUNS
 
 ONE = {"surplus": "one scenario at a time; `softrig study ONE --against OTHER` compares two"}
@@ -47,6 +48,18 @@ def verbs(verb: Verb) -> None:
         default="1980-01-01",  # as the times in the file: the same run gives the same bytes
         metavar="DATE",
         help="for archives (RO-Crate): when it is published (1980-01-01)",
+    )
+    pack.add_argument(
+        "--author",
+        type=person,
+        action="append",
+        default=[],
+        metavar="NAME [ORCID]",
+        help="for archives: who made it; repeat it for each author",
+    )
+    pack.add_argument("--publisher", type=publisher, metavar="NAME [URL]", help="for archives: who publishes it")
+    pack.add_argument(
+        "--license", type=license_of, metavar="SPDX", help="for archives: what others may do with it, as CC-BY-4.0"
     )
     pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
     pack.add_argument("--sign", type=Path, metavar="KEY", help="sign it with an SSH key (ssh-keygen -Y), as FILE.sig")

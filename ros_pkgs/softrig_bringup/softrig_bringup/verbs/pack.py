@@ -26,11 +26,12 @@ from softrig_core.judge import registry
 from softrig_core.rig.code import fingerprints
 
 from ..options import repeat
-from ..options.cargo import GROUPS, brings
-from ..options.crate import crate
 from ..options.identity import HALF, asked_half, strangers
 from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeated
-from ..options.packed import (
+from ..options.run_options import Again, scenario_of
+from ..pack.cargo import GROUPS, brings
+from ..pack.crate import crate
+from ..pack.packed import (
     ABOUT,
     BAG,
     CRATE,
@@ -48,8 +49,8 @@ from ..options.packed import (
     opened,
     placeless,
 )
-from ..options.run_options import Again, scenario_of
-from ..options.signature import beside, sign, signed_by
+from ..pack.publication import Publication
+from ..pack.signature import beside, sign, signed_by
 from ..page.citations import FILE as REFERENCES
 from ..run.run import versions
 from ..study.batch import Log
@@ -101,7 +102,8 @@ def _written(packed: _Pack, options: argparse.Namespace, kind: str = "") -> Path
     out: Path = options.out or Path(packed.about.scenario + kind + SUFFIX)
     if out.is_dir():
         raise ScenarioError(f"--out {out}: is a folder, expected a file")
-    write(_described(packed, options.published), out)
+    publication = Publication(options.published, tuple(options.author), options.publisher, options.license)
+    write(_described(packed, publication), out)
     return out
 
 
@@ -242,13 +244,14 @@ def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | No
     return aside / BAG
 
 
-def _described(packed: _Pack, published: str) -> _Pack:
+def _described(packed: _Pack, publication: Publication) -> _Pack:
     """Add what archives read."""
     said, files = packed.about, packed.files
     verb = "study" if f"{STUDY}/{FILE}" in files else "run"
     text = f"A {verb} of {said.scenario}: `softrig {verb} --like FILE` repeats it number for number."
     sums = {place: _sha256(content) for place, content in files.items()}
-    return packed._replace(files={**files, CRATE: crate(said.scenario, text, said.versions, files, sums, published)})
+    described = crate(said.scenario, text, said.versions, files, sums, publication)
+    return packed._replace(files={**files, CRATE: described})
 
 
 def write(packed: _Pack, out: Path) -> None:

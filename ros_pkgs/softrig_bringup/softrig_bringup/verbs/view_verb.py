@@ -10,7 +10,7 @@ from softrig_bags.files.compressed import SUFFIXES, plain
 from softrig_core.extras import need
 from softrig_nodes.processes.stopping import stoppable
 
-from ..options.packed import is_pack
+from ..pack.packed import is_pack
 from ..report.redraw import rig_of_run
 from . import run_verb
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .packed import CRATE
+from .publication import Publication
 
 _KINDS = {
     ".yaml": "application/yaml",
@@ -26,7 +27,7 @@ def crate(
     versions: Mapping[str, str],
     files: Mapping[str, bytes | Path],
     sums: Mapping[str, str],
-    published: str,
+    publication: Publication,
 ) -> bytes:
     """Write the metadata of a pack.
 
@@ -40,8 +41,8 @@ def crate(
         By place.
     sums : mapping of str to str
         SHA-256 by place.
-    published : str
-        The day, as ISO 8601 has it.
+    publication : Publication
+        Who publishes it, when, and what others may do with it.
     """
     parts: list[dict[str, Any]] = [
         {
@@ -54,16 +55,27 @@ def crate(
         }
         for place, content in files.items()
     ]
-    root = {
+    allowed = publication.license or {
+        "@id": "#license",
+        "@type": "CreativeWork",
+        "name": "not stated",
+        "description": "ask the person who gave you this file",
+    }
+    people = [*publication.authors, *([publication.publisher] if publication.publisher else [])]
+    root: dict[str, Any] = {
         "@id": "./",
         "@type": "Dataset",
         "name": name,
         "description": about,
-        "datePublished": published,
-        "license": {"@id": "#license"},
+        "datePublished": publication.day,
+        "license": {"@id": allowed["@id"]},
         "hasPart": [{"@id": part["@id"]} for part in parts],
         "mentions": {"@id": "#made"},
     }
+    if publication.authors:
+        root["author"] = _one_or_all([{"@id": author["@id"]} for author in publication.authors])
+    if publication.publisher:
+        root["publisher"] = {"@id": publication.publisher["@id"]}
     tool = {
         "@id": "#softrig",
         "@type": "SoftwareApplication",
@@ -78,13 +90,7 @@ def crate(
         "name": f"simulation of {name}",
         "instrument": {"@id": "#softrig"},
         "result": {"@id": "./"},
-        "object": made_of[0] if len(made_of) == 1 else made_of,
-    }
-    allowed = {
-        "@id": "#license",
-        "@type": "CreativeWork",
-        "name": "not stated",
-        "description": "ask the person who gave you this file",
+        "object": _one_or_all(made_of),
     }
     head = {
         "@id": CRATE,
@@ -92,5 +98,10 @@ def crate(
         "about": {"@id": "./"},
         "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"},
     }
-    graph = [head, root, tool, made, allowed, *parts]
+    graph = [head, root, tool, made, allowed, *people, *parts]
     return json.dumps({"@context": "https://w3id.org/ro/crate/1.1/context", "@graph": graph}, indent=1).encode() + b"\n"
+
+
+def _one_or_all(entities: list[Any]) -> Any:
+    """Return a list of one as its entry: what flattened JSON-LD has."""
+    return entities[0] if len(entities) == 1 else entities

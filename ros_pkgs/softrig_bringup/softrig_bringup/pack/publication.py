@@ -1,0 +1,72 @@
+"""Who publishes a file, when, and what others may do with it: what an archive asks, as RO-Crate has it."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from typing import NamedTuple
+from urllib.parse import quote
+
+_ORCID = re.compile(r"\s*(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])$")
+
+
+class Publication(NamedTuple):
+    """What an archive asks whoever publishes a file.
+
+    Attributes
+    ----------
+    day : str
+        When it is published, as ISO 8601 has it.
+    authors : tuple of dict
+        Entities of persons, see `person`.
+    publisher, license : dict or None
+        Entities, see `publisher` and `license_of`.
+    """
+
+    day: str
+    authors: tuple[dict[str, str], ...] = ()
+    publisher: dict[str, str] | None = None
+    license: dict[str, str] | None = None
+
+
+def person(text: str) -> dict[str, str]:
+    """Read an author: a name, and an ORCID after it if there is one.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        No name, or an ORCID whose check digit (ISO 7064 MOD 11-2) does not belong to its digits.
+    """
+    found = _ORCID.search(text)
+    name = " ".join((text[: found.start()] if found else text).strip(" ,<(").split())
+    if not name:
+        raise argparse.ArgumentTypeError(f'expected a name, as "Ann Example 0000-0002-1825-0097", got {text!r}')
+    if not found:
+        if digits := re.search(r"[\dX-]{10,}$", text):
+            raise argparse.ArgumentTypeError(f"{digits[0]}: expected an ORCID as 0000-0002-1825-0097")
+        return {"@id": f"#person-{quote(name)}", "@type": "Person", "name": name}
+    total = 0
+    for digit in found[1].replace("-", "")[:-1]:
+        total = (total + int(digit)) * 2
+    if (12 - total % 11) % 11 != (10 if found[1][-1] == "X" else int(found[1][-1])):
+        raise argparse.ArgumentTypeError(f"{found[1]}: its last digit does not belong to the others; is it mistyped?")
+    return {"@id": f"https://orcid.org/{found[1]}", "@type": "Person", "name": name}
+
+
+def publisher(text: str) -> dict[str, str]:
+    """Read who publishes: a name, and a web address after it if there is one."""
+    name, _, address = text.strip().rpartition(" ") if "://" in text else (text.strip(), "", "")
+    if not name:
+        raise argparse.ArgumentTypeError(f'expected a name, as "Zenodo https://zenodo.org", got {text!r}')
+    return {"@id": address or f"#organization-{quote(name)}", "@type": "Organization", "name": name}
+
+
+def license_of(text: str) -> dict[str, str]:
+    """Read a licence: its SPDX identifier, which is not looked up, or its web address."""
+    if re.match(r"https?://\S+$", text):
+        return {"@id": text, "@type": "CreativeWork", "name": text}
+    if not re.fullmatch(r"[A-Za-z0-9.+-]+", text):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: expected one identifier of spdx.org/licenses, as CC-BY-4.0, or a URL"
+        )
+    return {"@id": f"https://spdx.org/licenses/{text}", "@type": "CreativeWork", "name": text}
