@@ -301,7 +301,7 @@ def test_a_run_leaves_its_figures_in_its_row(monkeypatch):
     }  # fmt: skip
     assert whole["wall_s"] >= 0.0
     assert asked == {"scenario": "lag", "seed": 0, "duration": 0.4, "overrides": {"gain.k": 2.0}, "runs": 9,
-                     "signals": ("s", "none")}  # fmt: skip
+                     "signals": ("s", "none"), "thorough": False}  # fmt: skip
     ran.missed = []
     some = work.run(work.Work(case(0), figures=("b", "a")))
     assert (some["figures"], some["passed"], "signals" in some) == ({"a": 1.5, "b": None}, True, False)

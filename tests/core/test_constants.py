@@ -182,7 +182,8 @@ def test_a_tick_that_changes_one_in_place_is_named_after_the_second(habit, sessi
         Law.setup(self)
         self.held = held[0]() if held else None
 
-    bad, done = law(lambda one, t: done.append(t) or does(one, t), setup=setup, seen=[], number=0), []
+    noted = frozenset({"done"})
+    bad, done = law(lambda one, t: done.append(t) or does(one, t), setup=setup, seen=[], number=0, SCRATCH=noted), []
     rig = Rig.from_blocks({"law": bad()}, 1.0)
     with pytest.raises(RunError) as said:
         Session(rig).go() if session else simulate(rig)

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import pytest
 from softrig_bringup.falsify.definition import Falsification
-from softrig_bringup.falsify.engine import prepare
-from softrig_bringup.study import engine
+from softrig_bringup.falsify.engine import falsify, prepare
 from softrig_bringup.study.definition import Study
 from softrig_bringup.study.engine import run_study
 from softrig_bringup.verbs.check import Judged, judge
-from softrig_core import Block, BlockParams, Rig, RunError, param, scalars, simulate
+from softrig_bringup.verbs.results import measure
+from softrig_core import Block, BlockParams, Rig, RunError, ScenarioError, param, scalars, simulate
 from softrig_core.run import purity
 from softrig_core.run.purity import check_pure
 
@@ -145,13 +145,192 @@ def test_a_study_finds_what_matters_only_after_the_first_ticks(
         late = counter.calls if counter.calls > 60 else 0
         return x, {"command": (found["command"][0] * (1.0 - 1e-3 * late),)}
 
-    monkeypatch.setattr(engine, "OURS", "nobody's")
+    monkeypatch.setattr(purity, "is_foreign", lambda of: True)
     study = Study(name="s", title="", scenario="dc_motor_smc_b4", duration=0.5,
                   grid={"dc_motor_plant.R": [0.3 + 0.02 * k for k in range(8)]})  # fmt: skip
     assert len(list(run_study(study, tmp_path / "pure", workers=workers).rows())) == 8
     monkeypatch.setattr(DcMotorPid, "update", update)
-    with pytest.raises(RunError, match=r"the last row .* has [a-z_]+ = .*, so rows depend on those before them"):
+    with pytest.raises(RunError, match=r"run 7, computed again .*/effort = .* in a second run"):
         run_study(study, tmp_path / "impure", workers=workers)
+
+
+LAWS = """
+import itertools, os, random
+from collections import deque
+import numpy as np
+from softrig_drives.dc_motor.pid import DcMotorPid
+import habits_helper
+from random import random as drawn
+
+total, kept, SEEN, buffer, counter = 0.0, [], {}, np.zeros(1), itertools.count()
+
+def closure():
+    n = 0.0
+    def again():
+        nonlocal n
+        n += 1.0
+        return n
+    return again
+
+def by_global(law):
+    global total
+    total += 1.0
+    return total
+
+def by_list(law):
+    kept.append(1)
+    return len(kept)
+
+def by_cache(law):
+    return SEEN.setdefault(len(SEEN), len(SEEN))
+
+def by_buffer(law):
+    buffer[0] += 1.0
+    return buffer[0]
+
+def by_attribute(law):
+    law.helper.append(1.0)
+    return len(law.helper)
+
+def by_class(law):
+    Helper.n += 1
+    return Helper.n
+
+def by_default(law, mine=[]):
+    mine.append(1)
+    return len(mine)
+
+def by_function(law):
+    by_function.n = getattr(by_function, "n", 0) + 1
+    return by_function.n
+
+def by_helper(law):
+    return habits_helper.count()
+
+def by_library(law):
+    os.environ["HABIT"] = str(int(os.environ.get("HABIT", "0")) + 1)
+    return int(os.environ["HABIT"])
+
+class Helper:
+    n = 0
+
+HABITS = {"global": by_global, "list": by_list, "cache": by_cache, "buffer": by_buffer, "attribute": by_attribute,
+          "class": by_class, "default": by_default, "function": by_function, "helper": by_helper,
+          "library": by_library,
+          "closure": (lambda f: lambda law: f())(closure()), "iterator": lambda law: next(counter),
+          "random": lambda law: random.random(), "drawn": lambda law: drawn(), "numpy": lambda law: np.random.rand()}
+
+def law(habit):
+    class Law(DcMotorPid):
+        def setup(self):
+            super().setup()
+            self.helper = []
+
+        def update(self, x, t, **inputs):
+            x, found = super().update(x, t, **inputs)
+            late = float(habit(self)) if t > 250_000_000 else 0.0  # after the ticks that are computed twice
+            return x, {"command": (found["command"][0] * (1.0 - 5e-3 * late),)}
+    Law.__module__ = __name__
+    return Law
+"""
+LATE = {
+    "global": "total",
+    "list": "kept",
+    "cache": "SEEN",
+    "buffer": "buffer",
+    "attribute": r"self\.helper",
+    "class": r"Helper\.n",
+    "default": "a default of by_default",
+    "function": r"by_function\.n",
+    "helper": "number",
+    "closure": "n",
+    "iterator": "counter",
+    "random": "random",
+    "drawn": "drawn",
+    "numpy": r"np\.random",
+}
+DAILY = {"closure", "buffer", "helper", "random"}
+
+
+@pytest.fixture
+def laws(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A package of somebody else with a law of each impure kind, and a scenario of each."""
+    place = tmp_path / "place"
+    info = place / "habits-0.1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: habits\nVersion: 0.1\n")
+    kinds = [*LATE, "library"]
+    (info / "entry_points.txt").write_text(
+        "[console_scripts]\n" + "".join(f"by_{kind} = habits:Law_{kind}.main\n" for kind in kinds)
+    )
+    (place / "habits.py").write_text(LAWS + "".join(f"Law_{kind} = law(HABITS[{kind!r}])\n" for kind in kinds))
+    (place / "habits_helper.py").write_text(
+        "number = 0\ndef count():\n    global number\n    number += 1\n    return number\n"
+    )
+    for kind in kinds:
+        (place / f"{kind}.yaml").write_text(
+            "extends: dc_motor_smc_b4\nduration: 0.5\n"
+            f"nodes:\n  dc_motor_pid: {{package: habits, executable: by_{kind}}}\n"
+            "expect: {overshoot: at most 50}\n"
+        )
+    monkeypatch.syspath_prepend(str(place))
+    for name in ("habits", "habits_helper"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return place
+
+
+def each_verb(place: Path, kind: str, workers: int, order: int = 1) -> dict[str, str]:
+    """Return what study, falsify, check and results say of a law."""
+    scenario, said = str(place / f"{kind}.yaml"), {}
+    grid = {"dc_motor_plant.R": [0.3, 0.4][::order]}
+    over = {"dc_motor_plant.R": "0.3..0.5"}
+    task = Falsification(name="f", scenario=scenario, requirements=("overshoot",), over=over, strict=True, budget=4)
+    out = place / f"{kind}_{workers}_{order}"
+
+    def refused(verb: str, run: Any) -> None:
+        try:
+            run()
+        except (RunError, ScenarioError) as error:
+            said[verb] = str(error)
+
+    (out / "falsify").mkdir(parents=True)
+    study = Study(name="s", title="", scenario=scenario, grid=grid)
+    refused("study", lambda: run_study(study, out / "study", workers=workers))
+    refused("falsify", lambda: falsify(task, prepare(task), out / "falsify", workers=workers))
+    said["check"] = judge(Judged(kind, scenario, ""))["error"]
+    said["results"] = measure((scenario, None)).error
+    return said
+
+
+@pytest.mark.parametrize(
+    ("kind", "workers", "order"),
+    [
+        pytest.param(kind, workers, order, marks=() if (kind in DAILY and workers == order) else pytest.mark.long)
+        for kind in LATE
+        for workers in (1, 2)
+        for order in (1, -1)
+    ],
+)
+def test_what_a_law_keeps_after_its_first_ticks_is_named_by_every_verb(
+    laws: Path, kind: str, workers: int, order: int
+) -> None:
+    said = each_verb(laws, kind, workers, order)
+    message = rf"dc_motor_pid: its ticks change ([\w.]+, )?{LATE[kind]} in place \(Law\)"
+    assert all(re.match(message, said[verb]) for verb in ("study", "falsify", "check", "results")), said
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_what_is_kept_in_a_library_is_named_with_both_values(
+    laws: Path, monkeypatch: pytest.MonkeyPatch, workers: int
+) -> None:
+    """No variable of the author's shows it, so it is seen from run to run alone."""
+    monkeypatch.setenv("HABIT", "0")
+    said = each_verb(laws, "library", workers)
+    second = r"dc_motor_pid: motor/command/armature/effort = [\d.-]+ at t = 0.26 s, and [\d.-]+ in a second run"
+    assert re.match(r"s: run 1, computed again after all others: " + second, said["study"])
+    assert re.match(r"f: run 3, computed again after all others: " + second, said["falsify"])
+    assert re.match(second, said["check"])
+    assert re.match(second, said["results"])
 
 
 SCENARIO = """

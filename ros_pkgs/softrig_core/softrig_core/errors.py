@@ -18,6 +18,10 @@ class RunError(RuntimeError):
     node = ""  # whose block it was, if it was one
 
 
+class Impure(RunError):
+    """What a block answers does not follow from x, t and inputs alone, so a run may depend on those before it."""
+
+
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _OURS = str(Path(__file__).parent)
 

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 from softrig_core import Scenario, ScenarioError, figures_of, load_scenario
 from softrig_core.errors import closest
 from softrig_core.extras import need
-from softrig_core.run.purity import check_pure
+from softrig_core.run.purity import check_pure, is_suspect
 from softrig_core.verdict.figures import follows
 
 from ..folder import replace
 from ..run.run import checked
 from ..study.batch import Batch, Log
 from ..study.engine import made_of, same
-from ..study.work import LARGE, repeating, run, trial
+from ..study.work import LARGE, repeated, repeating, run, trial
 from .definition import Falsification
 from .search import Found, Point, needs, search
 from .shrink import Case, shrink
@@ -187,6 +187,10 @@ def falsify(
             sampler=task.sampler,
             enough=0.0 if task.first else -math.inf,
         )
+    whole = [(point, row) for point, row in zip(asked, rows, strict=True) if not row["error"]]
+    if whole and is_suspect(checked(space.scenario)):
+        point, last = whole[-1]
+        repeated(task.name, trial(space.scenario, space.overrides(point), names, last["number"], task.budget), last)
     broken = [(row["overrides"], row["error"]) for row in rows if row["error"]]
     worst = next((row for row, point in zip(rows, asked, strict=True) if point == found.point), None)
     case = None if worst is None else (space.scenario, dict(worst["overrides"]))

@@ -6,6 +6,7 @@ import json
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,9 +16,8 @@ from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.expectation import Expectation
 from softrig_core.rig.code import fingerprints
-from softrig_core.run.purity import check_pure
+from softrig_core.run.purity import check_pure, is_suspect
 from softrig_core.scenario.scenario import Draft
-from softrig_core.solver.solver import Solver
 from softrig_core.wire.signals import full_name
 
 from ..folder import STUDY, ResultsFolder, replace
@@ -25,12 +25,7 @@ from ..options.names import check_names
 from .batch import Batch, Log
 from .definition import Search, Study
 from .draw import Case, _values, cases, count, drafts_of, seeds_of
-from .work import Work, recorded, repeating, run, value_of
-
-# Modules with this prefix have tests which show that their blocks keep nothing outside of x.
-OURS = "softrig_"
-# A shorter study is not checked, because one more row would be a large share of its time.
-LEAST = 8
+from .work import Work, recorded, repeated, repeating, value_of
 
 
 def run_study(
@@ -88,36 +83,13 @@ def run_study(
 
 
 def check_last(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig], log: Log) -> None:
-    """Compute the last row again, in this process, and compare it with what its worker found.
-
-    `check_pure` sees what the first ticks keep outside of x; this sees what matters later: a counter, a cache that
-    fills. It costs one row, so it is left out in short studies, and where all blocks are softrig's own.
-
-    Raises
-    ------
-    RunError
-        The row is another one; names the figure and both values. The rows stay.
-    """
-    members = [member for rig in rigs for member in rig.members]
-    if all(member.block_class.__module__.startswith(OURS) for member in members) or any(
-        issubclass(member.block_class, Solver) for member in members
-    ):
+    """Compute the last row again, in this process, and compare it with what its worker found, see `repeated`."""
+    if not any(map(is_suspect, rigs)):
         return
-    row, rows = None, 0
-    for one in log.rows():
-        if not one["error"]:
-            row, rows = (one if row is None or one["number"] > row["number"] else row), rows + 1
-    if row is None or rows < LEAST:
-        return
-    case = next(case for case in cases(study, drafts) if case.number == row["number"])
-    again = run(_work(study, case, drafts))
-    for name, value in row["figures"].items():
-        if again["figures"].get(name) != value:
-            raise RunError(
-                f"{study.name}: the last row ({row['overrides']}), computed again after all others, has {name} = "
-                f"{again['figures'].get(name)}, not {value}: a block keeps something outside of x that matters after "
-                "its first ticks, so rows depend on those before them; make it part of x"
-            )
+    row = max((row for row in log.rows() if not row["error"]), key=itemgetter("number"), default=None)
+    if row is not None:
+        case = next(case for case in cases(study, drafts) if case.number == row["number"])
+        repeated(study.name, _work(study, case, drafts), row)
 
 
 def content_of(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig]) -> dict[str, Any]:

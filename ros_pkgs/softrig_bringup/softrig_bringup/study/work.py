@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import SECOND, Run, RunError, Scenario, ScenarioError, evaluate, simulate
+from softrig_core.errors import Impure
 from softrig_core.scenario.scenario import Draft
 
 from .draw import Case
@@ -60,15 +61,22 @@ def trial(
     return Work(case, figures=names, runs=runs, scenario=scenario, margins=True)
 
 
-def run(work: Work) -> dict[str, Any]:
+def run(work: Work, thorough: bool = False) -> dict[str, Any]:
     """Run one case in this process and give its row; a run that broke gives a row with its error.
 
     Where margins are wanted, so does one whose parameters do not fit each other.
+
+    Parameters
+    ----------
+    thorough : bool
+        See `softrig_core.simulate`.
 
     Raises
     ------
     ScenarioError
         Bad input: no run of such a study can work.
+    Impure
+        What a block answers depends on runs before this one, so no row could be trusted.
     """
     case = work.case
     row = case._asdict() | {
@@ -84,14 +92,40 @@ def run(work: Work) -> dict[str, Any]:
             duration=work.duration,
             overrides=case.overrides,
             runs=work.runs,
-            signals=work.signals,
+            # All signals are compared, so that the first that differs names the node at fault.
+            signals=None if thorough else work.signals,
+            thorough=thorough,
         )
         row |= _margins(done, work.figures) if work.margins else _figures(done, work)
     except (RunError, ScenarioError) as error:
-        if isinstance(error, ScenarioError) and not work.margins:
+        if isinstance(error, Impure) or (isinstance(error, ScenarioError) and not work.margins):
             raise
         row["error"] = str(error)
     return row | {"wall_s": time.perf_counter() - started}
+
+
+def repeated(name: str, work: Work, row: Mapping[str, Any]) -> None:
+    """Run a case twice more, in this process, and compare these runs, and what they give with the row of a worker.
+
+    `check_pure` sees what the first ticks keep outside of x, and each run what is left in the variables of a block's
+    own modules; this sees what matters later and is kept elsewhere, such as in a library.
+
+    Raises
+    ------
+    Impure
+        Something differs; names the signal, else the figure, and both values. The rows stay.
+    """
+    try:
+        again = run(work, thorough=True)
+    except Impure as error:
+        raise Impure(f"{name}: run {row['number']}, computed again after all others: {error}") from None
+    for figure, value in row["figures"].items():
+        if again["figures"].get(figure) != value:
+            raise Impure(
+                f"{name}: run {row['number']} ({row['overrides']}), computed again after all others, has {figure} = "
+                f"{again['figures'].get(figure)}, not {value}: a block keeps something outside of x that matters after "
+                "its first ticks, so rows depend on those before them; make it part of x"
+            )
 
 
 def repeating(work: Work) -> dict[str, Any]:

@@ -59,7 +59,7 @@ def measure(work: tuple[str, Path | None]) -> Measured:
         place, key = (None, "") if folder is None else (folder / name, _key(rig))
         if place and (kept := _kept(place, key)):
             return kept
-        run = simulate(rig)
+        run = simulate(rig, thorough=True)
     except (RunError, ScenarioError) as error:
         return Measured(name, {}, {}, [], str(error))
     results = run.results

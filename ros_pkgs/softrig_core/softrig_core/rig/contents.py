@@ -11,25 +11,27 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 
+import numpy as np
+
 from ..block.block import Block
 from ..block.step import Step
-from ..errors import RunError
+from ..errors import Impure
+from .outside import CHANGEABLE, all_outside, is_filled, is_foreign, outside
 
 # written by whoever runs a block
 _RUNNERS = frozenset(
     {"p", "name", "ages", "unanswered", "events", "realtime", "_seed", "_Block__first", "_open", "SCRATCH"}
 )
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
-_CHANGEABLE = (int, float, list, dict, set, deque, bytearray)
 
 
 def contents(block: Block) -> dict[str, str]:
     """Return a digest of each attribute of a block, with all that it leads to.
 
     It sees what is changed in place, too: in lists, dicts, arrays, helper objects, random generators, variables that a
-    function holds, attributes of the block's classes, and variables of a module or function that its methods name
-    (constants, in capitals, aside). Left out are what a class names in ``SCRATCH``, cached
-    properties, and what libraries keep outside of Python.
+    function holds, attributes of the block's classes, and variables of a module or function that its methods name.
+    Of classes that are not softrig's own, functions and modules that the methods use are followed, too. Left out are
+    what a class names in ``SCRATCH``, cached properties, and what libraries keep outside of Python.
     """
     skipped = _RUNNERS | _scratch(type(block))
     result = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
@@ -38,22 +40,23 @@ def contents(block: Block) -> dict[str, str]:
             result |= {
                 f"{of.__name__}.{name}": digest(value)
                 for name, value in vars(of).items()
-                if isinstance(value, _CHANGEABLE) and not name.startswith("__") and name not in skipped
+                if isinstance(value, CHANGEABLE) and not name.startswith("__") and name not in skipped
             }
-            for value in vars(of).values():
-                if isinstance(value, types.FunctionType):
-                    result |= {name: digest(one) for name, one in _outside(value) if name not in skipped}
+            found: dict[str, list[Any]] = {}
+            for name, value in _outside(of):
+                if name not in skipped:
+                    found.setdefault(name, []).append(value)
+            result |= {name: digest(values) for name, values in found.items()}
     return result
 
 
-def _outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    """Return the mutable names that a method uses from outside: variables of its module and of enclosing functions."""
-    for name in function.__code__.co_names:
-        if isinstance(value := function.__globals__.get(name), _CHANGEABLE) and not name.isupper():
-            yield name, value
-    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
-        if _is_filled(cell) and isinstance(cell.cell_contents, _CHANGEABLE):
-            yield name, cell.cell_contents
+def _outside(of: type) -> Iterator[tuple[str, Any]]:
+    if is_foreign(of):
+        yield from all_outside(of)
+        return
+    for value in vars(of).values():
+        if isinstance(value, types.FunctionType):
+            yield from outside(value)
 
 
 class Look:
@@ -65,6 +68,8 @@ class Look:
         The members by name.
     thorough : bool
         Compare all blocks, and once more after the run; else those of classes that have not passed in this process.
+    many : bool
+        Do so of classes that are not softrig's own, because other runs will follow in this process.
 
     Attributes
     ----------
@@ -72,12 +77,12 @@ class Look:
         When a block's second tick is over and `check` is to be called, ns.
     """
 
-    def __init__(self, steps: Mapping[str, Step], thorough: bool = False) -> None:
-        self._thorough = thorough
+    def __init__(self, steps: Mapping[str, Step], thorough: bool = False, many: bool = False) -> None:
+        self._whole = {name for name, step in steps.items() if thorough or (many and is_foreign(type(step.block)))}
         self._begun = {
             name: (step.block, step.block.p, contents(step.block))
             for name, step in steps.items()
-            if thorough or type(step.block) not in _passed
+            if name in self._whole or type(step.block) not in _passed
         }
         self._left = {name: float(steps[name].schedule.time(1)) for name in self._begun}
         self.due = min(self._left.values(), default=math.inf)
@@ -89,14 +94,14 @@ class Look:
 
         Raises
         ------
-        RunError
+        Impure
             A tick has changed what a block holds beside x; names node and attribute.
         """
         for name, (block, params, begun) in self._begun.items():
-            if (self._thorough and t == math.inf) or self._left.get(name, math.inf) <= t:
+            if (name in self._whole and t == math.inf) or self._left.get(name, math.inf) <= t:
                 self._left.pop(name, None)
                 if block.p is params and (changed := differing(begun, contents(block))):
-                    error = RunError(f"{name}: {in_place(block, changed)}")
+                    error = Impure(f"{name}: {in_place(block, changed)}")
                     error.node = name
                     raise error
                 _passed.add(type(block))
@@ -162,6 +167,8 @@ def _parts(value: Any) -> tuple[str, Iterable[Any]]:
         )
     if hasattr(value, "bit_generator"):
         return "", (value.bit_generator.state,)
+    if isinstance(value, np.random.RandomState):
+        return "", (value.get_state(),)
     if hasattr(value, "getstate"):  # random.Random
         return "", (value.getstate(),)
     if isinstance(value, itertools.count):
@@ -170,7 +177,7 @@ def _parts(value: Any) -> tuple[str, Iterable[Any]]:
         return str(value.gi_frame and value.gi_frame.f_lasti), ()
     if isinstance(value, types.FunctionType):
         cells = value.__closure__ or ()
-        return value.__qualname__, [cell.cell_contents for cell in cells if _is_filled(cell)]
+        return value.__qualname__, [cell.cell_contents for cell in cells if is_filled(cell)]
     if isinstance(value, partial):
         return "", (value.func, value.args, value.keywords)
     if isinstance(value, types.MethodType):
@@ -180,13 +187,6 @@ def _parts(value: Any) -> tuple[str, Iterable[Any]]:
     if isinstance(value, (type, types.ModuleType, types.BuiltinFunctionType)):
         return str(value), ()
     return "", _attributes(value)
-
-
-def _is_filled(cell: types.CellType) -> bool:
-    try:
-        return cell.cell_contents is not cell
-    except ValueError:
-        return False
 
 
 def _attributes(value: Any) -> list[Any]:

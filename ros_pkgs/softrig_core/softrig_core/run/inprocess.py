@@ -56,7 +56,8 @@ def run_inprocess(
     topics : container of str, optional
         The sink gets what those say who publish one of these; all when absent.
     thorough : bool
-        Compare what the blocks hold beside x also after the run, not only after the first ticks of a class.
+        Compare what the blocks hold beside x also after the run, not only after the first ticks of a class. Of several
+        runs this is done for blocks that are not softrig's own.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def run_inprocess(
         record(
             rig, {n: s for n, s in steps.items() if topics is None or any(p.topic in topics for p in s.outputs)}, sink
         )
-    look = Look(steps, thorough)
+    look = Look(steps, thorough, runs > 1)
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():

@@ -8,21 +8,24 @@ from typing import Any
 from ..block.block import Block, Observer, Plant
 from ..block.loop import Loop
 from ..block.port import Port, Sample
-from ..errors import RunError
+from ..errors import Impure, RunError
 from ..kit.floats import others, read
 from ..rig.members import Member
+from ..rig.outside import is_foreign
 from ..rig.rig import Rig
 from ..solver.solver import Solver
+from ..wire.recording import Recording
+from ..wire.signals import Signals
 from .inprocess import check_here, wired
 
 # Hidden state shows in the first ticks of the rig's clock, and each of them costs twice the time.
 TICKS = 20
+ADVICE = (
+    "what it remembers must be in x, not in a variable of a module, a closure, a list or a library, and random numbers "
+    "come from self.uniform(k)"
+)
 HIDDEN = "hidden_state"  # key of the report of a block whose library keeps state outside of x
 _pure: set[Any] = set()
-
-
-class Impure(RunError):
-    """A tick does not follow from x, t and inputs alone."""
 
 
 def check_pure(rig: Rig, seed: int | None = None) -> None:
@@ -65,6 +68,47 @@ def check_pure(rig: Rig, seed: int | None = None) -> None:
     _pure.update(new.values())
 
 
+def is_suspect(rig: Rig) -> bool:
+    """Return whether a run of a rig may depend on those before it: it has blocks that are not softrig's own.
+
+    Rigs with a solver, whose ticks are work of another process, are left out.
+    """
+    classes = [m.block_class for m in rig.members]
+    return any(map(is_foreign, classes)) and not any(issubclass(one, Solver) for one in classes)
+
+
+def check_same(rig: Rig, one: Recording, other: Recording) -> None:
+    """Compare two runs of a rig with the same parameters and seed.
+
+    Raises
+    ------
+    Impure
+        They differ; names the first signal that does, its time, and both values.
+    """
+    if all(topic == other.topics[name] for name, topic in one.topics.items()):
+        return
+    publishers = {port.topic: member.name for member in rig.members for port in member.outputs}
+    places = {topic: k for k, topic in enumerate(publishers)}
+    parts = []
+    first, again = Signals(one), Signals(other)
+    for name in first:
+        (t, x), (_, y) = first[name], again[name]
+        for k, (a, b) in enumerate(zip(x.tolist(), y.tolist(), strict=False)):
+            if repr(a) != repr(b):
+                topic = max((known for known in places if name.startswith(f"{known}/")), key=len, default="")
+                parts.append((t[k], places.get(topic, len(places)), name, a, b, publishers.get(topic, "")))
+                break
+    if not parts:
+        raise Impure(f"{rig.scenario.name}: a second run of the same parameters and seed publishes other messages")
+    at, _, name, a, b, node = min(parts)
+    error = Impure(
+        f"{node or rig.scenario.name}: {name} = {a} at t = {at:.9g} s, and {b} in a second run of the same parameters "
+        f"and seed; {ADVICE}"
+    )
+    error.node = node
+    raise error
+
+
 def _key(member: Member) -> Any:
     return member.block_class, tuple(sorted(member.files.items()))
 
@@ -95,8 +139,7 @@ def _watch(member: Member, block: Block, method: str) -> None:
         if difference := _differing(member.outputs, one, _parts(method, second), is_value):
             error = Impure(
                 f"{member.name}: the tick at t = {t / 1e9:.9g} s, computed twice from the same state and inputs, gives "
-                f"{difference}; what it remembers must be in x, not in a variable of a module, a closure, a list or a "
-                "library, and random numbers come from self.uniform(k)"
+                f"{difference}; {ADVICE}"
             )
             error.node = member.name
             raise error

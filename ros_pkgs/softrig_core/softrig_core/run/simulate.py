@@ -14,7 +14,7 @@ from typing import Any
 
 from ..bits import kernels
 from ..block.held import Held
-from ..errors import RunError, ScenarioError
+from ..errors import Impure, RunError, ScenarioError
 from ..extras import need
 from ..judge.claims import NEVER
 from ..rig.members import other_names, signal_units
@@ -28,7 +28,7 @@ from ..wire.signals import Signals, full_name, topic_of
 from .branch import branched, parted
 from .expand import rig_of
 from .inprocess import run_inprocess
-from .purity import check_pure
+from .purity import check_pure, check_same, is_suspect
 
 
 def _view(name: str) -> Callable[..., Any]:
@@ -297,8 +297,8 @@ def simulate(
         Record nodes that say one of these, or what a figure or requirement reads, and no others; all when absent.
     thorough : bool
         Compute the first ticks twice from the same states, and compare also after the run what each block holds beside
-        its state x, which no tick may change. By default only that is compared, after the first ticks of each block
-        class in this process.
+        its state x, which no tick may change; a rig with blocks that are not softrig's own runs twice and is compared.
+        By default only what blocks hold is compared, after the first ticks of each block class in this process.
 
     Raises
     ------
@@ -330,6 +330,13 @@ def simulate(
         run.blocks = run_inprocess(rig, number, recording, tell or None, runs, topics, thorough)
     run.wall_s = time.perf_counter() - started
     run.kernels = kernels()
+    if thorough and is_suspect(rig):
+        again = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+        try:
+            run_inprocess(rig, number, again, None, runs, topics)
+        except RunError as error:
+            raise Impure(f"a second run of the same parameters and seed does not end as the first: {error}") from None
+        check_same(rig, recording, again)
     return run
 
 
