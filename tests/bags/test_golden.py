@@ -7,6 +7,7 @@ import math
 import os
 import re
 import resource
+import shutil
 import struct
 import subprocess
 import sys
@@ -19,9 +20,10 @@ import pytest
 from conftest import replay
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
+from softrig_bags.write import write_bag
 from softrig_bringup.run.run import versions
 from softrig_bringup.verbs.golden import create, line, load, main
-from softrig_core import RunError, ScenarioError, Signals, bits, load_scenario, rig_of
+from softrig_core import Recording, RunError, ScenarioError, Signals, bits, load_scenario, rig_of
 from softrig_nodes import run_processes
 from softrig_nodes.processes.spawning import node_parameters
 
@@ -287,7 +289,8 @@ def test_one_per_cent_of_a_gain_fails_both_regressions(name, node, parameter):
 
 
 def remade(names, folder, **options):
-    without = {"duration": None, "seed": None, "check": False, "junit": None, "json": None, "workers": 1}
+    without = dict.fromkeys(("duration", "seed", "junit", "json", "node"))
+    without |= {"check": False, "differing": False, "workers": 1}
     return main(Namespace(names=names, bags=folder, **without | options))
 
 
@@ -299,9 +302,56 @@ def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsy
     recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
     assert remade([], tmp_path, check=True) == 1
     assert "motor/command" in capsys.readouterr().out
-    assert remade([], tmp_path) == 0
+    assert remade([], tmp_path, differing=True) == 0
     assert "DIFFERS" in capsys.readouterr().out
+    written = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()}
+    assert remade([], tmp_path, differing=True) == 0
+    assert "agrees" in capsys.readouterr().out
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()} == written
+    with pytest.raises(ScenarioError, match="--check with --differing: expected one of them"):
+        remade([], tmp_path, check=True, differing=True)
+
+
+def test_what_a_rig_publishes_since_is_not_compared(tmp_path, capsys):
+    """A plant with one more output rewrites no bag; a bag that misses what it held differs."""
+    golden = create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.1)
+    whole = golden.rerun()
+
+    def without(*names):
+        held = [t for t in whole.topics.values() if t.name not in names]
+        fewer = Recording((t.name, t.msgtype) for t in held)
+        for t, topic, data in whole.messages():
+            if topic in held:
+                fewer.add(held.index(topic), t, data)
+        return fewer
+
+    golden.make()
+    shutil.rmtree(golden.bag)
+    write_bag(golden.bag, without("motor/surface"))
     assert remade([], tmp_path, check=True) == 0
+    assert "agrees byte for byte; not in the bag: motor/surface\n" in capsys.readouterr().out
+    assert load(golden.folder).open_loop("dc_motor_smc").equal
+    assert golden.compare(without("motor/surface")).equal
+    assert not golden.compare(without("motor/command")).equal
+    shutil.rmtree(golden.bag)
+    write_bag(golden.bag, without("motor/surface", "motor/command"))
+    with pytest.raises(ScenarioError, match=r"holds no topic of dc_motor_smc \(motor/command, motor/surface\); record"):
+        golden.open_loop("dc_motor_smc")
+
+
+def test_bags_with_a_node(tmp_path, capsys):
+    """By its name, or by that of its executable."""
+    for name in ("dc_motor_smc_b2", "buck_pi"):
+        create(tmp_path / name, name, 0.02).make()
+    for node, bag in (("dc_motor_smc", "dc_motor_smc_b2"), ("dcdc_plant", "buck_pi")):
+        assert remade([], tmp_path, check=True, node=node) == 0
+        assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[:-1]] == [bag]
+    with pytest.raises(
+        ScenarioError, match=r"--with motor: no node or executable of that name in .*; there are .*dcdc"
+    ):
+        remade([], tmp_path, node="motor")
+    with pytest.raises(ScenarioError, match="has no golden bags yet; name the scenarios to make them of"):
+        remade([], tmp_path / "buck_pi")
 
 
 def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):

@@ -454,49 +454,6 @@ def test_defaults_of_a_recipe():
             golden.Allowed(**{name: -1e-9})
 
 
-def test_golden_says_a_line_a_bag_and_its_status(monkeypatch, tmp_path, capsys):
-    for name, size in (("a", 1500), ("b", 2500)):
-        (tmp_path / name / "bag").mkdir(parents=True)
-        (tmp_path / name / "golden.yaml").write_text("scenario: dc_motor_smc_b2\nduration: 1.0\n")
-        (tmp_path / name / "bag/x").write_bytes(bytes(size))
-
-    def one(work):
-        folder, _, check = work
-        row = {
-            "bag": folder.name,
-            "duration_s": 1.5,
-            "pass": folder.name == "a" or not check,
-            "compared": "byte for byte",
-            "differs": "" if folder.name == "a" else "u differs",
-            "wall_s": 0.5,
-        }
-        return row, folder.name == "b" and not check, {"numpy"} if folder.name == "b" else set()
-
-    asked = []
-    monkeypatch.setattr(golden, "_one", one)
-    monkeypatch.setattr(
-        golden, "sweep", lambda do, works, title, workers: asked.append((title, workers)) or map(do, works)
-    )
-    monkeypatch.setattr(golden, "versions", lambda: {"machine": "x86", "python": "3.13.0", "math": "abc"})
-    assert [
-        main(["golden", "--bags", str(tmp_path), *words])
-        for words in (["--workers", "3"], ["--check", "--workers", "3"], ["a", "--check"])
-    ] == [0, 1, 0]
-    assert asked == [("golden bags", 1), ("golden bags", 3), ("golden bags", None)]
-    assert capsys.readouterr().out.splitlines() == [
-        "a: 1.5 s, 2 kB, agrees byte for byte",
-        "b: 1.5 s, 2 kB, new",
-        "a: 1.5 s, 2 kB, agrees byte for byte",
-        "b: 1.5 s, 2 kB, DIFFERS byte for byte",
-        "u differs",
-        'x86, CPython 3.13.0, unknown C library, math abc: in bits.md the line "other packages"',
-        "a: 1.5 s, 2 kB, agrees byte for byte",
-        'x86, CPython 3.13.0, unknown C library, math abc: in bits.md the line "the same functions and packages"',
-    ]
-    assert main(["golden", "--bags", str(tmp_path / "a")]) == 2
-    assert f"{tmp_path}/a has no golden bags yet; name the scenarios to make them of" in capsys.readouterr().err
-
-
 # results --------------------------------------------------------------------------------------------------------------
 
 

@@ -3,42 +3,87 @@
 import json
 import os
 import time
+from contextlib import suppress
 from pathlib import Path
 
+import pytest
 import sitecustomize as lines
+
+reports = []  # outcomes of the phases of the test that runs
 
 
 def pytest_sessionstart(session):
     lines.begin()
+    _tell_native()
 
 
-def pytest_runtest_logstart(nodeid, location):
-    lines.found.clear()
-    lines.events.restart_events()
-    lines.outcome = "passed"
-    lines.started = time.perf_counter()
+def _tell_native():
+    """Keep the lines of functions that run as native code, of which no interpreter reports a line."""
+    from softrig_core.kit.jit import Jit
+    from softrig_core.native.fitted import Fitted
+
+    def keep(function):
+        todo, known = [function], set()
+        while todo:
+            function = todo.pop()
+            code = function.__code__
+            if code in known or not (file := lines.place(code.co_filename)):
+                continue
+            known.add(code)
+            lines.found.setdefault(file, set()).update(line for _, _, line in code.co_lines() if line)
+            names = (function.__globals__.get(name) for name in code.co_names)
+            todo += [one.py_func for one in names if isinstance(one, Jit)]
+
+    call, direct, fitted = Jit.__call__, Jit.direct.fget, Fitted.__init__
+
+    def called(self, *arguments):
+        keep(self.py_func)
+        return call(self, *arguments)
+
+    def fit(self, kept, *rest):
+        for function, *_ in kept.text.program.known:
+            keep(function)
+        fitted(self, kept, *rest)
+
+    Jit.__call__, Fitted.__init__ = called, fit
+    Jit.direct = property(lambda self: keep(self.py_func) or direct(self))
 
 
 def pytest_runtest_logreport(report):
-    lines.outcome = report.outcome if report.outcome != "passed" else lines.outcome
+    reports.append(report.outcome)
 
 
-def pytest_runtest_logfinish(nodeid, location):
-    seconds = time.perf_counter() - lines.started
-    ours = {file: set(numbers) for file, numbers in lines.found.items()}
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Trace one test, in the process that runs it: with `-n` a fork, which writes its own lines."""
+    lines.here()
+    reports.clear()
+    started = time.perf_counter()
+    try:
+        return (yield)
+    finally:
+        seconds = time.perf_counter() - started
+        outcome = next((o for o in reports if o != "passed"), "passed")
+        ours = {file: set(numbers) for file, numbers in lines.found.items()}
+        for place, line in _of_processes(item.nodeid):
+            ours.setdefault(place, set()).add(line)
+        test = {
+            "test": item.nodeid,
+            "seconds": round(seconds, 3),
+            "outcome": outcome,
+            "lines": {file: sorted(numbers) for file, numbers in ours.items()},
+        }
+        out = os.open(os.environ["SOFTRIG_TRACED_TESTS"], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        os.write(out, (json.dumps(test) + "\n").encode())  # in one piece: several workers write
+        os.close(out)
+
+
+def _of_processes(nodeid):
+    """Lines that processes of this test have run, from their files, which are removed."""
     for file in Path(lines.FOLDER).iterdir():
-        head, *told = file.read_text().splitlines()
-        if head == f"# {nodeid}":
-            for one in told:
-                place, _, line = one.rpartition(":")
-                if line.isdigit():
-                    ours.setdefault(place, set()).add(int(line))
-            file.unlink()
-    test = {
-        "test": nodeid,
-        "seconds": round(seconds, 3),
-        "outcome": lines.outcome,
-        "lines": {file: sorted(numbers) for file, numbers in ours.items()},
-    }
-    with open(os.environ["SOFTRIG_TRACED_TESTS"], "a") as out:
-        out.write(json.dumps(test) + "\n")
+        with suppress(FileNotFoundError):  # another worker has read its own
+            head, *told = file.read_text().splitlines() or [""]
+            if head == f"# {nodeid}":
+                file.unlink()
+                places = (one.rpartition(":") for one in told)
+                yield from ((place, int(line)) for place, _, line in places if line.isdigit())

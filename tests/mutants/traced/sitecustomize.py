@@ -47,6 +47,13 @@ def begin():
     os.register_at_fork(after_in_child=child)
 
 
+def here():
+    """Keep the lines of this process from here on, also in a fork that runs tests."""
+    _out[0] = -1
+    found.clear()
+    events.restart_events()
+
+
 def child():
     """Write to a file of this process from here on: it may end at any time."""
     name = os.environ.get("PYTEST_CURRENT_TEST", "")

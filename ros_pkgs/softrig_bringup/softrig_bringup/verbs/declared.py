@@ -340,6 +340,10 @@ def _judge(verb: Verb) -> None:
     golden = verb("golden", "verbs.golden:main", "record golden bags again and show the difference, or check them")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
     golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
+    golden.add_argument("--differing", action="store_true", help="record again only the bags that differ")
+    golden.add_argument(
+        "--with", dest="node", metavar="NODE", help="only bags of scenarios with a node of this name or executable"
+    )
     golden.add_argument(
         "--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="another length of the golden run"
     )

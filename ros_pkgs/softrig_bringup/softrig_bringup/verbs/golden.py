@@ -160,9 +160,11 @@ class Golden:
         """
         new = self.rerun()
         found = self.compare(new)
-        if found.equal and self.others and self.compare(new, elsewhere=False).equal:
-            return found, f"byte for byte, with {self._differing}"
-        return found, self.how
+        same = found.equal and self.others and self.compare(new, elsewhere=False).equal
+        how = f"byte for byte, with {self._differing}" if same else self.how
+        held = {topic.topic for topic in found.topics}
+        further = [topic for topic in new.topics if topic not in held]
+        return found, how + (f"; not in the bag: {', '.join(further)}" if further else "")
 
     def compare(
         self, new: Recording, topics: Sequence[str] | None = None, *, elsewhere: bool | None = None
@@ -171,10 +173,15 @@ class Golden:
 
         Parameters
         ----------
+        topics : sequence of str, optional
+            Topics to compare. By default all that the bag holds: a plant with one more output need not rewrite the
+            bags of all its scenarios.
         elsewhere : bool, optional
             Whether to allow what another build may change; found out when absent.
         """
-        old, found = Signals(self.recording()), Signals(new)
+        recording = self.recording()
+        old, found = Signals(recording), Signals(new)
+        topics = list(recording.topics) if topics is None else topics
         if not (bool(self.others) if elsewhere is None else elsewhere):
             return compare(old, found, bitwise=True, topics=topics)
         allowed = self.recipe.elsewhere | self.recipe.tolerances
@@ -183,15 +190,33 @@ class Golden:
         return compare(old, found, default=default, tolerances=limits, topics=topics)
 
     def open_loop(self, node: str) -> Comparison:
-        """Feed one node with the golden inputs and compare what it answers."""
-        member = next(m for m in self.rig.members if m.name == node)
-        answers = feed(member, self.recipe.seed, self.recording())
-        return self.compare(answers, list(answers.topics))
+        """Feed one node with the golden inputs and compare what it answers on the topics that the bag holds.
 
-    def make(self) -> Comparison | None:
-        """Write the golden bag anew; returns the comparison of the new with the old, if there was one.
+        Raises
+        ------
+        ScenarioError
+            The node publishes, and the bag holds nothing of it.
+        """
+        member = next(m for m in self.rig.members if m.name == node)
+        recording = self.recording()
+        answers = feed(member, self.recipe.seed, recording)
+        held = [topic for topic in answers.topics if topic in recording.topics]
+        if answers.topics and not held:
+            raise ScenarioError(
+                f"{self.folder}: the bag holds no topic of {node} ({', '.join(answers.topics)}); record it again by "
+                f"`softrig golden {self.folder.name}`"
+            )
+        return self.compare(answers, held)
+
+    def make(self, differing: bool = False) -> Comparison | None:
+        """Write the golden bag again; returns the comparison of the new with the old, if there was one.
 
         The old one is there until the new one is written.
+
+        Parameters
+        ----------
+        differing : bool
+            Leave a bag that agrees as it is.
 
         Raises
         ------
@@ -203,6 +228,8 @@ class Golden:
         _ours(self.bag)
         new = self.rerun()
         difference = self.compare(new) if self.bag.exists() else None
+        if differing and difference is not None and difference.equal:
+            return difference
         recipe = self.recipe.model_copy(update={"made_with": versions(), "elsewhere": self.sensitivity()})
         with TemporaryDirectory(prefix=".new_", dir=self.folder) as aside:
             write_bag(Path(aside) / self.bag.name, new, compression="zstd")
@@ -326,22 +353,26 @@ def main(options: argparse.Namespace) -> int:
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
     """
-    folder, check = options.bags, options.check
+    folder, check, differing = options.bags, options.check, options.differing
     changes = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
     if check and changes:
         given = " and ".join(f"--{key}" for key in changes)
         raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
+    if check and differing:
+        raise ScenarioError("golden --check with --differing: expected one of them, --check writes no bag")
     for option in ("junit", "json") if not check else ():
         if getattr(options, option) is not None:
             raise ScenarioError(f"golden --{option}: goes with --check")
     chosen = options.names or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
+    if options.node is not None:
+        chosen = _with(options.node, folder, chosen)
     suites, content = [], []
-    differing: set[str] = set()
+    elsewhere: set[str] = set()
     for name in chosen if check else ():  # what is wrong with a recipe is said before the first run
         _read(folder / name, changes)
-    works = [(folder / name, changes, check) for name in chosen]
+    works = [(folder / name, changes, check, differing) for name in chosen]
     for row, new, others in sweep(_one, works, title="golden bags", workers=options.workers if check else 1):
         name, length = row["bag"], f"{row['duration_s']:g} s"
         size = sum(f.stat().st_size for f in (folder / name / "bag").glob("*")) / 1e3
@@ -353,21 +384,31 @@ def main(options: argparse.Namespace) -> int:
             print(row["differs"])
         suites.append(Suite(name, row["wall_s"], [Case("bag", row["differs"], length)]))
         content.append(row)
-        differing |= others
+        elsewhere |= others
     write_reports(options.junit, suites, options.json, content)
     if check:
         now = versions()
         here = (
             f"{now['machine']}, CPython {now['python']}, {now.get('libc') or 'unknown C library'}, math {now['math']}"
         )
-        print(f'{here}: in bits.md the line "{line(differing)}"')
+        print(f'{here}: in bits.md the line "{line(elsewhere)}"')
     return 1 if check and not all(row["pass"] for row in content) else 0
 
 
-def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool, set[str]]:
+def _with(node: str, folder: Path, names: Iterable[str]) -> list[str]:
+    """Return the golden bags whose scenario has a node of this name or executable."""
+    nodes = {name: load_scenario(_read(folder / name, {}).scenario).nodes for name in names}
+    known = {name: {*of, *(entry.executable for entry in of.values())} for name, of in nodes.items()}
+    if not (found := [name for name, words in known.items() if node in words]):
+        there = ", ".join(sorted(set().union(*known.values())))
+        raise ScenarioError(f"golden --with {node}: no node or executable of that name in {folder}; there are {there}")
+    return found
+
+
+def _one(work: tuple[Path, dict[str, Any], bool, bool]) -> tuple[dict[str, Any], bool, set[str]]:
     """Create or check a golden bag: give what is to be said of it, whether there was none before, its `others`."""
     started = time.perf_counter()
-    folder, changes, check = work
+    folder, changes, check, differing = work
     there = check or (folder / "golden.yaml").is_file()
     golden = load(folder, **changes) if there else create(folder, folder.name, **changes)
     how, others = golden.how if golden.bag.exists() else "", set(golden.others)
@@ -377,7 +418,7 @@ def _one(work: tuple[Path, dict[str, Any], bool]) -> tuple[dict[str, Any], bool,
             if check:
                 result, how = golden.check()
             else:
-                result = golden.make()
+                result = golden.make(differing)
     except RunError as error:
         raise RunError(f"{folder.name}: {error}") from error
     differs = "" if result is None or result.equal else str(result)
