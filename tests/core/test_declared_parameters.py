@@ -1,6 +1,10 @@
-"""Each declared parameter of each executable keeps type, range and existence, whatever is asked of the services."""
+"""Each declared parameter of each executable keeps type, range and existence, whatever is asked of the services.
+
+`tests/processes/test_tuning.py` asks the same of live nodes.
+"""
 
 import math
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,10 +12,18 @@ import pytest
 from by_hand import Hand
 from conftest import few
 from faultrig import Lag
-from rcl_interfaces.msg import Parameter as Message, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rcl_interfaces.msg import Parameter as Message
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
 from softrig_core.block.params import build, declarations, flatten
 from softrig_core.errors import ScenarioError
 from softrig_core.renamed import executables
@@ -23,9 +35,11 @@ from softrig_nodes.main import _parameters
 from softrig_nodes.ros.ros import Credit, ServingNode, plain
 from softrig_nodes.seam.monitor import Monitor
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
+from services import HOSTILE, STRANGE
+
 ROOT = Path(__file__).parents[2]
 RUN = {d.name: d for d in declarations(RunOptions, "run.")}
-TINY = 5e-324
 
 
 def blocks():
@@ -39,32 +53,6 @@ def blocks():
             yield pytest.param(block, id=f"{file.parent.name}-{name}")
 
 
-def value(kind, **content):
-    return ParameterValue(type=getattr(ParameterType, f"PARAMETER_{kind}"), **content)
-
-
-HOSTILE = (
-    value("STRING", string_value="x"),
-    value("STRING", string_value=""),
-    value("BOOL", bool_value=True),
-    value("NOT_SET"),
-    value("DOUBLE", double_value=math.inf),
-    value("DOUBLE", double_value=-math.inf),
-    value("DOUBLE", double_value=math.nan),
-    value("DOUBLE", double_value=TINY),
-    value("DOUBLE", double_value=1e308),
-    value("DOUBLE", double_value=0.5),
-    value("INTEGER", integer_value=2**63 - 1),
-    value("INTEGER", integer_value=-(2**63)),
-    value("DOUBLE_ARRAY", double_array_value=[math.nan, math.inf]),
-    value("DOUBLE_ARRAY", double_array_value=[]),
-    value("INTEGER_ARRAY", integer_array_value=[1]),
-    value("STRING_ARRAY", string_array_value=["x"]),
-    value("BYTE_ARRAY", byte_array_value=[b"\0"]),
-    ParameterValue(type=77),
-)
-
-
 class Stood(ServingNode):
     """A node with rclpy's own parameters and services, without a context: what would be published is dropped."""
 
@@ -76,7 +64,7 @@ class Stood(ServingNode):
             setattr(self, f"_{kind}_parameters_callbacks", [])
         self._parameter_event_publisher = SimpleNamespace(publish=lambda event: None)
         self._clock = SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: None))
-        self.monitor, self._credit = Monitor(lambda: None), Credit()
+        self.monitor, self._credit, self._answers = Monitor(lambda: None), Credit(), []
         self._credit.wanting = lambda: 0.0
 
     def get_name(self):
@@ -95,7 +83,7 @@ def event(monkeypatch):
         new_parameters=[], changed_parameters=[], deleted_parameters=[]))  # fmt: skip
 
     def offer(self, kind, name, answer, **_):
-        self.offered[name] = answer
+        self.offered[kind] = lambda **request: answer(kind.Request(**request), kind.Response())
         return SimpleNamespace(send_response=None, srv_name=name)
 
     monkeypatch.setattr(Node, "create_service", offer)
@@ -121,13 +109,12 @@ def served(node, block, state):
 
     adapter.step.set = change
     Tuning(node, adapter)
-    for kind, name in ((SetParameters, "set"), (SetParametersAtomically, "together")):
-        node.create_service(kind, name, None)
+    node.served = ParameterService(node)
     return current, paces, adapter
 
 
 @pytest.mark.parametrize("state", [pytest.param(s, marks=pytest.mark.long) for s in ("rest", "realtime")] + ["running"])
-@pytest.mark.parametrize("block", few(blocks(), 10))
+@pytest.mark.parametrize("block", few(blocks(), 5))
 def test_no_call_changes_type_range_or_existence(block, state, event):
     node = Stood()
     current, paces, adapter = served(node, block, state)
@@ -140,11 +127,11 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
         for hostile in HOSTILE:
             message = Message(name=name, value=hostile)
             kept, type_ = plain(node._parameters[name]), node._parameters[name].type_
-            for service, kind in (("set", SetParameters), ("together", SetParametersAtomically)):
-                response = node.offered[service](kind.Request(parameters=[message]), kind.Response())
-                (result,) = response.results if service == "set" else [response.result]
+            for kind in (SetParameters, SetParametersAtomically):
+                response = node.offered[kind](parameters=[message])
+                (result,) = response.results if kind is SetParameters else [response.result]
                 found = node._parameters[name]
-                assert result.successful or (plain(found) == kept and result.reason), (name, hostile, result)
+                assert result.successful or (plain(found) == kept and name in result.reason), (name, hostile, result)
                 first = type_ == Parameter.Type.NOT_SET and result.successful  # one without a value gets one
                 assert first or found.type_ == type_, (name, hostile, found.type_)
                 kept, type_ = plain(found), found.type_
@@ -152,6 +139,16 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
             if isinstance(number, float | int):
                 assert math.isfinite(number)
                 assert declared[name].lower is None or declared[name].lower <= number <= declared[name].upper
+        there = before[name] != Parameter.Type.NOT_SET
+        assert there <= len(node.offered[GetParameters](names=[name]).values)
+        assert len(node.offered[GetParameterTypes](names=[name]).types) == 1
+        assert [d.name for d in node.offered[DescribeParameters](names=[name]).descriptors] == [name]
+    assert set(node.offered[ListParameters](depth=0).result.names) == before.keys()
+    for strange in STRANGE:
+        for hostile in HOSTILE[::7]:
+            response = node.offered[SetParameters](parameters=[message, Message(name=strange, value=hostile)])
+            assert "is no parameter of node" in response.results[1].reason
+            assert response.results[0].reason == node.offered[SetParameters](parameters=[message]).results[0].reason
     now = {n: plain(p) for n, p in node._parameters.items() if p.type_ != Parameter.Type.NOT_SET}
     build(block.Params, {n: v for n, v in now.items() if n not in RUN})
     build(RunOptions, {n.removeprefix("run."): v for n, v in now.items() if n in RUN})

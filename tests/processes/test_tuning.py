@@ -1,9 +1,11 @@
 """Parameters of a running node by ROS services and by the command: checked, all of a call where all of it fits."""
 
 import json
+import os
 import subprocess
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 import yaml
@@ -17,6 +19,9 @@ from softrig_core.block.params import flatten
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import find_executable
 from softrig_nodes.ros.ros import Credit
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
+import services
 
 pytestmark = pytest.mark.processes
 
@@ -150,6 +155,18 @@ def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_
     assert all("expected a pause of" in reason for ok, reason in answers if not ok)
     changes = json.loads((tmp_path / "run/metrics.json").read_text())["changes"]
     assert len(changes) + replaced == sum(ok for ok, _ in answers) > 2
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, *range(3, 297, 25)])
+def test_no_call_of_a_live_node_changes_type_range_or_existence(seed, tmp_path, monkeypatch):
+    """Each executable by hand and in a rig in turn; `scripts/campaign services` goes through all.
+
+    The first one waits for nobody: it answers ticks without end, and its services all the same.
+    """
+    for name, value in os.environ.items():
+        monkeypatch.setenv(name, value)  # the attack sets some
+    services.attack(seed, tmp_path)
 
 
 def test_sets_may_take_a_share_of_the_time(monkeypatch):

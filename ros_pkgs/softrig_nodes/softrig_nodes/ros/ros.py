@@ -72,11 +72,13 @@ SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have l
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
 LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
 
-PAUSE = 1_000_000  # ns: this executor looks at no other timer while one is always due
+OVERDUE = 0.1  # s between two tries to send answers that wait for their share of the time
 
 # A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
 NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
 LISTS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.STRING_ARRAY, Parameter.Type.STRING)
+TYPES = {kind.value for kind in Parameter.Type}
+LONG = 100  # characters of a name or a value in a message
 EMPTY = (Parameter.Type.BOOL_ARRAY, Parameter.Type.BYTE_ARRAY)  # what a list without elements is taken for
 ARRAYS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY)
 
@@ -133,7 +135,7 @@ class Answers:
     clients : callable
         Gives the number of clients.
     later : callable
-        Has a function called in so many s.
+        Has `go_on` called now and then, from the first call on.
     """
 
     MOST = 100  # that wait
@@ -143,25 +145,21 @@ class Answers:
         send: Callable[[Any, Any], None],
         clients: Callable[[], int],
         credit: Credit,
-        later: Callable[[float, Callable[[], object]], object],
+        later: Callable[[], object],
     ) -> None:
         self._send, self._clients, self._credit, self._later = send, clients, credit, later
         self._waiting: deque[tuple[Any, Any]] = deque(maxlen=self.MOST)
-        self._asked = False
 
     def __call__(self, response: Any, header: Any) -> None:
         """Send an answer, now or later."""
         self._waiting.append((response, header))
-        if not self._asked:
-            self.go_on()
+        self.go_on()
 
     def go_on(self) -> None:
         """Send what waits, as far as there is time."""
-        self._asked = False
         while self._waiting:
-            if wait := self._credit.wanting():
-                self._asked = True
-                self._later(wait, self.go_on)
+            if self._credit.wanting():
+                self._later()
                 return
             response, header = self._waiting.popleft()
             with self._credit.spent():
@@ -192,6 +190,8 @@ class ServingNode(Node):  # type: ignore[misc]
     _credit = Credit()  # one for all nodes of a process
 
     def __init__(self, *names: Any, **options: Any) -> None:
+        self._answers: list[Answers] = []
+        self._overdue: Any = None  # the timer of answers that wait
         self.monitor = Monitor(self._wake)
         super().__init__(*names, **options | made_with())
         keep_overrides(self)
@@ -213,7 +213,7 @@ class ServingNode(Node):  # type: ignore[misc]
                     if srv_type is SetParameters:
                         response.results = self._set(request.parameters)
                     elif srv_type is SetParametersAtomically:
-                        response.result = self._set_together([self._meant(p) for p in request.parameters])
+                        response.result = self._set_together(request.parameters)
                     else:
                         return callback(request, response)
                 return response
@@ -227,40 +227,53 @@ class ServingNode(Node):  # type: ignore[misc]
                 return response
 
         service = super().create_service(srv_type, srv_name, answer, **options)
-        # the executor asks the service for it at each answer (rclpy 7.1 to 10)
-        answer_by(
-            service,
-            lambda send: Answers(send, lambda: self.count_clients(service.srv_name), self._credit, self._soon),
-        )
+
+        def send_by(send: Callable[[Any, Any], None]) -> Answers:
+            self._answers.append(
+                Answers(send, lambda: self.count_clients(service.srv_name), self._credit, self._send_overdue)
+            )
+            return self._answers[-1]
+
+        answer_by(service, send_by)  # the executor asks the service for it at each answer (rclpy 7.1 to 10)
         return service
 
-    def _soon(self, seconds: float, work: Callable[[], object]) -> None:
-        """Call a function once, in so many s of the wall's clock."""
+    def _send_overdue(self) -> None:
+        """Send what waits now and then, from now on.
 
-        def once() -> None:
-            self.destroy_timer(timer)
-            work()
+        One timer for good: each new one, as each reset, makes the executor look at all timers once more, which it does
+        for ever where one of them is always due (see `_RosTimer`).
+        """
+        if self._overdue is None:
+            clock = Clock(clock_type=ClockType.STEADY_TIME)
+            self._overdue = self.create_timer(OVERDUE, self._try_overdue, clock=clock)
 
-        timer = self.create_timer(seconds, once, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    def _try_overdue(self) -> None:
+        for answers in self._answers:
+            answers.go_on()
 
     def _set(self, messages: Sequence[Any]) -> list[SetParametersResult]:
-        wanted = [self._meant(message) for message in messages]
-        together = self._set_together(wanted)
-        if together.successful or len(wanted) < 2:
-            return [together] * len(wanted)
-        return [self._set_together([one]) for one in wanted]
+        together = self._set_together(messages)
+        if together.successful or len(messages) < 2:
+            return [together] * len(messages)
+        return [self._set_together([one]) for one in messages]
 
-    def _set_together(self, wanted: Sequence[Parameter]) -> SetParametersResult:
+    def _set_together(self, messages: Sequence[Any]) -> SetParametersResult:
         if wait := self._credit.wanting():
             text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
             self.overdrawn(text)
             return SetParametersResult(successful=False, reason=text)
         known, described = parameters(self), descriptors(self)
-        now = {p.name: known[p.name] for p in wanted if p.name in known}
-        strange = next((p.name for p in wanted if p.name not in described), None)
+        strange = next((m.name for m in messages if m.name not in described), None)
         if strange is not None:  # rclpy would not name it
-            reason = f"{strange} is no parameter of {self.get_name()}{closest(strange, described)}"
+            said = strange[:LONG]
+            reason = f"{said!r} is no parameter of {self.get_name()}{closest(said, described)}"
             return SetParametersResult(successful=False, reason=reason)
+        untyped = next((m for m in messages if m.value.type not in TYPES), None)
+        if untyped is not None:
+            reason = f"parameter {untyped.name}: type {untyped.value.type}, expected 0 to {max(TYPES)} (rcl_interfaces)"
+            return SetParametersResult(successful=False, reason=reason)
+        wanted = [self._meant(m) for m in messages]
+        now = {p.name: known[p.name] for p in wanted if p.name in known}
         new = [p for p in wanted if p.name not in now or now[p.name].type_ != p.type_ or plain(now[p.name]) != plain(p)]
         if reason := next(filter(None, map(self._misfit, new)), ""):
             return SetParametersResult(successful=False, reason=reason)
@@ -281,14 +294,15 @@ class ServingNode(Node):  # type: ignore[misc]
             return ""
         if wanted.type_ == Parameter.Type.NOT_SET:
             return f"parameter {wanted.name} has no value, expected one"
-        return f"parameter {wanted.name} = {repr(plain(wanted))[:100]}: expected {KINDS.get(kind, kind.name)}"
+        return f"parameter {wanted.name} = {repr(plain(wanted))[:LONG]}: expected {KINDS.get(kind, kind.name)}"
 
     def _meant(self, message: Any) -> Parameter:
         """Return what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
         given = Parameter.from_parameter_msg(message)
-        there = parameters(self)
-        known = there.get(given.name, given)
-        if given.name in there and message.value == guessed(plain(known)):
+        known = parameters(self).get(given.name)
+        if known is None:  # declared without a value, by rclpy without its name
+            known = Parameter(given.name, Parameter.Type.NOT_SET)
+        elif message.value == guessed(plain(known)):
             return known
         real = known.type_ == Parameter.Type.DOUBLE or (
             known.type_ == Parameter.Type.NOT_SET and descriptors(self)[given.name].floating_point_range
@@ -407,7 +421,6 @@ class RosMiddleware(Middleware):
         self.full_name: str = node.get_fully_qualified_name()
         self._processor: Processor | None = None
         self._posted: list[Callable[[], object]] = []
-        self._poster: _RosTimer | None = None
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
 
@@ -549,13 +562,10 @@ class RosMiddleware(Middleware):
     def post(self, call: Callable[[], object]) -> None:
         """Call a function when whatever is under way has returned: a node by itself has that only of a person's."""
         self._posted.append(call)
-        if self._poster is None:
-            self._poster = self.timer(PAUSE, self._call_posted)
-        self._poster.again(PAUSE)
+        if len(self._posted) == 1:
+            self.node.executor.create_task(self._in_turn(self._call_posted))
 
     def _call_posted(self) -> None:
-        assert self._poster is not None
-        self._poster.cancel()
         posted, self._posted = self._posted, []
         for call in posted:
             call()
