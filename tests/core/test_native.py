@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import inspect
 import itertools
+import json
 import linecache
 import math
 import os
@@ -126,6 +127,21 @@ def test_scenarios_are_what_they_are_in_python(name: str, monkeypatch: pytest.Mo
 def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     native = the_same(lambda: rig_of("dc_motor_smc_c1", duration=1.0), monkeypatch, engine.compiled)
     assert native.ticks == 99
+
+
+@pytest.mark.parametrize(
+    ("name", "node", "joints"),
+    [("manipulator_adsmc", "trajectory_source", 3), ("rehab_impedance", "prom_reference", 2)],
+)
+def test_a_reference_that_gets_points_is_native_to_its_end(
+    name: str, node: str, joints: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goal = {"start": 0.01, "times": [0.0, 0.02, 0.03], "positions": [0.1, 0.2, 0.3][:joints] * 3}
+    changes = [{"at": 0.01, "set": {f"{node}.goal.{key}": value for key, value in goal.items()}}]
+    file = tmp_path / "points.yaml"
+    file.write_text(json.dumps({"extends": name, "duration": 0.06, "changes": changes, "expect": {}}))
+    native = the_same(lambda: rig_of(str(file)), monkeypatch)
+    assert native.given_up < 5 < native.ticks
 
 
 def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.MonkeyPatch) -> None:

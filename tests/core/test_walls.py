@@ -15,7 +15,7 @@ MIDDLEWARE = ("rclpy", "rcl_interfaces", "std_srvs", "rosgraph_msgs", "builtin_i
 ROOMS = {
     "softrig_core": (
         "errors bits timebase entry guard interrupt needs extras renamed command_line runners kit wire judge block "
-        "former board native solver scenario rig verdict run drawing analysis export firmware"
+        "motion former board native solver scenario rig verdict run drawing analysis export firmware"
     ),
     "softrig_nodes": "below processes seam ros adapter lockstep realtime face group rehearsal main container preloaded",
     "softrig_bags": (

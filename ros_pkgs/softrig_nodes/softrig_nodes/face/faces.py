@@ -16,6 +16,7 @@ from ..adapter.account import WATCH_PERIOD
 from ..adapter.adapter import Adapter
 from ..ros.messages import diagnostic_array, marker_array, message_class
 from ..ros.ros import QOS, ServingNode
+from .following import PACKAGE, Following, action_type, followed
 from .frames import Frames
 
 HOLDS = ("pause", "resume", "step")  # std_srvs/Trigger, below the name of the node of the clock
@@ -40,6 +41,8 @@ class Faces:
         for port in adapter.step.inputs:
             if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{port.name}", self._presser(port))
+        if (reference := followed(adapter)) is not None:
+            _offer_following(node, adapter, reference)
         if adapter.pauses:
             for name in HOLDS:
                 node.create_service(message_class("std_srvs/srv/Trigger"), f"~/{name}", self._holder(name))
@@ -120,6 +123,17 @@ def _offer_simulation(node: ServingNode, adapter: Adapter) -> None:
         adapter.middleware.log(Level.WARN, text)
     else:
         simulation.Simulation(node, adapter, types)
+
+
+def _offer_following(node: ServingNode, adapter: Adapter, port: Port) -> None:
+    """Offer trajectories to a reference, the action where its type is installed."""
+    kind = None
+    if find_spec(PACKAGE) is not None:
+        try:
+            kind = action_type()
+        except Exception as error:  # rosidl raises a bare one
+            adapter.middleware.log(Level.WARN, f"the action follow_joint_trajectory is not offered: {error}")
+    Following(node, adapter, port, kind)
 
 
 def _read(publisher: Any) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, param, reference, to_ns, to_s
+from softrig_core.motion import Goal, Path
 
 from ..joints import PerJoint, joint_units, spread
 from .plant import JOINTS
@@ -21,9 +22,11 @@ class TrajectoryParams(BlockParams):
     linear: tuple[str, ...] = param((), "prismatic joints, which move in m instead of rad")
     amplitude: PerJoint = param((1.0,), "amplitude A: half the range of the motion", "rad", live=True)
     cycle: float = param(14.0, "duration T_cycle of one motion there and back", "s", gt=0.0, live=True)
+    goal: Goal = Goal()
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
+        self.goal.require(len(self.joints))
         spread("amplitude", self.amplitude, len(self.joints))
         if other := [name for name in self.linear if name not in self.joints]:
             raise ValueError(f"linear: {', '.join(other)}: no such joint; expected some of {', '.join(self.joints)}")
@@ -31,7 +34,7 @@ class TrajectoryParams(BlockParams):
 
 
 class TrajectorySource(Block[TrajectoryParams]):
-    """Publishes positions, velocities and accelerations at every tick."""
+    """Publishes positions, velocities and accelerations at every tick: the published motion, or that to a goal."""
 
     @classmethod
     def ports(cls, params: TrajectoryParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -41,13 +44,16 @@ class TrajectorySource(Block[TrajectoryParams]):
         return (), (reference("reference", "reference", params.joints, **motion),)
 
     def setup(self) -> None:
-        """Spread the amplitudes."""
+        """Spread the amplitudes, compute the motion to a goal."""
         self._amplitude = spread("amplitude", self.p.amplitude, len(self.p.joints))
         self._cycle = to_ns(self.p.cycle)
         self._omega = 2.0 * pi / self.p.cycle
+        self._path = Path(self.p.goal, len(self.p.joints)) if self.p.goal.times else None
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Return the reference at t."""
+        if self._path is not None:
+            return x, {"reference": self._path.at(t)}
         w = self._omega
         phase = w * to_s(t % self._cycle)  # whole cycles leave no rounding
         c, s = cos(phase), sin(phase)

@@ -8,6 +8,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, param, reference, to_ns, to_s
+from softrig_core.motion import Goal, Path
 
 from ..joints import PerJoint, require_positive, spread
 from .model import JOINTS, LOWER, UPPER
@@ -23,10 +24,12 @@ class PromReferenceParams(BlockParams):
     cycle: float = param(30.0, "duration of one repetition T_prd", "s", gt=0.0, live=True)
     eta1: float = param(8.0, "time at the centre of the upward motion", "s", gt=0.0, live=True)
     eta2: float = param(22.0, "time at the centre of the downward motion", "s", gt=0.0, live=True)
+    goal: Goal = Goal()
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
         n = len(JOINTS)
+        self.goal.require(n)
         for low, high in zip(spread("lower", self.lower, n), spread("upper", self.upper, n), strict=True):
             if low >= high:
                 raise ValueError(f"lower = {list(self.lower)} and upper = {list(self.upper)}: expected lower < upper")
@@ -40,20 +43,23 @@ class PromReferenceParams(BlockParams):
 
 
 class PromReference(Block[PromReferenceParams]):
-    """Publishes positions, velocities and accelerations at every tick."""
+    """Publishes positions, velocities and accelerations at every tick: the exercise, or the motion to a goal."""
 
     OUTPUTS = (reference("reference", "reference", JOINTS, position="rad", velocity="rad/s", acceleration="rad/s^2"),)
 
     def setup(self) -> None:
-        """Derive range and width of each joint."""
+        """Derive range and width of each joint, and the motion to a goal."""
         n = len(JOINTS)
         self._low = spread("lower", self.p.lower, n)
         self._range = [high - low for low, high in zip(self._low, spread("upper", self.p.upper, n), strict=True)]
         self._width = [r / (4.0 * v) for r, v in zip(self._range, spread("speed", self.p.speed, n), strict=True)]
         self._cycle = to_ns(self.p.cycle)
+        self._path = Path(self.p.goal, n) if self.p.goal.times else None
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
         """Return the reference at t."""
+        if self._path is not None:
+            return x, {"reference": self._path.at(t)}
         eta = to_s(t % self._cycle)
         q, v, a = [], [], []
         for low, span, width in zip(self._low, self._range, self._width, strict=True):

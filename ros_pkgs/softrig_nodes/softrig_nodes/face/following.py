@@ -1,0 +1,275 @@
+"""Trajectories that people and planners send to a reference: a topic and, where control_msgs is installed, an action.
+
+Both have the names, types and rules of ros2_controllers' joint_trajectory_controller (see `goals`). What is accepted
+becomes a change of the block's live parameters ``goal.*``, and so it is recorded and repeated like any other.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
+from rclpy.task import Future
+from rclpy.type_support import check_for_type_support
+from softrig_core.block.block import Level
+from softrig_core.block.port import Port
+from softrig_core.motion import FIELDS, Goal, Path
+from softrig_core.timebase import SECOND
+
+from ..adapter.adapter import Adapter
+from ..ros.messages import message_class
+from ..ros.ros import QOS, ServingNode, quiet_after_shutdown
+from .goals import BadGoal, Motion, Tolerances, allowed_delay, hold, motion, nanoseconds
+
+PACKAGE = "control_msgs"
+ACTION = f"{PACKAGE}/action/FollowJointTrajectory"
+TRAJECTORY, STATES = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState"
+LOOK = SECOND // 50  # ns of the wall between two looks at a goal whose joints are not measured
+FEEDBACK = SECOND // 20  # ns of the wall between two messages of feedback, as action_monitor_rate is by default
+LEAVE = SECOND // 10  # ns of the run: before its end, so that the result of a goal is sent while the node is there
+
+
+def followed(adapter: Adapter) -> Port | None:
+    """Return the output of a node that follows trajectories; None where it does not."""
+    if not isinstance(getattr(adapter.block.p, "goal", None), Goal):
+        return None
+    return next(p for p in adapter.step.outputs if p.msgtype == TRAJECTORY)
+
+
+def action_type() -> Any:
+    """Import the type of the action with the libraries that it needs.
+
+    Raises
+    ------
+    Exception
+        Of Python or of rosidl, which raises a bare one: it cannot be had.
+    """
+    kind = message_class(ACTION)
+    check_for_type_support(kind)
+    return kind
+
+
+@dataclass
+class _Active:
+    """A goal that is followed."""
+
+    handle: Any
+    begin: int  # ns of the run: the tick after which it was begun
+    motion: Motion
+    path: Path
+    on_way: Tolerances
+    at_end: Tolerances
+    until: int | None  # ns of the run: when its joints must have arrived
+    over: Future[tuple[str, str]] = field(default_factory=Future)  # name of the error code, text; "": canceled
+    told: int = 0  # ns of the wall: the newest feedback
+
+
+class Following:
+    """Takes trajectories for a reference, on ``~/joint_trajectory`` and by ``~/follow_joint_trajectory``.
+
+    Parameters
+    ----------
+    port : Port
+        See `followed`.
+    kind : class or None
+        See `action_type`; without it there is the topic only.
+    """
+
+    def __init__(self, node: ServingNode, adapter: Adapter, port: Port, kind: Any) -> None:
+        self._node, self._adapter, self._port = node, adapter, port
+        self._joints = list(port.channels)
+        self._active: _Active | None = None
+        self._sources: int | None = None  # publishers of joint states; None: not subscribed yet
+        self._timer = adapter.middleware.timer(LOOK, self._look)
+        self._timer.cancel()
+        take = quiet_after_shutdown(self._take)
+        node.create_subscription(message_class(TRAJECTORY), "~/joint_trajectory", take, QOS)
+        if kind is not None:
+            self._kind = kind
+            self._server = ActionServer(
+                node,
+                kind,
+                "~/follow_joint_trajectory",
+                self._follow,
+                goal_callback=self._asked,
+                cancel_callback=self._cancel,
+            )
+
+    # what is followed --------------------------------------------------------------------------------------------
+
+    def _now(self) -> tuple[int, Sequence[float]]:
+        """Return the newest tick, ns, and what the reference answers to it; a BadGoal if it does not run."""
+        step, state = self._adapter.step, self._adapter.state
+        if state != "running" or not self._adapter.ticks:
+            raise BadGoal("the run has not begun" if state in ("starting", "running") else "the run is over")
+        return step.t, step.block.update(step.x, step.t)[1][self._port.name]  # type: ignore[attr-defined]
+
+    def _motion(self, message: Any) -> tuple[int, Motion]:
+        now, row = self._now()
+        last = self._adapter.schedule.last
+        end = None if last is None else last - LEAVE
+        return now, motion(message, self._joints, now, row, self._adapter.epoch, end)
+
+    def _set(self, values: Mapping[str, Any]) -> None:
+        kinds = dict.fromkeys(values, Parameter.Type.DOUBLE_ARRAY) | {"goal.start": Parameter.Type.DOUBLE}
+        wanted = [Parameter(name, kinds[name], value) for name, value in values.items()]
+        result = self._node.set_parameters_atomically(wanted)
+        if not result.successful:
+            raise BadGoal(result.reason)
+
+    def _hold(self) -> None:
+        """Stay where the reference is now."""
+        self._set(hold(len(self._joints), *self._now()))
+
+    def _take(self, message: Any) -> None:
+        """Follow what was published, without an answer."""
+        with self._node.monitor:
+            try:
+                _, found = self._motion(message)
+                self._set(found.values)
+            except BadGoal as error:
+                self._adapter.step.note(Level.WARN, "joint_trajectory", f"a trajectory is refused: {error}")
+            else:
+                self._end("INVALID_GOAL", "replaced by a trajectory from ~/joint_trajectory")
+
+    # the action --------------------------------------------------------------------------------------------------
+
+    def _asked(self, goal: Any) -> GoalResponse:
+        """Refuse what cannot be followed: a refusal has no reason on the wire, so it is logged."""
+        with self._node.monitor:
+            try:
+                self._checked(goal)
+            except BadGoal as error:
+                self._adapter.middleware.log(Level.WARN, f"follow_joint_trajectory: a goal is refused: {error}")
+                return GoalResponse.REJECT
+            return GoalResponse.ACCEPT
+
+    def _checked(self, goal: Any) -> tuple[int, Motion, Tolerances, Tolerances, int | None]:
+        if len(goal.multi_dof_trajectory.points):
+            raise BadGoal("multi_dof_trajectory has points, expected none: the joints have one axis each")
+        on_way = Tolerances(goal.path_tolerance, self._joints, "path_tolerance")
+        at_end = Tolerances(goal.goal_tolerance, self._joints, "goal_tolerance")
+        delay = allowed_delay(goal.goal_time_tolerance)
+        now, found = self._motion(goal.trajectory)
+        last = self._adapter.schedule.last
+        until = [found.end + delay] if delay is not None else []
+        until += [max(found.end, last - LEAVE)] if last is not None else []
+        return now, found, on_way, at_end, min(until, default=None)
+
+    async def _follow(self, handle: Any) -> Any:
+        with self._node.monitor:
+            code, text, over = self._begin(handle)
+        if over is not None:
+            code, text = await over
+        result = self._kind.Result()
+        result.error_code, result.error_string = getattr(self._kind.Result, code or "SUCCESSFUL"), text
+        end: Callable[[], object] = handle.canceled if not code else handle.abort if text else handle.succeed
+        end()
+        return result
+
+    def _begin(self, handle: Any) -> tuple[str, str, Future[tuple[str, str]] | None]:
+        """Begin to follow; return why not, or what its end sets."""
+        try:
+            now, found, on_way, at_end, until = self._checked(handle.request)
+            self._set(found.values)
+        except BadGoal as error:
+            return error.code, str(error), None
+        self._end("INVALID_GOAL", "replaced by a new goal")
+        goal = Goal(**{name.removeprefix("goal."): value for name, value in found.values.items()})
+        path = Path(goal, len(self._joints))
+        self._active = _Active(handle, now, found, path, on_way, at_end, until)
+        if self._sources is None:
+            self._sources = 0
+            self._adapter.middleware.subscribe("joint_states", STATES, self._measured, self._count)
+        self._timer.again(LOOK, LOOK)
+        return "", "", self._active.over
+
+    def _end(self, code: str, text: str) -> None:
+        if self._active is not None:
+            self._active.over.set_result((code, text))
+            self._active = None
+            self._timer.cancel()
+
+    def _cancel(self, handle: Any) -> CancelResponse:
+        with self._node.monitor:
+            if self._active is not None and self._active.handle.goal_id == handle.goal_id:
+                try:
+                    self._hold()
+                except BadGoal as error:
+                    self._adapter.middleware.log(Level.WARN, f"follow_joint_trajectory: not canceled: {error}")
+                    return CancelResponse.REJECT
+                self._end("", "canceled; the reference stays where it was")
+            return CancelResponse.ACCEPT
+
+    def _stop(self, code: str, text: str) -> None:
+        """End the goal because a bound is violated, and stay."""
+        try:
+            self._hold()
+        except BadGoal as error:
+            text += f"; {error}"
+        self._end(code, text)
+
+    # how far it is -----------------------------------------------------------------------------------------------
+
+    def _count(self, publishers: int) -> None:
+        self._sources = publishers
+
+    def _look(self) -> None:
+        """End what no message ends: nobody measures the joints, or the run is over."""
+        active, adapter = self._active, self._adapter
+        if active is None:
+            return
+        if adapter.state != "running":
+            self._end("INVALID_GOAL", "the run has ended")
+        elif adapter.step.t >= active.motion.end and not self._sources:
+            if active.on_way or active.at_end:
+                topic = adapter.middleware.resolve("joint_states")
+                self._end("GOAL_TOLERANCE_VIOLATED", f"no node publishes {topic}, so that no tolerance was checked")
+            else:
+                self._end("SUCCESSFUL", "")
+
+    def _measured(self, data: bytes) -> None:
+        """Compare measured joints with the trajectory at their stamp."""
+        active = self._active
+        if active is None:
+            return
+        message = deserialize_message(data, message_class(STATES))
+        t = nanoseconds(message.header.stamp) - self._adapter.epoch
+        places = {name: k for k, name in enumerate(message.name)}
+        if t <= active.begin or not all(joint in places for joint in self._joints):
+            return
+        order = [places[joint] for joint in self._joints]
+        row, n = active.path.at(t), len(self._joints)
+        desired = [row[k * n : (k + 1) * n] for k in range(3)]
+        actual = [
+            [float(values[k]) for k in order] if len(values) == len(places) else []
+            for values in (message.position, message.velocity)
+        ] + [[]]
+        error = [[d - a for d, a in zip(want, got, strict=False)] for want, got in zip(desired, actual, strict=True)]
+        self._tell(active, message.header, (desired, actual, error))
+        if t < active.motion.end:
+            if wrong := active.on_way.beyond(error):
+                self._stop("PATH_TOLERANCE_VIOLATED", wrong)
+        elif not (wrong := active.at_end.beyond(error)):
+            self._end("SUCCESSFUL", "")
+        elif active.until is not None and t >= active.until:
+            late = (t - active.motion.end) / SECOND
+            self._stop("GOAL_TOLERANCE_VIOLATED", f"{wrong}, {late:g} s after the end of the trajectory")
+
+    def _tell(self, active: _Active, header: Any, rows: Sequence[Sequence[Sequence[float]]]) -> None:
+        """Publish feedback, at most every `FEEDBACK`."""
+        if (now := time.monotonic_ns()) - active.told < FEEDBACK:
+            return
+        active.told = now
+        feedback = self._kind.Feedback(header=header, joint_names=self._joints)
+        since = nanoseconds(header.stamp) - self._adapter.epoch - active.begin
+        for point, values in zip((feedback.desired, feedback.actual, feedback.error), rows, strict=True):
+            for name, row in zip(FIELDS, values, strict=True):
+                setattr(point, name, [*row])
+            point.time_from_start.sec, point.time_from_start.nanosec = divmod(since, SECOND)
+        active.handle.publish_feedback(feedback)
