@@ -21,7 +21,7 @@ LESS = {k: v for k, v in PLATE.items() if k != "cos_phi"}
 CIRCUIT = {"R_s": 0.7, "R_r": 0.5, "L_ls": 0.004, "L_lr": 0.005, "L_m": 0.1}
 # maxon EC 45 flat as in `bldc_six_step`
 FLAT = {"voltage": 24.0, "speed": 5240.0, "torque": 0.0843, "current": 2.36, "pole_pairs": 8.0, "K_t": 0.0335,
-        "R_tt": 1.03, "L_tt": 5.72e-4, "J": 9.25e-6}  # fmt: skip
+        "R_tt": 1.03, "L_tt": 5.72e-4, "J": 1.35e-5}  # fmt: skip
 SUPPLY = {"U_in": 28.0, "U_out": 15.0, "current": 5.0, "f_sw": 1e5}
 SERVO = {"speed": 3000.0, "current": 2.2, "pole_pairs": 4.0, "torque": 1.27, "R_tt": 7.1, "L_tt": 0.0244, "K_e": 38.0}
 

@@ -31,7 +31,7 @@ class BldcPlantParams(Mechanics, BlockParams):
     k_e: float = param(0.01675, "back-EMF of a phase over speed, on its flat top: half the torque constant", "V s/rad",
                        gt=0.0, le=1e3)  # fmt: skip
     pole_pairs: int = param(8, "pole pairs p", ge=1, le=1000)
-    J: float = param(9.25e-6, "inertia of the rotor", "kg m^2", gt=0.0, le=1e6)
+    J: float = param(1.35e-5, "inertia of the rotor", "kg m^2", gt=0.0, le=1e6)
     trip_current: float = param(50.0, "phase current at which all legs switch off permanently", "A", gt=0.0, live=True)
 
     @model_validator(mode="after")

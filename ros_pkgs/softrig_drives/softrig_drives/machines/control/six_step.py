@@ -25,7 +25,7 @@ class SixStepParams(SpeedControlParams):
     L: float = param(2.86e-4, "inductance of a phase", "H", gt=0.0, live=True)
     k_e: float = param(0.01675, "back-EMF of a phase over speed", "V s/rad", gt=0.0, live=True)
     pole_pairs: int = param(8, "pole pairs p", ge=1, le=1000)
-    J: float = param(9.25e-6, "inertia that the speed control assumes", "kg m^2", gt=0.0, le=1e6, live=True)
+    J: float = param(1.35e-5, "inertia that the speed control assumes", "kg m^2", gt=0.0, le=1e6, live=True)
     current_bandwidth: float = param(3000.0, "bandwidth of the current loop", "rad/s", gt=0.0, live=True)
     i_max: float = param(4.7, "largest current", "A", gt=0.0, live=True)
 
