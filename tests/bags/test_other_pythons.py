@@ -43,7 +43,7 @@ def test_golden_bags_under_another_python(version, tmp_path):
     environment |= {"SOFTRIG_PYTHON": of, "SOFTRIG_WORKSPACE": "none"}
     environment["PATH"] = environment["PATH"].replace(f"{ROOT}/.venv/bin:", "")
     done = subprocess.run(
-        [checkout / "scripts" / "softrig", "golden", "--check"],
+        [checkout / "scripts" / "softrig", "check", "--golden"],
         env=environment,
         cwd=checkout,
         capture_output=True,

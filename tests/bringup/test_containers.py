@@ -76,8 +76,7 @@ def test_every_command_is_one_that_softrig_knows(command):
     if script == "scripts/test" or words[0] in SET_UP:
         return
     options = make_parser().parse_args(words)  # ends the test where an option is unknown
-    scenarios = {"check": "scenarios", "golden": "names"}.get(words[0], "scenario")
-    named = getattr(options, scenarios)
+    named = getattr(options, "scenarios" if words[0] == "check" else "scenario")
     assert ({named} if isinstance(named, str) else set(named)) <= set(list_scenarios())
 
 

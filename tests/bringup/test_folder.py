@@ -236,7 +236,7 @@ def test_results_of_another_kind_are_not_replaced(tmp_path, capsys, mark, words)
 def test_a_folder_of_pages_and_one_of_a_golden_bag_have_one_writer(tmp_path, capsys):
     (tmp_path / "dc_motor_smc_b2").mkdir()
     for words, place in (
-        (["results", "dc_motor_fsfb", "--out", str(tmp_path)], tmp_path),
+        (["check", "--claims", "dc_motor_fsfb", "--out", str(tmp_path)], tmp_path),
         (["golden", "dc_motor_smc_b2", "--bags", str(tmp_path), "--duration", "0.01"], tmp_path / "dc_motor_smc_b2"),
     ):
         with alone_in(place):

@@ -1,4 +1,4 @@
-"""`softrig results`: claims held against runs, and the pages about it."""
+"""`softrig check --claims`: claims held against runs, and the pages about it."""
 
 import json
 import re
@@ -56,7 +56,7 @@ def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch
     monkeypatch.setattr(
         "softrig_bringup.verbs.results.gather", lambda *_: pytest.fail("runs before it looks at the folder")
     )
-    assert main(["results", "lag", "--out", "lag.yaml"]) == 2
+    assert main(["check", "--claims", "lag", "--out", "lag.yaml"]) == 2
     assert "lag.yaml" in capsys.readouterr().err
 
 
@@ -79,20 +79,20 @@ def test_what_is_said_once_counts_once(folder):
 
 
 def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monkeypatch):
-    assert main(["results", "--workers", "1"]) == 0
+    assert main(["check", "--claims", "--workers", "1"]) == 0
     page = (folder / "runs" / "results" / "results.html").read_text()
     for link in re.findall(r'href="(runs/[^"]*)"', page):
         assert (folder / "runs" / "results" / link).is_file()
     assert 'href="runs/lag/report.html"' in page
     assert 'href="runs/lag/overview.svg"' in page
     assert "are kept" not in capsys.readouterr().out
-    assert main(["results", "--workers", "1"]) == 0
+    assert main(["check", "--claims", "--workers", "1"]) == 0
     assert "2 of 2 runs are kept" in capsys.readouterr().out
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("{gain: 0.5}", "{gain: 0.6}"))
-    assert main(["results", "--workers", "1"]) == 0
+    assert main(["check", "--claims", "--workers", "1"]) == 0
     assert "1 of 2 runs are kept" in capsys.readouterr().out
     monkeypatch.setattr("softrig_bringup.study.engine.fingerprints", lambda *_: {"faultrig": "changed"})
-    assert main(["results", "--workers", "1"]) == 0
+    assert main(["check", "--claims", "--workers", "1"]) == 0
     assert "are kept" not in capsys.readouterr().out
 
 
@@ -104,24 +104,24 @@ def test_claims_of_studies_are_named_where_they_are_not_held(folder, capsys, mon
     (folder / "many").mkdir()
     (folder / "many" / "some.yaml").write_text(study)
     monkeypatch.setenv("SOFTRIG_STUDIES", str(folder / "many"))
-    assert main(["results", "--workers", "1"]) == 0
+    assert main(["check", "--claims", "--workers", "1"]) == 0
     text = "1 more claims are of studies (some): hundreds of runs, with --studies"
     assert text in capsys.readouterr().out
     assert text in (folder / "runs" / "results" / "results.html").read_text()
-    assert main(["results", "--workers", "1", "--studies"]) == 0
+    assert main(["check", "--claims", "--workers", "1", "--studies"]) == 0
     assert "4 claims: 3 reproduced" in capsys.readouterr().out
     lag = (folder / "lag.yaml").read_text()
     (folder / "lag.yaml").write_text(lag.replace("duration: 1.0", "duration: 0.5"))  # the rows kept are of another one
-    assert main(["results", "--workers", "1", "--studies"]) == 1
+    assert main(["check", "--claims", "--workers", "1", "--studies"]) == 1
     assert "some: claim mean: the verdict reproduced does not hold: measured 0.15957" in capsys.readouterr().err
 
 
 def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):
-    assert main(["results", "lag", "--workers", "1"]) == 0
+    assert main(["check", "--claims", "lag", "--workers", "1"]) == 0
     assert (folder / "runs" / "results" / "results_lag.html").is_file()
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
     capsys.readouterr()
-    assert main(["results", "--workers", "1"]) == 1
+    assert main(["check", "--claims", "--workers", "1"]) == 1
     assert "softrig: lag: claim last: the verdict refuted does not hold: measured 0.45" in capsys.readouterr().err
     assert "NOT BORNE OUT" in (folder / "runs" / "results" / "results.md").read_text()
     assert main(["run", "lag", "--mode", "inprocess", "--no-record", "--no-plots"]) == 1
@@ -132,7 +132,7 @@ def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):
 
 def test_a_claim_that_needs_a_run_that_broke_is_not_borne_out(folder, capsys):
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("{gain: 0.5}", "{gain: -0.5}"))
-    assert main(["results", "--workers", "1"]) == 3
+    assert main(["check", "--claims", "--workers", "1"]) == 3
     error = capsys.readouterr().err
     assert "lag_slow: lag_slow: node plant: parameter gain = -0.5" in error
     assert "claim order: the verdict reproduced cannot be checked" in error
@@ -157,7 +157,7 @@ def test_pages_of_results_are_as_told(folder, monkeypatch):
 
 def test_results_are_told_to_machines(folder):
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
-    assert main(["results", "--workers", "1", "--junit", "unit.xml", "--json", "rows.json"]) == 1
+    assert main(["check", "--claims", "--workers", "1", "--junit", "unit.xml", "--json", "rows.json"]) == 1
     root = ElementTree.parse(folder / "unit.xml").getroot()
     assert (root.get("tests"), root.get("failures")) == ("3", "1")
     assert "does not hold" in root.find(".//failure").get("message")
@@ -166,6 +166,19 @@ def test_results_are_told_to_machines(folder):
 
 def test_an_unknown_system_is_refused(folder, capsys):
     assert main(["results", "leg"]) == 2
+    assert "`results` is `check --claims` now; the old form works until softrig 0.4" in capsys.readouterr().err
+    for words, said in (
+        (["check"], "check: expected scenarios (names or files), --claims or --golden"),
+        (["check", "lag", "--studies"], "--studies belongs to `check` of --claims"),
+        (["check", "--claims", "--with", "lag"], "--with belongs to `check` of --golden"),
+        (["check", "--golden", "--marks", "m.csv"], "--marks belongs to `check` of scenarios"),
+        (["check", "--golden", "--claims"], "not allowed with"),
+        (["golden", "--check", "--bags", "none"], "none has no golden bags yet; name the scenarios"),
+        (["locate", "x.cfg"], "`softrig locate` is `softrig node softrig_power locate` now"),
+    ):
+        assert main(words) == 2
+        assert said in capsys.readouterr().err
+    assert main(["check", "--claims", "leg"]) == 2
     assert "no system 'leg'; there are lag" in capsys.readouterr().err
 
 

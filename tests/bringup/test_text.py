@@ -48,7 +48,7 @@ def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
         (["list"], 0),
         (["run", "lag", "--mode", "inprocess", "--no-record"], 1),
         (["study", "lags", "--workers", "1"], 1),
-        (["results", "--workers", "1"], 1),
+        (["check", "--claims", "--workers", "1"], 1),
         (["report", "runs/lag"], 0),
     ]
     for arguments, status in calls:
@@ -56,7 +56,7 @@ def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
         said = " ".join("".join(capsys.readouterr()).split())  # as it stood before it was wrapped
         assert "\x1b" not in said
         assert "\x9b" not in said
-        assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in said or arguments[0] in ("results", "report")
+        assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in said or arguments[0] in ("check", "report")
 
 
 def test_control_characters_are_shown_and_nothing_else_is_changed():

@@ -514,7 +514,7 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
     modes = []
     access = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: modes.append((str(path), mode)) or access(path, mode))
-    assert main(["results", "lag", "two", "--out", "o", "--json", "j.json"]) == status
+    assert main(["check", "--claims", "lag", "two", "--out", "o", "--json", "j.json"]) == status
     assert ("o", os.W_OK | os.X_OK) in modes
     printed = capsys.readouterr()
     assert printed.err.splitlines() == [f"softrig: {line}" for line in said]
@@ -528,7 +528,7 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
         len(rows),
         "h",
     ]
-    assert main(["results", "--studies", "--out", "o"]) == status
+    assert main(["check", "--claims", "--studies", "--out", "o"]) == status
     assert pages == [
         (["a scenario"], len(rows), "more", Path("o")),
         (["a scenario"], len(rows), "more"),
@@ -1112,25 +1112,25 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
 
 def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
     """Made, made again, another length, checked here and as if elsewhere, and the file that says how."""
-    words = ["golden", "dc_motor_smc_b2", "--bags", str(tmp_path)]
+    words = ["dc_motor_smc_b2", "--bags", str(tmp_path)]
     told = []
 
-    def go(*more):
-        status = main([*words, *more])
+    def go(*more, verb=("golden",)):
+        status = main([*verb, *words, *more])
         said = capsys.readouterr()
-        told.append(f"{' '.join(more) or 'plain'}: status {status}")
+        told.append(f"{' '.join([*verb, *more])}: status {status}")
         told.extend(
             f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in said.out.splitlines() if "CPython" not in line
         )
         told.extend(f"  {line}" for line in said.err.splitlines())
 
     go("--duration", "0.02", "--seed", "3")
-    go("--check")
+    go(verb=("check", "--golden"))
     file = tmp_path / "dc_motor_smc_b2/golden.yaml"
     monkeypatch.setattr(golden, "DECIDE", ("numpy",))
     file.write_text(re.sub(r"numpy: .*", "numpy: old", file.read_text().replace("why: ''", f"why: {'by hand ' * 20}")))
     monkeypatch.setattr(golden, "versions", lambda: runs.versions() | {"numpy": "new"})
-    go("--check")
+    go(verb=("check", "--golden"))
     go("--duration", "0.01")
     bag = tmp_path / "dc_motor_smc_b2/bag"
     golden._ours(bag)

@@ -289,7 +289,14 @@ def test_names_longer_than_any_file_name_are_unknown(text, said, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [["run", LONG], ["run", f"{LONG}.yaml"], ["report", LONG], ["study", LONG], ["locate", LONG]]
+    "command",
+    [
+        ["run", LONG],
+        ["run", f"{LONG}.yaml"],
+        ["report", LONG],
+        ["study", LONG],
+        ["node", "softrig_power", "locate", LONG],
+    ],
 )
 def test_arguments_longer_than_any_file_name_are_bad_input(command, capsys):
     assert main(command) == 2

@@ -154,7 +154,7 @@ def test_packages_depend_one_way():
         "softrig_optim": ("softrig_core", "softrig_control"),
     }
     below |= dict.fromkeys(DOMAINS, ("softrig_core", "softrig_control", "softrig_optim"))
-    below["softrig_power"] += ("softrig_bags",)  # `softrig locate` reads a record from a bag
+    below["softrig_power"] += ("softrig_bags",)  # `locate` reads a record from a bag
     below["softrig_nodes"] = ("softrig_core",)
     below["softrig_bags"] = ("softrig_core", "softrig_nodes")
     breaches = [

@@ -14,11 +14,10 @@ from conftest import few, replay
 from matplotlib.figure import Figure
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
-from softrig_bringup.cli import main
 from softrig_core import ByHand, Level, ParameterError, Recording, feed, load_scenario, simulate
 from softrig_core.block.params import build
 from softrig_nodes import run_processes
-from softrig_power.fault_location import pictures, study, study_tool
+from softrig_power.fault_location import locate_tool, pictures, study, study_tool
 from softrig_power.fault_location.cases import PUBLISHED, Case
 from softrig_power.fault_location.line.measurement import butterworth
 from softrig_power.fault_location.line.parameters import RATES, RigParams
@@ -710,7 +709,7 @@ def test_both_forms_and_the_function_agree_bit_by_bit(runs):
 
 
 def test_replay_gives_the_same_bits(runs, tmp_path):
-    """The locator fed with the messages of a bag, and `softrig locate`'s reading of it."""
+    """The locator fed with the messages of a bag, and `locate`'s reading of it."""
     for form, run in runs.items():
         write_bag(tmp_path / form, run.recording)
         recording = read_bag(tmp_path / form)
@@ -1089,10 +1088,23 @@ def test_command_line(record, tmp_path, capsys):
     for end in "sr":
         write_comtrade(tmp_path / end, record, end)
     files = [str(tmp_path / "s.cfg"), str(tmp_path / "r.cfg")]
-    assert main(["locate", *files]) == 2
+    assert locate_tool.main([*files]) == 2
     assert "the line's length, r1, l1, c1 are missing" in capsys.readouterr().err
     files += ["--line", "paper"]
-    assert main(["locate", *files, "--bag", str(tmp_path / "bag"), "--pictures", str(tmp_path), "--truth", "50"]) == 0
+    assert (
+        locate_tool.main(
+            [
+                *files,
+                "--bag",
+                str(tmp_path / "bag"),
+                "--pictures",
+                str(tmp_path),
+                "--truth",
+                "50",
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert "  line 120 km, 0.0275 ohm/km, 0.00100268 H/km, 1.3e-08 F/km\n" in said
     assert "  record 0 to 0.05995 s, 1200 samples at 20000 Hz\n" in said
@@ -1102,18 +1114,30 @@ def test_command_line(record, tmp_path, capsys):
     assert "u_s 0.5 % would move it by" in said
     assert (tmp_path / "objective.png").stat().st_size > 10_000
     assert (tmp_path / "waveforms.png").stat().st_size > 10_000
-    assert main(["locate", str(tmp_path / "bag"), "--window", "0.021", "0.0395", "--line", "paper"]) == 0
+    assert locate_tool.main([str(tmp_path / "bag"), "--window", "0.021", "0.0395", "--line", "paper"]) == 0
     assert capsys.readouterr().out.startswith("fault at 49.990 km from S (70.010 km from R)")
-    assert main(["locate", *files, "--set", "algorithm=integer_grid", "--set", "line.r1=0.03"]) == 0
+    assert locate_tool.main([*files, "--set", "algorithm=integer_grid", "--set", "line.r1=0.03"]) == 0
     capsys.readouterr()
-    assert main(["locate", *files, "--set", "line.l1=-1", "--set", "line.r1=0.03"]) == 2
+    assert locate_tool.main([*files, "--set", "line.l1=-1", "--set", "line.r1=0.03"]) == 2
     assert "line.l1" in capsys.readouterr().err
-    assert main(["locate", str(tmp_path / "nothing.cfg"), "--line", "paper"]) == 2
+    assert locate_tool.main([str(tmp_path / "nothing.cfg"), "--line", "paper"]) == 2
     assert "no such file" in capsys.readouterr().err
     write_comtrade(tmp_path / "healthy", simulated(Case("none", 50.0, 0.0)))
-    assert main(["locate", str(tmp_path / "healthy.cfg"), "--line", "paper"]) == 1
+    assert locate_tool.main([str(tmp_path / "healthy.cfg"), "--line", "paper"]) == 1
     assert "no_fault" in capsys.readouterr().err
-    assert main(["locate", str(tmp_path / "healthy.cfg"), "--window", "0.021", "0.0395", "--line", "paper"]) == 1
+    assert (
+        locate_tool.main(
+            [
+                str(tmp_path / "healthy.cfg"),
+                "--window",
+                "0.021",
+                "0.0395",
+                "--line",
+                "paper",
+            ]
+        )
+        == 1
+    )
     assert "no_fault" in capsys.readouterr().out
 
 
@@ -1121,23 +1145,36 @@ def test_own_line(record, tmp_path, capsys):
     """The line's data from a file; every --set and --error counts, not only the last."""
     write_comtrade(tmp_path / "both", simulated(Case("AG", 31.0, 0.0), line__length=87.5, line__l1=1.05e-3))
     file = str(tmp_path / "both.cfg")
-    assert main(["locate", file, "--line", "paper", "--set", "line.length=87.5", "--set", "line.l1=1.05e-3",
+    assert locate_tool.main([file, "--line", "paper", "--set", "line.length=87.5", "--set", "line.l1=1.05e-3",
                  "--error", "sync_us=5", "--error", "ratio=0.01"]) == 0  # fmt: skip
     said = capsys.readouterr().out
     assert said.startswith("fault at 30.99")
     assert "clocks 5 us" in said
     assert "u_s 1 %" in said
     (tmp_path / "line.yaml").write_text("\ufefflength: 87.5\nr1: 0.0275\nl1: 1.05e-3\nc1: 0.013e-6\n")
-    assert main(["locate", file, "--line", str(tmp_path / "line.yaml")]) == 0
+    assert locate_tool.main([file, "--line", str(tmp_path / "line.yaml")]) == 0
     assert capsys.readouterr().out.splitlines()[0].split(",")[0] == said.splitlines()[0].split(",")[0]
-    assert main(["locate", file, "--set", "line.length=87.5"]) == 2
+    assert locate_tool.main([file, "--set", "line.length=87.5"]) == 2
     assert "the line's r1, l1, c1 are missing" in capsys.readouterr().err
-    assert main(["locate", file, "--line", "paper", "--set", "line.length=87.5", "--set", "line.length=90"]) == 2
+    assert (
+        locate_tool.main(
+            [
+                file,
+                "--line",
+                "paper",
+                "--set",
+                "line.length=87.5",
+                "--set",
+                "line.length=90",
+            ]
+        )
+        == 2
+    )
     assert "line.length is 87.5 already" in capsys.readouterr().err
     (tmp_path / "line.yaml").write_text("length: 87.5\nr: 0.0275\n")
-    assert main(["locate", file, "--line", str(tmp_path / "line.yaml")]) == 2
+    assert locate_tool.main([file, "--line", str(tmp_path / "line.yaml")]) == 2
     assert "expected length, r1, l1, c1" in capsys.readouterr().err
-    assert main(["locate", file, file, "--line", "paper"]) == 2
+    assert locate_tool.main([file, file, "--line", "paper"]) == 2
 
 
 def test_a_topic_that_is_short_of_a_message_is_named(record, tmp_path, capsys):
@@ -1146,7 +1183,7 @@ def test_a_topic_that_is_short_of_a_message_is_named(record, tmp_path, capsys):
     topic = recording.topics["line/r/current"]
     del topic.data[700], topic.times[700]
     write_bag(tmp_path / "short", recording)
-    assert main(["locate", str(tmp_path / "short"), "--line", "paper"]) == 1
+    assert locate_tool.main([str(tmp_path / "short"), "--line", "paper"]) == 1
     assert "line/r/current has no message at 0.035 s, line/r/voltage has" in capsys.readouterr().err
 
 
@@ -1157,7 +1194,7 @@ def test_a_bag_stamped_by_a_wall_clock(record, tmp_path, capsys):
     for topic in recording.topics.values():
         topic.times[:] = [t + 1_795_340_519_250_000_000 for t in topic.times]
     write_bag(tmp_path / "bag", recording)
-    assert main(["locate", str(tmp_path / "bag"), "--line", "paper"]) == 0
+    assert locate_tool.main([str(tmp_path / "bag"), "--line", "paper"]) == 0
     said = capsys.readouterr().out
     assert said.startswith("fault at 49.990 km")
     assert "window 0.0213 to 0.0398 s, from the change at 0.0203 s" in said

@@ -1542,7 +1542,7 @@ def test_a_record_of_the_plant_with_its_noise_and_a_new_one_at_a_press():
     assert plant.advance(held, 0, run=None).pressed is False
 
 
-# `softrig locate` -----------------------------------------------------------------------------------------------
+# `locate` -----------------------------------------------------------------------------------------------
 
 
 LINE_GIVEN = ["--line", "paper"]
@@ -1567,7 +1567,7 @@ def asked(monkeypatch, *arguments, found=None, error=None):
     monkeypatch.setattr(locate_tool, "locate", lambda record, p: called.update(p=p) or found)
     told = Confidence(0.001, {}, 9.0)
     monkeypatch.setattr(locate_tool, "confidence", lambda record, p, of, budget: called.update(budget=budget) or told)
-    return locate_tool.main(list(arguments)), called
+    return locate_tool._locate(list(arguments)), called
 
 
 def test_what_a_command_line_asks_for(monkeypatch, capsys):

@@ -16,7 +16,7 @@ from typing import Any
 from softrig_core import ScenarioError
 from softrig_core.bits import pin
 from softrig_core.command_line import Parser, without_ros
-from softrig_core.guard import guarded, quietly
+from softrig_core.guard import guarded, quietly, say
 from softrig_core.needs import join_prefix
 
 from .verbs import declared
@@ -51,11 +51,6 @@ FOREIGN = {
         "controllers of a scenario as function blocks in structured text, for a PLC",
     ),
     "export": ("softrig_control.fmu.export", "main", "nodes of a scenario as FMUs or C, for other tools"),
-    "locate": (
-        "softrig_power.fault_location.locate_tool",
-        "main",
-        "locate the fault in a record of a transmission line",
-    ),
 }
 # of scripts/softrig itself, which never get here
 SCRIPT = {
@@ -68,15 +63,16 @@ SCRIPT = {
 GROUPS = {
     "run and look": ("run", "view", "report", "draw", "list"),
     "vary": ("study", "falsify"),
-    "judge": ("check", "results", "golden"),
+    "judge": ("check", "golden"),
     "analyse": ("linearise", "steady"),
     "ROS and bags": ("node", "set", "bag"),
-    "own work": ("new", "export", "pack", "locate"),
+    "own work": ("new", "export", "pack"),
     "set-up": ("setup", "env", "python", "docs", "bench"),
 }
 VERBS = {verb for verbs in GROUPS.values() for verb in verbs}
-# before 0.2: what a word has become
+# what a word has become
 FORMER = {
+    "locate": "node softrig_power locate",
     "signals": "list --signals SCENARIO",
     "figures": "list --figures [NAME]",
     "plot": "draw plot RUN",
@@ -118,7 +114,7 @@ MEANT = {
     "install": "softrig setup",
     "ros2": "softrig env ros2",
 }
-_STOPPABLE = ("verbs.results", "study.page", "verbs.check", "falsify.outcome")  # others listen where they run a rig
+_STOPPABLE = ("study.page", "verbs.check", "falsify.outcome")  # others listen where they run a rig
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -148,6 +144,7 @@ def _verb(arguments: list[str]) -> int:
         arguments = ["--version"]
     if arguments and arguments[0] in FORMER:
         raise ScenarioError(f"`softrig {arguments[0]}` is `softrig {FORMER[arguments[0]]}` now")
+    arguments = _judging(arguments)
     if not asks and arguments and not arguments[0].startswith("-") and arguments[0] not in VERBS:
         _check_verb(arguments[0])
     if not asks and _of_the_script(arguments):
@@ -161,6 +158,19 @@ def _verb(arguments: list[str]) -> int:
     options.words = arguments
     with quietly() if getattr(options, "quiet", False) else nullcontext():
         return int(options.verb(options))
+
+
+def _judging(arguments: list[str]) -> list[str]:
+    """Return the form of today of `results` and `golden --check`, which work until 0.4."""
+    if arguments[:1] == ["results"]:
+        now = ["check", "--claims", *arguments[1:]]
+    elif arguments[:1] == ["golden"] and "--check" in arguments:
+        now = ["check", "--golden", *(word for word in arguments[1:] if word != "--check")]
+    else:
+        return arguments
+    old = "results" if arguments[0] == "results" else "golden --check"
+    say(f"`{old}` is `check {now[1]}` now; the old form works until softrig 0.4")
+    return now
 
 
 def _check_verb(word: str) -> None:

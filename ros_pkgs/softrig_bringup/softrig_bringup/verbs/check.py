@@ -1,4 +1,4 @@
-"""`softrig check`: figures, requirements and claims of many scenarios, for continuous integration."""
+"""`softrig check`: what many scenarios expect, the claims of papers and golden bags, for continuous integration."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from ..page.html import write_page
 from ..page.junit import Case, Suite, write_reports
 from ..page.wording import NEVER, accepted, spans
 
+# the options of each kind of judging, as they are declared
+OWN = {"": ("against", "marks", "html"), "claims": ("out", "studies"), "golden": ("node", "bags")}
 KEPT = ("figures", "expect", "claims", "requirements")  # what --against takes from its own file
 COMPARED = ("nodes", "shared", "faults", "changes", "duration", "seed")  # of what is judged, beside them
 
@@ -38,12 +40,31 @@ class Judged(NamedTuple):
 
 def main(options: argparse.Namespace) -> int:
     """Run scenarios in process and judge them; 1 when something does not hold, 2 for bad input, 3 when a run broke."""
+    kind = next((name for name in ("claims", "golden") if getattr(options, name)), "")
+    for other, names in OWN.items():
+        if wrong := [name for name in names if other != kind and getattr(options, name)]:
+            of = f"--{other}" if other else "scenarios"
+            raise ScenarioError(f"--{wrong[0].replace('node', 'with')} belongs to `check` of {of}")
+    if kind == "claims":
+        from . import results
+
+        return results.main(options)
+    if kind == "golden":
+        from . import golden
+
+        return golden.check(options)
+    return _expectations(options)
+
+
+def _expectations(options: argparse.Namespace) -> int:
+    if not options.scenarios:
+        raise ScenarioError("check: expected scenarios (names or files), --claims or --golden")
     for path in (options.junit, options.json, options.marks, options.html):
         if path is not None and not path.absolute().parent.is_dir():
             raise ScenarioError(f"{path}: there is no folder {path.absolute().parent}")
     if options.against:  # the one that judges all
         figures_of(rig_of(load_scenario(options.against)))
-    works = [Judged(_called(name), name, options.against) for name in options.scenarios]
+    works = [Judged(_called(name), name, options.against or "") for name in options.scenarios]
     outcomes = sweep(judge, works, title="check", workers=options.workers)
     suites = [suite_of(outcome) for outcome in outcomes]
     for suite, outcome in zip(suites, outcomes, strict=True):
@@ -61,7 +82,7 @@ def main(options: argparse.Namespace) -> int:
     if options.marks is not None:
         replace(options.marks, _marks(suites))
     if options.html is not None:
-        write_page(options.html, "check", checked(suites, outcomes, options.against))
+        write_page(options.html, "check", checked(suites, outcomes, options.against or ""))
     if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
         of = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
         say(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")

@@ -314,12 +314,20 @@ def _workers(parser: argparse.ArgumentParser) -> None:
 
 def _judge(verb: Verb) -> None:
     check = verb(
-        "check", "verbs.check:main", "figures, requirements and claims of many scenarios, for continuous integration"
+        "check",
+        "verbs.check:main",
+        "judge many scenarios, for continuous integration: what they expect, the claims of papers, golden bags",
     )
-    check.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
+    check.add_argument(
+        "scenarios", nargs="*", metavar="SCENARIO", help="names or files; with --claims names of systems, too"
+    )
+    kinds = check.add_mutually_exclusive_group()
+    kinds.add_argument(
+        "--claims", action="store_true", help="every claim of the papers (all systems where none is named)"
+    )
+    kinds.add_argument("--golden", action="store_true", help="golden bags, see `golden` (all where none is named)")
     check.add_argument(
         "--against",
-        default="",
         metavar="FILE",
         help="what is measured and expected is that of this scenario, whatever the others say; names what else differs",
     )
@@ -327,32 +335,28 @@ def _judge(verb: Verb) -> None:
         "--marks", type=Path, metavar="FILE", help="a row of CSV a scenario: how much holds, and each value"
     )
     check.add_argument("--html", type=Path, metavar="FILE", help="report as a page: which hold, and why others do not")
-    results = verb("results", "verbs.results:main", "hold every claim of the papers against what is measured now")
-    results.add_argument("systems", nargs="*", metavar="SYSTEM", help="default: all")
-    results.add_argument(
+    check.add_argument(
         "--out",
         type=Path,
-        default=Path("runs/results"),
         metavar="DIR",
-        help="results.html and .md, or results_SYSTEM.html, go here (runs/results)",
+        help="of --claims: results.html and .md, or results_SYSTEM.html, go here (runs/results)",
     )
-    results.add_argument("--studies", action="store_true", help="the claims of studies too: hundreds of runs")
-    golden = verb("golden", "verbs.golden:main", "record golden bags again and show the difference, or check them")
+    check.add_argument("--studies", action="store_true", help="of --claims: those of studies too, hundreds of runs")
+    golden = verb("golden", "verbs.golden:main", "record golden bags and show the difference; `check --golden` judges")
     golden.add_argument("names", nargs="*", metavar="SCENARIO", help="default: all that are there")
-    golden.add_argument("--check", action="store_true", help="only compare; exit status 1 when one differs")
     golden.add_argument("--differing", action="store_true", help="record again only the bags that differ")
-    golden.add_argument(
-        "--with", dest="node", metavar="NODE", help="only bags of scenarios with a node of this name or executable"
-    )
     golden.add_argument(
         "--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="another length of the golden run"
     )
     golden.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="another seed")
-    golden.add_argument("--bags", type=Path, default=Path("bags"), metavar="DIR", help="where they are")
-    for parser in (check, results, golden):
-        parser.add_argument("--workers", type=Number(int, 1, 1000), metavar="N", help="processes (default: all cores)")
-        parser.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
-        parser.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
+    for parser, of in ((check, "of --golden: "), (golden, "")):
+        parser.add_argument(
+            "--with", dest="node", metavar="NODE", help=f"{of}only scenarios with a node of this name or executable"
+        )
+        parser.add_argument("--bags", type=Path, metavar="DIR", help=f"{of}where they are (bags)")
+    check.add_argument("--workers", type=Number(int, 1, 1000), metavar="N", help="processes (default: all cores)")
+    check.add_argument("--junit", type=Path, metavar="FILE", help="report as JUnit XML")
+    check.add_argument("--json", type=Path, metavar="FILE", help="report as JSON")
 
 
 def _analyse(verb: Verb) -> None:

@@ -349,50 +349,54 @@ def _write(file: Path, recipe: Recipe) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Regenerate golden bags (all of the folder when none is named), or only check them; returns the exit status.
+    """Record golden bags again (all of the folder when none is named) and show the difference.
 
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
     """
-    folder, check, differing = options.bags, options.check, options.differing
     changes = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
-    if check and changes:
-        given = " and ".join(f"--{key}" for key in changes)
-        raise ScenarioError(f"golden --check with {given}: expected --check alone, a bag is checked as it was made")
-    if check and differing:
-        raise ScenarioError("golden --check with --differing: expected one of them, --check writes no bag")
-    for option in ("junit", "json") if not check else ():
-        if getattr(options, option) is not None:
-            raise ScenarioError(f"golden --{option}: goes with --check")
-    chosen = options.names or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
-    if not chosen:
-        raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios to make them of")
-    if options.node is not None:
-        chosen = _with(options.node, folder, chosen)
+    folder, chosen = _chosen(options, options.names)
+    works = [(folder / name, changes, False, options.differing) for name in chosen]
+    for row, new, _ in sweep(_one, works, title="golden bags", workers=1):
+        _say(folder, row, new)
+    return 0
+
+
+def check(options: argparse.Namespace) -> int:
+    """Run the scenarios of golden bags (all of the folder when none is named) and compare; 1 when one differs."""
+    folder, chosen = _chosen(options, options.scenarios)
+    for name in chosen:  # what is wrong with a recipe is said before the first run
+        _read(folder / name, {})
     suites, content = [], []
     elsewhere: set[str] = set()
-    for name in chosen if check else ():  # what is wrong with a recipe is said before the first run
-        _read(folder / name, changes)
-    works = [(folder / name, changes, check, differing) for name in chosen]
-    for row, new, others in sweep(_one, works, title="golden bags", workers=options.workers if check else 1):
-        name, length = row["bag"], f"{row['duration_s']:g} s"
-        size = sum(f.stat().st_size for f in (folder / name / "bag").glob("*")) / 1e3
-        print(
-            f"{name}: {length}, {size:.0f} kB, "
-            + ("new" if new else f"{'agrees' if row['pass'] else 'DIFFERS'} {row['compared']}")
-        )
-        if not row["pass"]:
-            print(row["differs"])
-        suites.append(Suite(name, row["wall_s"], [Case("bag", row["differs"], length)]))
+    works: list[tuple[Path, dict[str, Any], bool, bool]] = [(folder / name, {}, True, False) for name in chosen]
+    for row, _, others in sweep(_one, works, title="golden bags", workers=options.workers):
+        _say(folder, row)
+        length = f"{row['duration_s']:g} s"
+        suites.append(Suite(row["bag"], row["wall_s"], [Case("bag", row["differs"], length)]))
         content.append(row)
         elsewhere |= others
     write_reports(options.junit, suites, options.json, content)
-    if check:
-        now = versions()
-        here = (
-            f"{now['machine']}, CPython {now['python']}, {now.get('libc') or 'unknown C library'}, math {now['math']}"
-        )
-        print(f'{here}: in bits.md the line "{line(elsewhere)}"')
-    return 1 if check and not all(row["pass"] for row in content) else 0
+    now = versions()
+    here = f"{now['machine']}, CPython {now['python']}, {now.get('libc') or 'unknown C library'}, math {now['math']}"
+    print(f'{here}: in bits.md the line "{line(elsewhere)}"')
+    return 0 if all(row["pass"] for row in content) else 1
+
+
+def _chosen(options: argparse.Namespace, named: Sequence[str]) -> tuple[Path, list[str]]:
+    """Return the folder of golden bags, and the names of those that are asked for."""
+    folder = options.bags or Path("bags")
+    chosen = list(named) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
+    if not chosen:
+        raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios: `softrig golden SCENARIO`")
+    return folder, chosen if options.node is None else _with(options.node, folder, chosen)
+
+
+def _say(folder: Path, row: dict[str, Any], new: bool = False) -> None:
+    size = sum(f.stat().st_size for f in (folder / row["bag"] / "bag").glob("*")) / 1e3
+    verdict = "new" if new else f"{'agrees' if row['pass'] else 'DIFFERS'} {row['compared']}"
+    print(f"{row['bag']}: {row['duration_s']:g} s, {size:.0f} kB, {verdict}")
+    if not row["pass"]:
+        print(row["differs"])
 
 
 def _with(node: str, folder: Path, names: Iterable[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""`softrig results`: every claim of the papers held against what is measured now."""
+"""`softrig check --claims`: every claim of the papers held against what is measured now."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ from ..study.definition import list_studies, load_study
 from ..study.engine import OtherContentError, made_of, run_study
 from ..study.table import claims, results, without_signals
 from .results_page import command, counts, html, markdown
+
+RESULTS = Path("runs/results")
 
 
 class Measured(NamedTuple):
@@ -213,7 +215,7 @@ def left_out(systems: Sequence[str]) -> str:
 
 def main(options: argparse.Namespace) -> int:
     """Write results.html and results.md into a directory; 1 when a verdict is false or cannot be checked."""
-    systems, out = options.systems, options.out
+    systems, out = options.scenarios, options.out or RESULTS
     name = "_".join(["results", *systems])  # of some systems: beside the page of all
     scenarios = claiming(systems)
     if not scenarios:

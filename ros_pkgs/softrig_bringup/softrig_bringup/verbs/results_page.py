@@ -1,4 +1,4 @@
-"""The page of `softrig results`: per paper every claim with what was measured, as HTML and as Markdown."""
+"""The page of `softrig check --claims`: per paper every claim with what was measured, as HTML and as Markdown."""
 
 from __future__ import annotations
 
@@ -111,7 +111,12 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
 
 def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = "") -> str:
     """Create the Markdown page; see `html`."""
-    lines = ["# What the papers say, and what holds", "", f"{counts(rows)}. Made by `scripts/softrig results`.", ""]
+    lines = [
+        "# What the papers say, and what holds",
+        "",
+        f"{counts(rows)}. Made by `scripts/softrig check --claims`.",
+        "",
+    ]
     lines += [f"{without}.", ""] if without else []
     lines += ["| system | " + " | ".join(v.replace("_", " ") for v in VERDICTS) + " |", "|---" * 6 + "|"]
     groups = list(by_system(scenarios, rows))

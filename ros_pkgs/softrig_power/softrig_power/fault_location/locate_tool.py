@@ -1,4 +1,4 @@
-"""`softrig locate`: a fault record from a COMTRADE file or a bag to the place of the fault, with its confidence."""
+"""`ros2 run softrig_power locate`: the place of a fault and its confidence, from a COMTRADE file or a bag."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
 from softrig_core import ParameterError, Recording, RunError, ScenarioError, Signals, vector3
 from softrig_core.block.params import build
-from softrig_core.command_line import Number, named
+from softrig_core.command_line import Number, named, without_ros
+from softrig_core.guard import guarded
 from softrig_core.wire.cdr import parse
 
 from .line.line_file import line_data
@@ -28,9 +29,13 @@ from .records.record import COLUMNS, GROUPS, TOPICS, Record, RecordError
 EPOCH = 10**15
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Read, locate, tell; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
-    options = _parser().parse_args(arguments)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read, locate, report; 0 when the fault has a position, 1 when not, 2 for input that cannot be used."""
+    return guarded(lambda: _locate(sys.argv[1:] if arguments is None else arguments))
+
+
+def _locate(arguments: Sequence[str]) -> int:
+    options = _parser().parse_args(without_ros(arguments))
     try:
         # Bad parameters are refused before a large file is read.
         _params(options)
@@ -96,7 +101,7 @@ def to_bag(record: Record, path: Path) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="softrig locate",
+        prog="locate",
         description="Locate a line fault from records of both ends.",
         epilog="The line's data are required, by --line or all four by --set line.length=... --set line.r1=... --set "
         "line.l1=... --set line.c1=...",
