@@ -1,6 +1,13 @@
 """A middleware that is moved by hand: nothing happens in it but what a test does; what the node does to it is kept."""
 
-from softrig_nodes.seam.middleware import Middleware, Peer
+from softrig_nodes.seam.middleware import Middleware, Peer, Reader
+
+
+class Listening(Reader):
+    """Hands what comes to functions."""
+
+    def __init__(self, receive, matched=lambda count: None):
+        self.receive, self.matched = receive, matched
 
 
 class HandTimer:
@@ -37,8 +44,8 @@ class Hand(Middleware):
         self.matched[topic] = matched
         return self.said.setdefault(topic, []).append
 
-    def subscribe(self, topic, msgtype, receive, matched, numbered=None):
-        self.heard[topic], self.matched[topic] = receive, matched
+    def subscribe(self, topic, msgtype, reader):
+        self.heard[topic], self.matched[topic] = reader.receive, reader.matched
 
     def be_prompt(self, place):
         self.place = place

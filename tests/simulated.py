@@ -265,9 +265,9 @@ class SimulatedNode(Middleware):
         self.world.add(end)
         return lambda data: self.world.send(end, data)
 
-    def subscribe(self, topic, msgtype, receive, matched, numbered=None, fits=True):
-        name, now = self.resolve(topic), self.world.now
-        self.world.add(Endpoint(self, name, msgtype, receive, matched, now, fits=fits, numbered=numbered))
+    def subscribe(self, topic, msgtype, reader, fits=True):
+        name, now, receive = self.resolve(topic), self.world.now, reader.receive
+        self.world.add(Endpoint(self, name, msgtype, receive, reader.matched, now, fits=fits, numbered=reader.numbered))
 
     def post(self, call):
         self.world.at(self.world.now, call)  # of the process, which outlives the node

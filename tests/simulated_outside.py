@@ -2,6 +2,7 @@
 
 from functools import partial
 
+from by_hand import Listening
 from simulated import SimulatedNode, SimulatedTimer
 from softrig_core import Port
 
@@ -69,7 +70,7 @@ class SimulatedOutside:
             if port is calls:
                 self._called(self.caller.time(next(count)) if by_order else _stamp(data))
 
-        self.node.subscribe(port.topic, port.msgtype, receive, lambda count: None)
+        self.node.subscribe(port.topic, port.msgtype, Listening(receive))
 
     def _start(self):
         if len(self.writers) == len(self.said) and all(there >= n for n, there in self.needs.values()) and self.heard:

@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -19,7 +19,7 @@ from .console import console
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "ros_pkgs/softrig_bringup/doc/lab/against.md"
-MARKS = re.compile(r"(<!-- against -->\n).*(<!-- end -->)", re.DOTALL)
+MARKS = r"(<!-- {} -->\n).*?(<!-- end -->)"
 RUN = "run dc_motor_smc_b2 --mode inprocess --out"
 # by what a person waits for: words after scripts/softrig; OUT is a new place, made is what `PREPARED` has left
 COMMANDS = {
@@ -36,6 +36,20 @@ COMMANDS = {
     "--draws 400 --out OUT",
 }
 PREPARED = f"{RUN} made"
+# One scenario of each system, at its full length.
+SCENARIOS = (
+    "dc_motor_smc", "dc_motor_fsfb", "induction_dtc", "lsrm_fuzzy", "tcp_aqm_smc", "manipulator_adsmc",
+    "rehab_impedance", "gupfc", "pv_mppt", "rectifier_mpc", "pwa_delay", "fault_location", "optimal_control_mvim",
+    "economic_dispatch",
+)  # fmt: skip
+MODES = {"plain": {"SOFTRIG_JIT": "0"}, "default": {}}  # of Python alone, and as it is chosen
+WHOLE = """
+import sys, time
+from softrig_core import simulate
+begun = time.process_time()
+simulate(sys.argv[1])
+print(time.process_time() - begun)
+"""
 
 
 def built(commit: str) -> Path:
@@ -121,6 +135,47 @@ def rows(found: dict[str, tuple[list[float], list[float]]]) -> list[tuple[str, s
     ]
 
 
+def whole(checkout: Path, scenario: str, settings: Mapping[str, str]) -> float:
+    """Run a scenario in a fresh process of a checkout and return the CPU time from its file to its verdict in s.
+
+    Raises
+    ------
+    ScenarioError
+        It failed; with the end of what it wrote.
+    """
+    command = [str(checkout / "scripts/softrig"), "python", "-c", WHOLE, scenario]
+    found = subprocess.run(command, cwd=checkout, env=plain() | dict(settings), capture_output=True, text=True)
+    if found.returncode:
+        raise ScenarioError(f"{scenario} in {checkout}: status {found.returncode}: {found.stderr[-500:]}")
+    return float(found.stdout.split()[-1])
+
+
+def run_rows(other: Path, names: Sequence[str], rounds: int) -> list[tuple[str, ...]]:
+    """Run scenarios of another checkout and of this one in turn; the first round, which compiles, is left out.
+
+    Returns
+    -------
+    list of tuple of str
+        Scenario; then for each mode the least CPU time before and now, and their ratio.
+    """
+    result: list[tuple[str, ...]] = []
+    for name in names:
+        line = [name]
+        for settings in MODES.values():
+            found = [[whole(place, name, settings) for place in (other, ROOT)] for _ in range(rounds + 1)][1:]
+            before, now = (min(costs) for costs in zip(*found, strict=True))
+            line += [f"{before:.3f}", f"{now:.3f}", f"{now / before:.2f}"]
+        result.append(tuple(line))
+        console.print(*line)
+    return result
+
+
+def written(mark: str, lines: Sequence[tuple[str, ...]]) -> str:
+    """Return the page of measurements with a table in place of the one that has this mark."""
+    text = "\n".join(f"| {' | '.join(line)} |" for line in (lines[0], ("---",) * len(lines[0]), *lines[1:]))
+    return re.sub(MARKS.format(mark), lambda m: f"{m[1]}{text}\n{m[2]}", PAGE.read_text(), flags=re.DOTALL)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Build a commit beside this checkout, run the same commands in both in turn, and print the table."""
     parser = argparse.ArgumentParser(
@@ -132,20 +187,25 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("commit", metavar="COMMIT", help="what to compare with")
     parser.add_argument("names", nargs="*", metavar="NAME", help="beginnings of the commands to run (default: all)")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of each command, in turn (default: 3)")
+    parser.add_argument("--runs", action="store_true", help="whole runs of scenarios in place of commands, least times")
     parser.add_argument("--write", action="store_true", help=f"write the table to {PAGE.relative_to(ROOT)}")
     options = parser.parse_args(arguments)
     if options.rounds < 1:
         parser.error(f"--rounds {options.rounds}: expected at least 1")
-    names = [n for n in COMMANDS if not options.names or n.startswith(tuple(options.names))]
+    kind, known = ("scenario", SCENARIOS) if options.runs else ("command", tuple(COMMANDS))
+    names = [n for n in known if not options.names or n.startswith(tuple(options.names))]
     if not names:
-        parser.error(f"no command begins with {', '.join(options.names)}; there are {', '.join(COMMANDS)}")
-    heads = ("command", "CPU s before", "CPU s now", "ratio")
-    lines = rows(compared(built(options.commit), names, options.rounds))
-    table = Table(*heads)
-    for line in lines:
+        parser.error(f"no {kind} begins with {', '.join(options.names)}; there are {', '.join(known)}")
+    other = built(options.commit)
+    if options.runs:
+        heads = ("scenario", *(f"{mode}, {what}" for mode in MODES for what in ("s before", "s now", "ratio")))
+        lines = [heads, *run_rows(other, names, options.rounds)]
+    else:
+        lines = [("command", "CPU s before", "CPU s now", "ratio"), *rows(compared(other, names, options.rounds))]
+    table = Table(*lines[0])
+    for line in lines[1:]:
         table.add_row(*line)
     console.print(table)
     if options.write:
-        text = "\n".join(f"| {' | '.join(line)} |" for line in (heads, ("---",) * len(heads), *lines))
-        PAGE.write_text(MARKS.sub(lambda m: f"{m[1]}{text}\n{m[2]}", PAGE.read_text()))
+        PAGE.write_text(written("runs" if options.runs else "against", lines))
     return 0

@@ -1,6 +1,7 @@
 """The walks of house.md are those of the code: each function is there, and calls or names the next one."""
 
 import ast
+import importlib
 import re
 from pathlib import Path
 
@@ -10,28 +11,73 @@ from softrig_core.block.loop import Loop
 from softrig_core.native.rig_text import rig_text
 from softrig_core.run.inprocess import wired
 
+# how each function of the walk names the one below it
+NAMES = ("receive", "came", "_arrived", "turn", "ticks", "_answer", "say", "say", "asked", "respond", "ask", "update")
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 PAGE = (PACKAGES / "softrig_core/doc/house.md").read_text()
 MESSAGE, PRINTED = (
     re.findall(r"^\| `(\S+\.py)` \| `([\w.]+)` \|", part.split("<!-- end -->")[0], flags=re.M)
     for part in PAGE.split("<!-- walk -->")[1:]
 )
-# how a function names the one below it in the table
-CALLS = ("receive", "receive", "came", "", "_arrived", "turn", "_ticks", "say", "asked", "ask", "")
+
+
+def located(module, name):
+    """The file of a function or method of the packages, and its syntax tree."""
+    package, _, rest = module.partition("/")
+    file = PACKAGES / package / package / rest
+    node = ast.parse(file.read_text())
+    for part in name.split("."):
+        node = next(n for n in node.body if getattr(n, "name", "") == part)
+    return file, node
 
 
 def source(module, name):
     """The text of a function or method of a module of the packages."""
-    package, _, rest = module.partition("/")
-    node = ast.parse(text := (PACKAGES / package / package / rest).read_text())
-    for part in name.split("."):
-        node = next(n for n in node.body if getattr(n, "name", "") == part)
-    return ast.get_source_segment(text, node)
+    file, node = located(module, name)
+    return ast.get_source_segment(file.read_text(), node)
 
 
-@pytest.mark.parametrize(("place", "then"), list(zip(MESSAGE, CALLS, strict=True)), ids=lambda v: str(v))
-def test_a_message_goes_the_way_that_the_page_tells(place, then):
-    assert re.search(rf"\b{then}\b", source(*place).partition("\n")[2])
+@pytest.mark.parametrize(("place", "name"), list(zip(MESSAGE[:-1], NAMES, strict=True)), ids=lambda v: str(v))
+def test_a_message_goes_the_way_that_the_page_tells(place, name):
+    assert re.search(rf"\b{name}\b", source(*place).partition("\n")[2])
+
+
+def dotted(module, name):
+    return f"{module.removesuffix('.py').replace('/', '.')}.{name}"
+
+
+def overridden(module, name):
+    """The methods that one overrides, by full name."""
+    made, _, method = name.rpartition(".")
+    there = importlib.import_module(module.removesuffix(".py").replace("/", "."))
+    return {f"{c.__module__}.{c.__qualname__}.{method}" for c in getattr(there, made).__mro__} if made else set()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("place", "name", "then"), list(zip(MESSAGE[:-1], NAMES, MESSAGE[1:], strict=True)))
+def test_a_message_can_be_followed_by_go_to_definition(place, name, then):
+    """It leads to the next function, to what that overrides, or to the assignment of an attribute that leads there."""
+    jedi = pytest.importorskip("jedi")
+    project = jedi.Project(PACKAGES, added_sys_path=[str(PACKAGES / p) for p in ("softrig_core", "softrig_nodes")])
+    wanted = {dotted(*then)} | overridden(*then)
+
+    def definitions(file, node, name):
+        script = jedi.Script(path=file, project=project)
+        for one in ast.walk(node):
+            if name in (getattr(one, "attr", None), getattr(one, "id", None)):
+                end = isinstance(one, ast.Attribute)
+                where = (one.end_lineno, one.end_col_offset - 1) if end else (one.lineno, one.col_offset)
+                yield from script.goto(*where, follow_imports=True)
+
+    def assigned(definition):
+        tree = ast.parse(Path(definition.module_path).read_text())
+        lines = [n.value for n in ast.walk(tree) if isinstance(n, ast.Assign) and n.lineno == definition.line]
+        for value in lines:
+            yield from definitions(definition.module_path, value, then[1].rpartition(".")[2])
+
+    first = list(definitions(*located(*place), name))
+    second = [d for one in first if one.type == "statement" for d in assigned(one)]
+    assert wanted & {d.full_name for d in (*first, *second)}
 
 
 @pytest.mark.parametrize("place", PRINTED, ids=lambda v: v[1])

@@ -39,7 +39,7 @@ LIMITS = {
     "softrig_nodes.realtime.stand": {"LEAD": 50 * MS, "NEVER": 2**63 - 1},
     # nodes of one process, ns but for GRACE; calls and messages
     "softrig_nodes.container": {"LOOK": 100 * MS, "SPIN": 300_000, "GRACE": 1.0},
-    "softrig_nodes.group": {"SLICE": 5 * MS},
+    "softrig_nodes.lockstep.turns": {"SLICE": 5 * MS},
     "softrig_nodes.seam.exchange": {"BATCH": 16, "BURST": 8, "SLACK": 150_000, "SLICE": 5 * MS},
     "softrig_nodes.seam.monitor": {"LONG": 5 * MS, "SHORT_ONES": 20},
     "softrig_nodes.ros.garbage": {"CLEAN": 100, "UNCLEAN": 10},

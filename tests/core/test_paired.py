@@ -49,7 +49,7 @@ class Reader:
         self.refusals, self.failures, self.notes, self.waits_for = [], [], [], []
         self.block = None
         self.turns, self.inputs = 0, []
-        self.table = PairedSenders(self, self._turn)
+        self.table = PairedSenders(self, SimpleNamespace(turn=self._turn))
 
     def _turn(self):
         self.turns += 1

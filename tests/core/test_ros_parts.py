@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
-from by_hand import Hand
+from by_hand import Hand, Listening
 from faultrig import Gain, Lag
 from rclpy.parameter import Parameter
 from softrig_core import Block, Observer, joint_state, number
@@ -597,8 +597,8 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
         return SimpleNamespace(step=lambda: heard.append("processor"), number=3)
 
     monkeypatch.setattr(ros, "Processor", processor)
-    middleware.subscribe("a", "std_msgs/msg/Float64", heard.append, heard.append)
-    middleware.subscribe("own", "std_msgs/msg/Float64", heard.append, heard.append)
+    middleware.subscribe("a", "std_msgs/msg/Float64", Listening(heard.append, heard.append))
+    middleware.subscribe("own", "std_msgs/msg/Float64", Listening(heard.append, heard.append))
     first, own = node._subscriptions
     assert (first.raw, first.profile.depth) == (True, 10)
     first.take(b"x")
@@ -639,7 +639,7 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
         RosMiddleware(held).close()
     assert heard[-1] == 2.0
     anywhere = RosMiddleware(Rcl())
-    anywhere.subscribe("a", "std_msgs/msg/Float64", heard.append, heard.append)
+    anywhere.subscribe("a", "std_msgs/msg/Float64", Listening(heard.append, heard.append))
     anywhere.node.waitables = ["event of a"]
     anywhere.be_prompt("anywhere")
     assert (len(processors), anywhere.prompt, len(anywhere.node.timers)) == (1, True, 2)
@@ -721,7 +721,7 @@ def test_in_a_container_messages_go_through_its_queue_and_to_others_only_while_t
     publish(b"b")
     exchange.flush()
     assert (node.said, log) == ([b"b"], [1])
-    middleware.subscribe("u", "std_msgs/msg/Float64", log.append, log.append)
+    middleware.subscribe("u", "std_msgs/msg/Float64", Listening(log.append, log.append))
     (subscription,) = node._subscriptions
     subscription.event_callbacks.matched(SimpleNamespace(current_count=2))
     assert (exchange.listens, log) == (True, [1, 2])

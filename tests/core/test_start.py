@@ -14,7 +14,7 @@ from softrig_core.block.block import Level
 from softrig_core.rig.options import InputLink, Links, RunOptions
 from softrig_core.wire.cdr import parse
 from softrig_core.wire.recording import ShardWriter
-from softrig_nodes import container as containers, group as group_module
+from softrig_nodes import container as containers
 from softrig_nodes.adapter import adapter as adapters
 from softrig_nodes.adapter.adapter import Adapter
 from softrig_nodes.adapter.departure import READY, START, Departure
@@ -23,8 +23,9 @@ from softrig_nodes.adapter.handshake import Handshake
 from softrig_nodes.adapter.spin import conclude, failure
 from softrig_nodes.container import Container, split
 from softrig_nodes.group import Group
-from softrig_nodes.lockstep import comeback as comebacks
+from softrig_nodes.lockstep import comeback as comebacks, turns as turns_module
 from softrig_nodes.lockstep.comeback import Comeback, Spoken
+from softrig_nodes.lockstep.turns import Turns
 from softrig_nodes.seam.endpoint import Input, Output
 from softrig_nodes.seam.exchange import Exchange
 from softrig_nodes.seam.tick import TICK, TickReader, TickWriter
@@ -551,7 +552,7 @@ def test_ticks_of_a_process_keep_a_timer_waiting_for_five_ms_and_stop_where_one_
         clock.now += MS
         return clock.now
 
-    monkeypatch.setattr(group_module, "time", SimpleNamespace(monotonic_ns=monotonic_ns))
+    monkeypatch.setattr(turns_module, "time", SimpleNamespace(monotonic_ns=monotonic_ns))
     hand, taken = Hand(), []
 
     def ticks():
@@ -559,17 +560,18 @@ def test_ticks_of_a_process_keep_a_timer_waiting_for_five_ms_and_stop_where_one_
             taken.append(k)
             yield None if k == 15 else k
 
-    group = object.__new__(Group)
-    group.nodes, group._ticks = [SimpleNamespace(state="running", middleware=hand)], ticks()
-    group.turn()
-    assert (len(taken), hand.posted) == (7, [group.turn])  # the limit is set with the first of them
+    node = SimpleNamespace(state="running", middleware=hand)
+    turns = Turns([node])
+    turns.ticks = ticks()
+    turns.turn()
+    assert (len(taken), hand.posted) == (7, [turns.turn])  # the limit is set with the first of them
     hand.posted.pop()()
-    assert (len(taken), hand.posted) == (14, [group.turn])
+    assert (len(taken), hand.posted) == (14, [turns.turn])
     hand.posted.pop()()
     assert (taken[-1], hand.posted) == (15, [])
     for state, more in (("starting", 0), ("failed", 0), ("done", 4)):
-        before, group.nodes[0].state = len(taken), state
-        group.turn()
+        before, node.state = len(taken), state
+        turns.turn()
         assert len(taken) == before + more
 
 
@@ -586,9 +588,9 @@ def test_a_block_that_fails_ends_the_run_in_the_name_of_its_node():
         SimpleNamespace(state="running", step=SimpleNamespace(name=n), broke=broken.append) for n in ("plant", "law")
     ]
     nodes[0].broke = None
-    group = object.__new__(Group)
-    group.nodes, group._ticks = nodes, ticks()
-    group.turn()
+    turns = Turns(nodes)
+    turns.ticks = ticks()
+    turns.turn()
     assert [str(e) for e in broken] == ["law: failed"]
 
 

@@ -72,9 +72,9 @@ class Contained:
             self.readers[name] = matched
             return self.carried.setdefault(name, []).append
 
-        def subscribe(middleware, topic, msgtype, receive, matched, numbered=None):
-            self.writers[middleware.name, middleware.resolve(topic)] = matched
-            self.receivers[middleware.name, middleware.resolve(topic)] = receive
+        def subscribe(middleware, topic, msgtype, reader):
+            self.writers[middleware.name, middleware.resolve(topic)] = reader.matched
+            self.receivers[middleware.name, middleware.resolve(topic)] = reader.receive
 
         monkeypatch.setattr(ros.RosMiddleware, "publisher", publisher)
         monkeypatch.setattr(ros.RosMiddleware, "subscribe", subscribe)

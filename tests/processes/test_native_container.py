@@ -14,9 +14,9 @@ from softrig_core.native.engine import Engine
 from softrig_core.rig.options import RunOptions
 from softrig_core.run import choice
 from softrig_core.wire.parameter_event import TOPIC as EVENTS
-from softrig_nodes import group
 from softrig_nodes.adapter.adapter import Adapter
 from softrig_nodes.group import Group
+from softrig_nodes.lockstep import turns
 from softrig_nodes.processes.spawning import node_parameters
 
 
@@ -36,7 +36,7 @@ class Container:
         if make is None:
             monkeypatch.setattr(Engine, "_compile_beside", lambda self, k: False)
         monkeypatch.setattr(engine, "LOOK", 5)
-        monkeypatch.setattr(group, "SLICE", -1)  # a look at the others after each go
+        monkeypatch.setattr(turns, "SLICE", -1)  # a look at the others after each go
         monkeypatch.setattr(SimulatedNode, "mute", True)
         self.rig, self.world, self.folder, process = rig, World(), folder, object()
         self.adapters, self.nodes = {}, {}

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
+from by_hand import Listening
 from conftest import differences, in_process, make_scenario, until
 from faultrig import COMMAND, Gain, Lag
 from rclpy._rclpy_pybind11 import RCLError
@@ -18,9 +19,9 @@ from simulated import Discovery, SimulatedNode, SimulatedRig, World
 from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
 from softrig_core.rig.options import RunOptions
-from softrig_nodes import group as group_module
 from softrig_nodes.adapter.adapter import Adapter
 from softrig_nodes.group import Group
+from softrig_nodes.lockstep import turns
 from softrig_nodes.processes import supervision
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.guests import Guests
@@ -94,7 +95,7 @@ def test_nobody_waits_for_an_onlooker_who_can_never_be_matched(seed):
     Discovery(world, random.Random(seed))
     rig, expected = rig_and_record("basic")
     person = SimulatedNode(world, "person", {})
-    person.subscribe(COMMAND.topic, COMMAND.msgtype, print, lambda count: None, fits=False)
+    person.subscribe(COMMAND.topic, COMMAND.msgtype, Listening(print), fits=False)
     world.run(world.now + SECOND)
     run = SimulatedRig(rig, world, "lockstep", start_timeout=2.0)
     assert set(run.run(100.0).values()) == {"done"}, {n: str(a.error) for n, a in run.adapters.items()}
@@ -139,7 +140,7 @@ def test_in_real_time_the_start_is_after_the_controller_has_come():
     world, came = run.world, run.world.now
     node = SimulatedNode(world, "somebody", {})
     for port in Gain.INPUTS:
-        node.subscribe(port.topic, port.msgtype, lambda data: None, lambda count: None)
+        node.subscribe(port.topic, port.msgtype, Listening(lambda data: None))
     node.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
     world.run(world.now + 10 * SECOND, lambda: all(a.state == "running" for a in run.adapters.values()))
     (epoch,) = {a.epoch for a in run.adapters.values()}
@@ -154,7 +155,7 @@ def test_a_run_that_takes_longer_than_a_start_may_take_has_begun(groups, monkeyp
     """In a container nobody waits for a message of another process, which is what shows the others."""
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.4))
     world = World(lambda *_: 20 * MS)
-    monkeypatch.setattr(group_module, "SLICE", 0)
+    monkeypatch.setattr(turns, "SLICE", 0)
     monkeypatch.setattr(SimulatedNode, "post", lambda node, call: world.at(world.now + 20 * MS, call))
     run = SimulatedRig(rig, world, "lockstep", groups=groups, start_timeout=0.3, timeout=5.0)
     began = world.now
@@ -182,7 +183,7 @@ def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning(
     node = SimulatedNode(world, "gain", {})
     gain, sent = Adapter(node, Gain(), RunOptions(mode="realtime")), []
     Group([gain])
-    SimulatedNode(world, "plant", {}).subscribe(COMMAND.topic, COMMAND.msgtype, sent.append, lambda count: None)
+    SimulatedNode(world, "plant", {}).subscribe(COMMAND.topic, COMMAND.msgtype, Listening(sent.append))
     world.match()
 
     def say(stamp):
@@ -208,7 +209,7 @@ def test_a_law_by_hand_leaves_with_those_that_it_reads_and_fails_when_they_die(l
     node, player = SimulatedNode(world, "gain", {}), SimulatedNode(world, "player", {})
     gain, sent = Adapter(node, Gain(), RunOptions(mode="lockstep")), []
     Group([gain])
-    player.subscribe(COMMAND.topic, COMMAND.msgtype, sent.append, lambda count: None)
+    player.subscribe(COMMAND.topic, COMMAND.msgtype, Listening(sent.append))
     say = [(p, player.publisher(p.topic, p.msgtype, lambda count: None)) for p in Gain.INPUTS]
     world.match()
     world.run(world.now + 2 * SECOND)
@@ -236,7 +237,7 @@ def test_a_plant_that_needs_commands_stays_at_the_beginning_until_one_comes():
     plant, said = Adapter(node, Needy(), RunOptions(mode="realtime", duration=0.1)), []
     Group([plant])
     state = next(p for p in Needy.OUTPUTS if p.name == "state")
-    law.subscribe(state.topic, state.msgtype, said.append, lambda count: None)
+    law.subscribe(state.topic, state.msgtype, Listening(said.append))
     send = law.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
     world.match()
     begun = world.now

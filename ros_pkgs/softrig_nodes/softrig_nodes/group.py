@@ -6,25 +6,21 @@ of them is written in stretches.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from softrig_core.block.codec import selection
 from softrig_core.block.fill import Pick
-from softrig_core.block.loop import Loop
 from softrig_core.block.port import Refused
 from softrig_core.errors import RunError
-from softrig_core.run.choice import ticks_of
 
 from .adapter.adapter import Adapter
 from .lockstep.lockstep import Lockstep
+from .lockstep.turns import Turns
 from .realtime.beat import Beat
 from .realtime.live import Live
 from .realtime.realtime import Realtime
 from .seam.endpoint import Output
-
-SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
 
 
 class Group:
@@ -55,42 +51,13 @@ class Group:
             for departure in waiting:
                 departure.neighbours = [d for d in waiting if d is not departure]
             return
-        steps = [Lockstep(n, self.turn) for n in nodes]
+        turns = Turns(nodes)
+        steps = [Lockstep(n, turns) for n in nodes]
         links = _links(nodes)
         _feed(links)
-        self._steps = steps
-        members = [n.step for n in _in_order(nodes, links)]
-        if len(nodes) > 1 and all(n.middleware.mute for n in nodes):
-            self._ticks, tell = ticks_of(members, alone=lambda: all(step.alone for step in steps))
-        else:
-            self._ticks, tell = Loop(members).run(), None
+        turns.order([n.step for n in _in_order(nodes, links)], lambda: all(step.alone for step in steps))
         for step in steps:
-            step.join(names - {step.node.middleware.name}, self._begin, self._ticks, tell)
-
-    def _begin(self) -> None:
-        """Run when the peers of all nodes are there."""
-        if all(step.ready for step in self._steps):
-            for node in self.nodes:
-                node.state = "running"
-            self.turn()
-
-    def turn(self) -> None:
-        """Run ticks as long as nothing is missing."""
-        for node in self.nodes:
-            if node.state in ("starting", "failed"):
-                return
-        until = 0
-        try:
-            for t in self._ticks:
-                if t is None:
-                    return
-                if not until:
-                    until = time.monotonic_ns() + SLICE
-                elif time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
-                    self.nodes[0].middleware.post(self.turn)
-                    return
-        except RunError as error:
-            next(n for n in self.nodes if n.step.name == error.node).broke(error)
+            step.join(names - {step.node.middleware.name})
 
 
 class _Link(NamedTuple):

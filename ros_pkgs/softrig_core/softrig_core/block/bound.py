@@ -11,14 +11,15 @@ from collections.abc import Callable, Iterable
 from functools import lru_cache
 from keyword import iskeyword
 from types import CodeType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .answer import sum_of_products
 from .fill import taking
 from .link import Link
 from .port import Port, Sample
 
-Step = Any  # `softrig_core.block.step.Step`, which imports this
+if TYPE_CHECKING:
+    from .step import Step
 
 SAY = """
 def say(t):
@@ -145,7 +146,7 @@ def _say_text(
 def mover(step: Step) -> Callable[..., None]:
     """Create the function that moves a plant on; see `Step.advance`."""
     over = _overriding(step, "over")
-    known = {"move": step.block.advance} | ({} if over is None else {"over": over.over})
+    known = {"move": step.move} | ({} if over is None else {"over": over.over})
     return _made("advance", _move_text(tuple(step.values), over is not None), step, known)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from .answer import Row
 from .port import Port, Sample
 
-Step = Any  # `softrig_core.block.step.Step`, which imports this
+if TYPE_CHECKING:
+    from .step import Step
+
 Stamp = Literal["none", "own", "tick"]
 Pick = tuple[int | float, ...]  # of each number of an input: its place among those of the output, or the number itself
 

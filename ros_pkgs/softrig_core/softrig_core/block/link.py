@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-Step = Any  # `softrig_core.block.step.Step`, which imports this
+    from .step import Step
 
 
 class Link:

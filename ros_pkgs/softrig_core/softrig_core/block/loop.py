@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .schedule import Plan
 
-Step = Any  # `softrig_core.block.step.Step`, which imports this
+if TYPE_CHECKING:
+    from .step import Step
+
 KNOWN = 10_000  # ticks of which it is kept who is due
 YOUNG = 200_000  # new objects between two searches for reference cycles: what a tick makes dies with it
 
@@ -49,7 +51,7 @@ def move(step: Step, t: int, values: Mapping[str, Any] | None = None) -> None:
     """
     step.t = t
     try:
-        step.x = step.block.advance(step.x, t, **(step.values if values is None else values))
+        step.x = step.move(step.x, t, **(step.values if values is None else values))
     except Exception as error:
         step.fail(error)
     step.tell()
@@ -104,7 +106,7 @@ class Loop:
                 lacking = _answer(lacking, t)
             for plant in plants:
                 if k < ends or plan.moves(plant.schedule, k):
-                    while plant.waits and plant.link.lacks(t):
+                    while plant.waits and plant.waits.lacks(t):
                         yield None
                     plant.advance(t)
             yield t
@@ -123,7 +125,7 @@ def _answer(steps: Sequence[Step], t: int) -> list[Step]:
     lacking: list[Step] = []
     for step in steps:
         behind = lacking and any(fill.source in lacking for fill in step.fed.values())
-        if behind or (step.waits and step.link.lacks(t)):
+        if behind or (step.waits and step.waits.lacks(t)):
             lacking.append(step)
         else:
             step.say(t)

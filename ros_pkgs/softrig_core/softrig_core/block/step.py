@@ -67,8 +67,8 @@ class Step(Held):
         Of a solver whose ticks are in two halves: the tick that has begun and is perhaps not answered, ns.
     link : Link or None
         What joins it to what is elsewhere; None: nothing does.
-    waits : bool
-        Whether its link can lack something; the loop asks no other link.
+    waits : Link or None
+        The link that can lack something, which the loop asks; None: nothing can.
     native : (int, str)
         How many of its ticks native code answered, and why Python answered the others.
     """
@@ -120,7 +120,7 @@ class Step(Held):
     def link(self, link: Link | None) -> None:
         self._link = link
         self._asking = None if link is None else link.overriding("respond")
-        self.waits = link is not None and link.overriding("lacks") is not None
+        self.waits = None if link is None else link.overriding("lacks")
         # The text of a turn names what is wired, and more may be wired up to the first tick; that tick goes through the
         # loop's own functions (`loop.say`), so that each run holds both forms against each other once.
         self.say, self.advance = self._first_say, self._first_advance
@@ -147,6 +147,12 @@ class Step(Held):
         if isinstance(block, Plant):
             return block.outputs
         return self._finish_or_update if block.finishes() else block.update
+
+    @property
+    def move(self) -> Callable[..., Any]:
+        """The method of a plant that moves it on."""
+        assert isinstance(self.block, Plant)
+        return self.block.advance
 
     @property
     def asked_for(self) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ MORE = 64
 # The Taylor series is of a matrix with a norm of at most 2^-SMALL, so that each term adds eight bits or more.
 SMALL = 8
 # The most rounds of balancing, and the ratio above which a round is no gain (0.95, as Parlett and Reinsch).
-SWEEPS, ENOUGH = 50, Fraction(95, 100)
+SWEEPS, ENOUGH = 50, (95, 100)
 # A power of two beyond the largest float64.
 LARGEST = 1100
 
@@ -111,19 +111,19 @@ def balance(rows: Rows) -> tuple[Rows, list[int]]:
             if of_row and of_column:
                 shift //= 2
                 after = (of_column << max(0, 2 * shift)) + (of_row << max(0, -2 * shift))
-                if after >= ENOUGH * ((of_column + of_row) << abs(shift)):
+                if ENOUGH[1] * after >= ENOUGH[0] * ((of_column + of_row) << abs(shift)):
                     continue
             if shift:
                 changed = True
                 exponents[i] += shift
     return [
-        [x * Fraction(2) ** (exponents[j] - exponents[i]) for j, x in enumerate(row)] for i, row in enumerate(rows)
+        [_scaled(x, exponents[j] - exponents[i]) for j, x in enumerate(row)] for i, row in enumerate(rows)
     ], exponents
 
 
-def _exponent(x: Fraction) -> int:
-    """Return n with 2^(n-1) < |x| < 2^(n+1); 0 for zero."""
-    return x.numerator.bit_length() - x.denominator.bit_length() if x else 0
+def _scaled(x: Fraction, shift: int) -> Fraction:
+    """Return x 2^shift."""
+    return Fraction(x.numerator << max(0, shift), x.denominator << max(0, -shift)) if shift else x
 
 
 def integers(rows: Rows, bits: int) -> Integers:
@@ -169,11 +169,12 @@ def exponential(rows: Rows, bits: int) -> Integers:
     OverflowError
         An entry grows beyond float64.
     """
-    norm = max(sum(map(abs, row), Fraction(0)) for row in rows)
-    squarings = max(0, _exponent(norm) + 1 + SMALL)
+    unit = math.lcm(*(x.denominator for row in rows for x in row))
+    norm = max(sum(abs(x.numerator) * (unit // x.denominator) for x in row) for row in rows)
+    squarings = max(0, norm.bit_length() - unit.bit_length() + 1 + SMALL) if norm else 0
     # Each squaring doubles the error of what was cut off, so it needs a bit more.
     wide = bits + squarings + 2 * SMALL
-    scaled = integers([[x / 2**squarings for x in row] for row in rows], wide)
+    scaled = integers(rows, wide - squarings)
     one = np.empty_like(scaled)
     one.fill(0)
     np.fill_diagonal(one, 1 << wide)
@@ -205,6 +206,11 @@ def expm(rows: Rows) -> tuple[tuple[float, ...], ...]:
     UnsettledError
         An entry has more than some thousand zeros before its first digit.
     """
+    return settled(exponentials(rows))
+
+
+def exponentials(rows: Rows) -> Callable[[int], tuple[tuple[float, ...], ...]]:
+    """Return what computes exp of a matrix with a number of bits: see `expm`, which settles their number."""
     balanced, exponents = balance(rows)
     reached = _reached(rows)
     # With so many bits, an entry that is still 0 is 0 in float64 too.
@@ -221,7 +227,7 @@ def expm(rows: Rows) -> tuple[tuple[float, ...], ...]:
             ]
         )
 
-    return settled(entries)
+    return entries
 
 
 def characteristic(rows: Rows) -> tuple[float, ...]:

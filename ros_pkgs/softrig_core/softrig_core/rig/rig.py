@@ -15,7 +15,6 @@ from ..block.port import Port, Refused, require_distinct
 from ..block.schedule import schedule_of
 from ..board.clocked import ClockEntry, clocked
 from ..board.entry import require_own_ports
-from ..board.link import linked
 from ..errors import ScenarioError
 from ..judge.expectation import Expectation
 from ..judge.units import misfit
@@ -201,6 +200,8 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     if entry.link is not None:
         if entry.external:
             raise ScenarioError(f"{where}: it is external and has a link; remove one of the two")
+        from ..board.link import linked  # with all wires: few rigs have one, and its imports take 20 ms
+
         block = linked(block, entry.link, params, where)
     for topic in entry.remap:
         topics = [p.topic for p in (*inputs, *outputs)]

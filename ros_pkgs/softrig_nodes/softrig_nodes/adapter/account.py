@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from softrig_core.block.block import Level
 from softrig_core.timebase import SECOND
@@ -12,7 +12,9 @@ from ..seam.endpoint import Input
 from ..seam.health import StatusFile, figures, peak_memory
 from ..seam.middleware import other_types
 
-Adapter = Any  # `softrig_nodes.adapter.adapter.Adapter`, which imports this
+if TYPE_CHECKING:
+    from .adapter import Adapter
+
 LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
 

@@ -167,7 +167,8 @@ class Adapter:
         for output in self.outputs:
             topic, layout, matched = output.port.topic, output.layout, self._noting(output)
             if self.links.returns and output.port.delayed:
-                output.send = Numbering(middleware.publisher(topic, layout.msgtype, matched), layout)
+                publish = middleware.publisher(topic, layout.msgtype, matched)
+                output.send = Numbering(publish, layout, self.step.counts, output.name)
             else:
                 output.send = middleware.sender(topic, layout, matched)
         if self._owns_clock:
@@ -200,14 +201,8 @@ class Adapter:
         return (lambda: read_files(Path(again), self.middleware.name, peers)) if again else None
 
     def _subscribe(self, item: Input) -> None:
-        receive, note = self.overheard.beside(item)
-
-        def matched(count: int) -> None:
-            note(count)
-            self.drive.on_matched(item)
-
         self.inputs.append(item)
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, receive, matched, item.numbered)
+        self.middleware.subscribe(item.port.topic, item.port.msgtype, self.overheard.beside(item))
 
     def _record_press(self, port: Port, down: bool) -> None:
         if self.record.sink is not None and port.name in self.record.foreign:

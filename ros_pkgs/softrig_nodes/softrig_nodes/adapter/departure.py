@@ -18,6 +18,7 @@ from softrig_core.block.schedule import Schedule
 from softrig_core.timebase import SECOND
 
 from ..seam.endpoint import Input
+from ..seam.middleware import Reader
 from ..seam.tick import TICK, TickReader, TickWriter
 from .adapter import Adapter
 from .handshake import CHECK, Handshake
@@ -28,7 +29,7 @@ CLOCKS = SECOND // 2  # ns from which on two clocks are taken for different
 REPEAT = 5  # checks between two messages in which a node reports that it is ready
 
 
-class Departure:
+class Departure(Reader):
     """Waits for the common start of one node.
 
     Parameters
@@ -69,8 +70,7 @@ class Departure:
         self._input = Input(Port("stamp", topic, TICK))
         node.paces.append(self._input)
         self._send = middleware.publisher(READY if not self.is_starter else START, TICK, self._matched)
-        self.hear = self._hear_ready if self.is_starter else self._hear_start
-        middleware.subscribe(topic, TICK, self.hear, lambda count: None)
+        middleware.subscribe(topic, TICK, self)
         self._timer = middleware.timer(CHECK, self._look)
 
     def _matched(self, count: int) -> None:
@@ -82,7 +82,11 @@ class Departure:
             if other.is_starter is not self.is_starter:
                 # Nodes of one process are not connected by the middleware here, and a call from within would run one
                 # node inside another.
-                self._node.middleware.post(lambda other=other: other.hear(data))  # type: ignore[misc]
+                self._node.middleware.post(lambda other=other: other.receive(data))  # type: ignore[misc]
+
+    def receive(self, data: bytes) -> None:
+        """Receive what the starter publishes, or as the starter what the others do."""
+        (self._hear_ready if self.is_starter else self._hear_start)(data)
 
     def _hear_ready(self, data: bytes) -> None:
         try:

@@ -11,16 +11,18 @@ external node need not have all outputs of the node that it replaces.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 from softrig_core.block.block import Level
 from softrig_core.block.port import Refused
 from softrig_core.rig.options import OverheardLink
 
 from ..seam.endpoint import Input
+from ..seam.middleware import Reader
 
-Adapter = Any  # `softrig_nodes.adapter.adapter.Adapter`, which imports this
+if TYPE_CHECKING:
+    from .adapter import Adapter
+
 PATIENCE = 1.0  # s without a publisher at the start, or without a message at the end
 
 
@@ -44,7 +46,7 @@ class Overheard(Input):
         Whether the reader records the messages itself.
     """
 
-    def __init__(self, node: Adapter, link: OverheardLink, number: int, read: bool) -> None:
+    def __init__(self, topics: OverheardTopics, node: Adapter, link: OverheardLink, number: int, read: bool) -> None:
         super().__init__(link.made())
         self._node, self._number, self._sporadic = node, number, link.sporadic
         self._schedule = node.peer(link)
@@ -52,11 +54,19 @@ class Overheard(Input):
         self.read_here = read
         self._live = node.options.mode == "realtime"
         self.used = read and self._live  # what the reader records
+        self.topics = topics
         self._count = 0
         self._newest = -1  # time of the newest message in the record, ns from t = 0
         self._last = b""
 
     def receive(self, data: bytes) -> None:
+        """Record a message, and renew the patience with its topic."""
+        # Before t = 0 is set in real time, and after the run, it belongs to no tick.
+        if self._node.state == "running" or (self._node.state, self._node.options.mode) == ("starting", "lockstep"):
+            self._record(data)
+            self.topics.came()
+
+    def _record(self, data: bytes) -> None:
         """Record a message but one that is published again for late subscribers, or that no input would take."""
         node = self._node
         try:
@@ -100,6 +110,22 @@ class Overheard(Input):
         return self._sporadic or not self.publishers or last is None or self._newest >= last
 
 
+class _Both(Reader):
+    """Records the messages of an input and hands them on."""
+
+    def __init__(self, row: Overheard, item: Input) -> None:
+        self._row, self._item, self.numbered = row, item, item.numbered
+
+    def receive(self, data: bytes) -> None:
+        # It is recorded first, because the input may answer the last tick at once and end the run.
+        self._row.receive(data)
+        self._item.receive(data)
+
+    def matched(self, count: int) -> None:
+        self._row.matched(count)
+        self._item.matched(count)
+
+
 class OverheardTopics:
     """All topics of external nodes that a node records.
 
@@ -115,7 +141,7 @@ class OverheardTopics:
         read = {node.middleware.resolve(p.topic) for p in node.step.inputs}
         links = [(link, node.of_rig(link.shape["topic"])) for link in node.links.overheard]
         self._rows = {
-            topic: Overheard(node, link, number, topic in read)
+            topic: Overheard(self, node, link, number, topic in read)
             for (link, topic), number in zip(links, numbers, strict=True)
         }
         self._since: dict[str, float] = {}  # wall-clock time since when the start, or the end, is waited for, s
@@ -129,32 +155,17 @@ class OverheardTopics:
         self._then = then
         for topic, row in self._rows.items():
             if not row.read_here:
-                self._node.middleware.subscribe(topic, row.port.msgtype, partial(self._receive, row), row.matched)
+                self._node.middleware.subscribe(topic, row.port.msgtype, row)
 
-    def beside(self, item: Input) -> tuple[Callable[[bytes], None], Callable[[int], None]]:
-        """Return what receives the messages of an input, and what notes its writers: the record has both, too."""
+    def beside(self, item: Input) -> Reader:
+        """Return what receives the messages of an input: the record has them, too."""
         row = self._rows.get(self._node.middleware.resolve(item.port.topic))
-        if row is None:
-            return item.receive, item.matched
+        return item if row is None else _Both(row, item)
 
-        def receive(data: bytes) -> None:
-            # It is recorded first, because the input may answer the last tick at once and end the run.
-            self._receive(row, data)
-            item.receive(data)
-
-        def matched(count: int) -> None:
-            row.matched(count)
-            item.matched(count)
-
-        return receive, matched
-
-    def _receive(self, row: Overheard, data: bytes) -> None:
-        """Record a message; before t = 0 is set in real time, and after the run, it belongs to no tick."""
-        if self._node.state == "running" or (self._node.state, self._node.options.mode) == ("starting", "lockstep"):
-            row.receive(data)
-            # Each message renews the patience, so a slow publisher is waited for as long as it goes on.
-            self._since.pop("end", None)
-            self._then()
+    def came(self) -> None:
+        """Renew the patience: a slow publisher is waited for as long as it goes on."""
+        self._since.pop("end", None)
+        self._then()
 
     def over(self) -> None:
         """Record all messages from now on: the last tick of the node is answered."""

@@ -54,6 +54,12 @@ class Sender(Input):
             return
         self.came(stamp, found, data)
 
+    def matched(self, count: int) -> None:
+        """Note how many writers there are in other processes, and let the drive react."""
+        super().matched(count)
+        if self in self.node.inputs:
+            self.node.drive.on_matched(self)
+
     def deaf(self) -> bool:
         """Return whether no message counts any more."""
         return self.node.state in ("done", "failed")

@@ -12,7 +12,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from softrig_core.block.change import Change
 from softrig_core.block.link import Link
@@ -29,7 +29,9 @@ from ..adapter.sender import Sender
 from ..seam.numbering import Numbering
 from .paired import Counted, Pace, Paired, Ticks
 
-Drive = Any  # `lockstep.Lockstep`, which imports this
+if TYPE_CHECKING:
+    from .lockstep import Lockstep
+
 SAID = 2  # newest messages of each topic that are repeated
 
 
@@ -142,7 +144,7 @@ class Comeback:
         Nodes that have answered their last tick and left.
     """
 
-    def __init__(self, drive: Drive, look_up: Callable[[], Files]) -> None:
+    def __init__(self, drive: Lockstep, look_up: Callable[[], Files]) -> None:
         self._drive, self._node, self._look_up = drive, drive.node, look_up
         files = self._files = look_up()
         self.gone = set(files.gone)

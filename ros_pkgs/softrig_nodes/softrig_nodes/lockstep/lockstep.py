@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from typing import Any
 
 import numpy as np
@@ -25,12 +25,13 @@ from ..adapter.handshake import CHECK, Handshake
 from ..adapter.sender import Sender
 from ..seam.endpoint import Input
 from ..seam.health import percentiles
-from ..seam.middleware import Place
-from ..seam.solving import Solving, hear_busy
+from ..seam.middleware import Place, Reader
+from ..seam.solving import Busy, Solving
 from .comeback import Comeback, Spoken
 from .first import repeat_first
 from .paired import PairedSenders
 from .stalls import Stalls
+from .turns import Turns
 
 FEW = 2  # followers that a loop of two can have and still be placed by itself
 SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin logs what it lacks
@@ -41,17 +42,17 @@ class Lockstep(Link):
 
     Parameters
     ----------
-    turn : callable
-        Has the runner of this process go on.
+    turns : Turns
+        The loop of this process.
     """
 
     status_every = 1
 
-    def __init__(self, node: Adapter, turn: Callable[[], object]) -> None:
+    def __init__(self, node: Adapter, turns: Turns) -> None:
         self.node = node
         self.ready = False  # whether all peers are there
-        self._turn = turn
-        self.senders = PairedSenders(node, turn)
+        self._turns = turns
+        self.senders = PairedSenders(node, turns)
         self._stalls = Stalls(self.senders)
         self._checks = 0  # of the start
         self._over = False  # the last tick is answered
@@ -69,38 +70,24 @@ class Lockstep(Link):
         self._stood = -1  # ticks at the last look at its progress
         self._shake: Callable[[], Handshake]  # describes the peers again when some have left
         super().__init__(node.step)
-        self.tell_native: Callable[[], object] | None = None
         node.begin(self)
         self.spoken = Spoken(node) if node.links.returns else None
 
-    def join(
-        self,
-        local: Set[str],
-        begin: Callable[[], object],
-        ticks: Iterator[int | None],
-        tell_native: Callable[[], object] | None,
-    ) -> None:
+    def join(self, local: Set[str]) -> None:
         """Wait for the peers that are not in this process.
 
         Parameters
         ----------
         local : set of str
             Names of the other nodes of this process.
-        begin : callable
-            Called when all peers are there.
-        ticks : iterator
-            Of the runner of this process; one that comes back goes through those that it had answered.
-        tell_native : callable or None
-            Brings `Step.native` up to date; None: native code answers none of its ticks.
         """
         node, senders, links = self.node, self.senders, self.node.links
-        self.tell_native = tell_native
         senders.without(local)
         if links.clock is not None and links.clock.node not in local:
             senders.follow_clock(links.clock)
         if links.hears_clock:
             # An outside plant may publish /clock and wait for its subscribers, although this node does not need it.
-            node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", lambda data: None, lambda count: None)
+            node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", Reader())
         if links.guests:
             # A subscriber recognises a repeated message by the stamp of its tick, so arrays and delayed ports are not
             # repeated.
@@ -113,7 +100,7 @@ class Lockstep(Link):
         wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
         if links.owns_clock:
             wanted.append((node.clock_output, links.clock_readers))
-            node.hold.begin(node.middleware, self._turn)
+            node.hold.begin(node.middleware, self._turns.turn)
         if links.acknowledges:
             wanted.append((node.tick_output, links.tick_readers))
         awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
@@ -121,14 +108,14 @@ class Lockstep(Link):
         here = {*local, node.middleware.name} if local else set()
         solvers = [name for name in links.solvers if name not in here]
         # An outside node may be a solver, too, so the topic is subscribed to even if the rig names none.
-        busy = hear_busy(node.middleware, max(1, len(solvers)), self._patient)
+        busy = Busy(node.middleware, max(1, len(solvers)), self._patient)
         awaited += [(busy, name) for name in solvers]
         if isinstance(node.block, Solver):
-            self.solving = Solving(node.middleware, node.step, self._turn)
+            self.solving = Solving(node.middleware, node.step, self._turns.turn)
         gone: Set[str] = set()
         if node.files is not None:
             self._comeback = Comeback(self, node.files)
-            self._comeback.go(ticks)
+            self._comeback.go(self._turns.ticks)
             gone = self._comeback.gone
 
         def shake() -> Handshake:
@@ -136,7 +123,6 @@ class Lockstep(Link):
 
         self.handshake, self._shake = shake(), shake
         self._stalls.handshake = self.handshake
-        self._begin = begin
         # A solver node resumes by a timer of the executor's thread, so it also takes its messages there.
         if self.solving is None:
             node.middleware.be_prompt(self._place())
@@ -197,7 +183,7 @@ class Lockstep(Link):
             self._stalls.restart()
             if self._comeback is not None and self.spoken is not None:
                 self.spoken.again()
-            self._begin()
+            self._turns.begin()
             # A node that comes back may have answered its last tick from the files of the run, before its peers were
             # matched.
             if self._over:
@@ -312,9 +298,9 @@ class Lockstep(Link):
 
     def native(self) -> dict[str, Any]:
         """Return what native code answers of its ticks, where it may."""
-        if self.tell_native is None:
+        if self._turns.tell_native is None:
             return {}
-        self.tell_native()
+        self._turns.tell_native()
         return {"native": self.step.native}
 
     def statistics(self) -> dict[str, Any]:

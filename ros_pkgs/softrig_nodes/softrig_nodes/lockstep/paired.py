@@ -16,6 +16,7 @@ from ..adapter.adapter import Adapter
 from ..adapter.sender import Sender
 from ..seam.numbering import numbered, split
 from ..seam.tick import TICK, TickReader, needed
+from .turns import Turns
 
 KEEP = object()  # a sporadic sender was silent at a tick
 BAD = object()  # a message of a tick was rejected
@@ -29,8 +30,8 @@ class PairedSenders:
 
     Parameters
     ----------
-    turn : callable
-        Has the ticks go on; called when the tick under way lacks nothing any more.
+    turns : Turns
+        Goes on when the tick under way lacks nothing any more.
 
     Attributes
     ----------
@@ -44,9 +45,9 @@ class PairedSenders:
         Messages that are no step of ours: a peer is alive.
     """
 
-    def __init__(self, node: Adapter, turn: Callable[[], object]) -> None:
+    def __init__(self, node: Adapter, turns: Turns) -> None:
         self.node = node
-        self.turn = turn
+        self.turns = turns
         self.rows: list[Paired] = []
         self.unpaced: list[Paired] = []
         self.missing = 0
@@ -112,7 +113,7 @@ class PairedSenders:
     def _listen(self, row: Paired, awaited: bool) -> None:
         (self.rows if awaited else self.unpaced).append(row)
         self.node.paces.append(row)
-        self.node.middleware.subscribe(row.port.topic, row.port.msgtype, row.receive, row.matched)
+        self.node.middleware.subscribe(row.port.topic, row.port.msgtype, row)
 
     def await_tick(self, t: int) -> None:
         """Set what tick `t` needs."""
@@ -254,7 +255,7 @@ class Paired(Sender):
         self.have = True
         self.table.missing -= 1
         if not self.table.missing:
-            self.table.turn()
+            self.table.turns.turn()
 
     # what has come -------------------------------------------------------------------------------------------------
 

@@ -114,5 +114,5 @@ def listen(table: LiveSenders, rows: Iterable[Sporadic]) -> list[Acknowledgement
     result = [Acknowledgements(table, who, told) for who, told in by_sender.items()]
     for one in result:
         node.paces.append(one)
-        node.middleware.subscribe(one.port.topic, TICK, one.receive, one.matched)
+        node.middleware.subscribe(one.port.topic, TICK, one)
     return result

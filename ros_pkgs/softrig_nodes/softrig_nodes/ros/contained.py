@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from ..seam.exchange import Exchange, ExchangeTimer
-from ..seam.middleware import Matched, Numbered, Place, Receive
+from ..seam.middleware import Matched, Place, Reader, Receive
 from .ros import RosMiddleware
 
 
@@ -37,18 +37,10 @@ class ContainedMiddleware(RosMiddleware):
 
         return publish
 
-    def subscribe(
-        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
-    ) -> None:
-        """Read a topic of other processes."""
-        exchange, end = self._exchange, object()
-        exchange.owners[receive] = self.name
-
-        def count(number: int) -> None:
-            exchange.writers[end] = number
-            matched(number)
-
-        super().subscribe(topic, msgtype, lambda data: exchange.hand(receive, data), count, numbered)
+    def subscribe(self, topic: str, msgtype: str, reader: Reader) -> None:
+        """Subscribe to a topic of other processes."""
+        self._exchange.owners[reader.receive] = self.name
+        super().subscribe(topic, msgtype, _Exchanged(self._exchange, reader))
 
     def be_prompt(self, place: Place) -> None:
         """The exchange takes what has come: its loop does not sleep."""
@@ -60,6 +52,20 @@ class ContainedMiddleware(RosMiddleware):
     def timer(self, ns: int, callback: Callable[[], None]) -> ExchangeTimer:  # type: ignore[override]
         """Call back every `ns`."""
         return self._exchange.timer(ns, callback, self.name)
+
+
+class _Exchanged(Reader):
+    """Hands messages to their reader by the exchange of its container, which knows all writers."""
+
+    def __init__(self, exchange: Exchange, reader: Reader) -> None:
+        self._exchange, self._reader, self.numbered = exchange, reader, reader.numbered
+
+    def receive(self, data: bytes) -> None:
+        self._exchange.hand(self._reader.receive, data)
+
+    def matched(self, count: int) -> None:
+        self._exchange.writers[self] = count
+        self._reader.matched(count)
 
 
 def _noting(matched: Matched) -> Callable[[list[int], int], None]:

@@ -45,7 +45,7 @@ from ..below.uses import (
     sending,
 )
 from ..processes.shared_memory import Ears, domain_id
-from ..seam.middleware import Matched, Middleware, Numbered, Peer, Place, Receive, Send
+from ..seam.middleware import Matched, Middleware, Numbered, Peer, Place, Reader, Receive, Send
 from ..seam.monitor import Monitor
 from .garbage import Garbage
 from .messages import message_class
@@ -415,7 +415,7 @@ class RosMiddleware(Middleware):
         self.monitor = node.monitor
         mode = overrides(node).get("run.mode")
         self._written = WRITTEN if mode is not None and mode.value == "lockstep" else QOS
-        self._read: list[tuple[Any, Receive, Matched]] = []  # subscriptions
+        self._read: list[tuple[Any, Reader]] = []  # subscriptions
         self._arrivals: list[Arrival] = []
         self.name: str = node.get_name()
         self.full_name: str = node.get_fully_qualified_name()
@@ -465,11 +465,10 @@ class RosMiddleware(Middleware):
 
         return send
 
-    def subscribe(
-        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
-    ) -> None:
-        """Read the bytes of a topic."""
-        events = SubscriptionEventCallbacks(matched=self._counting(matched))
+    def subscribe(self, topic: str, msgtype: str, reader: Reader) -> None:
+        """Subscribe to the bytes of a topic."""
+        receive, numbered = reader.receive, reader.numbered
+        events = SubscriptionEventCallbacks(matched=self._counting(reader.matched))
         take = self._in_turn(receive if numbered is None else with_number(receive, numbered))
         with self._deaf():
             made = self.node.create_subscription(
@@ -481,7 +480,7 @@ class RosMiddleware(Middleware):
                 event_callbacks=events,
                 qos_overriding_options=self._overrides(topic),
             )
-        self._read.append((made, receive, matched))
+        self._read.append((made, reader))
 
     def _counting(self, matched: Matched) -> Callable[[Any], None]:
         """Return what takes news of who is matched."""
@@ -506,13 +505,13 @@ class RosMiddleware(Middleware):
         if rcl is None:
             return
         own = {p.topic_name for p in self.node.publishers}  # what one says to oneself arrives while it is published
-        for subscription, receive, matched in self._read:
+        for subscription, reader in self._read:
             if subscription.topic_name in own:
                 continue
             leave_to_us(self.node, subscription)  # the executor would ask for its messages and events, too
             for handler in subscription.event_handlers:
                 self.node.remove_waitable(handler)
-            self._arrivals.append(Arrival(rcl, subscription, receive, matched, self.monitor.arrive))
+            self._arrivals.append(Arrival(rcl, subscription, reader.receive, reader.matched, self.monitor.arrive))
         self.prompt = bool(self._arrivals)
         if self.prompt:
             self.timer(LOOK, self._look)

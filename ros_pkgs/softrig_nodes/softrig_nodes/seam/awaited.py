@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from softrig_core.block.block import Level
 from softrig_core.block.port import Refused
 
-from .middleware import Middleware
+from .middleware import Middleware, Reader
 from .tick import TICK, TickReader, TickWriter
 
 RECORDER = "/_softrig/recorder"  # hidden: no tool lists or records it unasked
@@ -30,7 +30,7 @@ def left_out(recorder: str, topics: Iterable[str]) -> bytes:
     return TickWriter()(0, [f"{recorder}:{topic}" for topic in topics])
 
 
-class Awaited:
+class Awaited(Reader):
     """Who is awaited, to read the first message of each topic of a node.
 
     Parameters
@@ -44,9 +44,10 @@ class Awaited:
         self._named = list(named)
         self._left_out: frozenset[str] = frozenset()
         self._read = TickReader()
-        middleware.subscribe(RECORDER, TICK, self._hear, lambda count: None)
+        middleware.subscribe(RECORDER, TICK, self)
 
-    def _hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
+        """Note what a recorder leaves out."""
         try:
             self._left_out |= self._read(data)[1]
         except Refused as error:

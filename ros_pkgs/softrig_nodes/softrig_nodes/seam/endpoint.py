@@ -7,12 +7,12 @@ from collections.abc import Callable
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Port
 
-from .middleware import Numbered, Send
+from .middleware import Reader, Send
 
 COPY = "copy the stamp of what you answer"  # advice to the author of an outside node
 
 
-class Input:
+class Input(Reader):
     """A topic that is read: decoder, writers and what was refused.
 
     Attributes
@@ -34,11 +34,7 @@ class Input:
     refused : int
         Messages that never reached the block.
     last_refusal : str
-    numbered : callable or None
-        Gets the number of each message before `receive` gets that: see `Middleware.subscribe`.
     """
-
-    numbered: Numbered | None = None
 
     def __init__(self, port: Port) -> None:
         self.port = port
@@ -53,10 +49,6 @@ class Input:
         self.heard = False
         self.refused = 0
         self.last_refusal = ""
-
-    def receive(self, data: bytes) -> None:
-        """Receive the bytes of a message."""
-        raise NotImplementedError
 
     @property
     def publishers(self) -> int:

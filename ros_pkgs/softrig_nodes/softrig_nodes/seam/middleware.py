@@ -33,6 +33,24 @@ class Peer(NamedTuple):
         return f"{self.namespace.rstrip('/')}/{self.name}"
 
 
+class Reader:
+    """What receives the messages of a topic; this one drops them.
+
+    Attributes
+    ----------
+    numbered : callable or None
+        Gets the number of each message, as its writer counts, or None if nobody says it, before `receive` gets that.
+    """
+
+    numbered: Numbered | None = None
+
+    def receive(self, data: bytes) -> None:
+        """Receive the bytes of a message."""
+
+    def matched(self, count: int) -> None:
+        """Note how many writers there are in other processes; called at each change."""
+
+
 class Timer(Protocol):
     """A timer that repeats until it is cancelled."""
 
@@ -72,13 +90,8 @@ class Middleware(Protocol):
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
         """Offer a topic and give the function that publishes; `matched` gets the number of readers at each change."""
 
-    def subscribe(
-        self, topic: str, msgtype: str, receive: Receive, matched: Matched, numbered: Numbered | None = None
-    ) -> None:
-        """Read a topic; `matched` gets the number of writers at each change.
-
-        `numbered` gets, before `receive` gets the message, its number as its writer counts, or None if nobody says it.
-        """
+    def subscribe(self, topic: str, msgtype: str, reader: Reader) -> None:
+        """Subscribe to a topic."""
 
     def be_prompt(self, place: Place) -> None:
         """Process messages of the present subscriptions where they arrive, if possible; for ticks of some us.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from itertools import count
 
 from softrig_core.wire.cdr import Layout
 
@@ -24,15 +23,21 @@ class Numbering:
         Gets the bytes.
     layout : Layout
         Of the messages.
+    counts : dict of str to int
+        By output: messages published before, see `Step.counts`.
+    name : str
+        Of the output.
     """
 
-    def __init__(self, publish: Callable[[bytes], None], layout: Layout) -> None:
+    def __init__(self, publish: Callable[[bytes], None], layout: Layout, counts: dict[str, int], name: str) -> None:
         self.publish: Callable[..., None] = publish
-        self._encode, self._numbers = layout.encode, count()
+        self._encode, self._counts, self._name = layout.encode, counts, name
 
     def __call__(self, mark: int, values: tuple[float, ...]) -> None:
         """Publish the next message: its stamp in ns and all numbers."""
-        self.publish(numbered(next(self._numbers), self._encode(mark, values)))
+        number = self._counts[self._name]
+        self._counts[self._name] = number + 1
+        self.publish(numbered(number, self._encode(mark, values)))
 
 
 def numbered(number: int, data: bytes) -> bytes:

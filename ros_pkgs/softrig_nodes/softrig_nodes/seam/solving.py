@@ -87,18 +87,26 @@ class Solving(Link):
             self._publish(self._header)
 
 
-def hear_busy(middleware: Middleware, solvers: int, heard: Callable[[], None]) -> Input:
-    """Call a function whenever a solver of the rig says that it is at work.
+class Busy(Input):
+    """What the solvers of a rig publish while they are at work.
 
     Parameters
     ----------
     solvers : int
         How many there are, this node included: the input has a publisher when all of them are matched.
+    heard : callable
+        Called at each message.
     """
-    item = Input(Port("busy", BUSY, TICK))
 
-    def matched(count: int) -> None:
-        item.outside = count // solvers
+    def __init__(self, middleware: Middleware, solvers: int, heard: Callable[[], None]) -> None:
+        super().__init__(Port("busy", BUSY, TICK))
+        self._solvers, self._heard = solvers, heard
+        middleware.subscribe(BUSY, TICK, self)
 
-    middleware.subscribe(BUSY, TICK, lambda data: heard(), matched)
-    return item
+    def receive(self, data: bytes) -> None:
+        """Report it."""
+        self._heard()
+
+    def matched(self, count: int) -> None:
+        """Note how many solvers are matched."""
+        self.outside = count // self._solvers

@@ -1,0 +1,78 @@
+"""The ticks of the nodes of one process in lockstep: one loop answers them as far as nothing is missing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+from softrig_core.block.loop import Loop
+from softrig_core.block.step import Step
+from softrig_core.errors import RunError
+from softrig_core.run.choice import ticks_of
+
+from ..adapter.adapter import Adapter
+
+SLICE = 5_000_000  # ns: how long ticks may keep a timer waiting
+
+
+class Turns:
+    """The loop of one process.
+
+    Parameters
+    ----------
+    nodes : sequence of Adapter
+
+    Attributes
+    ----------
+    ticks : iterator
+        Of the loop; a node that comes back goes through those that it had answered.
+    tell_native : callable or None
+        Brings `Step.native` of each up to date; None: native code answers none of their ticks.
+    """
+
+    ticks: Iterator[int | None]
+
+    def __init__(self, nodes: Sequence[Adapter]) -> None:
+        self._nodes = nodes
+        self._lacking = len(nodes)  # nodes whose peers are not all there
+        self.tell_native: Callable[[], object] | None = None
+
+    def order(self, members: Sequence[Step], alone: Callable[[], bool]) -> None:
+        """Set the order of the nodes in a tick.
+
+        Parameters
+        ----------
+        members : sequence of Step
+            See `Loop`.
+        alone : callable
+            See `Engine`.
+        """
+        self.ticks = Loop(members).run()
+        if len(members) > 1 and all(n.middleware.mute for n in self._nodes):
+            self.ticks, self.tell_native = ticks_of(members, alone=alone)
+
+    def begin(self) -> None:
+        """Count a node whose peers are there; with the last one the ticks begin."""
+        self._lacking -= 1
+        if not self._lacking:
+            for node in self._nodes:
+                node.state = "running"
+            self.turn()
+
+    def turn(self) -> None:
+        """Run ticks as long as nothing is missing."""
+        for node in self._nodes:
+            if node.state in ("starting", "failed"):
+                return
+        until = 0
+        try:
+            for t in self.ticks:
+                if t is None:
+                    return
+                if not until:
+                    until = time.monotonic_ns() + SLICE
+                elif time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
+                    self._nodes[0].middleware.post(self.turn)
+                    return
+        except RunError as error:
+            next(n for n in self._nodes if n.step.name == error.node).broke(error)
