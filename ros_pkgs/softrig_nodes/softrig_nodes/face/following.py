@@ -24,6 +24,7 @@ from softrig_core.timebase import SECOND
 from ..adapter.adapter import Adapter
 from ..ros.messages import message_class
 from ..ros.ros import QOS, ServingNode, quiet_after_shutdown
+from ..seam.middleware import Reader
 from .goals import BadGoal, Motion, Tolerances, allowed_delay, hold, motion, nanoseconds
 
 PACKAGE = "control_msgs"
@@ -69,7 +70,7 @@ class _Active:
     told: int = 0  # ns of the wall: the newest feedback
 
 
-class Following:
+class Following(Reader):
     """Takes trajectories for a reference, on ``~/joint_trajectory`` and by ``~/follow_joint_trajectory``.
 
     Parameters
@@ -185,7 +186,7 @@ class Following:
         self._active = _Active(handle, now, found, path, on_way, at_end, until)
         if self._sources is None:
             self._sources = 0
-            self._adapter.middleware.subscribe("joint_states", STATES, self._measured, self._count)
+            self._adapter.middleware.subscribe("joint_states", STATES, self)
         self._timer.again(LOOK, LOOK)
         return "", "", self._active.over
 
@@ -216,8 +217,9 @@ class Following:
 
     # how far it is -----------------------------------------------------------------------------------------------
 
-    def _count(self, publishers: int) -> None:
-        self._sources = publishers
+    def matched(self, count: int) -> None:
+        """Note how many publishers of measured joints there are."""
+        self._sources = count
 
     def _look(self) -> None:
         """End what no message ends: nobody measures the joints, or the run is over."""
@@ -233,7 +235,7 @@ class Following:
             else:
                 self._end("SUCCESSFUL", "")
 
-    def _measured(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Compare measured joints with the trajectory at their stamp."""
         active = self._active
         if active is None:
