@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import few
-from softrig_core import ScenarioError, rig_of
+from softrig_core import ScenarioError, jit, rig_of
 from softrig_core.export import reader as reader_module
 from softrig_core.export.check import BOARDS, FLAGS, TOOLS, replayed
 from softrig_core.export.command import export_c, export_rig, main
@@ -75,11 +75,34 @@ def floors(a, x):
     return math.floor(x) + a[0, 0]
 
 
+LEVELS = (0.5, -0.25, 1e-3, 7.0, 3.0, -0.0)
+
+
+@jit
+def level(levels, k):
+    return levels[k] / levels[3]
+
+
+def constant_tuples(a, x):
+    return level(LEVELS, int(abs(x)) % 6) + LEVELS[2] + (2.0 if LEVELS[5] == 0.0 else x)
+
+
+def views(a, x):
+    w = a.copy()
+    rest = w[1:]
+    rest[0, 0] = x
+    w[:1] = -x
+    other = w[1:2].copy()
+    other[0, 1] = 3.0
+    return w[1, 0] + w[0, 2] * rest[0, 1] + other[0, 1] * w[1, 1]
+
+
 def strided(a, x):
     column = a[:, 0]
     return column[0]
 
 
+SMALL = (rows_of, floors, constant_tuples, views)
 FUNCTIONS = """
 #include "softrig_c.h"
 #include <string.h>
@@ -90,14 +113,14 @@ typedef struct { bool discarded; } t;
 def test_small_functions_have_the_bits_of_python(tmp_path):
     table = Table(REAL, (2, 3))
     unit = Unit("t", Reader, {}, {}, [], {})
-    names = [unit.call(f, (table, REAL), (None, None), False).name for f in (rows_of, floors)]
-    calls = "".join(f"double f{k}(double *a, double x) {{ t s; return {n}(&s, a, x); }}\n" for k, n in enumerate(names))
-    (tmp_path / "f.c").write_text("\n".join([FUNCTIONS, *unit.typedefs, *unit.functions, calls]))
+    names = [unit.call(f, (table, REAL), (None, None), False).name for f in SMALL]
+    calls = "".join(f"double f{k}(double *a, double x) {{ t s = {{ false }}; return {n}(&s, a, x); }}\n" for k, n in enumerate(names))
+    (tmp_path / "f.c").write_text("\n".join([FUNCTIONS, *unit.typedefs, *unit.tables.values(), *unit.functions, calls]))
     shutil.copy(Path(reader_module.__file__).with_name("softrig_c.h"), tmp_path)
     subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "f.so", "f.c", "-lm"], cwd=tmp_path, check=True)
     library = ctypes.CDLL(str(tmp_path / "f.so"))
     a = np.array([[1.5, 2.0, 0.1], [0.7, -3.3, 1e-3]])
-    for k, function in enumerate((rows_of, floors)):
+    for k, function in enumerate(SMALL):
         own = library[f"f{k}"]
         own.restype, own.argtypes = ctypes.c_double, [ctypes.c_void_p, ctypes.c_double]
         for x in (0.0, -0.0, 0.5, -0.5, 2.0**53 + 2, -3.0, 3.999999, -(2.0**52) - 0.5, 4e18, -4e18):

@@ -167,6 +167,15 @@ def test_commutation_at_standstill_is_the_matrix_exponential():
     assert block.x.i_b == 0.0
 
 
+def test_a_speed_beyond_all_others_ends_a_period_as_well():
+    """Currents that the cut of a step cannot bring to zero: each period has a bound of cuts."""
+    block = ByHand(BldcPlant(BldcPlantParams()))
+    for k in range(3):
+        block.advance(k * 50_000, gates=(1.0, 0.0, -1.0), load_torque=None)
+    block.x = block.x._replace(omega=1e200, i_c=1e-3)
+    block.advance(150_000, gates=(-1.0, -1.0, -1.0), load_torque=None)
+
+
 def test_an_emf_beyond_the_supply_charges_it_through_the_diodes():
     """All legs off: no current until the EMF between two terminals is U and two diodes, then braking."""
     limit = (24.0 + 2 * 0.7) / (2 * 0.01675)

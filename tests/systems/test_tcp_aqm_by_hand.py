@@ -15,7 +15,7 @@ from softrig_core.block.params import build
 from softrig_systems.tcp_aqm import figures
 from softrig_systems.tcp_aqm.controller import AqmController
 from softrig_systems.tcp_aqm.fluid_plant import TcpFluid
-from softrig_systems.tcp_aqm.laws import INTEGRAL, LAWS, Gains, Measured
+from softrig_systems.tcp_aqm.laws import LAWS, Gains, Measured, integral_gain
 from softrig_systems.tcp_aqm.model import Bottleneck, equilibrium, phi, psi
 from softrig_systems.tcp_aqm.packets import Agenda, Fifo, Inside, Rules, Sources, run_until, schedule
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
@@ -74,7 +74,7 @@ def test_each_law_bends_the_queue_as_its_formula_says(name, width):
             draw.uniform(-2.0, 2.0),
         )
         assert LAWS[name](m, g) == near(wanted(name, m, g, width))
-    share = INTEGRAL[name](g)
+    share = integral_gain(name, g)
     moved = [LAWS[name](m._replace(integral=i), g) for i in (0.0, 1.0)]
     part = {"sspid": moved[1].s - moved[0].s, "robust": -(moved[1].u - moved[0].u) * m.psi}
     assert share == near(part.get(name, moved[1].u - moved[0].u))

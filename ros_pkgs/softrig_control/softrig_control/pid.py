@@ -65,8 +65,12 @@ class Pid:
 
     def go_on(self, x: PidState, before: PidParams) -> PidState:
         """Return the state with which these gains follow those of before, without a bump."""
-        if self._ki_ts and self._kp != before.kp:
-            return x._replace(integral=x.integral + (before.kp - self._kp) * x.error)
+        return self.after_kp(x, before.kp)
+
+    def after_kp(self, x: PidState, kp: float) -> PidState:
+        """Return the state of `go_on`, for which only the Kp of before matters."""
+        if self._ki_ts and self._kp != kp:
+            return x._replace(integral=x.integral + (kp - self._kp) * x.error)
         return x
 
     def __call__(self, x: PidState, error: float) -> tuple[PidState, float]:

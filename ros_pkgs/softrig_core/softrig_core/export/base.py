@@ -23,7 +23,7 @@ from .kinds import (
     leaves,
     united,
 )
-from .unit import Unit, Value, literal
+from .unit import FIXED, WHOLE, Unit, Value, literal
 
 SHOWN = 60  # letters of a statement in a refusal
 VARIANTS = 12  # of a name of Python that has several types, one after the other
@@ -197,6 +197,8 @@ class Base:
         if isinstance(value.kind, Maybe):
             value = self.coerced(value, value.kind.item)
         if isinstance(value.kind, Tuple):
+            if value.c in self.unit.fixed:
+                return self.parts_of(self.unit.fixed[value.c], node)
             one = self._simple(value)
             return [
                 Value(k, "0" if isinstance(k, Absent) else f"{one.c}.{identifier(n)}")
@@ -205,6 +207,10 @@ class Base:
         if isinstance(value.kind, Table):
             return [self.item(value, k) for k in range(value.kind.shape[0])]
         raise self.unknown("something whose length is not fixed", node)
+
+    def parts_of(self, thing: Any, node: ast.AST) -> list[Value]:
+        """Return the parts of a constant tuple."""
+        raise NotImplementedError
 
     def truth(self, value: Value, node: ast.AST) -> str:
         """Return C's condition for the truth of a value."""
@@ -219,4 +225,5 @@ class Base:
         raise self.unknown("the truth of something that is no number", node)
 
     def _simple(self, value: Value) -> Value:
-        return value if value.c.replace("_", "").replace(".", "").replace("->", "").isalnum() else self.named(value)
+        plain = value.c.replace("_", "").replace(".", "").replace("->", "").isalnum()
+        return value if plain or FIXED.fullmatch(value.c) or WHOLE.fullmatch(value.c) else self.named(value)

@@ -12,7 +12,7 @@ import numpy as np
 from ..kit.compiled import Compiled
 from ..kit.draws import Draws
 from ..kit.jit import Jit, power
-from .expressions import WHOLE, Expressions
+from .expressions import Expressions
 from .kinds import (
     ABSENT,
     BOOL,
@@ -27,7 +27,7 @@ from .kinds import (
     tuple_of,
     united,
 )
-from .unit import Value, literal
+from .unit import WHOLE, Value, literal
 
 UNARY_MATH = [
     "acos",
@@ -57,6 +57,7 @@ UNARY_MATH = [
 ]
 BINARY_MATH = {"atan2": "atan2", "copysign": "copysign", "fmod": "fmod", "pow": "pow", "power": "pow"}
 MAKERS = (np.zeros, np.ones, np.empty, np.full, np.zeros_like, np.ones_like, np.empty_like, np.copy)
+LONG = 4  # numbers of a tuple that are better read in a table than handed over
 EXACT = {"sqrt", "fabs", "floor", "ceil", "trunc", "copysign", "fmod", "rint"}  # IEEE 754 fixes their bits
 
 
@@ -172,7 +173,7 @@ class Calls(Expressions):
             if sized and value.kind == INT and WHOLE.fullmatch(value.c):
                 tables.append(value.c)
                 continue
-            named = isinstance(value.thing, (np.ndarray, Draws))
+            named = isinstance(value.thing, (np.ndarray, Draws)) or self._is_long(value)
             tables.append(value.c if named else "" if value.thing is not None else None)
         done = self.unit.call(function, tuple(v.kind for v in given), tuple(tables), python)
         handed = [v.c for v, t in zip(given, tables, strict=True) if t is None and not isinstance(v.kind, Absent)]
@@ -188,6 +189,10 @@ class Calls(Expressions):
             self.emit("    return @ZERO@;")
             self.emit("}")
         return result
+
+    def _is_long(self, value: Value) -> bool:
+        """Return whether a value is a constant tuple for which a function is written once more, with a table in it."""
+        return value.c in self.unit.fixed and isinstance(value.kind, Tuple) and len(value.kind.items) > LONG
 
     def _builtin(self, called: Any, given: list[Value], node: ast.AST) -> Value:
         numbers = [v.kind for v in given if isinstance(v.kind, Number)]

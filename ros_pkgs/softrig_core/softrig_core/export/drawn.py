@@ -12,7 +12,7 @@ import numpy as np
 
 from ..block.answer import admit
 from ..block.block import Block
-from ..block.port import Sample
+from ..block.port import Port, Sample
 from ..rig.members import Member
 from .golden import Call, Changed, answer_of, methods
 
@@ -32,6 +32,11 @@ class Raised:
     t: int
     x: Any
     inputs: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Beyond(Call):
+    """A call with an input that its port refuses: no node is asked so, and C may discard it where Python answers."""
 
 
 def drawn_calls(
@@ -75,7 +80,7 @@ def _sequence(
             calls.append(call)
             if isinstance(call, Call):
                 x = call.after
-            elif name == "outputs":
+            if isinstance(call, Beyond) or (isinstance(call, Raised) and name == "outputs"):
                 return calls
         k += 1
     return calls
@@ -88,9 +93,16 @@ def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapp
             found = getattr(block, name)(x, t, **inputs)
         after, outputs = answer_of(name, x, found)
         ports = () if name == "advance" else member.outputs
-        return Call(name, t, x, inputs, after, {p.name: admit(outputs, p, member.name, t) for p in ports})
+        kind = Call if all(_admitted(p, inputs.get(p.name)) for p in member.inputs) else Beyond
+        return kind(name, t, x, inputs, after, {p.name: admit(outputs, p, member.name, t) for p in ports})
     except Exception:  # whatever it raises ends a run
         return Raised(name, t, x, inputs)
+
+
+def _admitted(port: Port, values: Any) -> bool:
+    """Return whether a port lets these values in."""
+    row = values.data if isinstance(values, Sample) else values
+    return row is None or all(abs(v) <= limit for v, limit in zip(row, port.limits, strict=True))
 
 
 def _inputs(given: Mapping[str, Any], held: set[str], draw: np.random.Generator) -> dict[str, Any]:

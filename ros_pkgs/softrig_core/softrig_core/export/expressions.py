@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import builtins
 import math
-import re
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -28,14 +27,15 @@ from .kinds import (
     Tuple,
     identifier,
     kind_of,
+    leaves,
     tuple_of,
     united,
 )
-from .unit import Value, literal
+from .unit import WHOLE, Value, literal
 
 ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*"}
-WHOLE = re.compile(r"INT64_C\((\d+)\)")
+TINY = 1e-30  # what is smaller may be 0 in single precision
 LARGE = 1 << 31
 STRIDED = "@STRIDED@"  # in place of C: numbers that do not lie one after the other
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^"}
@@ -101,11 +101,27 @@ class Expressions(Base):
             return Value(kind_of(thing), literal(thing))
         if isinstance(thing, np.ndarray):
             return self.unit.table(thing, "table")
+        if isinstance(thing, complex):
+            return self._constant_tuple(
+                thing, [Value(REAL, literal(part)) for part in (thing.real, thing.imag)], COMPLEX
+            )
         if isinstance(thing, tuple):
             kind = kind_of(thing)
             assert isinstance(kind, Tuple)
-            return self.group([self._own(self.of_python(v, node)) for v in thing], kind)
+            return self._constant_tuple(thing, [self._own(self.of_python(v, node)) for v in thing], kind)
         return Value(ABSENT, "0", thing)
+
+    def _constant_tuple(self, thing: Any, parts: Sequence[Value], kind: Tuple) -> Value:
+        """Return a constant tuple, whose parts are known where it is taken apart."""
+        whole = self.group(parts, kind)
+        if not leaves(kind):
+            self.unit.fixed[whole.c] = thing
+        return whole
+
+    def parts_of(self, thing: Any, node: ast.AST) -> list[Value]:
+        """Return the parts of a constant tuple."""
+        parts = (thing.real, thing.imag) if isinstance(thing, complex) else thing
+        return [self.of_python(part, node) for part in parts]
 
     def _own(self, value: Value) -> Value:
         """Return a copy of a constant array: the object that has it writes into its own."""
@@ -142,8 +158,8 @@ class Expressions(Base):
     def _value_subscript(self, node: ast.Subscript) -> Value:
         if isinstance(node.value, ast.Name) and node.value.id == "c" and isinstance(self.function, str):
             assert isinstance(node.slice, ast.Constant)
-            kind, c = self.unit.constants[node.slice.value]  # type: ignore[index]  # whole numbers, by the text
-            return Value(kind, c)
+            own = self.unit.constants[node.slice.value]  # type: ignore[index]  # whole numbers, by the text
+            return own if isinstance(own, Value) else self.of_python(own, node)
         base = self.value(node.value)
         if isinstance(base.kind, Maybe):
             base = self.coerced(base, base.kind.item)
@@ -162,9 +178,18 @@ class Expressions(Base):
             if not -len(parts) <= fixed < len(parts):
                 raise self.unknown(f"no item {fixed} of {len(parts)}", node)
             return parts[fixed]
-        return self._looked_up(base.kind, parts, index, node)
+        return self._looked_up(base, parts, index, node)
 
-    def _looked_up(self, kind: Tuple, parts: Sequence[Value], index: Value, node: ast.AST) -> Value:
+    def _table_of(self, base: Value, parts: Sequence[Value], item: Number) -> Value:
+        """Return the numbers of a tuple as an array: a constant one where they are known."""
+        if base.c in self.unit.fixed:
+            return self.unit.tabled(base.c, item)
+        table = self.room(Table(item, (len(parts),)))
+        for k, part in enumerate(parts):
+            self.emit(f"{table.c}[{k}] = {self.coerced(part, item).c};")
+        return table
+
+    def _looked_up(self, base: Value, parts: Sequence[Value], index: Value, node: ast.AST) -> Value:
         """Return the part of a tuple that a number tells."""
         first = parts[0].kind if parts else None
         for part in parts:
@@ -174,9 +199,7 @@ class Expressions(Base):
         at = self.named(self.coerced(index, INT))
         self._check(f"({at.c} < -INT64_C({len(parts)})) || ({at.c} >= INT64_C({len(parts)}))")
         if isinstance(first, Number):
-            table = self.room(Table(first, (len(parts),)))
-            for k, part in enumerate(parts):
-                self.emit(f"{table.c}[{k}] = {self.coerced(part, first).c};")
+            table = self._table_of(base, parts, first)
             return self.fresh(first, f"{table.c}[({at.c} < 0) ? ({at.c} + INT64_C({len(parts)})) : {at.c}]")
         c = self._variable(f"look{self.temporaries}", first)
         self.temporaries += 1
@@ -223,15 +246,36 @@ class Expressions(Base):
         return self.place(base, Value(tuple_of([v.kind for v in indices]), "", indices), node)
 
     def _sliced(self, base: Value, node: ast.Subscript) -> Value:
-        part = node.slice
-        assert isinstance(part, ast.Slice)
-        ends = [None if e is None else _fixed(e) for e in (part.lower, part.upper, part.step)]
-        if any(
-            e is None and given is not None for e, given in zip(ends, (part.lower, part.upper, part.step), strict=True)
-        ):
-            raise self.unknown("a part whose ends are computed", node)
-        parts = self.parts(base, node)[slice(*ends)]
+        assert isinstance(node.slice, ast.Slice)
+        part = self._ends(node.slice)
+        if isinstance(base.kind, Table):
+            return self.view(base, part, node)
+        parts = self.parts(base, node)[part]
         return self.group(parts, tuple_of([p.kind for p in parts]))
+
+    def _ends(self, node: ast.Slice) -> slice:
+        """Return a slice whose ends are known."""
+        ends: list[int | None] = []
+        for end in (node.lower, node.upper, node.step):
+            known = None if end is None else _fixed(end)
+            if end is not None and known is None:
+                found = WHOLE.fullmatch(self.value(end).c)
+                if found is None:
+                    raise self.unknown("a part whose ends are computed", node)
+                known = int(found[1])
+            ends.append(known)
+        return slice(*ends)
+
+    def view(self, table: Value, part: slice, node: ast.AST) -> Value:
+        """Return rows of an array that lie one after the other, as numpy's view of them."""
+        assert isinstance(table.kind, Table)
+        if isinstance(table.thing, np.ndarray):
+            return self.unit.part(table.c, part)
+        first, stop, step = part.indices(table.kind.shape[0])
+        if step != 1:
+            raise self.unknown("a part of an array with a step", node)
+        kind = Table(table.kind.item, (max(stop - first, 0), *table.kind.shape[1:]))
+        return Value(kind, f"(&{table.c}[{first * math.prod(kind.shape[1:])}])")
 
     def _value_unaryop(self, node: ast.UnaryOp) -> Value:
         value = self.value(node.operand)
@@ -275,7 +319,7 @@ class Expressions(Base):
             return Value(both, f"({a.c} {BITS[type(op)]} {b.c})")
         if isinstance(op, (ast.Div, ast.FloorDiv, ast.Mod)):
             b = self._simple(b)
-            if self.python or both == INT:
+            if (self.python or both == INT) and not abs(self.unit.number(b.c)) > TINY:
                 self._check(f"{b.c} == 0")
             if isinstance(op, ast.Div):
                 return Value(REAL, f"({a.c} / {b.c})")
@@ -350,6 +394,8 @@ class Expressions(Base):
         if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
             raise self.unknown("a comparison of something that is no number", node)
         both = left.kind if left.kind.rank >= right.kind.rank else right.kind
+        if left.c == right.c and not math.isnan(self.unit.number(left.c)):
+            return str(COMPARE[type(op)][1](1, 1)).lower()
         known = [WHOLE.fullmatch(v.c) for v in (left, right)]
         if all(known):
             return str(bool(COMPARE[type(op)][1](*(int(one[1]) for one in known if one)))).lower()

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .calls import Calls
-from .expressions import STRIDED, WHOLE
+from .expressions import STRIDED
 from .kinds import (
     ABSENT,
     INT,
@@ -25,7 +25,7 @@ from .kinds import (
     Table,
     united,
 )
-from .unit import Signature, Value, reads
+from .unit import WHOLE, Signature, Value, reads
 
 ROUNDS = 12  # of reading a function until its types stay
 ASSIGNED = re.compile(r"( *)(v_\w+) = (.*);")
@@ -64,7 +64,7 @@ class Reader(Calls):
             for n, k, h in zip(names, self.kinds, self.handed, strict=True)
             if h is None and not isinstance(k, Absent)
         ]
-        head = f"static {self.unit.c(result)} {name}({', '.join([f'{self.unit.prefix} *s', *heads])})\n"
+        head = f"static inline {self.unit.c(result)} {name}({', '.join([f'{self.unit.prefix} *s', *heads])})\n"
         self._without_unread()
         text = "\n".join(self.lines)
         if STRIDED in text:
@@ -79,7 +79,8 @@ class Reader(Calls):
                 variables.append(f"    {self.unit.c(t.item)} {n}[{max(t.size, 1)}];")
         zero = "0" if isinstance(result, (Number, Absent)) else f"({self.unit.c(result)}){{ 0 }}"
         words = ["s", *(g.rpartition(" ")[2].lstrip("*") for g in heads)]
-        unused = [f"    (void){w};" for w in words if not reads(w, text)]
+        # A field may have the name of an argument.
+        unused = [f"    (void){w};" for w in words if not re.search(rf"(?<![.\w]){w}\b", text)]
         body = [*variables, *unused, *(f"    {line.replace('@ZERO@', zero)}" for line in self.lines)]
         return head + "{\n" + "\n".join(body) + "\n}\n", Signature(name, result, self.discards)
 
@@ -175,22 +176,20 @@ class Reader(Calls):
             if not isinstance(table.kind, Table) or isinstance(table.thing, np.ndarray):
                 raise self.unknown("an assignment to a part of a tuple", target)
             if isinstance(target.slice, ast.Slice):
-                self._filled_whole(table, target.slice, value, target)
+                self._filled_whole(self.view(table, self._ends(target.slice), target), value, target)
                 return
             load: Any = ast.parse(ast.unparse(target), mode="eval").body
             place = self.value(load)
             if isinstance(place.kind, Table):
-                self._filled_whole(place, ast.Slice(), value, target)
+                self._filled_whole(place, value, target)
                 return
             self.emit(f"{place.c} = {self.coerced(value, place.kind).c};")
         else:
             raise self.unknown("an assignment to a part of something", target)
 
-    def _filled_whole(self, table: Value, part: ast.Slice, value: Value, node: ast.AST) -> None:
+    def _filled_whole(self, table: Value, value: Value, node: ast.AST) -> None:
         """Write all items of an array."""
         assert isinstance(table.kind, Table)
-        if any((part.lower, part.upper, part.step)):
-            raise self.unknown("an assignment to a part of an array", node)
         if isinstance(value.kind, Table):
             if value.kind.shape != table.kind.shape:
                 raise self.unknown("an array of another shape", node)

@@ -109,6 +109,8 @@ def _numbers(text: str) -> list[str]:
 def _plain(text: str) -> str:
     """Return C without comments and directives."""
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    for name, value in re.findall(r"^#define (\w+_K_\w+) (.*?) *$", text, re.MULTILINE):
+        text = re.sub(rf"\b{name}\b(?! S)", value, text)
     text = re.sub(r"#ifdef __cplusplus.*?#endif", "", text, flags=re.DOTALL)
     text = re.sub(r"^#.*$", "", text, flags=re.MULTILINE)
     text = text.replace("static SR_TABLE", "static const")

@@ -58,7 +58,7 @@ class Unit:
     names : mapping of str to object
         What the text names beside them.
     constants : sequence
-        Values of the slots ``c[k]``, and how C writes each.
+        The slots ``c[k]``: a `Value` where the node keeps it, else Python's, which is written out.
     reports : mapping of int to int
         Place in the text's table of reports to number of the report.
     """
@@ -67,7 +67,7 @@ class Unit:
     reader: Callable[..., Any]
     texts: Mapping[str, str]
     names: Mapping[str, Any]
-    constants: Sequence[tuple[Kind, str]]
+    constants: Sequence[Any]
     reports: Mapping[int, int]
     structs: dict[Kind, str] = field(default_factory=dict)
     typedefs: list[str] = field(default_factory=list)
@@ -77,6 +77,8 @@ class Unit:
     under_way: set[Any] = field(default_factory=set)
     count: int = 0  # of functions that were begun
     libm: set[str] = field(default_factory=set)
+    fixed: dict[str, Any] = field(default_factory=dict)  # constant tuples and numbers with a name, by how C writes them
+    parts: dict[tuple[str, Any], np.ndarray] = field(default_factory=dict)  # of constant tuples and arrays
     places: dict[int, str] = field(default_factory=dict)  # of arrays of Python that are tables of C
     by_name: dict[str, Any] = field(default_factory=dict)
     casadi: Mapping[str, Compiled] = field(default_factory=dict)  # by the name of the function that calls it
@@ -148,6 +150,27 @@ class Unit:
             self.by_name[name] = value
         return Value(kind, self.places[id(value)], value)
 
+    def number(self, c: str) -> float:
+        """Return the number that a text of C writes out, or names; NaN: it is no constant."""
+        found = self.fixed.get(c)
+        if isinstance(found, float):
+            return found
+        match = FIXED.fullmatch(c) or WHOLE.fullmatch(c)
+        return math.nan if match is None else float(match[1])
+
+    def tabled(self, c: str, item: Number) -> Value:
+        """Return the numbers of a constant tuple, by how C writes it, as a constant array of one type."""
+        if (c, item) not in self.parts:
+            types = {"real_t": float, "int64_t": np.int64, "bool": bool}
+            self.parts[c, item] = np.array(self.fixed[c], types[item.c])
+        return self.table(self.parts[c, item], "values")
+
+    def part(self, c: str, part: slice) -> Value:
+        """Return rows of a constant array, by how C names it, as another one."""
+        if (c, str(part)) not in self.parts:
+            self.parts[c, str(part)] = np.ascontiguousarray(self.by_name[c][part])
+        return self.table(self.parts[c, str(part)], "part")
+
     def call(self, function: Any, kinds: tuple[Kind, ...], tables: tuple[Any, ...], python: bool) -> Signature:
         """Return the C function of a function of Python for arguments of these types.
 
@@ -212,6 +235,8 @@ class Unit:
         return "\n".join(lines) + "\n", Signature(name, result, True)
 
 
+FIXED = re.compile(r"SR_REAL\((-?[\d.e+-]+)\)")  # numbers that are written out
+WHOLE = re.compile(r"INT64_C\((\d+)\)")
 CALLED = "acos acosh asin asinh atan atan2 atanh cos cosh erf exp expm1 hypot log log10 log1p pow sin sinh tan tanh"
 LIBM = re.compile(rf"\b({CALLED.replace(' ', '|')})(?=\()")
 

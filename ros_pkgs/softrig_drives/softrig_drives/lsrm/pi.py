@@ -33,7 +33,8 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
 
     def setup(self) -> None:
         """Create the law."""
-        self._pid = Pid(_gains(self.p), self.p.period)
+        p = self.p
+        self._pid = Pid(PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max), p.period)
 
     def first(self) -> PidState:
         """No integral."""
@@ -41,7 +42,7 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
 
     def go_on(self, x: PidState, before: LsrmPiParams) -> PidState:
         """Continue with other gains without a jump, see `softrig_control.pid.Pid.go_on`."""
-        return self._pid.go_on(x, _gains(before))
+        return self._pid.after_kp(x, before.K_F * before.K_p)
 
     def update(
         self, x: PidState, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
@@ -49,7 +50,3 @@ class LsrmPi(SpeedControl[LsrmPiParams]):
         """Return the force command."""
         x, force = self._pid(x, reference[1] - joint_states[0])
         return x, {"force_cmd": (self.clip(force),)}
-
-
-def _gains(p: LsrmPiParams) -> PidParams:
-    return PidParams(kp=p.K_F * p.K_p, ki=p.K_F * p.K_i, u_max=p.F_max)

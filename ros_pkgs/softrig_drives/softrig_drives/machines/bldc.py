@@ -57,6 +57,9 @@ class State(NamedTuple):
     fault: bool = False
 
 
+CUTS = 100  # of the steps of a period, a few as a rule: beyond all physical speeds cuts would never end
+
+
 @jit
 def shape(angle: float) -> float:
     """Return the trapezoid: 1 from pi/6 to 5 pi/6, -1 half a turn later, straight between them."""
@@ -133,6 +136,7 @@ def advance(
 ) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Move by one period; a current of a phase that is off ends at zero, in a step that is cut there."""
     t = 0.0
+    cuts = 0
     while t < period:
         on_a, u_a = leg(gates[0], i_a, U, v_diode)
         on_b, u_b = leg(gates[1], i_b, U, v_diode)
@@ -182,8 +186,9 @@ def advance(
                 share = min(share, i_b / (i_b - n_b))
             if gates[2] < 0.0 and i_c * n_c < 0.0:
                 share = min(share, i_c / (i_c - n_c))
-            if share == 1.0:
+            if share == 1.0 or cuts == CUTS:
                 break
+            cuts += 1
             h = share * h
         # what has come to zero within the rounding of the cut is zero, the others share what is left of the sum
         small = 1e-3 * (abs(i_a) + abs(i_b) + abs(i_c)) if h < step and h < period - t else 0.0

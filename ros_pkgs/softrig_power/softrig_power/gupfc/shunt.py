@@ -66,22 +66,16 @@ class ShuntController(Block[ShuntControllerParams]):
         """Solve the power flow of the start."""
         p = self.p
         self._point = operating_point(p)
-        self._voltage, self._current = (Pid(gains, p.period) for gains in self._gains(p))
+        self._voltage = Pid(PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit), p.period)
+        self._current = Pid(PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit), p.period)
         self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period)
         self._filter = SecondOrderFilter(2.0 * math.pi * p.filter_frequency, p.damping, p.period)
 
-    def _gains(self, p: ShuntControllerParams) -> tuple[PidParams, PidParams]:
-        """Of the voltage and of the current regulator."""
-        return (
-            PidParams(kp=p.voltage_kp, ki=p.voltage_ki, u_max=p.current_limit),
-            PidParams(kp=p.current_kp, ki=p.current_ki, u_max=p.angle_limit),
-        )
-
     def go_on(self, x: State, before: ShuntControllerParams) -> State:
         """Continue with other gains without a jump; filters and loop keep their states."""
-        voltage, current = self._gains(before)
         return x._replace(
-            voltage=self._voltage.go_on(x.voltage, voltage), current=self._current.go_on(x.current, current)
+            voltage=self._voltage.after_kp(x.voltage, before.voltage_kp),
+            current=self._current.after_kp(x.current, before.current_kp),
         )
 
     def first(self) -> State:

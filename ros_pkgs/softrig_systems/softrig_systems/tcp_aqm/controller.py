@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, Self
 from pydantic import model_validator
 from softrig_core import Block, BlockParams, History, Level, param, to_ns
 
-from .laws import INTEGRAL, LAWS, Gains, LawName, Measured
+from .laws import LAWS, Gains, LawName, Measured, integral_gain
 from .model import Bottleneck, phi, psi
 from .ports import COMMAND, HEALTH, REFERENCE, STATE
 
@@ -113,8 +113,7 @@ class AqmController(Block[AqmControllerParams]):
 
     def go_on(self, x: State, before: AqmControllerParams) -> State:
         """Continue with other gains; the record of the state stays."""
-        share = INTEGRAL[self.p.law]
-        was, now = share(before), share(self.p)
+        was, now = integral_gain(self.p.law, before), integral_gain(self.p.law, self.p)
         return x._replace(integral=x.integral * (was / now)) if was != now and now else x
 
     def update(self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None) -> Answer:

@@ -6,7 +6,6 @@ q'' = Phi + Psi u.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal, NamedTuple, Protocol
 
 from softrig_control.sliding_mode import switching
@@ -133,12 +132,15 @@ def robust(m: Measured, g: Gains) -> Decision:
     return Decision((-m.phi - 3.0 * a * m.rate - 3.0 * a * a * m.e - a * a * a * m.integral) / m.psi, 0.0)
 
 
-#: What each law multiplies the integral of e by; sspd has none.
-INTEGRAL: dict[str, Callable[[Gains], float]] = {
-    "sspd": lambda g: 0.0,
-    "sspid": lambda g: g.l2,
-    "pi": lambda g: g.ki,
-    "pid": lambda g: g.pid_gain / g.pid_ti,
-    "robust": lambda g: g.a * g.a * g.a,
-}
+def integral_gain(law: str, g: Gains) -> float:
+    """Return what a law multiplies the integral of e by; sspd has none."""
+    if law == "sspid":
+        return g.l2
+    if law == "pi":
+        return g.ki
+    if law == "pid":
+        return g.pid_gain / g.pid_ti
+    return g.a * g.a * g.a if law == "robust" else 0.0
+
+
 LAWS: dict[str, Law] = {"sspd": sspd, "sspid": sspid, "pi": pi, "pid": pid, "robust": robust}
