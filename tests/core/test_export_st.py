@@ -30,7 +30,7 @@ def test_the_text_computes_the_numbers_of_python(scenario, node):
     rig = rig_of(scenario)
     units, done = st_of(rig, node, rows=200, drawn=200)
     found = executed(text_of(units, done), done, member_of(rig, node))
-    assert found.rows == 400
+    assert found.rows >= 400
     assert (found.differing, found.wrong_status) == (0, 0)
 
 
