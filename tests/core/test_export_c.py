@@ -114,7 +114,8 @@ def test_small_functions_have_the_bits_of_python(tmp_path):
     table = Table(REAL, (2, 3))
     unit = Unit("t", Reader, {}, {}, [], {})
     names = [unit.call(f, (table, REAL), (None, None), False).name for f in SMALL]
-    calls = "".join(f"double f{k}(double *a, double x) {{ t s = {{ false }}; return {n}(&s, a, x); }}\n" for k, n in enumerate(names))
+    body = "{{ t s = {{ false }}; return {name}(&s, a, x); }}"
+    calls = "".join(f"double f{k}(double *a, double x) {body.format(name=n)}\n" for k, n in enumerate(names))
     parts = [FUNCTIONS, *unit.typedefs, *unit.tables.values(), *unit.functions, calls]
     (tmp_path / "f.c").write_text("\n".join(parts))
     shutil.copy(Path(reader_module.__file__).with_name("softrig_c.h"), tmp_path)
