@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 from softrig_core import ScenarioError
@@ -35,8 +35,11 @@ PARAMS_FILE = FileFormat(
         "start_type_description_service": ("ignored", "belongs to the ROS node, not to the block"),
         "qos_overrides": ("ignored", "belongs to the ROS node, not to the block"),
         "run": ("ignored", "the rig sets it"),
-        "null": ("refused", "rcl reads it as the text 'null'; a node that expects a number refuses it"),
+        "null": ("refused", "for a node of the rig: rcl reads it as the text 'null', which no number may be"),
         "anchors and aliases": ("refused", "rcl refuses them"),
+        "tags (!!str)": ("refused", "quotes make a text"),
+        "a name of several parts inside another, with more after it": ("refused", "rcl misreads what follows"),
+        "several documents": ("refused", "write one"),
         "lists of several kinds": ("refused", "rcl refuses them"),
         "a key twice": ("refused", "only one of the values would count"),
     },
@@ -46,13 +49,19 @@ _TOKEN = re.compile(r"[A-Za-z_]\w*|\*\*?", re.ASCII)
 _INT = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|[0-9]+)")
 _REAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?inf(?:inity)?|[+-]?nan", re.IGNORECASE)
 _SPECIAL = re.compile(r"\.(?:nan|NaN|NAN)|[+-]?\.(?:inf|Inf|INF)")
-_NULL = ("~", "null", "Null", "NULL", "")
+_NULL = ("~", "null", "Null", "NULL")
 _BOOL = {
     variant: value
     for value, words in ((True, ("true", "yes", "on")), (False, ("false", "no", "off")))
     for word in words
     for variant in (word, word.capitalize(), word.upper())
 } | {"y": True, "Y": True, "n": False, "N": False}
+
+
+class Unfit(NamedTuple):
+    """A value that rcl reads and no node takes: refused where it is for a node of the rig."""
+
+    reason: str
 
 
 def params_of(
@@ -90,6 +99,8 @@ def params_of(
             others.append(pattern)
         for name, value in own.items():
             takers = [node for node in meant if "*" not in pattern or has(node, name)]
+            if takers and type(value) is Unfit:
+                raise ScenarioError(value.reason)
             if meant and not takers:
                 raise ScenarioError(f"params file {file}: {pattern}: none of its nodes has a parameter {name!r}")
             result |= {f"{node}.{name}": value for node in takers}
@@ -126,8 +137,12 @@ def read_sections(file: Path) -> dict[str, dict[str, Any]]:
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{where}: {getattr(error, 'strerror', None) or error}") from None
     read_yaml(text, str(file))  # bounds, keys that stand twice, what is no YAML
-    if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
-        raise ScenarioError(f"{where}: it has an alias (*name), which rcl refuses; write the values out")
+    for event in yaml.parse(text, yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise ScenarioError(f"{where}: it has an alias (*name), which rcl refuses; write the values out")
+        if (tag := getattr(event, "tag", None)) is not None:
+            line = event.start_mark.line + 1
+            raise ScenarioError(f"{where}, line {line}: it has the tag {tag}; write text in quotes, all else without")
     root = yaml.compose(text, yaml.SafeLoader)
     if not isinstance(root, yaml.MappingNode):
         raise ScenarioError(f"{where}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
@@ -138,21 +153,34 @@ def read_sections(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _nodes(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    over = False
+    over, lost = False, ""
     for key, value in branch.value:
         name, line = str(key.value), key.start_mark.line + 1
         if over:
             raise ScenarioError(
                 f"{where}, line {line}: rcl refuses {name!r} after ros__parameters; write it before that"
             )
+        if lost:  # rcl 9.2 takes one part off its place at the end of a section, however many the key has
+            raise ScenarioError(
+                f"{where}, line {line}: rcl misreads {name!r} after {lost!r}, a name of several parts inside another; "
+                "write both in full at the left margin"
+            )
         if name == "ros__parameters":
             if not above or not isinstance(value, yaml.MappingNode):
                 raise ScenarioError(f"{where}, line {line}: expected NODE: {{ros__parameters: {{NAME: VALUE}}}}")
+            if above.endswith("/"):
+                raise ScenarioError(
+                    f"{where}, line {line}: {above!r} is no name of a node, expected no slash at its end"
+                )
             yield above, dict(_values(value, "", where))
             over = True
             continue
-        path = f"{above}/{name.rstrip('/')}" if not name.startswith("/") or above else name.rstrip("/")
-        if not all(map(_TOKEN.fullmatch, path.split("/")[1:])):
+        path = name if name.startswith("/") and not above else f"{above.removesuffix('/')}/{name}"
+        if above and "/" in name.strip("/") + name[-1:]:
+            lost = name
+        if isinstance(value, yaml.MappingNode) and not value.value:
+            continue  # rcl looks at names with something below them
+        if not all(map(_TOKEN.fullmatch, path.removesuffix("/").split("/")[1:])):
             raise ScenarioError(f"{where}, line {line}: {path!r} is no name of a node or namespace")
         if not isinstance(value, yaml.MappingNode):
             raise ScenarioError(f"{where}, line {line}: {name}: expected ros__parameters: {{NAME: VALUE}}")
@@ -163,25 +191,29 @@ def _values(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[
     for key, value in branch.value:
         name = f"{above}{key.value}"
         if isinstance(value, yaml.MappingNode):
+            if not value.value:
+                raise ScenarioError(f"{where}: {name} is an empty map; give a value, or leave the line out")
             yield from _values(value, f"{name}.", where)
         elif isinstance(value, yaml.SequenceNode):
             items = [_scalar(item, f"{where}: {name}") for item in value.value]
-            if len({type(item) for item in items}) > 1:
+            if len({str if type(item) is Unfit else type(item) for item in items}) > 1:
                 raise ScenarioError(f"{where}: {name} is a list of several kinds, which rcl refuses")
-            yield name, items
+            yield name, next((item for item in items if type(item) is Unfit), items)
         else:
             yield name, _scalar(value, f"{where}: {name}")
 
 
-def _scalar(node: yaml.Node, where: str) -> bool | int | float | str:
+def _scalar(node: yaml.Node, where: str) -> bool | int | float | str | Unfit:
     """Read a value as rcl does: what is quoted is text, and C reads the numbers."""
     if not isinstance(node, yaml.ScalarNode):
-        raise ScenarioError(f"{where}: a list of lists or maps, which rcl refuses")
+        raise ScenarioError(f"{where}: a list of lists or maps, which no parameter can be")
     text = str(node.value)
     if node.style is not None and node.style != "":
         return text
+    if not text:
+        raise ScenarioError(f"{where} has no value, which rcl refuses; give one, or leave the line out")
     if text in _NULL:
-        raise ScenarioError(f"{where} is null: a node refuses it; give a value, or leave the line out")
+        return Unfit(f"{where} is null: a node refuses it; give a value, or leave the line out")
     if text in _BOOL:
         return _BOOL[text]
     number = _number(text)
