@@ -99,7 +99,7 @@ def recorded(**topics):
         tables[name] = SimpleNamespace(t=np.array(t, float), columns={label: np.array(values, float)} if len(t) else {})
     return SimpleNamespace(
         table=tables.__getitem__,
-        recording=SimpleNamespace(topics={n: SimpleNamespace(times=list(t.t)) for n, t in tables.items()}),
+        recording=SimpleNamespace(topics={n: SimpleNamespace(number=len(t.t)) for n, t in tables.items()}),
     )
 
 

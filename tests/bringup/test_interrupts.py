@@ -213,9 +213,9 @@ def test_work_that_takes_long_says_what_it_does(monkeypatch, capsys):
     assert in_a_run() == 1
     assert said == [progress.SILENT, "cancelled"] * 3
     told = [line for line in capsys.readouterr().err.splitlines() if "ing " in line]
-    assert [line.split(": ")[1] for line in told] == [
+    assert [line.split(": ", 1)[1] for line in told] == [
         "computing 1 figures",
-        "writing 253 messages into r",
+        "writing 253 messages into r; if it is killed, softrig bag repair r/log makes the bag",
         "drawing 1 pictures and the report into r",
     ]
     with quietly(), progress.busy("x"):

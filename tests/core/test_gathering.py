@@ -28,7 +28,10 @@ def watchers():
 def kept(step):
     """What it knows, however it is cut into blocks."""
     sizes = [port.size for port in step.inputs]
-    columns = [[c.tolist() for c in k.columns(size)] for k, size in zip(step.x.seen, sizes, strict=True)]
+    columns = []
+    for k, size in zip(step.x.seen, sizes, strict=True):
+        stamps = k.stamps(size)
+        columns.append([stamps.tolist(), [k.column(size, i, len(stamps)).tolist() for i in range(size)]])
     return columns, [(k.stamp, k.forgot) for k in step.x.seen]
 
 

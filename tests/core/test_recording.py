@@ -7,10 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from softrig_core import Recording, Signals, array, button, joint_state, number
-from softrig_core.wire import recording as module
+from softrig_core.wire import recording as module, signals as signals_module
 from softrig_core.wire.cdr import Layout, parse
+from softrig_core.wire.columns import Columns, Stored
 from softrig_core.wire.parameter_event import TOPIC as EVENTS, TYPE as EVENT
-from softrig_core.wire.recording import Columns, ShardTail, ShardWriter, Topic, read_shards, relative, shard_topics
+from softrig_core.wire.recording import ShardTail, ShardWriter, Topic, read_shards, relative, shard_topics
+from softrig_core.wire.shards import Shards
 from softrig_core.wire.signals import full_name, short_name, topic_of
 
 PORTS = {  # two that may come as numbers, one of which counts its messages, a flag among them, and one of bytes only
@@ -116,6 +118,72 @@ def test_a_recording_holds_messages_as_they_came_however_they_came(seed, look, m
             rest = topic.since(n)
             assert (rest.name, rest.msgtype) == (topic.name, topic.msgtype)
             assert list(zip(rest.times, rest.data, strict=True)) == plain.all()[name][n:]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_shards_of_a_run_in_process_hold_the_same_in_memory_and_on_the_disk(seed, tmp_path, monkeypatch):
+    """Drawn messages: the files are read back whole, or looked at a few bytes at a time and left where they are."""
+    shards, plain = Shards(tmp_path / "log", TOPICS), Plain()
+    row, rows = shards.row(ROW), shards.rows(ROW)
+    for what, t, values, data in drawn(seed, 60):
+        if what == "row":
+            row(t, values)
+            plain.row(t, values)
+        elif what == "rows":
+            rows(values, data)
+            for k, own in zip(values.tolist(), data.tolist(), strict=True):
+                plain.row(k, own)
+        elif what == "add":
+            shards.add(3, t, data)
+            plain.add(3, t, data)
+        else:
+            shards.note(t, data)
+            plain.note(t, data)
+    shards.flush()
+    tables: dict = {}
+    for held in (1 << 20, 0):
+        for look in (1 << 20, 700, 37):
+            for name, value in (("HELD", held), ("_LOOK", look), ("ORDERED", 7), ("CHUNK", 3)):
+                monkeypatch.setattr(module, name, value)
+            monkeypatch.setattr("softrig_core.wire.columns.READ", 5)
+            recording = shards.recording()
+            kinds = {type(part) for topic in recording.topics.values() for part in topic.parts()}
+            assert kinds == ({Stored} if held == 0 else {Columns})
+            assert [topic.number for topic in recording.topics.values()] == [len(said) for said in plain.all().values()]
+            for topic in list(PORTS)[:3]:
+                found = Signals(recording).table(topic)
+                columns = {label: x.tolist() for label, x in found.columns.items()}
+                assert tables.setdefault(topic, (found.t.tolist(), columns)) == (found.t.tolist(), columns)
+            holds(shards.recording(), plain.all())
+    recording.release()
+    assert not (tmp_path / "log").exists()
+    holds(recording, plain.all())  # the files are gone, and are open still
+
+
+def test_times_that_are_even_are_computed_and_others_are_read(tmp_path):
+    for times in ([0, 5, 10, 15], [0, 5, 11], [7], [0, 5, 5, 10]):
+        shards = Shards(tmp_path, TOPICS)
+        shards.rows(ROW)(np.array(times), np.ones((len(times), SIZE)))
+        shards.flush()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "HELD", 0)
+            (part,) = shards.recording().topics["rig/state"].parts()
+        assert part.rows.even == ((0, 5) if times == [0, 5, 10, 15] else None)
+        assert part.times.tolist() == times
+        shards.remove()
+
+
+def test_of_columns_on_the_disk_only_the_last_few_stay_in_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "HELD", 0)
+    shards = Shards(tmp_path, TOPICS)
+    shards.rows(ROW)(np.arange(9), np.arange(9.0 * SIZE).reshape(9, SIZE))
+    shards.flush()
+    found = Signals(shards.recording())
+    names = [f"{topic}/{label}" for topic in list(PORTS)[:3] for label in found.table(topic).columns]
+    for name in [*names, *names]:
+        assert found[name].t.tolist() == (np.arange(9) / 1e9).tolist()
+        assert len(found._recent) <= signals_module.KEPT
+    assert found["rig/state/x/position"].x is found["rig/state/x/position"].x
 
 
 def stretches():

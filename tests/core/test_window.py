@@ -27,9 +27,10 @@ class Listed:
 
 
 def rows_of(kept, size):
-    stamps, values = kept.columns(size)
-    assert values.flags.c_contiguous
-    return [(int(t), tuple(row)) for t, row in zip(stamps, values.tolist(), strict=True)]
+    stamps = kept.stamps(size)
+    columns = [kept.column(size, k, len(stamps)) for k in range(size)]
+    assert all(column.flags.c_contiguous for column in columns)
+    return list(zip(stamps.tolist(), zip(*(column.tolist() for column in columns), strict=True), strict=True))
 
 
 def same(kept, listed, size):

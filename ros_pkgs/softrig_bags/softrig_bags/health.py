@@ -32,22 +32,15 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
         The same messages, the texts at the first stamp, and at the last one ``diagnostics`` (a status a node) and
         ``NODE/metrics`` of each observer.
     """
-    times = [t for topic in recording.topics.values() for t in (*topic.times[:1], *topic.times[-1:])]
+    ticks = [topic.ticks() for topic in recording.topics.values()]
+    times = [int(t) for each in ticks for t in (*each[:1], *each[-1:])]
     if not times:
         return recording
     texts = {topic: text for topic, text in texts.items() if topic not in recording.topics}
     observers = {f"{name}/metrics": s["figures"] for name, s in status.items() if s.get("figures")}
-    result = Recording(
-        [
-            *((t.name, t.msgtype) for t in recording.topics.values()),
-            *((topic, STRING) for topic in texts),
-            ("diagnostics", ARRAY),
-            *((topic, ARRAY) for topic in observers),
-        ]
+    result = recording.beside(
+        [*((topic, STRING) for topic in texts), ("diagnostics", ARRAY), *((topic, ARRAY) for topic in observers)]
     )
-    for name, old in recording.topics.items():
-        result.topics[name].times.extend(old.times)
-        result.topics[name].data.extend(old.data)
     for topic, text in texts.items():
         add(result, topic, STRING, min(times), data=text)
     end = max(times)

@@ -58,7 +58,7 @@ class RecordedMessages:
 
 def _blocks(i: int, topic: Topic) -> Iterator[Block]:
     whole = topic.columns()
-    n = len(whole.times) if whole is not None else len(topic.times)
+    n = topic.number
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
         number = np.full(last - first, i, np.int64)

@@ -294,9 +294,9 @@ def _repair_shards(shards: list[Path], target: Path) -> Repair:
     recording = Recording([(name, topics[name]) for name in order])
     reports = []
     for shard in shards:
-        before = sum(len(t.data) for t in recording.topics.values())
+        before = sum(t.number for t in recording.topics.values())
         lost = recording.read_shard(shard)
-        kept = sum(len(t.data) for t in recording.topics.values()) - before
+        kept = sum(t.number for t in recording.topics.values()) - before
         reports.append(FileReport(shard.name, kept, [f"the last {lost} bytes"] if lost else [], indexed=True))
     if not any(r.kept for r in reports):
         raise BagError(f"{shards[0].parent}: not one whole message in its shards")

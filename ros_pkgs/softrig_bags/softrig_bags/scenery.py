@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from softrig_core import SECOND, Pose, Recording, Scene, Signals
 from softrig_core.block.scene import Point, at_origin
 
@@ -35,36 +36,25 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
         The same messages, and ``robot_description``, ``tf_static``, ``markers`` (the path of the tip, all three once,
         at the first joint state) and ``tf`` (`PERIOD`).
     """
-    topic, scene = next(((t, s) for t, s in scenes.items() if recording.topics[t].times), ("", None))
+    topic, scene = next(((t, s) for t, s in scenes.items() if recording.topics[t].number), ("", None))
     if scene is None:
         return recording
-    result = Recording(
-        [
-            *((t.name, t.msgtype) for t in recording.topics.values()),
-            ("robot_description", STRING),
-            ("tf_static", TF),
-            ("tf", TF),
-            ("markers", MARKERS),
-        ]
-    )
-    for name, old in recording.topics.items():
-        result.topics[name].times.extend(old.times)
-        result.topics[name].data.extend(old.data)
-    times = recording.topics[topic].times
-    columns = Signals(recording).table(topic).columns
-    q = list(zip(*(x.tolist() for label, x in columns.items() if label.endswith("/position")), strict=True))
+    result = recording.beside([("robot_description", STRING), ("tf_static", TF), ("tf", TF), ("markers", MARKERS)])
+    ticks = recording.topics[topic].ticks()
     rows = [0]
-    for i, t in enumerate(times):
-        if t >= times[rows[-1]] + PERIOD:
-            rows.append(i)
-    path = [scene.tip(q[i]) for i in rows[:: -(-len(rows) // PATH)]]
+    while (following := int(np.searchsorted(ticks, ticks[rows[-1]] + PERIOD))) < len(ticks):
+        rows.append(following)
+    columns = Signals(recording).table(topic).columns
+    chosen = [x[rows].tolist() for label, x in columns.items() if label.endswith("/position")]
+    times, q = ticks[rows].tolist(), list(zip(*chosen, strict=True))
+    path = [scene.tip(at) for at in q[:: -(-len(q) // PATH)]]
     first = times[0]
     add(result, "robot_description", STRING, first, data=scene.description)
     still = [at_origin(scene.base), *scene.fixed()]
     add(result, "tf_static", TF, first, transforms=[_transform(first, pose) for pose in still])
     add(result, "markers", MARKERS, first, markers=[_line(first, scene.base, path)])
-    for i in rows:
-        add(result, "tf", TF, times[i], transforms=[_transform(times[i], pose) for pose in scene.moving(q[i])])
+    for t, at in zip(times, q, strict=True):
+        add(result, "tf", TF, t, transforms=[_transform(t, pose) for pose in scene.moving(at)])
     return result
 
 
@@ -102,8 +92,6 @@ def _transform(t: int, pose: Pose) -> Any:
 
 
 def _line(t: int, frame: str, points: Sequence[Point]) -> Any:
-    import numpy as np
-
     kind: Any = typestore().types["visualization_msgs/msg/Marker"]
     origin, upright = _vector("Point", (0.0, 0.0, 0.0)), _vector("Quaternion", (0.0, 0.0, 0.0, 1.0))
     nothing = np.array([], dtype=np.uint8)

@@ -20,8 +20,6 @@ from .mcap_format import MESSAGE
 _HEAD = [("code", "u1"), ("length", "<u8"), ("number", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 _HEAD_SIZE = np.dtype(_HEAD).itemsize
 _LENGTH = 22  # bytes of a message's record beside its data
-# The places of so many messages are computed at a time, which bounds the memory for long recordings.
-_BATCH = 1 << 20
 
 
 class _Feed:
@@ -70,10 +68,8 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
     for topic in recording.topics.values():
         if (earliest := int(np.min(topic.ticks(), initial=0))) < 0:
             raise BagError(f"{topic.name}: a message at {earliest} ns, expected times from 0 on")
-    order = recording.order()
     feeds = [_Feed(topic, numbers[name]) for name, topic in recording.topics.items()]
-    for first in range(0, len(order), _BATCH):
-        ranks = order[first : first + _BATCH]
+    for ranks in recording.order():
         sizes = np.empty(len(ranks), np.int64)
         for rank, feed in enumerate(feeds):
             rows = np.flatnonzero(ranks == rank)

@@ -36,7 +36,7 @@ def identity(rig: Rig, seed: int, recording: Recording) -> str:
 def recorded_half(recording: Recording) -> str:
     """Compute the half that says what was recorded: topics, times and bytes."""
     whole = hashlib.sha256()
-    for name in sorted(name for name, topic in recording.topics.items() if topic.times):
+    for name in sorted(name for name, topic in recording.topics.items() if topic.number):
         topic = recording.topics[name]
         times, data = topic.ticks(), (data for _, data in topic.stream())
         content = hashlib.sha256(times.astype("<i8").tobytes())

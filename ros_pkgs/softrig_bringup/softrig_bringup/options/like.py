@@ -83,7 +83,7 @@ class Recalled:
 
 def _reached(recording: Recording, epoch: int) -> int:
     """Return the newest tick in a recording, ns from t = 0."""
-    return max((t.times[-1] for t in recording.topics.values() if t.times), default=epoch) - epoch
+    return recording.newest(epoch) - epoch
 
 
 def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]:
@@ -207,7 +207,7 @@ def from_outside(rig: Rig, recording: Recording) -> list[Port]:
         for port in member.inputs:
             link = member.links.get(port.name)
             topic = recording.topics.get(port.topic)
-            if not member.external and (link is None or link.source.external) and topic is not None and topic.times:
+            if not member.external and (link is None or link.source.external) and topic is not None and topic.number:
                 found.setdefault(port.topic, replace(port, name=f"input_{len(found) + 1}"))
     return list(found.values())
 

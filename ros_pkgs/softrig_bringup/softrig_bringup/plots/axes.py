@@ -12,7 +12,7 @@ import numpy as np
 
 from . import style as look
 from .canvas import Artist, Axes
-from .curves import Array, Curve, envelope
+from .curves import Array, Curve, envelope, inked, logical
 from .marks import NAMED, Mark
 from .shades import shades
 
@@ -35,10 +35,10 @@ def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
     scale : float
         From seconds to the unit of the time axis.
     """
-    ink = [float(np.abs(np.diff(c.y)).sum()) for c in curves]
+    ink = [inked(c.y) if c.ink is None else c.ink for c in curves]
     for curve, style, own in zip(curves, styles(curves), ink, strict=True):
-        x, y = envelope(curve.x * scale, curve.y)
-        steps = len(y) == len(curve.y) and (curve.held or _quantised(y))
+        x, y = _drawn(curve, scale)
+        steps = curve.ink is None and len(y) == len(curve.y) and (curve.held or _quantised(y))
         marker = "o" if len(x) == 1 else ""
         order = 2.0 + sum(other > own for other in ink) / len(ink)
         ax.plot(
@@ -54,15 +54,22 @@ def draw(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
 
 def is_logic(curves: Sequence[Curve]) -> bool:
     """Return whether the curves are switches or buttons: several, all of them 0 or 1."""
-    return 1 < len(curves) <= look.MANY and all(len(c.y) and np.isin(c.y, (0.0, 1.0)).all() for c in curves)
+    return 1 < len(curves) <= look.MANY and all(logical(c.y) if c.ink is None else c.logic for c in curves)
+
+
+def _drawn(curve: Curve, scale: float) -> tuple[Array, Array]:
+    """Return the points of a curve over time."""
+    x = curve.x * scale
+    return envelope(x, curve.y) if curve.ink is None else (x, curve.y)
 
 
 def draw_logic(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
     """Draw switches one above the other, as a logic analyser does."""
     places = [1.4 * i for i in range(len(curves))][::-1]
     for curve, place, style in zip(curves, places, styles(curves), strict=True):
-        x, y = envelope(curve.x * scale, curve.y)
-        ax.plot(x, y + place, drawstyle="steps-post" if len(y) == len(curve.y) else "default", **style)
+        x, y = _drawn(curve, scale)
+        steps = curve.ink is None and len(y) == len(curve.y)
+        ax.plot(x, y + place, drawstyle="steps-post" if steps else "default", **style)
     ax.set_yticks([place + 0.5 for place in places], [curve.label for curve in curves])
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")

@@ -18,6 +18,7 @@ from softrig_core.wire.signals import short_name, topic_of
 Array = NDArray[np.float64]
 
 _PIXELS = 1100  # columns that a long signal is reduced to
+LONG = 1 << 18  # samples beyond which a curve over time is reduced when it is made
 _AXES = {"alpha_beta": ("α", "β", "0"), "dq": ("d", "q", "0"), "abc": ("a", "b", "c")}
 
 
@@ -34,6 +35,10 @@ class Curve:
         Drawn as a thin dark dashed line on top.
     signal : str
         Name of the signal that it shows; empty for a difference.
+    ink : float, optional
+        Of a curve that `reduced` has made: how far the signal moves in all.
+    logic : bool
+        Of such a curve: whether the signal is 0 or 1 everywhere.
     """
 
     label: str
@@ -43,6 +48,8 @@ class Curve:
     held: bool = False
     reference: bool = False
     signal: str = ""
+    ink: float | None = None
+    logic: bool = False
 
 
 def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[float] | None) -> Rig:
@@ -114,6 +121,24 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
     return corners_x.ravel(), corners_y.ravel()
 
 
+def logical(y: Array) -> bool:
+    """Return whether a signal is 0 or 1 everywhere, as a switch is."""
+    return bool(len(y) and np.isin(y, (0.0, 1.0)).all())
+
+
+def inked(y: Array) -> float:
+    """Return how far a signal moves in all."""
+    return float(np.abs(np.diff(y)).sum())
+
+
+def reduced(curve: Curve) -> Curve:
+    """Return what a picture over time needs of a curve that is very long, so that the rest need not stay in memory."""
+    if len(curve.x) <= LONG:
+        return curve
+    x, y = envelope(curve.x, curve.y)
+    return replace(curve, x=x, y=y, ink=inked(curve.y), logic=logical(curve.y))
+
+
 def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
     """Cut a curve over time to a window, to whose edges it is drawn: no value from outside of it.
 
@@ -157,7 +182,7 @@ class Source:
         self.units = signal_units(rig)
         self.held = _held(rig)
         recorded = [t for t in self.topics if t in signals.recording.topics]
-        self.published = [t for t in recorded if signals.recording.topics[t].times]
+        self.published = [t for t in recorded if signals.recording.topics[t].number]
         self.silent = [t for t in recorded if t not in self.published and self.topics[t].labels]
         self.end = max((signals.table(t).t[-1] for t in self.published), default=0.0)
 
@@ -213,7 +238,7 @@ class Source:
             curve = self.difference(first, second, entry.signals[name])
         else:
             curve = self.curve(name, entry.signals[name])
-        return inside(replace(curve, unit=entry.unit or curve.unit), entry.window)
+        return reduced(inside(replace(curve, unit=entry.unit or curve.unit), entry.window))
 
     def against(self, entry: PlotEntry, name: str) -> tuple[str, Curve]:
         """Return the signal of the x axis and the curve over it."""

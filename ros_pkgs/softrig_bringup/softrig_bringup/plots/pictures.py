@@ -17,7 +17,7 @@ from ..folder import replace
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
 from .canvas import Axes, Figure, Place
-from .curves import Curve, Source, by_unit, check_plots
+from .curves import Curve, Source, by_unit, check_plots, reduced
 from .marks import Mark, marks_of
 from .printed import printed
 from .style import axis_title, quantity
@@ -276,7 +276,7 @@ def places(figure: Figure, count: int, columns: int) -> list[Place]:
 
 def _panels(source: Source) -> Iterator[tuple[str, str, list[Curve]]]:
     for topic in source.published:
-        for unit, row in by_unit([source.curve(n, source.axis(n)) for n in source.names(topic)]).items():
+        for unit, row in by_unit([reduced(source.curve(n, source.axis(n))) for n in source.names(topic)]).items():
             yield topic, unit, row
 
 

@@ -44,6 +44,7 @@ from softrig_core.timebase import SECOND
 from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import read_shards
+from softrig_core.wire.shards import Shards
 from softrig_nodes import run_processes
 from softrig_nodes.processes.placement import NOBODY, Listener, Placement
 from softrig_nodes.processes.stopping import signal_of, stoppable, unstopped
@@ -74,14 +75,26 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
     started, seed = time.perf_counter(), rig.scenario.seed
     run = Run(rig, seed, Recording((t, p.msgtype) for t, p in rig.topics.items()), mode=str(placement))
     if placement.mode == "inprocess":
+        shards = Shards(directory, [(t, p.msgtype) for t, p in rig.topics.items()])
+
+        def progress(t: int) -> None:
+            # About a hundred times in a run: a node that is rarely due would keep its messages in a buffer.
+            shards.flush()
+            if listener.progress is not None:
+                listener.progress(t)
+
         try:
             with stoppable():
-                steps = run_inprocess(rig, seed, run.recording, listener.progress)
+                steps = run_inprocess(rig, seed, shards, progress)
             run.blocks, run.status = steps, {name: status_of(step) for name, step in steps.items()}
+            shards.flush()
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
             run.stopped = signal_of(interrupt)
+        except OSError as full:
+            run.error = f"{directory}: {full.strerror or full}"
+        run.recording = shards.recording()
     else:
         outcome = run_processes(rig, seed, directory, placement, listener)
         run.recording, run.status, run.epoch = outcome.recording, outcome.status, outcome.epoch
@@ -133,16 +146,16 @@ def gaps(rig: Rig, recording: Recording) -> str:
         expected |= {p.topic: member.schedule for p in read}
     sporadic = {p.topic for m in rig.members for p in m.outputs if p.sporadic}
     for topic, schedule in expected.items():
-        times = recording.topics[topic].times
+        times = recording.topics[topic].ticks()
         if topic in sporadic:
-            wrong = next((t for a, t in pairwise([-1, *times]) if t <= a or not schedule.due(t)), None)
+            wrong = next((t for a, t in pairwise([-1, *times.tolist()]) if t <= a or not schedule.due(t)), None)
             if wrong is not None:
                 found.append(f"{topic}: a message at t = {wrong / 1e9:.9g} s, which is no tick or not a later one")
             continue
         wanted = schedule.count()
         if len(times) == wanted and times[0] == 0 and times[-1] == schedule.last:
             continue
-        at = next((i for i, t in enumerate(times) if t != schedule.time(i)), len(times))
+        at = next((i for i, t in enumerate(times.tolist()) if t != schedule.time(i)), len(times))
         found.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {schedule.time(at) / 1e9:.9g} s")
     return "; ".join(found)
 
@@ -162,7 +175,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "seed": run.seed,
         "duration_s": scenario.duration,
         "reached_s": run.reached_s,
-        "ticks": max(0, len(run.recording.topics[CLOCK.topic].times) - 1) or _plant_ticks(run),
+        "ticks": max(0, run.recording.topics[CLOCK.topic].number - 1) or _plant_ticks(run),
         "wall_s": round(run.wall_s, 3),
         "error": run.error,
         "stopped": run.stopped_at,
@@ -298,6 +311,7 @@ def save(
         (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
         if record:
             write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=[*LATCHED, *texts])
+        run.recording.release()
 
 
 def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
@@ -309,7 +323,7 @@ def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
         See `softrig_bringup.plots.pictures.plot_run`.
     """
     with _writing(folder) as directory:
-        if any(topic.times for topic in run.recording.topics.values()):
+        if any(topic.number for topic in run.recording.topics.values()):
             plot_run(run.signals, run.rig, directory, also)
         write_report([directory], directory / "report.html")
 

@@ -263,7 +263,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
 
 def _writing(done: Run, folder: ResultsFolder) -> str:
     """Describe what is written, and what there is of it if this process is killed."""
-    messages = sum(len(topic.ticks()) for topic in done.recording.topics.values())
+    messages = sum(topic.number for topic in done.recording.topics.values())
     log = folder.path / "log"
     kept = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
     return f"writing {messages} messages into {_shown(folder.path)}{kept}"

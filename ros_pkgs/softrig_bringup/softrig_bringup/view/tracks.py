@@ -104,7 +104,7 @@ class Pane(Mapping[str, Signal]):
     def __init__(self, tables: Mapping[str, Table]) -> None:
         self._tables = tables
         self.recording = self
-        self.topics = {topic: SimpleNamespace(times=range(len(table.t))) for topic, table in tables.items()}
+        self.topics = {topic: SimpleNamespace(number=len(table.t)) for topic, table in tables.items()}
 
     def table(self, topic: str) -> Table:
         """Return all columns of a topic; none where nothing has come."""

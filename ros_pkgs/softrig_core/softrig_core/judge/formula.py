@@ -33,6 +33,8 @@ _INTERVAL = re.compile(r"\[([^\[\],]+),([^\[\],]+)\]")
 _PLAIN = re.compile(r"\s*(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf)\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _AFTER_CONDITION = {"->", "and", "or", "until", "since", "implies", ")", "&", "|", "&&", "||", ""}
+REMEMBERED = 1 << 14  # parts of formulas whose variables are remembered
+_names: dict[int, tuple[Any, list[str]]] = {}
 FUTURE, PAST = ("Always", "Eventually"), ("Historically", "Once")
 
 
@@ -81,7 +83,7 @@ def bounded_by_numbers(given: str, known: Mapping[str, float | None], units: Map
     plain = [part.strip() for found in _INTERVAL.finditer(given) for part in found.groups() if _PLAIN.fullmatch(part)]
     if any(part != "inf" and float(part) for part in plain):
         return True
-    tree = _parsed(given, tuple(known.items()))[0]
+    tree = _parsed(given, known)[0]
     return any(_number_beside(kind, body, units) for kind, body in nodes(tree))
 
 
@@ -127,9 +129,9 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
 
 
 @lru_cache(maxsize=256)
-def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, dict[str, Condition]]:
+def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, Mapping[str, Condition]]:
     known = dict(items)
-    tree, conditions = _parsed(given, items)
+    tree, conditions = _parsed(given, known)
     if not any(kind in ("Always", "Eventually", "Until") for kind, _ in nodes(tree)):
         raise ScenarioError(f"formula {given!r} is about t = 0 only: write 'always (...)', or 'eventually (...)'")
     for kind, body in nodes(tree):
@@ -148,14 +150,29 @@ def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree
     return tree, conditions
 
 
-def _parsed(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, dict[str, Condition]]:
+def _parsed(given: str, known: Mapping[str, float | None]) -> tuple[Tree, Mapping[str, Condition]]:
     """Parse a formula; its names are variables still, its times seconds."""
-    import sentil
-
-    known = dict(items)
     for name in sorted(_LETTERS & known.keys()):
         raise ScenarioError(f"formula {given!r}: {name} is the letter of an operator; rename the signal or figure")
-    written, conditions = _rewrite(_timed(given, known), known)
+    return _tree(given, _timed(given, known), tuple((name, value is None) for name, value in known.items()))
+
+
+@lru_cache(maxsize=256)
+def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[Tree, Mapping[str, Condition]]:
+    """Parse a formula whose times are numbers; of its names only which are signals matters, whatever the numbers are.
+
+    Parameters
+    ----------
+    given : str
+        The formula as it was written.
+    timed : str
+        From `_timed`.
+    names : tuple of (str, bool)
+        Its names and whether each is a signal.
+    """
+    import sentil
+
+    written, conditions = _rewrite(timed, {name: None if signal else 0.0 for name, signal in names})
     try:
         return json.loads(sentil.Formula.parse(written).to_json()), conditions
     except sentil.SentilError as error:
@@ -276,16 +293,20 @@ def _ns(seconds: float) -> float:
     return float(round(seconds * SECOND))
 
 
-def nodes(tree: Tree) -> Iterator[tuple[str, Any]]:
-    """Yield every operator, function, variable and number of a formula with what stands under it."""
-    if isinstance(tree, dict):
-        for kind, body in tree.items():
-            if kind[:1].isupper():
-                yield kind, body
-            yield from nodes(body)
-    elif isinstance(tree, list):
-        for part in tree:
-            yield from nodes(part)
+def nodes(tree: Tree) -> list[tuple[str, Any]]:
+    """Return every operator, function, variable and number of a formula with what stands under it, from the root on."""
+    result: list[tuple[str, Any]] = []
+    # A stack in place of recursion: a study asks this of every run.
+    stack: list[tuple[str, Any]] = [("", tree)]
+    while stack:
+        kind, body = stack.pop()
+        if kind[:1].isupper():
+            result.append((kind, body))
+        if isinstance(body, dict):
+            stack.extend(reversed(body.items()))
+        elif isinstance(body, list):
+            stack.extend(("", part) for part in reversed(body))
+    return result
 
 
 def _map(tree: Tree, change: Callable[[str, Any], tuple[str, Any]]) -> Tree:
@@ -318,8 +339,19 @@ def intervals(tree: Tree) -> Iterator[tuple[float, float | None]]:
 
 
 def variables(tree: Tree) -> list[str]:
-    """Names of the variables of a formula, each once."""
-    return list(dict.fromkeys(body for kind, body in nodes(tree) if kind == "Variable"))
+    """Return the names of the variables of a formula, or of a part of one, each once."""
+    if not isinstance(tree, dict | list):
+        return []
+    if id(tree) not in _names:
+        if isinstance(tree, dict):
+            parts = [[body] if kind == "Variable" else variables(body) for kind, body in tree.items()]
+        else:
+            parts = [variables(part) for part in tree]
+        if len(_names) >= REMEMBERED:
+            _names.clear()
+        # The tree is stored too: while it lives, no other tree can have its id.
+        _names[id(tree)] = tree, list(dict.fromkeys(name for part in parts for name in part))
+    return _names[id(tree)][1]
 
 
 def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]) -> tuple[Tree, str]:

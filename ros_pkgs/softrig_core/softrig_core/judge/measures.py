@@ -33,10 +33,10 @@ ValueError
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueErro
 ROUNDING = 1e-9
 # Below so many instants a binary search is faster than the check whether each has its own newest time.
 SIDE_BY_SIDE = 64
+# Bytes: larger results are not shared, because a long run has to stay small in memory.
+SHARED = 1 << 22
 # Times in s are whole ns, so a sample nearer than this (s) to an end of a window is at it.
 HALF_NS = 5e-10
 
@@ -60,6 +62,7 @@ Array = NDArray[np.float64]
 SignalMap = Mapping[str, tuple[Array, Array]]
 Function = Callable[..., float]
 _F = TypeVar("_F", bound=Function)
+_T = TypeVar("_T", bound=tuple[Any, ...])
 
 
 class ImpossibleError(ValueError):
@@ -439,6 +442,29 @@ def window(
     return t[first:last], x[first:last]
 
 
+def shared(signals: SignalMap, key: Hashable, make: Callable[[], _T]) -> _T:
+    """Return what several figures of one run begin with; it is computed once where the signals have room for it.
+
+    Parameters
+    ----------
+    signals : mapping
+        Those of a run keep results in their attribute `shared`; of others it is computed at each call.
+    key : hashable
+        What is computed, with all arguments that it depends on.
+    make : callable
+        Computes a tuple of arrays; nobody changes them.
+    """
+    store: dict[Hashable, Any] | None = getattr(signals, "shared", None)
+    if store is None:
+        return make()
+    if key not in store:
+        result: Any = make()
+        if sum(array.nbytes for array in result) > SHARED:
+            return result  # type: ignore[no-any-return]
+        store[key] = result
+    return store[key]  # type: ignore[no-any-return]
+
+
 def begin(t: Array, start: float | None) -> float:
     """Return from when on times of a window count: `start`, or its first sample.
 
@@ -670,6 +696,13 @@ def _held_error(
     signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
 ) -> tuple[Array, Array]:
     """Return signal - reference, and for how long each value holds (ns); for means over time."""
+    key = "held_error", signal, reference, start, end
+    return shared(signals, key, lambda: _new_held_error(signals, signal, reference, start, end))
+
+
+def _new_held_error(
+    signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
+) -> tuple[Array, Array]:
     t, e, gaps = _aligned(signals, signal, reference, start, end)
     if isinstance(reference, str) and t.size > 1 and not gaps[-1] and _unpaired(t, signals[reference][0]):
         return e[:-1], gaps[:-1]

@@ -31,7 +31,9 @@ def registered() -> list[str]:
     return sorted({*measures.__all__, *new})
 
 
+@lru_cache(maxsize=1024)
 def _package(point: importlib.metadata.EntryPoint) -> str:
+    # A distribution parses its metadata each time it is asked for its name.
     return point.dist.name if point.dist is not None else ""
 
 

@@ -41,7 +41,7 @@ def branched(
     ScenarioError
         The run did not come so far.
     """
-    reached = max((topic.times[-1] for topic in recording.topics.values() if topic.times), default=epoch) - epoch
+    reached = recording.newest(epoch) - epoch
     start = to_ns(at) if at >= 0.0 else -1
     if not 0 <= start <= reached:
         raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has come to, 0 to {reached / SECOND:.9g} s")

@@ -102,8 +102,7 @@ class Run:
     @property
     def reached_s(self) -> float:
         """Return the time of the newest message, s."""
-        newest = max((t.times[-1] for t in self.recording.topics.values() if t.times), default=self.epoch)
-        return (newest - self.epoch) / SECOND
+        return (self.recording.newest(self.epoch) - self.epoch) / SECOND
 
     @cached_property
     def signals(self) -> Signals:

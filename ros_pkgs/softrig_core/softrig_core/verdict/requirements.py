@@ -39,6 +39,7 @@ from ..timebase import SECOND
 from ..wire.signals import full_name
 
 Items = tuple[tuple[str, Any], ...]
+_bounds: dict[tuple[Any, ...], bool] = {}
 
 
 class Measured(Protocol):
@@ -315,9 +316,12 @@ def _used(formula: str, known: Items) -> tuple[list[str], list[tuple[float, floa
     return variables(tree), list(intervals(tree))
 
 
-@lru_cache(maxsize=256)
 def _bounded(formula: str, known: Items, units: Items) -> bool:
-    return bounded_by_numbers(formula, dict(known), dict(units))
+    # Which numbers the names stand for does not matter, and these are others in each run of a study.
+    key = formula, tuple((name, value is None) for name, value in known), units
+    if key not in _bounds:
+        _bounds[key] = bounded_by_numbers(formula, dict(known), dict(units))
+    return _bounds[key]
 
 
 @lru_cache(maxsize=256)

@@ -71,11 +71,21 @@ class Kept(NamedTuple):
 
     dropped: bool = False
 
-    def columns(self, size: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return stamps in ns, shape (n,), and values, (n, size), the oldest first."""
-        rows = np.frombuffer(b"".join((*self.blocks, self.filling, self.newest)), _rows(size))
-        rows = rows[rows["stamp"].searchsorted(self.since) :]
-        return rows["stamp"], np.ascontiguousarray(rows["values"])
+    def stamps(self, size: int) -> NDArray[np.int64]:
+        """Return the stamps of what is in the window, ns, shape (n,), the oldest first; `size` values a message."""
+        found = self._joined(size, "stamp")
+        return found[found.searchsorted(self.since) :]
+
+    def column(self, size: int, k: int, number: int) -> NDArray[np.float64]:
+        """Return value k of the newest `number` messages, shape (number,), the oldest first."""
+        found = self._joined(size, "values", k)
+        return found[len(found) - number :]
+
+    def _joined(self, size: int, *place: Any) -> NDArray[Any]:
+        """Return one number of all messages; block by block, because a window may have hundreds of MB."""
+        kind, what, *at = _rows(size), *place
+        parts = [np.frombuffer(block, kind)[what] for block in (*self.blocks, self.filling, self.newest)]
+        return np.concatenate([part[:, at[0]] if at else part for part in parts])
 
     @property
     def forgot(self) -> bool:
@@ -221,7 +231,7 @@ class Seen(Mapping[str, Signal]):
 
     def __init__(self, ports: Mapping[str, Port], seen: Mapping[str, Kept]) -> None:
         self._ports = {port.topic: (port, seen[name]) for name, port in ports.items()}
-        self._tables: dict[str, tuple[Any, Any]] = {}
+        self._times: dict[str, Any] = {}
 
     @property
     def end(self) -> float:
@@ -237,11 +247,10 @@ class Seen(Mapping[str, Signal]):
         if not topic or name[len(topic) + 1 :] not in self._ports[topic][0].labels:
             raise KeyError(name)
         port, kept = self._ports[topic]
-        if topic not in self._tables:
-            stamps, values = kept.columns(port.size)
-            self._tables[topic] = stamps / SECOND, values
-        times, values = self._tables[topic]
-        return Signal(times, values[:, port.labels.index(name[len(topic) + 1 :])])
+        if topic not in self._times:
+            self._times[topic] = kept.stamps(port.size) / SECOND
+        times = self._times[topic]
+        return Signal(times, kept.column(port.size, port.labels.index(name[len(topic) + 1 :]), len(times)))
 
     def __iter__(self) -> Iterator[str]:
         for topic, (port, _) in self._ports.items():

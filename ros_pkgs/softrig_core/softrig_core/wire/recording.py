@@ -7,19 +7,26 @@ import struct
 import weakref
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .cdr import Layout
+from .columns import Columns, Rows, Stored, row_type
 from .parameter_event import TOPIC as EVENTS, TYPE as EVENT
 
 _RECORD = struct.Struct("<qHI")  # time, number of the topic, length of the message that follows
 _ROW_HEAD = struct.Struct("<qH")  # time, `_ROW`; the numbers of all messages of a row follow
 _ROW = 0xFFFF
 _MAGIC = b"softrig shard 2\n"
+_HEAD = 1 << 20  # bytes in which the head of a shard ends
+_LOOK = 1 << 22  # bytes of a shard that are read at a time
+# A shard with more bytes stays on the disk, and its messages are read when somebody asks for them.
+HELD = 1 << 23
+ORDERED = 1 << 16  # times of a topic that are ordered at a time
 # So many messages are turned into bytes at a time: they take ten times the memory of their numbers.
 CHUNK = 4096
 
@@ -103,8 +110,7 @@ class ShardWriter:
 
     def add_rows(self, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Append many such rows: their times, shape (n,), and their numbers, (n, size of all)."""
-        kind = np.dtype([("t", "<i8"), ("mark", "<u2"), ("values", "<f8", (values.shape[1],))])
-        rows = np.empty(len(times), kind)
+        rows = np.empty(len(times), row_type(values.shape[1]))
         rows["t"], rows["mark"], rows["values"] = times, _ROW, values
         self._buffer += rows.tobytes()
         if len(self._buffer) > self._limit:
@@ -124,24 +130,6 @@ class ShardWriter:
         self._file.close()
 
 
-class Columns(NamedTuple):
-    """Messages of one layout as numbers: their times in ns, shape (n,), and all their numbers, (n, size)."""
-
-    times: NDArray[np.int64]
-    values: NDArray[np.float64]
-    layout: Layout
-
-    def messages(self, said: int) -> list[bytes]:
-        """Return their bytes; `said` messages of the topic were before them."""
-        marks = np.arange(said, said + len(self.times)) if self.layout.numbered else self.times
-        raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
-        return [raw[i : i + n] for i in range(0, len(raw), n)]
-
-    def part(self, first: int, last: int) -> Columns:
-        """Return some of them."""
-        return Columns(self.times[first:last], self.values[first:last], self.layout)
-
-
 class Topic:
     """All messages of one topic: tick times in ns and message bytes.
 
@@ -153,7 +141,7 @@ class Topic:
         self.msgtype = msgtype
         self._times: list[int] = []
         self._data: list[bytes] = []
-        self._columns: list[Columns] = []
+        self._columns: list[Columns | Stored] = []
         self._timed = self._made = 0  # so many of the columns are in the lists
         self.settle: Callable[[], object] = lambda: None  # brings what is still under way
 
@@ -165,7 +153,7 @@ class Topic:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def add_columns(self, columns: Columns) -> None:
+    def add_columns(self, columns: Columns | Stored) -> None:
         """Append messages as numbers."""
         self._columns.append(columns)
 
@@ -187,20 +175,28 @@ class Topic:
         self._made = len(self._columns)
         return self._data
 
-    def parts(self) -> Sequence[Columns]:
+    @property
+    def number(self) -> int:
+        """Return how many messages there are, without a list of their times."""
+        self.settle()
+        return sum(c.number for c in self.parts()) or len(self.times)
+
+    def parts(self) -> Sequence[Columns | Stored]:
         """Return all messages as numbers, in one or several parts of one layout; none as `columns`."""
         self.settle()
         known = self._columns
-        number = sum(len(c.times) for c in known)
+        number = sum(c.number for c in known)
         if not number or self._data or (self._timed and len(self.times) != number):
             return ()
         return () if any(c.layout.form != known[0].layout.form for c in known) else known
 
-    def columns(self) -> Columns | None:
+    def columns(self) -> Columns | Stored | None:
         """Return all messages as numbers; None when some came as bytes or may have been changed."""
         known = self.parts()
         if len(known) > 1:
-            times, values = (np.concatenate([c[k] for c in known]) for k in (0, 1))
+            times, values = (
+                np.concatenate(arrays) for arrays in zip(*((c.times, c.values) for c in known), strict=True)
+            )
             self._columns, self._timed = [Columns(times, values, known[0].layout)], min(1, self._timed)
         return self._columns[0] if known else None
 
@@ -213,7 +209,8 @@ class Topic:
         """Return the time of its last message, ns; None without one."""
         # The parts need not be joined for this.
         if parts := self.parts():
-            return next(int(part.times[-1]) for part in reversed(parts) if len(part.times))
+            last = next(part for part in reversed(parts) if part.number)
+            return int(last.part(last.number - 1, last.number).times[0])
         return self.times[-1] if self.times else None
 
     def before(self, t: int) -> Topic:
@@ -231,7 +228,7 @@ class Topic:
         """Return its messages but the first n."""
         result, parts = Topic(self.name, self.msgtype), self.parts()
         for part in parts:
-            if n < (size := len(part.times)):
+            if n < (size := part.number):
                 result._columns.append(part.part(max(n, 0), size))
             n -= size
         if not parts:
@@ -244,7 +241,7 @@ class Topic:
         if whole is None:
             yield from zip(self.times, self.data, strict=True)
             return
-        for first in range(0, len(whole.times), CHUNK):
+        for first in range(0, whole.number, CHUNK):
             part = whole.part(first, first + CHUNK)
             yield from zip(part.times.tolist(), part.messages(first), strict=True)
 
@@ -255,6 +252,11 @@ class Recording:
     def __init__(self, topics: Iterable[tuple[str, str]]) -> None:
         self.topics = {name: Topic(name, msgtype) for name, msgtype in topics}
         self._order = list(self.topics.values())
+        self.release: Callable[[], object] = lambda: None  # removes the files that it reads from, where it owns some
+
+    def newest(self, default: int) -> int:
+        """Return the time of the newest message, ns; the default without one."""
+        return max((t for topic in self.topics.values() if (t := topic.newest()) is not None), default=default)
 
     def before(self, t: int) -> Recording:
         """Return what was recorded before t, ns; what is added to one of the two is not in the other."""
@@ -282,7 +284,8 @@ class Recording:
             if buffer:
                 content = bytes(buffer)
                 buffer.clear()
-                _read_rows(memoryview(content), [(topic(), layout) for topic, layout in topics])
+                block = _rows_in(memoryview(content), sum(layout.size for _, layout in topics))
+                _add_rows(block, [(topic(), layout) for topic, layout in topics])
 
         def add(t: int, values: Sequence[float]) -> None:
             buffer.extend(pack(t, _ROW, *values))
@@ -315,19 +318,34 @@ class Recording:
         topic.times.insert(k, t)
         topic.data.insert(k, data)
 
-    def order(self) -> NDArray[np.int64]:
-        """Return the place among the topics of each message, by time; equal times in topic order."""
-        # A topic keeps its own order even where a time goes back, as `messages` takes them one after the other.
-        ticks = [np.maximum.accumulate(topic.ticks()) for topic in self._order] or [np.empty(0, np.int64)]
-        ranks = np.repeat(np.arange(len(ticks)), [len(times) for times in ticks])
-        return ranks[np.argsort(np.concatenate(ticks), kind="stable")]
+    def beside(self, topics: Iterable[tuple[str, str]]) -> Recording:
+        """Return a recording with these messages, not copied, and other topics after them.
+
+        A topic that is there already is copied, so that what is added to it does not change this recording.
+        """
+        result = Recording(topics)
+        for name in result.topics.keys() & self.topics.keys():
+            result.topics[name].times.extend(self.topics[name].times)
+            result.topics[name].data.extend(self.topics[name].data)
+        result.topics = self.topics | result.topics
+        result._order = list(result.topics.values())
+        return result
+
+    def order(self) -> Iterator[NDArray[np.intp]]:
+        """Yield the place among the topics of each message, by time, equal times in topic order; some at a time."""
+        clocks = [_Clock(topic) for topic in self._order]
+        while any(clock.left for clock in clocks):
+            # Earlier times than the last one that each clock has seen cannot come any more.
+            limit = min((clock.seen for clock in clocks if clock.more), default=None)
+            ticks = [clock.take(limit) for clock in clocks]
+            ranks = np.repeat(np.arange(len(ticks)), [len(times) for times in ticks])
+            yield ranks[np.argsort(np.concatenate(ticks), kind="stable")]
 
     def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
         """Yield all messages by time; equal times in topic order, those of a topic as they came."""
-        order = self.order()
         streams = [(topic, topic.stream()) for topic in self._order]
-        for first in range(0, len(order), CHUNK):
-            for rank in order[first : first + CHUNK].tolist():
+        for ranks in self.order():
+            for rank in ranks.tolist():
                 topic, stream = streams[rank]
                 t, data = next(stream)
                 yield t, topic, data
@@ -345,13 +363,45 @@ class Recording:
         int
             Bytes at the end that belong to a record cut off.
         """
-        content = memoryview(path.read_bytes())
-        head, start = _read_head(content)
-        if head is None:
-            return len(content)
-        return len(content) - start - self.take(head, content[start:], namespace)
+        size = path.stat().st_size
+        with path.open("rb", buffering=0) as file:
+            head, at = _read_head(memoryview(file.read(_HEAD)))
+            if head is None:
+                return size
+            file.seek(at)
+            if size <= HELD:
+                return size - at - self.take(head, memoryview(file.readall()), namespace)
+            places, look = list[tuple[int, int]](), _LOOK
+            # Rows stay in the file; only their places and what is not a row are kept in memory.
+            while content := file.read(look):
+                taken = self.take(head, memoryview(content), namespace, partial(_note_rows, places, at))
+                # A message may be longer than what was read.
+                look = _LOOK if taken else 2 * look
+                if not taken and at + len(content) == size:
+                    break
+                at += taken
+                file.seek(at)
+        self._store(path, head, places, namespace)
+        return size - at
 
-    def take(self, head: Mapping[str, Any], content: memoryview, namespace: str = "") -> int:
+    def _store(self, path: Path, head: Mapping[str, Any], places: list[tuple[int, int]], namespace: str) -> None:
+        """Add the messages of rows that stay in a shard; `places` are first byte and length of stretches of them."""
+        layouts = [(head["topics"][number][0], Layout(*form)) for number, form in head["row"]]
+        width = sum(layout.size for _, layout in layouts)
+        length = row_type(width).itemsize
+        rows, first = Rows(path, width, [(at, size // length) for at, size in places]), 0
+        for name, layout in layouts:
+            if rows.number:
+                self.topics[name.removeprefix(namespace)].add_columns(Stored(rows, first, layout))
+            first += layout.size
+
+    def take(
+        self,
+        head: Mapping[str, Any],
+        content: memoryview,
+        namespace: str = "",
+        found: Callable[[int, int], object] | None = None,
+    ) -> int:
         """Add the messages of a part of a shard.
 
         Parameters
@@ -362,6 +412,8 @@ class Recording:
             From the beginning of a message on.
         namespace : str
             See `read_shard`.
+        found : callable, optional
+            Gets where rows begin in the content and how many bytes they have, in place of their messages.
 
         Returns
         -------
@@ -373,7 +425,12 @@ class Recording:
         at, size = 0, _RECORD.size
         while at + _ROW_HEAD.size <= len(content):
             if _ROW_HEAD.unpack_from(content, at)[1] == _ROW:
-                taken = _read_rows(content[at:], row)
+                block = _rows_in(content[at:], sum(layout.size for _, layout in row))
+                taken = block.nbytes
+                if found is None:
+                    _add_rows(block, row)
+                elif taken:
+                    found(at, taken)
                 at += taken
                 if not taken:
                     break
@@ -437,12 +494,16 @@ def _row_packer(layouts: Iterable[Layout]) -> Callable[..., bytes]:
     return struct.Struct(f"{_ROW_HEAD.format}{sum(layout.size for layout in layouts)}d").pack
 
 
-def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) -> int:
-    """Add the messages of the whole rows at the beginning of some bytes; returns how many bytes that are."""
-    length = _ROW_HEAD.size + 8 * sum(layout.size for _, layout in row)
+def _rows_in(content: memoryview, width: int) -> NDArray[np.uint8]:
+    """Return the whole rows at the beginning of some bytes, shape (n, bytes of a row)."""
+    length = row_type(width).itemsize
     block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
     other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
-    block = block[: other[0]] if other.size else block
+    return block[: other[0]] if other.size else block
+
+
+def _add_rows(block: NDArray[np.uint8], row: Sequence[tuple[Topic | None, Layout]]) -> None:
+    """Add the messages of some rows to their topics."""
     times = np.ascontiguousarray(block[:, :8]).view("<i8")[:, 0]
     values = np.ascontiguousarray(block[:, _ROW_HEAD.size :]).view("<f8")
     first = 0
@@ -451,7 +512,53 @@ def _read_rows(content: memoryview, row: Sequence[tuple[Topic | None, Layout]]) 
         if topic is not None:
             topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
         first += layout.size
-    return int(block.size)
+
+
+def _note_rows(places: list[tuple[int, int]], start: int, at: int, size: int) -> None:
+    """Note where rows are in a file, joined to those right before them."""
+    if places and sum(places[-1]) == start + at:
+        places[-1] = places[-1][0], places[-1][1] + size
+    else:
+        places.append((start + at, size))
+
+
+class _Clock:
+    """The times of a topic, some at a time; a time that goes back counts as the newest before it."""
+
+    def __init__(self, topic: Topic) -> None:
+        self._topic, self._whole = topic, topic.columns()
+        self._read, self._newest = 0, np.iinfo(np.int64).min
+        self._held = np.empty(0, np.int64)
+        self.number = topic.number
+
+    @property
+    def left(self) -> bool:
+        """Return whether not all times were taken."""
+        return self.more or len(self._held) > 0
+
+    @property
+    def more(self) -> bool:
+        """Return whether not all times were read."""
+        return self._read < self.number
+
+    @property
+    def seen(self) -> int:
+        """Return the newest time that was read; reads on if there is none that was not taken."""
+        if len(self._held) < 2 or self._held[0] == self._held[-1]:
+            last = min(self._read + ORDERED, self.number)
+            if self._whole is None:
+                part = np.array(self._topic.times[self._read : last], np.int64)
+            else:
+                part = self._whole.part(self._read, last).times
+            part = np.maximum.accumulate(np.maximum(part, self._newest))
+            self._held, self._read, self._newest = np.concatenate([self._held, part]), last, part[-1]
+        return int(self._newest)
+
+    def take(self, limit: int | None) -> NDArray[np.int64]:
+        """Return the times before a limit that were not taken yet; all if there is none."""
+        n = len(self._held) if limit is None else int(np.searchsorted(self._held, limit))
+        taken, self._held = self._held[:n], self._held[n:]
+        return taken
 
 
 def read_shards(paths: Iterable[Path]) -> Recording:
@@ -471,7 +578,7 @@ def shard_topics(path: Path) -> dict[str, str]:
 
 def _read_head(content: memoryview) -> tuple[dict[str, Any] | None, int]:
     """Return what a shard says of itself, and where its messages begin."""
-    start = bytes(content[: 1 << 20]).find(b"\n", len(_MAGIC)) + 1
+    start = bytes(content[:_HEAD]).find(b"\n", len(_MAGIC)) + 1
     if bytes(content[: len(_MAGIC)]) != _MAGIC or not start:
         return None, 0
     return json.loads(bytes(content[len(_MAGIC) : start])), start

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from ..timebase import SECOND
 from .cdr import Layout, Message, parse
-from .recording import Columns, Recording, Topic
+from .columns import Columns, Stored
+from .recording import Recording, Topic
 from .types import TYPES
 
 Array = NDArray[np.float64]
+# Columns that stay in memory after they were read from the disk, because a figure reads a signal several times.
+KEPT = 3
 
 
 class Signal(NamedTuple):
@@ -29,7 +32,44 @@ class Table(NamedTuple):
 
     t: Array
     stamp: Array
-    columns: dict[str, Array]
+    columns: Mapping[str, Array]
+
+
+Recent = dict[tuple[Stored, int], Array]  # columns that were read last, the newest at the end
+
+
+class _OnDisk(Mapping[str, Array]):
+    """The columns of a topic by label, each read from the disk when it is asked for.
+
+    Parameters
+    ----------
+    recent : dict
+        Of all topics together: columns of a long run are large.
+    """
+
+    def __init__(self, stored: Stored, labels: Sequence[str], flags: Sequence[bool], recent: Recent) -> None:
+        self._stored, self._flags, self._recent = stored, flags, recent
+        self._places = {label: k for k, label in enumerate(labels)}
+
+    def __getitem__(self, label: str) -> Array:
+        place, recent = self._places[label], self._recent
+        column = recent.pop((self._stored, place), None)
+        if column is None:
+            for oldest in list(recent)[: len(recent) + 1 - KEPT]:
+                del recent[oldest]
+            column = _as_carried(self._stored.column(place), self._flags[place])
+        recent[self._stored, place] = column
+        return column
+
+    def renamed(self, name: Callable[[str], str]) -> _OnDisk:
+        """Return the same columns by other labels; what softrig recorded has no two with one name."""
+        return _OnDisk(self._stored, [name(label) for label in self._places], self._flags, self._recent)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
 
 
 def full_name(name: str, known: Iterable[str]) -> str:
@@ -82,8 +122,10 @@ class Signals(Mapping[str, Signal]):
         self._epoch = epoch
         self._tables: dict[str, Table] = {}
         self._known: dict[str, Signal] = {}
+        self._recent: Recent = {}
+        self.shared: dict[Hashable, Any] = {}  # what figures have computed of them, see `measures.shared`
         # Topics of one node have the same times, which are converted once.
-        self._times: dict[tuple[int, ...], tuple[Any, Array]] = {}
+        self._times: dict[tuple[object, ...], tuple[Any, Array]] = {}
         self._also: Mapping[str, Mapping[str, str]] = {}
         self._named: dict[str, Table] = {}
 
@@ -115,9 +157,15 @@ class Signals(Mapping[str, Signal]):
 
     def _renamed(self, topic: str, found: Table) -> Table:
         names, columns = self._also[topic], dict[str, Array]()
-        for label, x in found.columns.items():
+
+        def own_name(label: str) -> str:
             channel, _, field = label.rpartition("/")
-            own = names.get(label) or (f"{names.get(channel, channel)}/{field}" if channel else label)
+            return names.get(label) or (f"{names.get(channel, channel)}/{field}" if channel else label)
+
+        if isinstance(found.columns, _OnDisk):
+            return found._replace(columns=found.columns.renamed(own_name))
+        for label, x in found.columns.items():
+            own = own_name(label)
             columns[own] = np.where(np.isnan(columns[own]), x, columns[own]) if own in columns else x
         return found._replace(columns=columns)
 
@@ -130,26 +178,40 @@ class Signals(Mapping[str, Signal]):
             self._tables[topic] = self._joined(known, parts) if parts else _decode(known, self._epoch)
         return self._tables[topic]
 
-    def _joined(self, topic: Topic, parts: Sequence[Columns]) -> Table:
+    def _joined(self, topic: Topic, parts: Sequence[Columns | Stored]) -> Table:
         """Return the columns of messages that stand as numbers."""
-        times = [part.times for part in parts]
-        key = tuple(map(id, times))
-        if key not in self._times:
-            self._times[key] = times, (_column(times) - self._epoch) / SECOND
-        t, layout = self._times[key][1], parts[0].layout
+        layout = parts[0].layout
         flags = [code[-1] == "?" for _, code in layout.slots for _ in range(int(code[:-1]))]
-        columns = [_column([part.values[:, k] for part in parts]) for k, _ in enumerate(flags)]
-        # as a message carries them: a flag is 0 or 1
-        columns = [(x != 0.0).astype(np.float64) if flag else x for x, flag in zip(columns, flags, strict=True)]
         first = parse(topic.msgtype, layout.encode(0, (0.0,) * layout.size))
-        return Table(t, t, dict(zip(_labels(topic.msgtype, first), columns, strict=True)))
+        labels = _labels(topic.msgtype, first)
+        t = self._clock(parts)
+        if len(parts) == 1 and isinstance(parts[0], Stored):
+            return Table(t, t, _OnDisk(parts[0], labels, flags, self._recent))
+        columns = [_column([part.column(k) for part in parts]) for k, _ in enumerate(flags)]
+        columns = [_as_carried(x, flag) for x, flag in zip(columns, flags, strict=True)]
+        return Table(t, t, dict(zip(labels, columns, strict=True)))
+
+    def _clock(self, parts: Sequence[Columns | Stored]) -> Array:
+        """Return the times of messages in s; one array for all topics that were published together."""
+        key: tuple[object, ...] = tuple(id(part.clock) for part in parts)
+        # Several nodes of one period have files of their own with the same times, which take much memory.
+        if len(parts) == 1 and isinstance(parts[0], Stored) and parts[0].rows.even:
+            key = (*parts[0].rows.even, parts[0].number)
+        if key not in self._times:
+            # The parts are kept, so that no other object can get the id of their clock.
+            self._times[key] = parts, (_column([part.times for part in parts]) - self._epoch) / SECOND
+        return self._times[key][1]
 
     def __getitem__(self, name: str) -> Signal:
-        if name not in self._known:
-            self._known[name] = self._found(name)
-        return self._known[name]
+        if name in self._known:
+            return self._known[name]
+        found, lasts = self._found(name)
+        if lasts:
+            self._known[name] = found
+        return found
 
-    def _found(self, name: str) -> Signal:
+    def _found(self, name: str) -> tuple[Signal, bool]:
+        """Return a signal, and whether its column is in memory anyway."""
         topic = topic_of(name, self.recording.topics)
         if not topic:
             raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")
@@ -157,7 +219,7 @@ class Signals(Mapping[str, Signal]):
         label = full_name(name[len(topic) + 1 :], table.columns)
         if label not in table.columns:
             raise KeyError(f"no signal {label!r} on {topic}; it has {', '.join(table.columns)}")
-        return Signal(table.t, table.columns[label])
+        return Signal(table.t, table.columns[label]), isinstance(table.columns, dict)
 
     def __iter__(self) -> Iterator[str]:
         for topic in self.recording.topics.values():
@@ -193,6 +255,11 @@ def _decode(topic: Topic, epoch: int) -> Table:
 
 def _column(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return np.concatenate(parts) if len(parts) > 1 else np.ascontiguousarray(parts[0])
+
+
+def _as_carried(x: Array, flag: bool) -> Array:
+    """Return a column as a message carries it: a flag is 0 or 1."""
+    return (x != 0.0).astype(np.float64) if flag else x
 
 
 def _stamps(layout: Layout, block: NDArray[np.uint8], t: Array, epoch: int) -> Array:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SignalMap, figure, window
-from softrig_core.judge.measures import HALF_NS, held, mean_over, newest
+from softrig_core.judge.measures import HALF_NS, held, mean_over, newest, shared
 
 Array = NDArray[np.float64]
 Vectors = NDArray[np.complex128]
@@ -101,12 +101,20 @@ def converter_error(
 
     Over time, each pair of samples of the same instant until the next measurement.
     """
-    measured, true = f"currents_meas/{channel}", f"currents_true/{channel}"
-    t, x, holds = held(signals, measured, start, end)
-    at, both = _same(signals, true, t)
-    error, holds = (x[both] - signals[true][1][at]) / lsb, holds[both]
+    key = "converter_error", channel, lsb, start, end
+    error, holds = shared(signals, key, lambda: _converter_error(signals, channel, lsb, start, end))
     mean = mean_over(error, holds)
     return mean if statistic == "mean" else math.sqrt(mean_over((error - mean) ** 2, holds))
+
+
+def _converter_error(
+    signals: SignalMap, channel: str, lsb: float, start: float, end: float | None
+) -> tuple[Array, Array]:
+    """Return measured less true current in LSB, and how long each value holds, ns."""
+    t, x, holds = held(signals, f"currents_meas/{channel}", start, end)
+    true = f"currents_true/{channel}"
+    at, both = _same(signals, true, t)
+    return (x[both] - signals[true][1][at]) / lsb, holds[both]
 
 
 @figure("Wb")
@@ -156,6 +164,11 @@ def _vector(signals: SignalMap, topic: str, start: float | None, end: float | No
 
 def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Vectors]:
     """Pair estimate and truth of the same instants; the truth has one sample more, the end of the run."""
+    key = "flux_error", start, end
+    return shared(signals, key, lambda: _new_flux_error(signals, start, end))
+
+
+def _new_flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Vectors]:
     t, estimate = _vector(signals, "flux_estimate", start, end)
     at, both = _same(signals, "flux_true/x", t)
     true = np.empty(at.size, np.complex128)

@@ -1,0 +1,180 @@
+"""Messages of one layout as numbers: in memory, or in rows of a file that are read some at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cdr import Layout
+
+# So many rows of a file are in memory at a time. A row has 10 bytes and 8 for each number.
+READ = 1 << 14
+
+
+class Columns(NamedTuple):
+    """Messages of one layout as numbers: their times in ns, shape (n,), and all their numbers, (n, size)."""
+
+    times: NDArray[np.int64]
+    values: NDArray[np.float64]
+    layout: Layout
+
+    @property
+    def number(self) -> int:
+        """Return how many messages there are."""
+        return len(self.times)
+
+    @property
+    def clock(self) -> object:
+        """Return what all messages have in common that were published together."""
+        return self.times
+
+    def column(self, k: int) -> NDArray[np.float64]:
+        """Return one number of each message, shape (n,)."""
+        return self.values[:, k]
+
+    def messages(self, said: int) -> list[bytes]:
+        """Return their bytes; `said` messages of the topic were before them."""
+        marks = np.arange(said, said + len(self.times)) if self.layout.numbered else self.times
+        raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
+        return [raw[i : i + n] for i in range(0, len(raw), n)]
+
+    def part(self, first: int, last: int) -> Columns:
+        """Return some of them."""
+        return Columns(self.times[first:last], self.values[first:last], self.layout)
+
+
+def row_type(width: int) -> np.dtype[Any]:
+    """Return the form of a row in a shard: its time in ns, the mark of a row, and its numbers."""
+    return np.dtype([("t", "<i8"), ("mark", "<u2"), ("values", "<f8", (width,))])
+
+
+class Rows:
+    """The rows of a shard, which stay on the disk.
+
+    Parameters
+    ----------
+    path : Path
+        The file stays open, so the rows can be read even after it was removed.
+    width : int
+        Numbers of a row.
+    places : list of (int, int)
+        Where rows follow each other without a gap: the first byte, and how many rows there are.
+    """
+
+    def __init__(self, path: Path, width: int, places: list[tuple[int, int]]) -> None:
+        self._file = path.open("rb", buffering=0)
+        self._kind = row_type(width)
+        self._places = places
+        self._ends = list(accumulate(count for _, count in places))
+        self.number = self._ends[-1] if places else 0
+        self._even: tuple[int, int] | None = None
+        self._looked = False
+
+    def read(self, first: int, last: int) -> NDArray[Any]:
+        """Return the rows from `first` up to `last` as a structured array.
+
+        Raises
+        ------
+        OSError
+            The file is shorter than it was.
+        """
+        result = np.empty(max(0, min(last, self.number) - first), self._kind)
+        content, size, at = memoryview(result.view(np.uint8)), self._kind.itemsize, 0
+        for (place, count), end in zip(self._places, self._ends, strict=True):
+            if first + at < end and at < len(result):
+                skip = first + at - (end - count)
+                n = min(count - skip, len(result) - at)
+                begin = place + skip * size
+                part = content[at * size : (at + n) * size]
+                # A read may return less than was asked for, so it goes on where the last one ended.
+                while part:
+                    if not (got := os.preadv(self._file.fileno(), [part], begin)):
+                        raise OSError(f"{self._file.name} ends before row {first + at + n}")
+                    part, begin = part[got:], begin + got
+                at += n
+        return result
+
+    def blocks(self) -> Iterator[tuple[slice, NDArray[Any]]]:
+        """Yield the rows in blocks, each with its place among all rows."""
+        for first in range(0, self.number, READ):
+            block = self.read(first, first + READ)
+            yield slice(first, first + len(block)), block
+
+    @property
+    def even(self) -> tuple[int, int] | None:
+        """First time and period in ns if all times are evenly spaced, else None."""
+        if not self._looked:
+            self._looked, self._even = True, self._spacing()
+        return self._even
+
+    def _spacing(self) -> tuple[int, int] | None:
+        start = self.read(0, 2)["t"].tolist()
+        if len(start) < 2:
+            return None
+        first, step = start[0], start[1] - start[0]
+        for where, block in self.blocks():
+            if (block["t"] != first + step * np.arange(where.start, where.stop)).any():
+                return None
+        return first, step
+
+    @property
+    def times(self) -> NDArray[np.int64]:
+        """Return the times of all rows, ns."""
+        if self.even is not None:
+            first, step = self.even
+            return first + step * np.arange(self.number, dtype=np.int64)
+        result = np.empty(self.number, np.int64)
+        for where, block in self.blocks():
+            result[where] = block["t"]
+        return result
+
+
+class Stored(NamedTuple):
+    """Messages of one layout as numbers that are read from a file when somebody asks for them; see `Columns`."""
+
+    rows: Rows
+    first: int
+    layout: Layout
+
+    @property
+    def number(self) -> int:
+        """Return how many messages there are."""
+        return self.rows.number
+
+    @property
+    def clock(self) -> object:
+        """Return what all messages have in common that were published together."""
+        return self.rows
+
+    @property
+    def times(self) -> NDArray[np.int64]:
+        """Return the times, ns, shape (n,); they are read again at each call."""
+        return self.rows.times
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Return all numbers, shape (n, size)."""
+        return self.part(0, self.number).values
+
+    def column(self, k: int) -> NDArray[np.float64]:
+        """Return one number of each message, shape (n,)."""
+        result = np.empty(self.number)
+        for where, block in self.rows.blocks():
+            result[where] = block["values"][:, self.first + k]
+        return result
+
+    def messages(self, said: int) -> list[bytes]:
+        """Return their bytes; see `Columns.messages`."""
+        return self.part(0, self.number).messages(said)
+
+    def part(self, first: int, last: int) -> Columns:
+        """Return some of them, in memory."""
+        block = self.rows.read(first, last)
+        values = block["values"][:, self.first : self.first + self.layout.size]
+        return Columns(np.ascontiguousarray(block["t"]), np.ascontiguousarray(values), self.layout)
