@@ -332,9 +332,12 @@ def test_a_library_that_is_built_again_waits_for_the_next_run(tmp_path: Path) ->
     assert simulate(rig_with(parameters)).recording.topics != plain.recording.topics
 
 
+PAIRS = (("c++", "g++"), ("fortran", "gfortran"), ("rust", "cargo"))
+
+
 @pytest.mark.parametrize(
     ("language", "tool"),
-    [("c", "cc"), *(pytest.param(*pair, marks=pytest.mark.long) for pair in (("c++", "g++"), ("rust", "cargo")))],
+    [("c", "cc"), *(pytest.param(*pair, marks=pytest.mark.long) for pair in PAIRS)],
 )
 def test_what_new_writes_runs_as_its_scenario_expects(language: str, tool: str, tmp_path: Path) -> None:
     if shutil.which(tool) is None:
@@ -349,7 +352,7 @@ def test_what_new_writes_runs_as_its_scenario_expects(language: str, tool: str, 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("language", ["c", "c++", "rust"])
+@pytest.mark.parametrize("language", ["c", "c++", "fortran", "rust"])
 def test_its_own_build_and_test_pass(language: str, tmp_path: Path) -> None:
     folder = new_native("my_pi", tmp_path / "my_pi", language, "softrig").parent
     cmake = (["cmake", "-B", "build"], ["cmake", "--build", "build"], ["ctest", "--test-dir", "build"])

@@ -1,4 +1,4 @@
-"""A folder to begin with: a law in C, C++ or Rust, its scenario, its build and a test of its own."""
+"""A folder to begin with: a law in C, C++, Fortran or Rust, its scenario, its build and a test of its own."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ A library that you have built is used by `library: build/lib$name.so` in place o
 LANGUAGES = {
     "c": Language("C", "$name.c", _CMAKE | {"law.c": "$name.c"}, "sources: [$name.c]", _OWN),
     "c++": Language("C++", "$name.cpp", _CMAKE | {"law.cpp": "$name.cpp"}, "sources: [$name.cpp]", _OWN),
+    "fortran": Language("Fortran", "$name.f90", _CMAKE | {"law.f90": "$name.f90"}, "sources: [$name.f90]", _OWN),
     "rust": Language(
         "Rust",
         "src/lib.rs",
@@ -64,7 +65,7 @@ def new_native(name: str, folder: Path, language: str, command: str) -> Path:
     """
     made = LANGUAGES[language]
     values = {"name": name, "NAME": name.upper(), "language": made.title, "softrig": command}
-    values |= {"cxx": " CXX" * (language == "c++")}
+    values |= {"also": {"c++": " CXX", "fortran": " Fortran"}.get(language, "")}
     values |= {key: Template(text).substitute(values) for key, text in made._asdict().items() if isinstance(text, str)}
     source = files("softrig_bringup") / "template" / "native"
     try:
