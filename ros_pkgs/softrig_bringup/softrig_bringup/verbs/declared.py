@@ -33,7 +33,7 @@ def verbs(verb: Verb) -> None:
         metavar="SCENARIO",
         help="with --only law: in place of the controller of this scenario, or of its node SCENARIO/NODE",
     )
-    new.add_argument("--language", choices=("c", "c++", "fortran", "rust"), help="a law in another language than Python")
+    new.add_argument("--language", choices=("c", "c++", "fortran", "rust"), help="a law in this language")
     new.add_argument("--plant", metavar="KIND", help="a rig from a data sheet: pmsm, im, bldc, buck")
     new.add_argument(
         "--rated", nargs="+", default=[], metavar="NAME=VALUE", help="with --plant: its rated values, as speed=3000"
