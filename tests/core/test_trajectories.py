@@ -178,7 +178,7 @@ for name, code in CODES.items():
 
 def feedback(**fields):
     points = {name: JointTrajectoryPoint() for name in ("desired", "actual", "error")}
-    return SimpleNamespace(**fields, **points)
+    return SimpleNamespace(header=Header(), **fields, **points)
 
 
 TYPE = SimpleNamespace(Result=Result, Feedback=feedback)
@@ -214,10 +214,10 @@ class Handle:
 class Rig:
     """A rig in simulated time, and a client of its reference."""
 
-    def __init__(self, monkeypatch, scenario="manipulator_adsmc", seconds=0.3, without=(), kind=TYPE):
+    def __init__(self, monkeypatch, scenario="manipulator_adsmc", seconds=0.3, groups=(), kind=TYPE):
         self.world = World()
         rig = rig_of(load_scenario(scenario).model_copy(update={"duration": seconds}))
-        self.run = SimulatedRig(rig, self.world, "lockstep", without=without)
+        self.run = SimulatedRig(rig, self.world, "lockstep", groups=groups)
         self.name = next(n for n, a in self.run.adapters.items() if followed(a) is not None)
         self.adapter, self.node = self.run.adapters[self.name], self.run.nodes[self.name]
         self.served, self.flights = {}, []
@@ -372,6 +372,25 @@ def test_what_nobody_measures_is_not_called_reached_within_a_tolerance(monkeypat
         rig.until(rig.adapter.step.t + 40 * MS)
         assert flight.code == answer
     assert flight.answer.error_string == "no node publishes /elsewhere/joint_states, so that no tolerance was checked"
+
+
+def test_in_a_container_the_joints_are_those_of_the_node_beside(monkeypatch):
+    """No message of it goes by a wire; what the goal rests on is looked at now and then."""
+    rig = Rig(monkeypatch, groups=[["manipulator_plant", "trajectory_source", "vcs_controller"]])
+    rig.until(10 * MS)
+    within = rig.send(
+        goal(trajectory(point(20 * MS, (0.001, 0.001, 0.001))), end=[bound(joint, 0.01) for joint in JOINTS])
+    )
+    rig.until(60 * MS)
+    rig.following._look()
+    rig.until(61 * MS)
+    assert within.code == (0, "succeed")
+    assert len(within.handle.told[0].actual.velocities) == 3
+    beyond = rig.send(goal(trajectory(point(MS, (2, 2, 2)), point(90 * MS, (1, 1, 1))), path=[bound("joint2", 0.5)]))
+    rig.until(80 * MS)
+    rig.following._look()
+    rig.until(81 * MS)
+    assert beyond.code == (-4, "abort")
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,8 @@ class Group:
 
     def __init__(self, nodes: Sequence[Adapter]) -> None:
         self.nodes = nodes
+        for node in nodes:
+            node.neighbours = nodes
         names = {n.middleware.name for n in nodes}
         if {n.options.mode for n in nodes} == {"realtime"}:
             drives = {n: Realtime(n) for n in nodes}

@@ -7,7 +7,7 @@ messages, timers and clocks come from a `Middleware`.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -116,6 +116,7 @@ class Adapter:
         self.is_plant = isinstance(block, Plant)
         self.namespace = middleware.full_name.rsplit("/", 1)[0]
         self.state: Literal["starting", "running", "done", "failed"] = "starting"
+        self.neighbours: Sequence[Adapter] = ()  # the nodes of its process, itself among them
         self.left_early = False  # whether a person has stopped it before its last tick
         self.ticks = 0
         self.epoch = 0  # ns added to a block's time for the stamp on the wire

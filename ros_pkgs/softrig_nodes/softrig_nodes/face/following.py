@@ -222,38 +222,47 @@ class Following(Reader):
         self._sources = count
 
     def _look(self) -> None:
-        """End what no message ends: nobody measures the joints, or the run is over."""
-        active, adapter = self._active, self._adapter
-        if active is None:
-            return
-        if adapter.state != "running":
+        """End what no message ends, and measure the joints of a node in this process: its messages go by no wire."""
+        adapter, topic = self._adapter, self._adapter.middleware.resolve("joint_states")
+        if self._active is not None and adapter.state != "running":
             self._end("INVALID_GOAL", "the run has ended")
-        elif adapter.step.t >= active.motion.end and not self._sources:
-            if active.on_way or active.at_end:
-                topic = adapter.middleware.resolve("joint_states")
-                self._end("GOAL_TOLERANCE_VIOLATED", f"no node publishes {topic}, so that no tolerance was checked")
-            else:
-                self._end("SUCCESSFUL", "")
+        beside = [(n, o) for n in adapter.neighbours for o in n.outputs if (o.topic, o.port.msgtype) == (topic, STATES)]
+        for neighbour, output in beside:
+            values = dict(zip(output.port.labels, neighbour.step.newest(output.name) or (), strict=False))
+            measured = [
+                [values.get(f"{joint}/{field}") for joint in self._joints] for field in ("position", "velocity")
+            ]
+            self._compare(neighbour.step.t, [[] if None in row else row for row in measured])
+        active = self._active
+        if active is None or beside or self._sources or adapter.step.t < active.motion.end:
+            return
+        if active.on_way or active.at_end:
+            self._end("GOAL_TOLERANCE_VIOLATED", f"no node publishes {topic}, so that no tolerance was checked")
+        else:
+            self._end("SUCCESSFUL", "")
 
     def receive(self, data: bytes) -> None:
-        """Compare measured joints with the trajectory at their stamp."""
-        active = self._active
-        if active is None:
+        """Take a message of measured joints."""
+        if self._active is None:
             return
         message = deserialize_message(data, message_class(STATES))
-        t = nanoseconds(message.header.stamp) - self._adapter.epoch
         places = {name: k for k, name in enumerate(message.name)}
-        if t <= active.begin or not all(joint in places for joint in self._joints):
+        if not all(joint in places for joint in self._joints):
             return
+        fields = (message.position, message.velocity)
         order = [places[joint] for joint in self._joints]
+        rows = [[float(row[k]) for k in order] if len(row) == len(places) else [] for row in fields]
+        self._compare(nanoseconds(message.header.stamp) - self._adapter.epoch, rows)
+
+    def _compare(self, t: int, measured: Sequence[Sequence[Any]]) -> None:
+        """Compare positions and velocities measured at t (ns of the run) with the trajectory there."""
+        active = self._active
+        if active is None or t <= active.begin:
+            return
         row, n = active.path.at(t), len(self._joints)
-        desired = [row[k * n : (k + 1) * n] for k in range(3)]
-        actual = [
-            [float(values[k]) for k in order] if len(values) == len(places) else []
-            for values in (message.position, message.velocity)
-        ] + [[]]
+        desired, actual = [row[k * n : (k + 1) * n] for k in range(3)], [*measured, []]
         error = [[d - a for d, a in zip(want, got, strict=False)] for want, got in zip(desired, actual, strict=True)]
-        self._tell(active, message.header, (desired, actual, error))
+        self._tell(active, t, (desired, actual, error))
         if t < active.motion.end:
             if wrong := active.on_way.beyond(error):
                 self._stop("PATH_TOLERANCE_VIOLATED", wrong)
@@ -263,15 +272,16 @@ class Following(Reader):
             late = (t - active.motion.end) / SECOND
             self._stop("GOAL_TOLERANCE_VIOLATED", f"{wrong}, {late:g} s after the end of the trajectory")
 
-    def _tell(self, active: _Active, header: Any, rows: Sequence[Sequence[Sequence[float]]]) -> None:
+    def _tell(self, active: _Active, t: int, rows: Sequence[Sequence[Sequence[float]]]) -> None:
         """Publish feedback, at most every `FEEDBACK`."""
         if (now := time.monotonic_ns()) - active.told < FEEDBACK:
             return
         active.told = now
-        feedback = self._kind.Feedback(header=header, joint_names=self._joints)
-        since = nanoseconds(header.stamp) - self._adapter.epoch - active.begin
+        feedback = self._kind.Feedback(joint_names=self._joints)
+        stamp = feedback.header.stamp
+        stamp.sec, stamp.nanosec = divmod(t + self._adapter.epoch, SECOND)
         for point, values in zip((feedback.desired, feedback.actual, feedback.error), rows, strict=True):
             for name, row in zip(FIELDS, values, strict=True):
                 setattr(point, name, [*row])
-            point.time_from_start.sec, point.time_from_start.nanosec = divmod(since, SECOND)
+            point.time_from_start.sec, point.time_from_start.nanosec = divmod(t - active.begin, SECOND)
         active.handle.publish_feedback(feedback)
