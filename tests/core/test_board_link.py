@@ -11,6 +11,7 @@ import shutil
 import statistics
 import struct
 import subprocess
+import threading
 import time
 import tty
 from dataclasses import replace
@@ -297,6 +298,53 @@ def test_gains_that_view_changes_count_from_the_next_tick_on(realtime, firmware,
         voltages.append(wanted["command"])
     assert len(set(voltages)) == len(voltages)
     assert line.told() == ""
+    assert board.void(x) == ""
+
+
+@pytest.mark.parametrize("ticks", [0, 5])
+def test_a_run_in_real_time_whose_board_is_silent_at_its_end_is_not_judged(ticks, firmware, tmp_path, monkeypatch):
+    folder = firmware[0]
+    member = member_of(rig_of(SCENARIO), NODE)
+    entry = LinkEntry(port="program:x", firmware=str(folder / f"{NODE}.json"), timeout=0.1)
+    wire = QuietWire(Board(folder / "board.so", tmp_path))
+    block = link_module.linked(member.block_class, entry, member.params, "test")(member.params, NODE)
+    line = Line("wire", wire.opened, block._build, 0.1, wire.now, wire.sleep)
+    monkeypatch.setattr(link_module, "_line", lambda *_: line)
+    block.realtime, x, said = True, block.first(), []
+    for k in range(60):
+        if k == 30 + ticks:
+            wire.write = lambda data: None  # unplugged behind the port
+            said.append(block.void(x))
+        if k >= 30 + ticks or ticks:
+            x, found = block.update(x, k * 10**7, state=(1.0,), sensors=(0.0, 0.0), reference=(10.0,))
+            wire.sleep(0.01)
+    assert found["command"] == (0.0,)
+    assert said == [""]
+    since = "at any time" if not ticks else f"after {(29 + ticks) * 0.01:g} s"
+    assert block.void(x) == f"no answer came from wire {since}, so the run says nothing of this node"
+
+
+def test_a_port_that_opens_slowly_delays_no_tick_in_real_time(firmware, tmp_path):
+    folder, _, _, steps, _ = firmware
+    wire, gate = QuietWire(Board(folder / "board.so", tmp_path)), threading.Event()
+
+    def slowly():
+        assert gate.wait(60.0)
+        return wire.opened()
+
+    build, params = build_of(firmware)
+    line = Line("wire", slowly, build, 0.5, wire.now, wire.sleep)
+    line.begin(params)
+    for _ in range(40):
+        assert line.try_ask(Kind.STEP, steps[0], 0.005) is None
+        wire.sleep(0.005)
+    assert line.wire is None
+    gate.set()
+    end = time.monotonic() + 60.0
+    while line.try_ask(Kind.STEP, steps[0], 0.005) is None:
+        wire.sleep(0.005)
+        assert time.monotonic() < end
+    assert line.joined
 
 
 def test_a_parameter_that_is_compiled_in_is_refused(firmware):

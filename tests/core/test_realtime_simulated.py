@@ -525,3 +525,10 @@ def test_a_law_that_hears_nothing_of_what_is_published_says_so_while_it_lasts():
     assert gain.ticks == 0
     assert told == ["has received nothing on lag/reference for 10 s, though it is published"] * 2
     assert not any("has received nothing" in text for name in ("plant", "source") for _, text in run.nodes[name].logs)
+
+
+def test_a_node_of_which_a_run_says_nothing_breaks_it_at_its_end():
+    run = SimulatedRig(basic(0.1), World(jitter(1, 1_000, 20_000)), "realtime")
+    run.adapters["gain"].step.block.void = lambda x: f"no answer after {x}"
+    assert run.run() == {"plant": "done", "source": "done", "gain": "failed"}
+    assert str(run.adapters["gain"].error).startswith("no answer after ")

@@ -251,6 +251,10 @@ class Block(Generic[P]):
         self.p, self.__first = params, None
         self.setup()
 
+    def void(self, x: Any) -> str:
+        """Return why a run in real time that ends with this state must not be judged; empty: it may be."""
+        return ""
+
     def warm_up(self) -> None:
         """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
 

@@ -73,8 +73,8 @@ class AdsLine(RemoteLine):
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        super().__init__(port, clock, sleep)
-        self.build, self.timeout, self._opened = build, timeout, opened
+        super().__init__(port, opened, clock, sleep)
+        self.build, self.timeout = build, timeout
         self.begin(b"")
 
     def begin(self, params: bytes) -> None:
@@ -94,6 +94,7 @@ class AdsLine(RemoteLine):
         RunError
             There is no answer, or the program is of another build.
         """
+        self._opened.patient = True
         end = self._clock() + PATIENCE * self.timeout
         while not self.joined and self._clock() < end:
             if not self._join(self.timeout):
@@ -113,6 +114,7 @@ class AdsLine(RemoteLine):
     def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
         """Write a request once, and return the answer if it comes within `wait` s."""
         end = self._clock() + wait
+        self._opened.patient = False
         if not self.joined:
             if not self._join(wait):
                 return None
@@ -191,7 +193,8 @@ class AdsLine(RemoteLine):
 
     def _there(self, wait: float) -> bool:
         """Return whether the PLC is connected, after a try to connect."""
-        return self._connected(lambda: self._opened(max(wait, 0.001)), f"the PLC {self.port} cannot be reached")
+        given = max(wait, 0.001) if self._opened.patient else self.timeout
+        return self._connected(f"the PLC {self.port} cannot be reached", given)
 
     def _done(self, call: Callable[[Plc], Any], end: float) -> Any:
         """Return what a call gives, True for nothing; None where the PLC is not there."""

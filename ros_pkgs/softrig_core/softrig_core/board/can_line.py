@@ -44,8 +44,7 @@ class CanLine(RemoteLine):
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        super().__init__(port, clock, sleep)
-        self._opened = opened
+        super().__init__(port, opened, clock, sleep)
         self._run = int.from_bytes(os.urandom(1), "little")
         self._limited: dict[str, None] = {}
 
@@ -92,6 +91,7 @@ class CanLine(RemoteLine):
         """
         if self._messages.ready is None:
             raise RunError(f"{self.port}: the node's messages have no {TICK} and {RUN}, which lockstep needs")
+        self._opened.patient = True
         end = self._clock() + PATIENCE * self.timeout
         while not self.joined and self._clock() < end:
             self._join(self._clock() + self.timeout)
@@ -113,6 +113,7 @@ class CanLine(RemoteLine):
         Of a node that echoes no number this is the newest.
         """
         end = self._clock() + wait
+        self._opened.patient = False
         if not self.joined:
             if not self._join(end):
                 return None
@@ -261,7 +262,7 @@ class CanLine(RemoteLine):
         """Return whether the bus is open, after a try to open it."""
         if self._connection is not None:
             return True
-        if not self._connected(self._opened, f"the bus {self.port} cannot be opened"):
+        if not self._connected(f"the bus {self.port} cannot be opened"):
             return False
         self._filter()
         return True

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 from ..errors import RunError, ScenarioError
+from .apart import Apart
 from .frames import Frame, Kind, Splitter, read, written
 from .layout import HELLO, Layout
 from .wires import Wire
@@ -140,7 +141,7 @@ class Line:
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
         self.port, self.build, self.timeout = port, build, timeout
-        self._opened, self._clock, self._sleep = opened, clock, sleep
+        self._opened, self._clock, self._sleep = Apart(opened), clock, sleep
         self.wire: Wire | None = None
         self._splitter = Splitter()
         self._inbox: list[Frame] = []
@@ -190,6 +191,7 @@ class Line:
             The wire can never be opened.
         """
         patience = PATIENCE * self.timeout
+        self._opened.patient = True
         self._join_within(patience)
         number = self._next()
         end = self._clock() + patience
@@ -243,6 +245,7 @@ class Line:
     def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
         """Send a request once, and return the answer's values if it comes within `wait` s; never wait for longer."""
         end = self._clock() + wait
+        self._opened.patient = False
         if not self._there() and not self._open():
             return None
         if not self.joined:
@@ -358,7 +361,7 @@ class Line:
 
     def _open(self) -> bool:
         """Try to open the port, rarely enough to cost nothing."""
-        if self._clock() - self._tried < REOPEN:
+        if self._clock() - self._tried < REOPEN and not self._opened.busy:
             return False
         self._tried = self._clock()
         try:

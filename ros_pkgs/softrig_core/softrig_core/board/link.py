@@ -94,6 +94,17 @@ class Linked(Elsewhere):
         line = self._lines[0]
         return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.told() or 'all answered'}"}
 
+    def void(self, x: LinkState) -> str:
+        """Return why a run in real time is not judged: no answer came, or none for longer than the timeout until its end."""
+        if not self.realtime or not self._lines:
+            return ""
+        line = self._lines[0]
+        last = line.served[0]
+        if last >= 0 and (x.k - 1 - last) * self.p.period <= self.ENTRY.timeout:
+            return ""
+        since = f"after {last * self.p.period:.6g} s" if last >= 0 else "at any time"
+        return f"no answer came from {line.port} {since}, so the run says nothing of this node"
+
     def asked(self, x: LinkState, t: int, row: list[Any]) -> Mapping[str, Any]:
         """Return what the board answers to a tick.
 
@@ -110,7 +121,7 @@ class Linked(Elsewhere):
         line = self._connected(x)
         told = line.told()
         values = _packed(self._layout.step, row)
-        answer = self._live(line, values) if self.realtime else self._paired(line, x.k, values)
+        answer = self._live(line, x.k, values) if self.realtime else self._paired(line, x.k, values)
         if answer is not None and len(answer) != self._layout.answer.size:
             refused = str(answer[0]) if answer else "missing"
             raise RunError(f"the board at {line.port} refuses a step (status {refused})")
@@ -137,13 +148,16 @@ class Linked(Elsewhere):
             line.accepted = self._params
         return line
 
-    def _live(self, line: Any, values: bytes) -> bytes | None:
+    def _live(self, line: Any, k: int, values: bytes) -> bytes | None:
         wait = min(self.ENTRY.timeout, PART * self.p.period)
         if line.accepted != self._params:
             if line.joined and line.try_ask(Kind.PARAMS, self._params, wait) is None:
                 return None
             line.accepted = self._params
-        return line.try_ask(Kind.STEP, values, wait)
+        answer: bytes | None = line.try_ask(Kind.STEP, values, wait)
+        if answer is not None:
+            line.served = k, b"", answer
+        return answer
 
     def _paired(self, line: Any, k: int, values: bytes) -> bytes:
         if (k, values) == line.served[:2]:  # the same tick again

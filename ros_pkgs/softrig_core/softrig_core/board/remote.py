@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from ..errors import RunError, ScenarioError
+from .apart import Apart
 from .line import REOPEN, Counts, Missing
 
 
@@ -19,6 +20,8 @@ class RemoteLine(ABC):
     ----------
     port : str
         For errors.
+    opened : callable
+        Opens a connection; an OSError: not now, a ScenarioError: never.
     clock, sleep : callable
         Give a time in s, and let one pass.
     """
@@ -26,8 +29,10 @@ class RemoteLine(ABC):
     joined: bool
     timeout: float
 
-    def __init__(self, port: str, clock: Callable[[], float], sleep: Callable[[float], object]) -> None:
-        self.port, self.counts = port, Counts()
+    def __init__(
+        self, port: str, opened: Callable[..., Any], clock: Callable[[], float], sleep: Callable[[float], object]
+    ) -> None:
+        self.port, self.counts, self._opened = port, Counts(), Apart(opened)
         self.served: tuple[int, bytes, bytes] = (-1, b"", b"")
         self.accepted = b""
         self._clock, self._sleep = clock, sleep
@@ -56,23 +61,23 @@ class RemoteLine(ABC):
     def _shut(self, connection: Any) -> None:
         """Close a connection."""
 
-    def _connected(self, opened: Callable[[], Any], failed: str) -> bool:
+    def _connected(self, failed: str, *given: Any) -> bool:
         """Return whether there is a connection, after a try to open it; rarely enough to cost nothing.
 
         Parameters
         ----------
-        opened : callable
-            Opens it; an OSError: not now, a ScenarioError: never.
         failed : str
             What an OSError means.
+        given
+            What `opened` gets.
         """
         if self._connection is not None:
             return True
-        if self._clock() - self._tried < REOPEN:
+        if self._clock() - self._tried < REOPEN and not self._opened.busy:
             return False
         again = self._tried > -math.inf
         try:
-            self._connection = opened()
+            self._connection = self._opened(*given)
         except OSError as error:
             self._why = f"{failed}: {error.strerror or error}"
             return False

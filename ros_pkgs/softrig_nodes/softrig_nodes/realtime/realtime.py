@@ -376,7 +376,10 @@ class Realtime(Link):
             self.senders.record_rest(self.node.epoch + self.node.t)
             self.node.overheard.over()
         if self.node.overheard.complete():
-            self.node.finish()
+            if why := self.node.step.block.void(self.node.step.x):
+                self.node.fail(why)
+            else:
+                self.node.finish()
 
     def last_came(self) -> None:
         """See `Drive.last_came`."""
