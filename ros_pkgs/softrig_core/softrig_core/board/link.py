@@ -95,7 +95,7 @@ class Linked(Elsewhere):
         return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.told() or 'all answered'}"}
 
     def void(self, x: LinkState) -> str:
-        """Return why a run in real time is not judged: no answer came, or none for longer than the timeout until its end."""
+        """Return why a run in real time is not judged: no answer came, or none in the timeout before its end."""
         if not self.realtime or not self._lines:
             return ""
         line = self._lines[0]
