@@ -242,7 +242,7 @@ class Following(Reader):
             self._end("SUCCESSFUL", "")
 
     def receive(self, data: bytes) -> None:
-        """Take a message of measured joints."""
+        """Compare a message of measured joints with the trajectory."""
         if self._active is None:
             return
         message = deserialize_message(data, message_class(STATES))
