@@ -406,6 +406,7 @@ class Watched:
         self.restarts = SimpleNamespace(
             most=most, counts={}, look=lambda children: self.failed, why=lambda member: "; again"
         )
+        self.announced = []
         self.failed, self.looks, self.stopping, self.logs = [], [], SimpleNamespace(number=0, check=lambda: None), {}
         self.rig = SimpleNamespace(scenario=SimpleNamespace(start_timeout=30.0, timeout=10.0, duration=5.0))
         clock = SimpleNamespace(monotonic=lambda: self.now, time=lambda: 1000.0 + self.now, sleep=self._pass)
@@ -452,6 +453,7 @@ class Watched:
             self.stopping,
             self.restarts,
             SimpleNamespace(look=lambda: None),
+            self.announced.append,
         )
         return said, round(self.now - 100.0, 1)
 
@@ -462,6 +464,20 @@ LOST = "node {} did not reach the end of the run within 10 s after it"
 @pytest.fixture
 def watched(monkeypatch):
     return lambda **options: Watched(monkeypatch, **options)
+
+
+def test_a_call_that_does_not_return_is_announced_once_when_the_rig_stands(watched):
+    run = watched()
+    line = "law: `update` at t = 0.1 s has not returned for 5 s; Ctrl-C ends the run (law.py, line 3)"
+    run.at(2.0, lambda: run.logs.update(last=line)).at(4.9, lambda: run.announced.append("until then nothing"))
+    all_end(run, 9.0).run()
+    assert run.announced == ["until then nothing", line]
+    run = all_end(watched(), 9.0)
+    for k in range(80):
+        run.at(k / 10 + 0.05, run.says("plant", t=k))
+    run.logs["last"] = line
+    run.run()
+    assert run.announced == []  # it goes on
 
 
 def all_end(run, seconds):

@@ -63,7 +63,7 @@ class Stage:
             made.append(child)
         return made
 
-    def _supervise(self, rig, children, progress, guests, realtime, stopping, restarts, clock):
+    def _supervise(self, rig, children, progress, guests, realtime, stopping, restarts, clock, announce):
         self.asked.append(("watch", [c.member.name for c in children], realtime, restarts.most))
         if self.failing:
             raise self.failing

@@ -362,6 +362,9 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
     assert node.ask(n=4) == ([False], ["refused"], [{"n": 4}])
     assert node.ask(kk=4) == ([False], ["'kk' is no parameter of law (did you mean 'k'?)"], [])
     node.refuses = ()
+    clocked = Serving(use_sim_time=False)
+    assert clocked.ask(use_sim_time=False) == ([True], [""], [])
+    assert clocked.ask(use_sim_time=True)[1][0].startswith("parameter use_sim_time is fixed from the start on")
     for name, given, meant in (
         ("k", 2, 2.0),
         ("k", "1e-05", 1e-05),

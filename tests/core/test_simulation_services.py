@@ -123,6 +123,10 @@ def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_ow
     for name, count in (("a", 3), ("b", 2)):
         said = call.simulation._take(count, lambda n, name=name: told.append((name, n)), lambda text: told.append(text))
         assert said == ""
+    waiting = call.simulation._steps[:]
+    call.simulation._steps += waiting * 49
+    assert call.simulation._take(1, print, print) == "100 requests of steps wait already, expected at most 100"
+    call.simulation._steps[:] = waiting
     for ticks in (1, 3, 4, 5):
         call.adapter.ticks = ticks
         call.simulation._look()

@@ -22,6 +22,7 @@ from softrig_core.guard import secure_streams, tell
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.installed import load_block
 from softrig_core.rig.options import RunOptions
+from softrig_core.run.stuck import watched
 from softrig_core.timebase import SECOND
 
 from .adapter.adapter import Adapter
@@ -64,6 +65,7 @@ class Container:
             if alike := [a for a in self.adapters if a.options.mode == mode]:
                 Group(alike)
 
+    @watched()
     def run(self) -> int:
         """Run until all nodes have finished, one has failed, or the process is stopped; returns the exit status."""
         executor = uses.executor()

@@ -22,6 +22,7 @@ from softrig_core.board.link import linked
 from softrig_core.guard import secure_streams, tell
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.options import RunOptions
+from softrig_core.run.stuck import watched
 
 from .adapter.adapter import Adapter
 from .adapter.spin import spin
@@ -67,7 +68,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             rclpy.init(args=list(argv))
             interrupt.early = False
             node = ServingNode(name)
-        with interrupt.leaving(partial(leave, [node], 0)):  # to compile takes seconds
+        with interrupt.leaving(partial(leave, [node], 0)), watched():  # to compile takes seconds
             adapter = make_adapter(node, block_class, RosMiddleware(node))
         Group([adapter])
         if not adapter.options.links:

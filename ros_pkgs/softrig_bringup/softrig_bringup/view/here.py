@@ -14,6 +14,7 @@ from softrig_core import Recording, Rig, Run, RunError, ScenarioError, Session
 from softrig_core.block.params import flatten
 from softrig_core.guard import say
 from softrig_core.run.branch import branched
+from softrig_core.run.stuck import watched
 from softrig_core.timebase import Pace, to_ns, to_s
 from softrig_core.wire.parameter_event import TOPIC as EVENTS, recorded
 from softrig_core.wire.recording import ShardWriter
@@ -224,6 +225,7 @@ class Here(Growing):
         self._written.clear()
 
 
+@watched()
 def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, conclude: Conclude) -> int:
     """Show a rig that runs in this process, until it is over and nobody looks any more, or Ctrl-C.
 

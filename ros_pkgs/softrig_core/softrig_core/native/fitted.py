@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from ..block.loop import Loop
+from ..block.params import FromFiles
 from ..block.schedule import Plan
 from ..block.step import Step
 from ..errors import RunError
+from ..timebase import SECOND
 from .audience import NEVER, Answers, answered, numbers_of, stamps_of
 from .rig_text import RigText, rig_text
 from .translate import follow
@@ -202,6 +204,12 @@ class Fitted:
     def remade(self) -> bool:
         """Return whether a block has made constants again, so that the text may be another."""
         return [one.key for one in self._newest] != self._keys
+
+    def under_way(self) -> str:
+        """Describe the tick that a call has reached: for another thread, while it does not return (`run.stuck`)."""
+        loaded = [s.name for s in self._steps if isinstance(s.block, FromFiles)]  # code that nobody here has read
+        names = ", ".join(loaded or [s.name for s in self._steps])
+        return f"the tick at t = {self._plan.clock.time(int(self._n[0])) / SECOND:.9g} s of {names} (compiled)"
 
     def drop(self) -> None:
         """Forget the places of answers, which are large; whoever records them has them."""

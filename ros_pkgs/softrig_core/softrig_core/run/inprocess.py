@@ -25,12 +25,14 @@ from ..wire import parameter_event
 from ..wire.cdr import Layout
 from ..wire.recording import Sink
 from .choice import ticks_of
+from .stuck import watched
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 
+@watched()
 def run_inprocess(
     rig: Rig,
     seed: int,

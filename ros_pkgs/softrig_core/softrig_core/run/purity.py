@@ -17,6 +17,7 @@ from ..solver.solver import Solver
 from ..wire.recording import Recording
 from ..wire.signals import Signals
 from .inprocess import check_here, wired
+from .stuck import watched
 
 # Hidden state shows in the first ticks of the rig's clock, and each of them costs twice the time.
 TICKS = 20
@@ -28,6 +29,7 @@ HIDDEN = "hidden_state"  # key of the report of a block whose library keeps stat
 _pure: set[Any] = set()
 
 
+@watched()
 def check_pure(rig: Rig, seed: int | None = None) -> None:
     """Run the first ticks of a rig, and compute each answer twice from the same state and inputs.
 
@@ -52,7 +54,7 @@ def check_pure(rig: Rig, seed: int | None = None) -> None:
     if not new or any(issubclass(m.block_class, Solver) for m in rig.members):
         return
     blocks = {m.name: m.block(rig.scenario.seed if seed is None else seed) for m in rig.members}
-    watched = [name for m in rig.members if m.name in new for name in _watched(m, blocks[m.name])]
+    copies = [name for m in rig.members if m.name in new for name in _watched(m, blocks[m.name])]
     try:
         ticks = Loop(list(wired(rig, blocks).values())).run()
         for _, _ in zip(range(TICKS), ticks, strict=False):
@@ -63,7 +65,7 @@ def check_pure(rig: Rig, seed: int | None = None) -> None:
     except RunError:
         return
     finally:
-        for block, method in watched:
+        for block, method in copies:
             vars(block).pop(method, None)
     _pure.update(new.values())
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .adapter import Adapter
 
 LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
+PAUSED = "paused"  # key of a report
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
 
 
@@ -36,6 +37,7 @@ class Account:
         self._node = node
         self.watches = 0
         self._logged: set[str] = set()
+        self._paused = False
         self._file = StatusFile(node.options.status)
         self._figures: dict[str, Any] = {}  # of a node that is done: worked out once
 
@@ -53,6 +55,10 @@ class Account:
         node = self._node
         if node.record.shard is not None:
             node.record.shard.flush()
+        if node.hold.held is not self._paused:
+            self._paused = node.hold.held
+            text = f"paused at t = {node.t / SECOND:.9g} s, until ~/resume or ~/step of {node.middleware.full_name}"
+            node.step.note(Level.OK if self._paused else None, PAUSED, text)
         # A report that was made again after its cause had gone is to be logged again.
         self._logged -= node.step.anew
         node.step.anew.clear()

@@ -10,12 +10,14 @@ from rclpy.node import Node
 from rclpy.task import Future
 from softrig_core.errors import RunError, describe
 from softrig_core.guard import tell
+from softrig_core.run.stuck import watched
 from softrig_core.timebase import SECOND
 
 from ..below import uses
 from .adapter import Adapter
 
 
+@watched()
 def spin(node: Node, adapter: Adapter) -> int:
     """Spin; returns the exit status."""
     finished: Future[None] = Future()

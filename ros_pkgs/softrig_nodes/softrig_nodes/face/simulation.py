@@ -23,6 +23,7 @@ from ..ros.ros import ServingNode
 
 PACKAGE = "simulation_interfaces"
 LOOK = SECOND // 200  # ns of the wall between two looks whether steps have been taken
+MOST = 100  # requests of steps that wait at a time, each of a client that may have left
 APART = 1e-6  # s: between two places of a body, for its velocity
 FEATURES = (
     "SIMULATION_STATE_GETTING",
@@ -158,6 +159,8 @@ class Simulation:
         adapter = self._adapter
         if adapter.state != "running" or not adapter.hold.held:
             return f"steps are taken of a paused run: this one is {'running' if adapter.ticks else adapter.state}"
+        if len(self._steps) >= MOST:
+            return f"{len(self._steps)} requests of steps wait already, expected at most {MOST}"
         first = adapter.ticks + adapter.hold.steps
         left = adapter.schedule.count() - 1 - first if adapter.schedule.last is not None else count + 1
         if count >= left:  # who ends with the run cannot answer

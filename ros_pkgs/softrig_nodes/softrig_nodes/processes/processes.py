@@ -140,6 +140,7 @@ def run_processes(
                         stopping,
                         restarts,
                         clock,
+                        listener.announce,
                     )
                 except KeyboardInterrupt as interrupt:
                     stopped = signal_of(interrupt)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from softrig_core.rig.rig import Rig
+from softrig_core.run.stuck import STUCK
 
 from .children import Child, is_held, last_line, read_status
 from .guests import Guests
@@ -17,6 +18,7 @@ from .peers import starter
 from .restarting import Restarts
 from .stopping import Stopping
 
+STANDS = 5.0  # s without a tick after which the logs are read for the reason
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
 
 
@@ -29,6 +31,7 @@ def supervise(
     stopping: Stopping,
     restarts: Restarts,
     clock: SystemClock,
+    announce: Callable[[str], object] | None = None,
 ) -> str:
     """Wait until all have ended or one has failed; returns the reason of a failure.
 
@@ -40,7 +43,7 @@ def supervise(
     comes_up = time.monotonic() + rig.scenario.start_timeout
     late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
     first = starter(rig)
-    last, before = -1, dict[str, Any]()
+    last, before, moved, said = -1, dict[str, Any](), time.monotonic(), set[str]()
     while True:
         stopping.check()
         clock.look()
@@ -77,10 +80,21 @@ def supervise(
             return _asleep(running) or lost
         if t != last and progress is not None:
             progress(t)
+        if t != last:
+            moved = time.monotonic()
+        elif announce is not None and time.monotonic() > moved + STANDS:
+            for line in _stuck(running) - said:
+                announce(line)
+                said.add(line)
         last = t
         # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
         # wakes up all the time, and each time takes a node's core.)
         select.select([c.end for c in running], [], [], 0.1)
+
+
+def _stuck(children: Sequence[Child]) -> set[str]:
+    """Return what processes have logged last, if it is that a call of a block does not return."""
+    return {line for line in (last_line(c.log) for c in children) if STUCK in line}
 
 
 def _to_start(epoch: int, most: float) -> float:

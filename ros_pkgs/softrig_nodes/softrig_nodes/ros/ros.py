@@ -21,7 +21,13 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter, get_parameter_value
-from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+    qos_profile_services_default,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from softrig_core.block.block import Level
@@ -72,6 +78,9 @@ SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have l
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
 LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
 
+NAP = (
+    0.005  # s before each answer while services have used up their time: as long as Python leaves its lock to a thread
+)
 OVERDUE = 0.1  # s between two tries to send answers that wait for their share of the time
 
 # A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
@@ -138,7 +147,7 @@ class Answers:
         Has `go_on` called now and then, from the first call on.
     """
 
-    MOST = 100  # that wait
+    MOST = 100  # that wait; so many requests of a service are kept
 
     def __init__(
         self,
@@ -183,9 +192,12 @@ class ServingNode(Node):  # type: ignore[misc]
         Gets why a set was refused for want of time.
     monitor : Monitor
         Of whatever calls the node: no service is answered while a tick is under way.
+    beside : bool
+        Whether ticks are answered in another thread than that of the services.
     """
 
     remark = ""
+    beside = False
     overdrawn: Callable[[str], object] = staticmethod(lambda text: None)
     _credit = Credit()  # one for all nodes of a process
 
@@ -204,6 +216,10 @@ class ServingNode(Node):  # type: ignore[misc]
         """Offer a service; a call that fails is refused with the reason."""
 
         def answer(request: Any, response: Any) -> Any:
+            # To take a request and to refuse it costs time, too: of a flood more than there is. Asleep, this thread
+            # leaves Python's lock to the ticks, and what comes meanwhile pushes out what is old.
+            if self.beside and self._credit.wanting():
+                time.sleep(NAP)
             with self.monitor:
                 return answered(request, response)
 
@@ -226,6 +242,8 @@ class ServingNode(Node):  # type: ignore[misc]
                     response.result = refusal
                 return response
 
+        options["qos_profile"] = copy(options.get("qos_profile", qos_profile_services_default))
+        options["qos_profile"].depth = Answers.MOST
         service = super().create_service(srv_type, srv_name, answer, **options)
 
         def send_by(send: Callable[[Any, Any], None]) -> Answers:
@@ -288,6 +306,10 @@ class ServingNode(Node):  # type: ignore[misc]
 
     def _misfit(self, wanted: Parameter) -> str:
         """Describe why a value cannot replace the present one: rclpy accepts any kind, and none for a removal."""
+        if wanted.name == "use_sim_time":
+            # rclpy makes and destroys a subscription of /clock, which takes Python's lock and those of Fast DDS in the
+            # other order than a message that arrives (see `arrival`): the node would hang for ever.
+            return "parameter use_sim_time is fixed from the start on: the ticks of this node have a time of their own"
         known = parameters(self)
         kind = known[wanted.name].type_ if wanted.name in known else Parameter.Type.NOT_SET
         if kind in (Parameter.Type.NOT_SET, wanted.type_):
@@ -512,7 +534,7 @@ class RosMiddleware(Middleware):
             for handler in subscription.event_handlers:
                 self.node.remove_waitable(handler)
             self._arrivals.append(Arrival(rcl, subscription, reader.receive, reader.matched, self.monitor.arrive))
-        self.prompt = bool(self._arrivals)
+        self.prompt = self.node.beside = bool(self._arrivals)
         if self.prompt:
             self.timer(LOOK, self._look)
             self.timer(SEARCH, Garbage(off=True).step)

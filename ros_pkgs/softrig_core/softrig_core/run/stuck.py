@@ -1,0 +1,166 @@
+"""Reports a block whose code does not return, and lets Ctrl-C end the process then.
+
+Python handles a signal between two of its own instructions, so a loop in native code of this process cannot be
+interrupted. A thread looks at the stacks once a second: a tick costs nothing. The signal itself reaches it through a
+pipe, which Python's handler in C writes to.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import CodeType, FrameType
+
+from ..block.block import Block
+from ..guard import tell
+from ..timebase import SECOND
+
+LOOK = 1.0  # s between two looks
+LONG = 5.0  # s in one call of a block after which it is reported
+LAST = 5.0  # s from a signal to the end of the process, if the same call is still under way then
+ENDS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT}
+CALLS = {"setup", "first", "outputs", "advance", "update", "finish", "refused", "change", "go_on"}
+NATIVE = "softrig_core.native.fitted"  # module whose `Fitted.call` answers ticks by native code
+# What may take long and ends by itself: compilers, and waits for other processes, which have limits of their own.
+PATIENT = (
+    "numba",
+    "llvmlite",
+    "subprocess",
+    "softrig_core.solver",
+    "softrig_core.kit.jit",
+    "softrig_core.kit.compiled",
+)
+STUCK = "has not returned"  # in each report: whoever reads the log of a process looks for it
+_STOP = b"\0"
+
+_running: Watch | None = None
+
+
+class Watch(threading.Thread):
+    """Looks at the calls of blocks that are under way, until `stop`."""
+
+    def __init__(self) -> None:
+        super().__init__(name="softrig watch", daemon=True)
+        self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._main = threading.main_thread().ident or 0
+        self._listens = False
+        if threading.current_thread() is threading.main_thread():
+            before = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+            self._listens = before == -1
+            if not self._listens:  # an event loop has one already
+                signal.set_wakeup_fd(before)
+
+    def run(self) -> None:
+        """Look until the end."""
+        seen: dict[int, tuple[FrameType, float]] = {}
+        now, wait = 0.0, LOOK
+        ends: tuple[int, float, FrameType | None] = 0, 0.0, None  # signal, time, the call that is to return before it
+        while True:
+            if select.select([self._read], [], [], wait)[0]:
+                came = os.read(self._read, 64)
+                if _STOP in came:
+                    return
+                number = next((n for n in came if n in ENDS), 0)
+                if number and not ends[0]:
+                    ends = number, now + LAST, calls().get(self._main)
+                continue
+            now += wait
+            here = calls()
+            seen = {
+                thread: seen[thread] if thread in seen and seen[thread][0] is call else (call, now)
+                for thread, call in here.items()
+            }
+            for call, since in seen.values():
+                if now - since >= LONG > now - since - wait:
+                    tell(*report(call, f"for {LONG:g} s; Ctrl-C ends the run"))
+            if ends[0] and here.get(self._main) is not ends[2]:
+                ends = 0, 0.0, None
+            elif ends[2] is not None and now >= ends[1]:
+                who, text = report(ends[2], f"{LAST:g} s after {signal.Signals(ends[0]).name}")
+                tell(who, f"{text}: the process is ended, and what it has not written is lost")
+                os._exit(128 + ends[0])
+
+    def stop(self) -> None:
+        """End it."""
+        if self._listens:
+            signal.set_wakeup_fd(-1)
+        os.write(self._write, _STOP)
+        self.join()
+        os.close(self._read)
+        os.close(self._write)
+
+
+@contextmanager
+def watched() -> Iterator[None]:
+    """Watch the blocks of this process within the ``with`` block; within another one it does nothing."""
+    global _running
+    if _running is not None:
+        yield
+        return
+    _running = watch = Watch()
+    watch.start()
+    try:
+        yield
+    finally:
+        _running = None
+        watch.stop()
+
+
+def _forget() -> None:
+    """A fork has no thread that watches, and its signals are none of its parent's."""
+    global _running
+    if _running is not None:
+        _running = None
+        with suppress(ValueError):  # forked by another thread
+            signal.set_wakeup_fd(-1)
+
+
+os.register_at_fork(after_in_child=_forget)
+
+
+def calls() -> dict[int, FrameType]:
+    """Return the outermost call of a block, or of native ticks, on the stack of each thread that is in one."""
+    result: dict[int, FrameType] = {}
+    for thread, top in _stacks().items():
+        frame: FrameType | None = top
+        while frame is not None:
+            if str(frame.f_globals.get("__name__")).startswith(PATIENT):
+                result.pop(thread, None)
+                break
+            if _is_call(frame.f_code, frame):
+                result[thread] = frame
+            frame = frame.f_back
+    return result
+
+
+def _stacks() -> dict[int, FrameType]:
+    return sys._current_frames()  # noqa: SLF001 - documented, and the only way to another thread's stack
+
+
+def _is_call(code: CodeType, frame: FrameType) -> bool:
+    if code.co_name == "call":
+        return frame.f_globals.get("__name__") == NATIVE
+    return code.co_name in CALLS and isinstance(frame.f_locals.get("self"), Block)
+
+
+def report(call: FrameType, how: str) -> tuple[str, str]:
+    """Return who does not return, and where it is, as a line."""
+    known, at = call.f_locals, call
+    for top in _stacks().values():  # the innermost frame of that stack
+        frame: FrameType | None = top
+        while frame is not None and frame is not call:
+            frame = frame.f_back
+        at = top if frame is call else at
+    block = known["self"]
+    if isinstance(block, Block):
+        t = known.get("t")
+        when = f" at t = {t / SECOND:.9g} s" if isinstance(t, int) else ""
+        where = f"{Path(at.f_code.co_filename).name}, line {at.f_lineno}"
+        return block.name or type(block).__name__, f"`{call.f_code.co_name}`{when} {STUCK} {how} ({where})"
+    return "softrig", f"{block.under_way()} {STUCK} {how}"

@@ -1,0 +1,150 @@
+"""A block whose code does not return is reported, and a signal ends its process then."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+from conftest import PATIENCE, make_scenario
+from faultrig import Gain
+from softrig_core import rig_of, run_inprocess
+from softrig_core.run import stuck
+
+
+class Endless(Gain):
+    """Does not return from its third tick until it may."""
+
+    def update(self, x, t, **inputs):
+        if t == 20_000_000:
+            AT_LAST.clear()
+            STARTED.set()
+            while not AT_LAST.wait(0.001):
+                pass
+        return super().update(x, t, **inputs)
+
+
+AT_LAST, STARTED = threading.Event(), threading.Event()
+
+
+@pytest.fixture
+def lines(monkeypatch):
+    """What is printed; the first line lets the block return."""
+    found = []
+
+    def tell(who, text):
+        found.append(f"{who}: {text}")
+        AT_LAST.set()
+
+    monkeypatch.setattr(stuck, "tell", tell)
+    monkeypatch.setattr(stuck, "LOOK", 0.02)
+    monkeypatch.setattr(stuck, "LONG", 0.2)
+    monkeypatch.setattr(stuck, "LAST", 0.2)
+    return found
+
+
+def rig():
+    scenario = make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.1)
+    return rig_of(scenario, classes={"gain": Endless})
+
+
+def test_a_tick_that_does_not_return_is_reported_with_node_time_and_place(lines):
+    run_inprocess(rig(), 0)
+    (line,) = lines
+    assert line.startswith("gain: `update` at t = 0.02 s has not returned for 0.2 s; Ctrl-C ends the run (")
+    assert "test_stuck.py, line " in line or "threading.py, line " in line
+    assert threading.active_count() == 1
+    assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypatch):
+    ended = []
+    monkeypatch.setattr(stuck, "LONG", PATIENCE)
+    monkeypatch.setattr(stuck.os, "_exit", lambda status: (ended.append(status), AT_LAST.set()))
+    monkeypatch.setattr(stuck, "tell", lambda who, text: lines.append(f"{who}: {text}"))
+    before = signal.signal(signal.SIGTERM, lambda number, frame: None)  # of code that never sees it
+    STARTED.clear()
+    killer = threading.Thread(target=lambda: STARTED.wait(PATIENCE) and os.kill(os.getpid(), signal.SIGTERM))
+    killer.start()
+    try:
+        run_inprocess(rig(), 0)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        killer.join()
+    assert ended[0] == 143
+    assert lines[0].startswith("gain: `update` at t = 0.02 s has not returned 0.2 s after SIGTERM (")
+    assert lines[0].endswith("): the process is ended, and what it has not written is lost")
+
+
+def test_who_waits_for_a_compiler_or_is_in_no_block_is_let_alone(lines):
+    with stuck.watched():
+        with stuck.watched():  # within another one it does nothing
+            assert threading.active_count() == 2
+        assert threading.active_count() == 2
+        assert stuck.calls() == {}
+        time.sleep(0.3)
+        with warnings.catch_warnings():  # the thread that watches holds no lock
+            warnings.simplefilter("ignore", DeprecationWarning)
+            pid = os.fork()
+        if not pid:  # a fork watches for itself, and its signals are none of its parent's
+            with stuck.watched():
+                os._exit(10 + threading.active_count())
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 12
+    assert lines == []
+
+
+LOOPS = {
+    "python": "        while t >= 100_000_000:\n            pass\n",
+    "c": "    volatile int loop = t_ns >= 100000000;\n    while (loop) {}\n",
+}
+
+
+def written(code, folder):
+    """Write a package whose law loops from 0.1 s on; return the arguments that run it."""
+    here = [sys.executable, "-m", "softrig_bringup"]
+    options = ["--only", "law", "--for", "dc_motor_smc_b2"] if code == "python" else ["--language", "c"]
+    subprocess.run([*here, "new", "law", *options], cwd=folder, check=True, capture_output=True)
+    file, before = (
+        (folder / "law/law/controller.py", "        x, outputs = super")
+        if code == "python"
+        else (folder / "law/law.c", "    (void)t_ns;")
+    )
+    text = file.read_text()
+    assert before in text
+    file.write_text(text.replace(before, LOOPS[code] + before))
+    if code == "python":
+        return [str(Path(__file__).parents[2] / "scripts/softrig"), "--workspace", "law"], "law"
+    return here, "law/law.yaml"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("code", "verb", "mode"),
+    [(code, "run", mode) for code in LOOPS for mode in ("inprocess", "container", "processes")]
+    + [(code, verb, "inprocess") for code in LOOPS for verb in ("check", "study")],
+)
+def test_a_law_that_loops_is_named_and_ctrl_c_ends_it(code, verb, mode, tmp_path):
+    here, what = written(code, tmp_path)
+    options = {"run": ["--mode", mode], "check": [], "study": ["--seeds", "4"]}[verb]
+    said = (tmp_path / "said").open("w+")
+    process = subprocess.Popen([*here, verb, what, *options], cwd=tmp_path, stdout=said, stderr=said)
+    try:
+        deadline = time.monotonic() + PATIENCE
+        while "has not returned for 5 s" not in (text := (tmp_path / "said").read_text()):
+            assert process.poll() is None, text
+            assert time.monotonic() < deadline, text
+            time.sleep(0.05)
+        (line, *_) = [line for line in text.splitlines() if "has not returned" in line]
+        assert ("dc_motor_smc" if code == "python" else "law") in line
+        assert "t = 0.1 s" in line
+        if mode != "processes":  # there the other nodes give up after the scenario's timeout
+            process.send_signal(signal.SIGINT)
+        assert process.wait(30.0) == (3 if mode == "processes" else 130), (tmp_path / "said").read_text()
+    finally:
+        process.kill()
+        process.wait()
+        said.close()
