@@ -17,6 +17,7 @@ from multiprocessing.connection import Pipe, wait
 
 import pytest
 
+gc.disable()  # until all is collected: it takes a quarter of that time, and nothing is garbage yet
 LATE = 20.0  # s that an interrupted worker has to tear its fixtures down
 
 
@@ -29,6 +30,7 @@ def pytest_addoption(parser):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session):
+    gc.enable()
     option = session.config.option
     if not option.n or option.collectonly or option.usepdb or session.testsfailed:
         return None

@@ -16,7 +16,6 @@ from matplotlib.colors import to_hex
 from matplotlib.ticker import FixedLocator
 from softrig_bringup.plots.axes import fold_exponents
 from softrig_bringup.plots.printed import printed
-from softrig_core.drawing import as_dict
 
 FEW = 6  # lines without a name that are told one by one
 FOLDER = Path(__file__).parent / "expected"
@@ -132,28 +131,6 @@ def figure_lines(figure):
             size = f"size {legend.get_texts()[0].get_fontsize():g}" if words else ""
             title = legend.get_title().get_text()
             yield f"    legend {title!r} {words} {legend._ncols} columns {size} at {legend._loc}"
-
-
-def drawing_lines(frame, before=()):
-    """A frame of a drawing, a shape a line; of a later one those that differ from the frame before."""
-    for k, shape in enumerate(frame):
-        if k < len(before) and before[k] == shape:
-            continue
-        about = as_dict(shape)
-        points = about.pop("points", None)
-        where = "" if points is None else _points(points)
-        words = [f"{k} {about.pop('kind')}", where]
-        words += [f"{_row(about.pop(name))}" for name in ("centre", "at") if name in about]
-        words += [
-            f"{name} {v if isinstance(v, str) else _number(v)}" for name, v in about.items() if v not in (None, False)
-        ]
-        yield "    " + " ".join(w for w in words if w)
-
-
-def _points(points):
-    if len(points) <= 4:
-        return ", ".join(f"{_row(p)}" for p in points)
-    return _curve(*np.array(points, float).T)
 
 
 class _Tree(HTMLParser):

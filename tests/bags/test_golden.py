@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
-from conftest import replay
+from conftest import few, replay
 from softrig_bags.compare import compare
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
@@ -31,14 +31,9 @@ BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))
 THROUGH_PROCESSES = (
     "dc_motor_smc_b1",
-    *(
-        pytest.param(n, marks=pytest.mark.long)
-        for n in (  # as their systems' tests
-            "dc_motor_smc_b4",
-            "dc_motor_fsfb",
-            "pv_mppt",
-        )
-    ),
+    "dc_motor_smc_b4",
+    "dc_motor_fsfb",
+    "pv_mppt",
 )
 
 
@@ -235,6 +230,7 @@ def test_the_bags_stay_small():
     assert sum(sizes.values()) < 20e6
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize("name", THROUGH_PROCESSES)
 def test_a_new_run_through_processes_agrees_with_the_golden_bag(name, tmp_path):
@@ -248,7 +244,14 @@ def test_a_new_run_through_processes_agrees_with_the_golden_bag(name, tmp_path):
 @pytest.mark.processes
 @pytest.mark.parametrize(
     ("name", "node"),
-    [("dc_motor_smc_b1", "dc_motor_smc"), ("dc_motor_smc_b4", "dc_motor_pid"), ("dc_motor_smc_b1", "dc_motor_plant")],
+    few(
+        [
+            ("dc_motor_smc_b1", "dc_motor_smc"),
+            ("dc_motor_smc_b4", "dc_motor_pid"),
+            ("dc_motor_smc_b1", "dc_motor_plant"),
+        ],
+        1,
+    ),
 )
 def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
     golden = load(BAGS / name)

@@ -192,7 +192,7 @@ def check_all_saved(folders, kind):
 KINDS = [*(("sqlite", preset) for preset in SQLITE), *(("mcap", preset) for preset in MCAP)]
 
 
-@pytest.mark.parametrize(("kind", "preset"), few(KINDS, 5))
+@pytest.mark.parametrize(("kind", "preset"), few(KINDS, 3))
 def test_everything_that_the_library_finds_of_a_killed_recorder_is_saved(five, kind, preset):
     check_all_saved(sorted(five.glob(f"{kind}_{preset}_?")), kind)
 

@@ -3,7 +3,7 @@
 import json
 from string import printable
 
-from hypothesis import example, given, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from softrig_bags.content.topics import qos
 from softrig_bags.files.yaml_text import _by_ruamel, qos_dicts, to_yaml
 
@@ -16,6 +16,7 @@ WORDS = st.one_of(
 )
 
 
+@settings(max_examples=30)
 @given(WORDS, WORDS)
 @example("it's", "")
 @example("'", "on")

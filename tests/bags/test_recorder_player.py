@@ -17,7 +17,7 @@ from types import SimpleNamespace
 
 import pytest
 import rclpy
-from conftest import PATIENCE, differences, ears, fork, until
+from conftest import PATIENCE, differences, ears, few, fork, until
 from mcap.reader import make_reader
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -135,7 +135,10 @@ def large(count=500, channels=1200) -> Recording:
 
 @pytest.mark.parametrize(
     "options",
-    [("--compression", "zstd", "--max-duration", "0.05"), ("--storage", "sqlite3", "--regex", "clock|plant|comm")],
+    [
+        ("--compression", "zstd", "--max-duration", "0.05"),
+        pytest.param(("--storage", "sqlite3", "--regex", "clock|plant|comm"), marks=pytest.mark.long),
+    ],
 )
 def test_record_and_replay_round_trip(rig, tmp_path, capsys, options):
     write_bag(tmp_path / "source", small())
@@ -158,7 +161,7 @@ def test_record_and_replay_round_trip(rig, tmp_path, capsys, options):
 
 @pytest.mark.parametrize(
     ("storage", "source"),
-    [("mcap", large()), ("mcap", small(8)), pytest.param("sqlite3", large(), marks=pytest.mark.long)],
+    few([("mcap", large()), ("mcap", small(8)), ("sqlite3", large())], 1),
 )
 def test_kill_9_costs_at_most_a_megabyte(rig, tmp_path, storage, source):
     write_bag(tmp_path / "source", source)
@@ -222,7 +225,7 @@ def test_losses_are_counted_and_reported(rig, tmp_path):
     patient = tmp_path / "patient.xml"
     patient.write_text(PROFILE.read_text().replace("<sec>3</sec>", "<sec>600</sec>"))
     rig.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(patient)
-    publisher = rig.node("publish", 30_000)
+    publisher = rig.node("publish", 8_000)
     recorder = rig.recorder("burst", "--output", "bag", "--use-sim-time")
     assert publisher.stdout.readline() == "matched\n"
     recorder.send_signal(signal.SIGSTOP)  # it sees nothing of the burst but what fits into its queue
@@ -236,7 +239,7 @@ def test_losses_are_counted_and_reported(rig, tmp_path):
     assert "messages lost so far: /burst" in output
     count, lost = map(int, re.search(r"(\d+) messages of 1 topics in .*, LOST (\d+): /burst", output).groups())
     assert lost > 0
-    assert count + lost == 30_000
+    assert count + lost == 8_000
     with BagReader(tmp_path / "bag") as bag:
         assert bag.count == count
         assert bag.custom_data["lost"] == f"/burst: {lost}"
@@ -371,6 +374,7 @@ def received(directory: Path, source: Recording) -> None:
     writer.close()
 
 
+@pytest.mark.long
 def test_lockstep_replay_is_complete_and_identical_at_any_speed(rig, tmp_path):
     source = small(every=1)
     write_bag(tmp_path / "golden", source)
@@ -607,6 +611,7 @@ def ask(node, service: str, kind, **fields):
     return future.result()
 
 
+@pytest.mark.long
 def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, listener, tmp_path):
     write_bag(tmp_path / "bag", small())
     # a file of `ros2 param dump` says what the options say
@@ -632,7 +637,7 @@ def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, lis
     assert "parameter rate cannot be set to 2.0 by ROS arguments" in output
 
 
-@pytest.mark.parametrize("tool", ["recorder", "player"])
+@pytest.mark.parametrize("tool", few(["recorder", "player"], 1))
 def test_two_interrupts_in_a_row_end_quietly(rig, tmp_path, tool):
     write_bag(tmp_path / "bag", small())
     arguments = {"recorder": ["--output", "copy"], "player": ["bag", "--paused"]}[tool]

@@ -195,7 +195,7 @@ def table():
     return {row[0]: dict(zip(VERBS, row[1:], strict=True)) for row in rows if row[0] in KINDS}
 
 
-@pytest.mark.parametrize("kind", few(KINDS, 8))
+@pytest.mark.parametrize("kind", few(KINDS, 5))
 def test_every_verb_takes_any_bag_or_refuses_it_in_a_line(run, tmp_path, capsys, monkeypatch, kind):
     monkeypatch.setattr("softrig_bags.live.ros.Session", Player)
     monkeypatch.setattr(serve, "serve", shown)

@@ -17,6 +17,7 @@ from softrig_drives.induction_dtc.switching import VECTORS
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.long
 def test_the_script_names_the_parts_from_anywhere(tmp_path):
     (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
     command = [ROOT / "scripts/softrig", "bench", "--help"]

@@ -210,6 +210,7 @@ def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
     assert f"domain {domain} is in use by other runs" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_processes_and_inprocess_leave_the_same_bag(folder):
     assert run("lag", "--out", "a", "--no-plots") == 0
@@ -284,7 +285,11 @@ def test_a_run_keeps_the_commit_and_the_lock_file(folder, monkeypatch):
     [
         ("inprocess", "softrig_bringup.verbs.run_verb.summary"),
         pytest.param("container", "softrig_nodes.processes.processes.stop", marks=pytest.mark.processes),
-        pytest.param("container", "softrig_nodes.processes.processes.gathered", marks=pytest.mark.processes),
+        pytest.param(
+            "container",
+            "softrig_nodes.processes.processes.gathered",
+            marks=[pytest.mark.processes, pytest.mark.long],
+        ),
     ],
 )
 def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monkeypatch):
@@ -406,6 +411,7 @@ def test_a_gap_is_found(folder):
     assert gaps(rig, recording) == "lag/state: 100 messages of 101, first gap at t = 0.07 s"
 
 
+@pytest.mark.long
 def test_the_node_verb_is_the_executable(folder):
     done = subprocess.run(
         [sys.executable, "-m", "softrig_bringup", "node", "faultrig", "plant", "--ros-args", "-p", "gain:=0.0"],
@@ -614,7 +620,7 @@ def command(*arguments, **options):
     return subprocess.run([sys.executable, "-P", "-m", "softrig_bringup", *arguments], timeout=PATIENCE, **options)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("encoding", few(["ascii", "latin-1"], 1))
 def test_an_output_that_lacks_a_character_shows_another(folder, monkeypatch, encoding):
     (folder / "lag.yaml").write_text(SCENARIO.replace("First-order lag", "First-order lag, 3 µs → 4 µs"))
     written = io.BytesIO()
@@ -649,6 +655,7 @@ def test_a_full_disk_behind_the_output_and_a_reader_that_has_gone(folder):
     assert (found.returncode, found.stderr) == (141, "")
 
 
+@pytest.mark.long
 def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
     nowhere = {"HOME": "/proc/nowhere", "TMPDIR": "/proc/nowhere"}
     variables = {k: v for k, v in os.environ.items() if k != "XDG_CACHE_HOME"} | nowhere
@@ -751,6 +758,7 @@ def on_a_full_disk(limit, *arguments):
     return command(*arguments, preexec_fn=full, capture_output=True, text=True, env=environment)
 
 
+@pytest.mark.long
 def test_a_full_disk_names_the_folder(folder):
     found = on_a_full_disk(500, "run", "lag", "--mode", "inprocess", "--out", "a")
     assert found.returncode == 3
@@ -762,7 +770,8 @@ def test_a_full_disk_names_the_folder(folder):
                  marks=pytest.mark.long),
     pytest.param(3000, ["study", "lag", "--seeds", "60", "--force", "--workers", "1", "--out", "a"], "a/rows.jsonl",
                  marks=pytest.mark.long),
-    (5000, ["study", "lag", "--seeds", "3", "--force", "--workers", "1", "--out", "a"], "a/.new/report.html"),
+    pytest.param(5000, ["study", "lag", "--seeds", "3", "--force", "--workers", "1", "--out", "a"],
+                 "a/.new/report.html", marks=pytest.mark.long),
     (100_000, ["bag", "record", "--output", "a", "/x"], "a"),
 ], 1))  # fmt: skip
 def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, folder):

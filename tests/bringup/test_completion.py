@@ -71,6 +71,7 @@ def test_each_place_of_a_command_is_completed(tmp_path):
         assert expected <= found, line
 
 
+@pytest.mark.long
 def test_bash_uses_it_for_the_scenarios_of_an_own_package_too(tmp_path):
     assert main(["new", "heater", "--into", str(tmp_path)]) == 0
     script = f"""eval "$('{SOFTRIG}' env --completion)"; COMP_WORDBREAKS=$' ='; compopt() {{ :; }}

@@ -395,6 +395,7 @@ def test_what_its_runs_do_not_ask_for_is_judged_before_the_first_one(wrong, file
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.long
 def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(tmp_path):
     assert main(["falsify", "dc_motor_smc_faults", "--strict", "--over", "dc_motor_plant.R=0.9..1.3", "--over",
                  "dc_motor_smc.delta=1..20", "--budget", "8", "--workers", "1", "--no-plots", "--out",

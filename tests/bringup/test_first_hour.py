@@ -199,6 +199,7 @@ def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, pac
         assert error.startswith("softrig: --workspace 'nowhere': no ROS package there")
 
 
+@pytest.mark.long
 def test_the_command_of_a_checkout_that_belongs_to_somebody_else(user):
     out, _ = user(f"""eval "$('{SOFTRIG}' env)" && softrig --version""")
     assert out.startswith("softrig ")
@@ -257,7 +258,7 @@ NO_PYTHON = ('"""A law', 'def (\n"""A law', 2)
         pytest.param(
             ABSENT, "inprocess", 2, "ModuleNotFoundError: No module named 'nothing_such'", marks=pytest.mark.long
         ),
-        (NO_PYTHON, "inprocess", 2, "SyntaxError: invalid syntax"),
+        pytest.param(NO_PYTHON, "inprocess", 2, "SyntaxError: invalid syntax", marks=pytest.mark.long),
     ],
 )
 def test_a_mistake_in_ones_own_code_says_file_and_line(user, package, mistake, mode, status, said):

@@ -38,7 +38,12 @@ class Table:
     [
         (["new", "a_rig", "--into", "OUT"], (Path, "write_text"), "OUT/a_rig/package.xml"),
         (["pack", "RUN", "--out", "OUT/x.zip"], (zipfile.ZipFile, "open"), "OUT/x.zip"),
-        (["draw", "plot", "RUN", "--out", "OUT", "--format", "pdf"], (Path, "write_bytes"), "OUT/plot_01_"),
+        pytest.param(
+            ["draw", "plot", "RUN", "--out", "OUT", "--format", "pdf"],
+            (Path, "write_bytes"),
+            "OUT/plot_01_",
+            marks=pytest.mark.long,
+        ),
         (["bag", "export", "RUN/bag", "--out", "OUT"], ("softrig_bags.export", "_writer"), "OUT"),
         (["export", "c", "dc_motor_smc_b2", "dc_motor_smc", "--out", "OUT"], (Path, "write_text"), "OUT/"),
     ],

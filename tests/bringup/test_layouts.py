@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from conftest import few
 from docs.gallery import sentences
 from docs.outline import pages
 from softrig_bags.content.topics import typestore
@@ -60,7 +61,7 @@ def value(message, path):
 
 
 # JointState and trajectory; wrench; vector; array
-@pytest.mark.parametrize("name", ["induction_dtc_short", "rehab_impedance_r5", "fault_location_m4k"])
+@pytest.mark.parametrize("name", few(["induction_dtc_short", "rehab_impedance_r5", "fault_location_m4k"], 2))
 def test_the_paths_lead_to_the_values_of_the_signals(name):
     recording, signals = run(name).recording, run(name).signals
     rig = run(name).rig

@@ -196,7 +196,8 @@ def test_a_rise_is_marked_from_where_it_began(final):
     assert (mark.axis, mark.low, mark.high) == ("time", pytest.approx(began + 0.4), pytest.approx(began + 0.6))
 
 
-@pytest.mark.parametrize(("kind", "begin"), [pytest.param("png", b"\x89PNG", marks=pytest.mark.long), ("pdf", b"%PDF")])
+@pytest.mark.long
+@pytest.mark.parametrize(("kind", "begin"), [("png", b"\x89PNG"), ("pdf", b"%PDF")])
 def test_a_format_of_print_stands_beside_each_picture(tmp_path, kind, begin):
     run = simulate(rig_of(scenario(plots=[{"title": "Position", "signals": {X: "position"}}])))
     plot_run(run.signals, run.rig, tmp_path, kind)

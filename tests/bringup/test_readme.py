@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

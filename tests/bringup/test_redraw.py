@@ -33,6 +33,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_a_run_is_drawn_again_as_it_ran(run, tmp_path, capsys):
     rig, _ = rig_of_run(run)
     assert rig.scenario.duration == 0.2

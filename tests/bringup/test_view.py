@@ -107,8 +107,9 @@ class Browser:
         self.session.close()
 
 
+@pytest.mark.long
 @pytest.mark.processes
-@pytest.mark.parametrize("mode", [pytest.param("processes", marks=pytest.mark.long), "container"])
+@pytest.mark.parametrize("mode", ["processes", "container"])
 def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_the_same_run_without(tmp_path, mode):
     words = ("dc_motor_smc", "--duration", "0.1", "--no-plots")
     with running("view", *words, "--mode", mode, "--out", tmp_path / "seen") as process:

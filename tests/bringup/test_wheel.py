@@ -78,6 +78,7 @@ for verb in ([*run, "one", "--mode", "inprocess"], ["bag", "info", "one/bag"], [
 """
 
 
+@pytest.mark.long
 def test_without_ros_what_needs_it_says_so_and_the_rest_works(tmp_path):
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert re.findall(r"^status (\d)", done.stdout, re.MULTILINE) == ["0", "0", "2", "2"]

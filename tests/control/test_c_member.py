@@ -205,8 +205,8 @@ def test_the_linear_view_sees_through_it() -> None:
     ("fault", "message"),
     [
         ("CRASH", "pi.c at t = 0.2 s: crashed (SIGSEGV) in pi_step"),
-        ("ABORT", "pi.c at t = 0.2 s: crashed (SIGABRT) in pi_step"),
-        ("RECURSE", "pi.c at t = 0.2 s: crashed (SIGSEGV) in pi_step"),
+        pytest.param("ABORT", "pi.c at t = 0.2 s: crashed (SIGABRT) in pi_step", marks=pytest.mark.long),
+        pytest.param("RECURSE", "pi.c at t = 0.2 s: crashed (SIGSEGV) in pi_step", marks=pytest.mark.long),
         ("CONSTANT", "pi.c at t = 0.2 s: pi_step changes a member that holds constants"),
         ("NOT_A_NUMBER", "armature/effort became nan at t = 0.2 s"),
     ],

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import event, given, strategies as st
+from hypothesis import event, given, settings, strategies as st
 from rosbags.typesys import Stores, get_typestore
 from softrig_core import Refused, array, button, command, joint_state, number, reference, scalars, vector3, wrench
 from softrig_core.block.codec import Decoder, selection
@@ -83,6 +83,7 @@ def test_channels_have_other_names_for_outside_nodes_all_or_none():
         command("a", "t", ("motor1", "motor2"), "V", also=("joint1",))
 
 
+@settings(max_examples=40)
 @given(stamp=STAMPS, names=NAMES, frame=st.text(max_size=9).filter(lambda s: "\0" not in s), data=st.data())
 def test_joint_state_bytes_are_those_of_rosbags(stamp, names, frame, data):
     n = len(names)

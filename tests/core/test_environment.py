@@ -370,6 +370,7 @@ def made(weights, observations, actions):
 """
 
 
+@pytest.mark.long
 def test_a_policy_of_an_installed_package_runs_as_a_node_and_is_judged_as_the_law(tmp_path, monkeypatch, capsys):
     about = tmp_path / "shaky_policies-1.0.dist-info"
     about.mkdir()

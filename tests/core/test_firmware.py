@@ -23,6 +23,7 @@ arm = pytest.mark.skipif(
 )
 
 
+@pytest.mark.long
 @avr
 def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
     name, layout = export_firmware(rig_of("dc_motor_smc_b2"), "dc_motor_smc", tmp_path, "arduino", rows=60, drawn=30)

@@ -349,11 +349,12 @@ def test_damage_is_refused_or_does_not_matter(attack, tmp_path):
         attack(seed, tmp_path / f"{seed}")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("areas", "number"),
     [
         (("parameters", "scenarios"), 1),  # may ask for all memory: in processes of their own
-        pytest.param(("bags", "messages", "parameters", "scenarios"), 12, marks=pytest.mark.long),
+        (("bags", "messages", "parameters", "scenarios"), 12),
     ],
 )
 def test_a_short_campaign(areas, number):

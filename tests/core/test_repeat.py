@@ -183,6 +183,7 @@ def test_what_came_from_outside_before_a_branch_is_there_and_what_came_later_is_
     assert differences(first, other)
 
 
+@pytest.mark.long
 def test_a_branch_is_repeated_from_its_bag_alone(tmp_path, capsys):
     plain = ["dc_motor_smc", "--duration", "0.1", "--mode", "inprocess", "--no-plots"]
     assert main(["run", *plain, "--out", str(tmp_path / "first")]) == 0

@@ -91,6 +91,7 @@ ENDS = {
 DAILY = "a duration between two ticks"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n != DAILY)) for n in ENDS])
 @pytest.mark.processes
 def test_ends_are_the_same_in_process_through_processes_and_open_loop(name, tmp_path):

@@ -97,6 +97,7 @@ def test_going_back_has_the_work_of_then_done_once_more():
     assert [round(v["plan"][0], 9) for v in first] == [-1.0, 0.0, 0.0, 0.2, 0.2, 0.4]
 
 
+@pytest.mark.long
 def test_a_limit_gives_the_best_so_far_and_says_that_it_does_not_repeat():
     block = ByHand(Planner(fault="hang", limit=1.0))
     first, second, third = drive(block, 3)
@@ -236,6 +237,7 @@ def test_nodes_give_the_bits_of_the_blocks_while_the_work_is_longer_than_their_p
     assert differences(in_process(rig(0.2)), outcome.recording) == []
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_with_latency_the_nodes_go_on_meanwhile(tmp_path):
     wired = rig(0.8, latency=0.25, work=0.3)

@@ -681,6 +681,7 @@ def test_sweep_keeps_the_order_on_any_number_of_workers():
     assert os.getpid() not in {pid for _, pid in there}
 
 
+@pytest.mark.long
 def test_workers_stay_from_one_batch_to_the_next_and_go_with_the_block():
     with Workers(2) as workers:
         pids = [{pid for _, pid in workers.map(double, range(12))} for _ in range(3)]
@@ -789,6 +790,7 @@ def test_sweep_names_the_missing_package(monkeypatch):
         Workers(scheduler="tcp://nowhere:1").map(double, [1])
 
 
+@pytest.mark.long
 def test_an_address_without_a_scheduler_is_named(monkeypatch):
     import dask
     import distributed  # first: it sets its defaults

@@ -4,7 +4,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from conftest import differences, in_process, make_scenario
+from conftest import differences, few, in_process, make_scenario
 from faultrig import MATRIX as SPREAD, STATE, Lag
 from hypothesis import given, strategies as st
 from outside import script
@@ -396,7 +396,7 @@ def with_outside_sender(label, twice, directory):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("label", ['"row"', NUMBER])
+@pytest.mark.parametrize("label", few([NUMBER, '"row"'], 1))
 def test_an_outside_sender_may_number_its_arrays_or_not(loop, label, tmp_path):
     outcome = with_outside_sender(label, False, tmp_path)
     assert outcome.error == ""
@@ -404,6 +404,7 @@ def test_an_outside_sender_may_number_its_arrays_or_not(loop, label, tmp_path):
     assert set(differences(in_process(loop), outcome.recording)) == {"lag/matrix"}  # its bytes are its own
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_an_outside_sender_that_repeats_one_is_named(loop, tmp_path):
     outcome = with_outside_sender(NUMBER, True, tmp_path)
@@ -413,6 +414,7 @@ def test_an_outside_sender_that_repeats_one_is_named(loop, tmp_path):
     assert set(differences(in_process(loop), outcome.recording)) == {"lag/matrix"}
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_an_outside_sender_that_skips_one_ends_the_run_by_name(tmp_path):
     outcome = with_outside_sender('f"row; sequence {k + (k > 20)}"', False, tmp_path)

@@ -69,7 +69,7 @@ def equal_to_in_process(wired, outcome, seed=0):
 
 
 @pytest.mark.parametrize(
-    "name", few([pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in HEADLINES], 3)
+    "name", few([pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in HEADLINES], 2)
 )
 def test_every_system_gives_the_bytes_of_the_run_in_process(name, tmp_path):
     wired = short(name, 300)
@@ -105,7 +105,10 @@ def test_rigs_of_all_shapes(name, tmp_path):
     assert all(s["state"] == "done" and not s["refused"] for s in outcome.status.values())
 
 
-@pytest.mark.parametrize("groups", [[["plant", "source"]], [["plant"], ["source", "gain"]], [["gain", "plant"]]])
+GROUPS = ([["plant", "source"]], [["plant"], ["source", "gain"]], [["gain", "plant"]])
+
+
+@pytest.mark.parametrize("groups", few(GROUPS, 1))
 def test_some_nodes_share_a_process(groups, tmp_path):
     outcome = run(rig(BASIC), tmp_path, groups=groups)
     equal_to_in_process(rig(BASIC), outcome)
@@ -176,6 +179,7 @@ def stopped(call):
         call()
 
 
+@pytest.mark.long
 def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
     wired, people, said = rig(BASIC, 1e7), [], tmp_path / "said"  # it ends by the press, however fast it goes
     until = time.monotonic() + PATIENCE

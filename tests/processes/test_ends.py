@@ -280,7 +280,7 @@ def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("mode", ["lockstep", pytest.param("realtime", marks=pytest.mark.long)])
 def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
     rig = rig_of(make_scenario(BASIC, 1e4))
 
@@ -315,7 +315,7 @@ def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(forked
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("containers", [(), [("plant", "source", "gain")]])
+@pytest.mark.parametrize("containers", [pytest.param((), marks=pytest.mark.long), [("plant", "source", "gain")]])
 def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path):
     rig = rig_of(make_scenario(BASIC, 1e4, timeout=2.0))
 
@@ -371,6 +371,7 @@ def test_a_run_without_a_tick_says_so(tmp_path, monkeypatch):
     assert outcome.error == "all nodes have ended, and none of them has answered a tick"
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize(
     ("number", "status"),
@@ -416,7 +417,7 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("mode", ["lockstep", pytest.param("realtime", marks=pytest.mark.long)])
 def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
     """As a launch sends it, and `timeout -s INT`, which sends it to the group as well."""
     rig = rig_of(make_scenario(BASIC, 1e4))

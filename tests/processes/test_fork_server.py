@@ -53,6 +53,7 @@ def package(tmp_path, monkeypatch):
     return start
 
 
+@pytest.mark.long
 def test_each_node_is_a_process_of_its_own(tmp_path):
     seen = {}
 
@@ -90,6 +91,7 @@ def test_it_has_its_own_directory_environment_arguments_output_and_end(package, 
     sleeper.kill()  # nobody any more
 
 
+@pytest.mark.long
 def test_what_was_edited_is_imported_anew_and_what_runs_goes_on(package):
     sleeper = package("sleep")
     assert package("say").wait(60) == 0
@@ -158,6 +160,7 @@ def test_a_node_has_its_own_status_where_another_had_its_number_before(monkeypat
             assert [ask(status=7)["status"] for _ in range(2)] == [status] * 2
 
 
+@pytest.mark.long
 def test_a_node_ends_with_whoever_had_it_started(tmp_path):
     code = (
         "import os, sys; sys.path[:0] = ['tests']; from pathlib import Path; import conftest as c\n"

@@ -144,6 +144,7 @@ FILE_OF_THREE = """
 """
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_launches_in_one_domain_take_the_options_of_runs_and_leave_what_runs_leave(lag, tmp_path, capsys):
     """Three rigs of one parameter file in namespaces, in two placements, and none reads another or its values."""
@@ -282,6 +283,7 @@ def test_what_is_external_is_not_launched_and_waited_for_without_limit(lag):
         assert "    run.start_timeout: 0.0" in file.read().splitlines()
 
 
+@pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize(
     "topics", [(), pytest.param(("/lag/state", "/clock"), marks=pytest.mark.long)], ids=["all", "some"]

@@ -208,6 +208,7 @@ IN_REAL_TIME = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("system", "name"), IN_REAL_TIME)
 def test_in_real_time_every_tick_is_answered_or_counted_beside_a_plain_node(system, name, tmp_path):
     rig, _, outcome = with_outside(short(system), (name,), tmp_path, realtime=True)

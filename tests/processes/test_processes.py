@@ -33,6 +33,7 @@ def params(executable, **parameters):
     return {"executable": executable, "parameters": parameters}
 
 
+DAILY = ("delayed link", "three plants, one of which has a slow law")
 RIGS = {
     "basic": (BASIC, 3.0),
     "seeded noise": (BASIC | {"gain": params("gain", noise=0.3)}, 1.0),
@@ -74,9 +75,7 @@ RIGS = {
 
 
 # the others' shapes stand in a container (test_container.py) daily
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.long] * (n in ("basic", "two plants"))) for n in RIGS]
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in RIGS])
 def test_equal_to_in_process_bit_for_bit(name, tmp_path):
     nodes, duration = RIGS[name]
     wired = rig(nodes, duration)
@@ -135,7 +134,7 @@ def test_a_node_that_stays_behind_ends_the_run_with_its_name(hasty, tmp_path):
     assert no_process_left(tmp_path)
 
 
-@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+@pytest.mark.parametrize("mode", ["lockstep", pytest.param("realtime", marks=pytest.mark.long)])
 def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, hasty, tmp_path):
     """As one that waits inside of DDS; with an outside node its peers would wait for ever, too."""
     nodes = BASIC | {"gain": params("gain") | {"external": True}, "watcher": params("watcher", comes_up=False)}
@@ -144,6 +143,7 @@ def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, hasty,
     assert no_process_left(tmp_path)
 
 
+@pytest.mark.long
 def test_a_slow_node_does_not_end_a_run_that_goes_on(tmp_path):
     """Its ticks, and its end, are further apart than the timeout."""
     nodes = {name: params(name, period=1e-4) for name in ("plant", "gain")} | {"source": params("source", period=1.0)}
@@ -152,6 +152,7 @@ def test_a_slow_node_does_not_end_a_run_that_goes_on(tmp_path):
     assert outcome.status["plant"]["ticks"] == 10_000
 
 
+@pytest.mark.long
 def test_a_node_read_only_by_slower_ones_is_waited_for(tmp_path):
     nodes = {
         "plant": params("plant", period=0.001),
@@ -186,6 +187,7 @@ def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_
     assert Signals(recording)["lag/applied/u/effort"].x.sum() != 0.0
 
 
+@pytest.mark.long
 def test_an_unwritable_status_file_is_one_line(tmp_path):
     executable = str(find_executable("faultrig", "plant"))
     done = subprocess.run(
@@ -212,7 +214,7 @@ def fault(how, **keys):
             "hang", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"], marks=pytest.mark.long
         ),
         ("nan", ["gain: command u/effort became nan at t = 0.2 s"]),
-        ("raise", ["gain: failed at t = 0.2 s: ArithmeticError: deliberate"]),
+        pytest.param("raise", ["gain: failed at t = 0.2 s: ArithmeticError: deliberate"], marks=pytest.mark.long),
     ],
 )
 def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_record(how, texts, tmp_path):
@@ -228,6 +230,7 @@ def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_record(h
     assert no_process_left(tmp_path)
 
 
+@pytest.mark.long
 def test_ctrl_c_stops_all_nodes(tmp_path):
     code = textwrap.dedent(f"""
         import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})
@@ -361,6 +364,7 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", sta
                 process.wait()
 
 
+@pytest.mark.long
 def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
     """A late joiner by construction: it is started only when the rig already waits for it."""
     _, outcome = with_outside_controller("", tmp_path)
@@ -488,6 +492,7 @@ def test_a_peer_that_never_comes_is_named(tmp_path):
     assert "gain" in outcome.error
 
 
+@pytest.mark.long
 def test_two_runs_at_once_do_not_mix(tmp_path):
     wired = rig(BASIC, 1.0)
     with ThreadPoolExecutor(2) as pool:

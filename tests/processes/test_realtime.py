@@ -184,6 +184,7 @@ node.create_timer(0.01, send)
 )
 
 
+@pytest.mark.long
 def test_of_two_rivals_neither_is_believed(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")
@@ -352,6 +353,7 @@ sys.exit(0 if kept and told["/lag/state"] == ("TRANSIENT_LOCAL", "BEST_EFFORT", 
 """
 
 
+@pytest.mark.long
 def test_the_profile_of_a_topic_is_settable_as_of_any_node_of_ros(bench):
     """By the parameters that rclpy has for it; a topic that is not named keeps its own."""
     given = {"durability": "transient_local", "reliability": "best_effort", "deadline": "20000000"}
@@ -388,7 +390,14 @@ while not latest or latest[-1].position[0] < latest[0].position[0] + 0.05:
 @pytest.mark.parametrize(
     ("package", "plant", "joints", "states", "commands"),
     [
-        ("softrig_robots", "rehab_plant", ["hip", "knee"], "/joint_states", "/motor_command"),
+        pytest.param(
+            "softrig_robots",
+            "rehab_plant",
+            ["hip", "knee"],
+            "/joint_states",
+            "/motor_command",
+            marks=pytest.mark.long,
+        ),
         ("softrig_drives", "dc_motor_plant", ["shaft"], "/motor/state", "/motor/command"),
     ],
 )
@@ -418,6 +427,7 @@ while not latest or latest[-1].velocity[0] < 1.0:
 """
 
 
+@pytest.mark.long
 def test_what_a_forward_command_controller_takes_drives_a_plant(bench):
     """A bare array, as `ros2 topic pub` and ros2_controllers write it; one of another length is refused."""
     bench.start("plant", "dc_motor_plant", package="softrig_drives")

@@ -197,6 +197,7 @@ print(json.dumps({name: [v.type, v.string_value, list(v.double_array_value)] for
 )
 
 
+@pytest.mark.long
 def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
     """No path of this one, and lists without an element with the type of their elements."""
     with free_domain() as domain:

@@ -99,6 +99,7 @@ def run_parts(parts, domain, directory, prefix=(), *more):
 PARTS = [["plant", "source"], ["gain"]]
 
 
+@pytest.mark.long
 def test_two_parts_of_a_rig_make_the_bag_of_the_whole(tmp_path):
     with free_domain() as domain:
         statuses, said = run_parts(PARTS, domain, tmp_path)

@@ -727,8 +727,9 @@ def test_replay_gives_the_same_bits(runs, tmp_path):
     np.testing.assert_array_equal(read([tmp_path / "bare"]).samples, read([tmp_path / "record"]).samples)
 
 
+@pytest.mark.long
 @pytest.mark.processes
-@pytest.mark.parametrize("form", [pytest.param("streams", marks=pytest.mark.long), "record"])
+@pytest.mark.parametrize("form", ["streams", "record"])
 def test_processes_give_the_same_bits(runs, tmp_path, form):
     outcome = run_processes(runs[form].rig, runs[form].seed, tmp_path)
     assert outcome.error == ""

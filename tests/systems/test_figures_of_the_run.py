@@ -770,6 +770,7 @@ def test_converter_errors_are_in_the_steps_of_the_converter():
     assert run.figures["adc_error_std"] == pytest.approx(1.0 / math.sqrt(12.0), abs=0.01)
 
 
+@pytest.mark.long
 def test_the_queue_is_judged_by_what_its_source_asks_for():
     run = simulate("tcp_aqm_smc", overrides={"queue_reference.values": [140.0]})
     t, q = run.signals["network/state/queue/position"]

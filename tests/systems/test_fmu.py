@@ -340,7 +340,7 @@ def test_one_that_is_not_isolated_takes_the_terminal_with_it_but_not_the_status(
     assert b"Traceback" not in done.stderr + done.stdout
 
 
-@pytest.mark.parametrize("ending", ["end", "kill"])
+@pytest.mark.parametrize("ending", few(["kill", "end"], 1))
 def test_what_an_fmu_starts_ends_with_it(fmus, ending, tmp_path):
     """Also where the node that runs it is killed."""
     code = f"""import sys, time
@@ -459,7 +459,7 @@ MIX = {
 }
 
 
-@pytest.mark.parametrize("isolated", [False, True])
+@pytest.mark.parametrize("isolated", few([False, True], 1))
 def test_arrays_by_their_elements(fmus, isolated):
     def mix(**given):
         return ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), "isolated": isolated, **MIX} | given))
@@ -510,7 +510,7 @@ def test_a_run_says_which_fmu_it_had(page, tmp_path):
     assert told == {"motor_plant": {"motor2.fmu": f"sha256:{digest}"}}
 
 
-@pytest.mark.parametrize("name", ["plant", "law"])
+@pytest.mark.parametrize("name", few(["law", "plant"], 1))
 def test_real_time_gives_the_numbers_of_lockstep(page, name):
     wired = rig_of(load_scenario(str(page / f"{name}.yaml")), duration=0.2)
     rng = random.Random(1)

@@ -207,6 +207,7 @@ def test_a_longer_step_is_several_periods(exported):
     assert long.outputs(0) == short.outputs(0)
 
 
+@pytest.mark.long
 def test_what_it_cannot_do_is_told_by_name(exported, tmp_path):
     with pytest.raises(RunError, match=r"expected a whole number of periods of 0\.0001 s"):
         motor(exported, period=1.5e-4).advance(0, u=(5.0,))
@@ -219,6 +220,7 @@ def test_what_it_cannot_do_is_told_by_name(exported, tmp_path):
         export(rig, "dc_motor_plan", tmp_path)
 
 
+@pytest.mark.long
 def test_an_export_goes_back_with_its_state(exported):
     plant = motor(exported)
     assert plant.block.p.unit.serialises

@@ -22,6 +22,7 @@ def test_the_same_bits_over_topics(name, tmp_path):
     assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 
 
+@pytest.mark.long
 def test_overcurrent_trips_in_a_process(tmp_path):
     scenario = load_scenario("lsrm_fuzzy_b5_trip")
     run = execute(checked(scenario), Placement(), tmp_path)

@@ -647,6 +647,7 @@ def test_an_offset_that_a_shift_removes_is_no_obstacle():
     assert certify(shifted, 1.0).valid
 
 
+@pytest.mark.long
 def test_verdicts_on_the_paper_hold():
     def measured(name):
         return values(run(name).results)

@@ -98,6 +98,7 @@ def test_critical_weight_puts_a_pole_on_the_unit_circle(period, weight, toleranc
     assert found == pytest.approx(weight, abs=tolerance)
 
 
+@pytest.mark.long
 def test_verdicts_on_the_papers_claims_hold():
     found = [
         finding

@@ -55,6 +55,7 @@ def test_leg_started_by_hand_long_before_its_controller(bench):
     assert "for 0.02 s: safe input" in bench.status("rehab_plant")["reports"]["stale motor_command"][1]
 
 
+@pytest.mark.long
 def test_leg_outside_its_range_is_stopped_and_said(tmp_path):
     wired = rig("rehab_impedance", 0.6, {"rehab_plant.lower": [0.0, -1.5], "rehab_plant.position": [0.1, -1.0]})
     outcome = run_processes(wired, 0, tmp_path)
