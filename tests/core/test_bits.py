@@ -46,15 +46,30 @@ PINNED = "print({name: os.environ.get(name) for name in ('OPENBLAS_CORETYPE', 'N
     f"{bits.PINS})"
 )
 FOREIGN = """
-import signal, sys, warnings
+import decimal, gc, json, locale, logging, multiprocessing, random, resource, signal, sys, threading, warnings
 warnings.simplefilter("error")
-before = dict(os.environ), signal.getsignal(signal.SIGINT)
-if sys.argv[1] == "first":
+def process():
+    filters = [str(f) for f in warnings.filters if "numpy" not in str(f)]
+    return dict(os.environ), filters, locale.setlocale(locale.LC_ALL), {
+        s: signal.getsignal(s) for s in signal.valid_signals()}, logging.root.handlers[:], logging.root.level, (
+        multiprocessing.get_start_method(allow_none=True), random.getstate(), str(decimal.getcontext()),
+        gc.isenabled(), gc.get_threshold(), gc.get_freeze_count(), len(gc.callbacks), sys.excepthook, os.getcwd(),
+        threading.active_count(), sys.getrecursionlimit(), sys.getswitchinterval(), os.sched_getaffinity(0),
+        resource.getrlimit(resource.RLIMIT_NOFILE), sys.path[:], sys.meta_path[:])
+def array():
     import numpy
+    return numpy.geterr(), numpy.geterrcall(), str(numpy.get_printoptions()), str(numpy.random.get_state())
+before = process()
+if sys.argv[1] == "first":
+    state = array()
 import softrig_core, softrig_nodes, softrig_drives.dc_motor.plant, softrig_bags, softrig_bringup
-assert (dict(os.environ), signal.getsignal(signal.SIGINT)) == before
-import json, numpy
-print(json.dumps(softrig_core.simulate("dc_motor_smc_b2", duration=0.1).kernels))
+assert process() == before
+state = state if sys.argv[1] == "first" else array()
+run = softrig_core.simulate("dc_motor_smc_b2", duration=0.1)
+if sys.argv[1] == "after":
+    softrig_core.kit.jit.our_numba()
+assert (process(), array()) == (before, state)
+print(json.dumps(run.kernels))
 """
 
 

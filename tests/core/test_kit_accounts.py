@@ -488,19 +488,22 @@ class Absent:
     def find_spec(self, name, path=None, target=None):
         """Refuse it."""
         if name == "numba":
+            self.seen = os.environ.get("NUMBA_DISABLE_INTEL_SVML")
             raise ImportError(name)
 
 
 def test_numba_is_loaded_without_vectors_that_give_other_bits(monkeypatch):
-    """What is set already stays; where numba is loaded it is too late to say so."""
-    monkeypatch.setattr(sys, "meta_path", [Absent(), *sys.meta_path])
+    """What is set already stays; where numba is loaded it is too late to say so; the user's environment stays."""
+    absent = Absent()
+    monkeypatch.setattr(sys, "meta_path", [absent, *sys.meta_path])
     said = "NUMBA_DISABLE_INTEL_SVML"
-    for loaded, before, after in ((False, None, "1"), (False, "0", "0"), (True, None, None)):
+    for loaded, before, seen in ((False, None, "1"), (False, "0", "0"), (True, None, None)):
         monkeypatch.delitem(sys.modules, "numba", raising=False)
         if loaded:
             monkeypatch.setitem(sys.modules, "numba", None)
         monkeypatch.setenv(said, before or "")
         if before is None:
             monkeypatch.delenv(said)
+        absent.seen = None
         assert our_numba.__wrapped__() is None
-        assert os.environ.get(said) == after
+        assert (absent.seen, os.environ.get(said)) == (seen, before)

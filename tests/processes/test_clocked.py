@@ -43,7 +43,7 @@ def rig(duration: float = 0.3, **external: Any) -> Rig:
         "answers": "clock",
         "reads": READS,
         "publishes": ["motor/command"],
-        "timeout": 3.0,
+        "timeout": 20.0,  # of the wall clock: a machine under load starts a node late
     } | external
     del found["nodes"]["dc_motor_metrics"]
     found["nodes"]["dc_motor_smc"]["parameters"] = {"period": PERIOD}

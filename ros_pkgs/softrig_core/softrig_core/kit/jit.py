@@ -27,6 +27,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 MOST_PARTS = 100
 # Part of the digest. Change it with the way of compiling, so that no older code is taken from the cache.
 HOW = b"borrowed: parts"
+SVML = "NUMBA_DISABLE_INTEL_SVML"
 
 _NUMPY = """abs array ceil empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum nan
 ndarray ones ones_like pi sign sqrt trunc zeros zeros_like"""
@@ -182,13 +183,18 @@ class Jit:
 @lru_cache(maxsize=1)
 def our_numba() -> Any:
     """Import numba and teach it `Jit` and `power`; None where it is not installed."""
-    if "numba" not in sys.modules:
-        # With Intel's short vector library, loops give other bits than single calls do.
-        os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
+    # With Intel's short vector library, loops give other bits than single calls do. numba reads the variable when it is
+    # imported; it does not stay, because this process and what it starts may be somebody else's.
+    sets = "numba" not in sys.modules and SVML not in os.environ
+    if sets:
+        os.environ[SVML] = "1"
     try:
         import numba
     except ImportError:
         return None
+    finally:
+        if sets:
+            del os.environ[SVML]
     from ._jit_cache import teach
 
     teach(numba, Jit, power)
