@@ -73,7 +73,7 @@ def test_a_view_along_a_run_is_the_rig_under_a_step_through_a_fault(name):
 
 # Where a view along the run is another rig, and why.
 OTHERWISE = {
-    "fault_location": "numbers move, .* of them in line_plant.line.ring",  # two travelling waves, a place a step
+    "fault_location": "numbers move, .* of them in line_plant.line",  # two travelling waves, a place a step
     "gupfc": "numbers move, .* of them in gupfc_plant.network.ring",  # the mean of a cycle of 1024 steps
     "pwa_delay": "numbers move, .* of them in switched_delay_plant.past",
     "tcp_aqm_smc": "numbers move, .* of them in tcp_fluid.past",

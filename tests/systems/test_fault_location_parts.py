@@ -211,7 +211,7 @@ def test_streams_of_a_recording_by_their_times():
 def test_rows_are_the_newest_ones_whoever_adds_to_which():
     """Against lists: values that stay what they are, however they branch."""
     for most in (1, 2, 3):
-        known = [(Rows(most), [])]
+        known = [(Rows(most, 1), [])]
         chance = np.random.default_rng(most)
         for n in range(60):
             rows, model = known[chance.integers(len(known)) if n % 3 == 0 else -1]
@@ -224,7 +224,7 @@ def test_rows_are_the_newest_ones_whoever_adds_to_which():
 
 
 def test_rows_hold_little_more_than_they_keep():
-    rows = Rows(4)
+    rows = Rows(4, 1)
     for n in range(100):
         rows = rows.put((float(n),))
         assert len(rows._list) <= 8

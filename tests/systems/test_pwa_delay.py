@@ -807,12 +807,15 @@ def test_a_delay_below_zero_is_no_index_into_the_record():
     monitor = ByHand(LyapunovMonitor(period=1e-4))
     size = int(np.prod(monitor.block.p.padded()))
     given = {"state": (1.0, 0.0), "matrices": (1.0,) * size, "verdict": (0.0192, 1.0, 1e-4, 1e-6, 20.0)}
+    age = 0
+    monitor.block.ages = lambda name: age
     for k in range(3):
-        monitor.update(k * 100_000, mode=(0.0, 0.01), **given)
-    assert len(monitor.x.rows) == 3
+        age = k * 100_000
+        monitor.update(age, mode=(0.0, 0.01), **given)
+    assert monitor.x.watch.counts[0] == 3
     for delay in (-1e-4, -1e-2):
         assert monitor.update(400_000, mode=(0.0, delay), **given) == {}
-        assert monitor.x.rows == ()
+        assert monitor.x.watch.counts[0] == 0
         monitor.update(500_000, mode=(0.0, 0.01), **given)
     assert monitor.reports["delay"][:2] == (
         Level.ERROR,

@@ -778,10 +778,12 @@ def test_a_monitor_speaks_once_its_record_is_whole():
     }
     given, verdict, system = p.pad(m), (0.64, 1.0, 0.1, 0.1, 9.0), p.build()
     states = (2.0 + np.cos(0.3 * np.arange(200))) * 1.012 ** np.arange(200)
-    record, slopes, values, told = [], [], [], False
+    record, slopes, values, told, age = [], [], [], False, 0
+    monitor.block.ages = lambda name: age
     assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=given, verdict=(0.64, 0.0, 0, 0, 0)) == {}
     for k, state in enumerate(states):
         monitor.reports.clear()
+        age = k
         said = monitor.update(k, state=(state,), mode=(0.0, 0.32), matrices=given, verdict=verdict)
         record.append(state)
         slopes.append(-0.64 * record[max(k - 32, 0)])

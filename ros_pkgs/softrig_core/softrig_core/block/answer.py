@@ -96,7 +96,7 @@ Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, t
 
 def places(outputs: Sequence[Port]) -> list[Where]:
     """Return where each output stands in all that a step publishes at a tick (`part`)."""
-    at = [0, *accumulate(p.size for p in outputs)]
+    at = [0, *accumulate(p.width for p in outputs)]
     stamp = [0, *accumulate(p.delayed for p in outputs)]
     flag = [*accumulate((p.sporadic for p in outputs), initial=at[-1])]
     return [

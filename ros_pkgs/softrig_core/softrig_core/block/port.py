@@ -19,6 +19,7 @@ WORLD = "world"  # the frame of a rig that does not move: of every message that 
 PLAUSIBLE = {"V": 1e7, "A": 1e7, "N": 1e8, "N m": 1e8, "rad": 1e9, "rad/s": 1e7, "m": 1e9, "m/s": 1e7, "s": 1e10}
 PLAUSIBLE_OTHER = 1e12
 LARGEST = 1e150  # whose square is a number
+LONGEST = 64  # values that native code writes out one by one
 
 
 class Refused(ValueError):
@@ -136,6 +137,11 @@ class Port:
     def size(self) -> int:
         """Number of float64 values."""
         return len(self.labels)
+
+    @cached_property
+    def width(self) -> int:
+        """Number of values in a table of many ticks: none of a long array that is rarely published."""
+        return 0 if self.sporadic and self.size > LONGEST else self.size
 
     @cached_property
     def labels(self) -> tuple[str, ...]:

@@ -87,7 +87,7 @@ def numbers_of(step: Step) -> tuple[float, ...]:
         return tuple(map(float, step.numbers))
     rows: Sequence[Any] = step.said or [None] * len(step.outputs)
     found = [
-        (0.0,) * p.size if row is None else row.data if isinstance(row, Sample) else row
+        (0.0,) * p.width if row is None or not p.width else row.data if isinstance(row, Sample) else row
         for p, row in zip(step.outputs, rows, strict=True)
     ]
     flags = [float(row is not None) for p, row in zip(step.outputs, rows, strict=True) if p.sporadic]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..block.block import Block
+from ..block.port import LONGEST
 from ..kit.compiled import Compiled
 from ..kit.draws import Draws
 from ..kit.jit import Jit, power
@@ -22,7 +23,6 @@ from .expressions import Expressions
 from .reports import CONVERSIONS, EXACT, spec_of, wording
 from .translate import (
     GIVEN_UP,
-    LONGEST,
     NUMBERS,
     TURNS,
     follow,
@@ -323,7 +323,7 @@ class Calls(Expressions):
             # The object is a value that Python has: with arguments of the same types it returns the same type.
             given = [self.dynamic(self.value(a)) for a in node.args]
             samples = [v.sample for v in given]
-            if node.keywords or not all(map(is_sure, given)) or None in samples:
+            if node.keywords or not all(map(is_sure, given)) or any(v is None for v in samples):
                 raise self.unknown(f".{name}() of {kind_of(base)} with what may be None", node)
             found = computed(getattr(sample, name), *samples)
             return Dynamic(f"{base.code}.{name}({', '.join(v.code for v in given)})", found, found is not UNKNOWN)

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from ..block.port import LONGEST
 from ..kit.jit import power
 from .translate import (
     BINARY,
     COMPARE,
     GIVEN_UP,
-    LONGEST,
     SMALL,
     UNARY,
     is_number_slot,

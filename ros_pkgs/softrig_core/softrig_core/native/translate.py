@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
+from ..block.port import LONGEST
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit
 from .reports import Reports
 from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value, is_made_text
 
-LONGEST = 64  # parts of a tuple that is written out, or indexed
 TURNS = 16  # of a loop that is written out
 SMALL = 4096  # smaller whole numbers (counts, places) choose the text; larger ones (times in ns) are slots
 GIVEN_UP = "raise RuntimeError"

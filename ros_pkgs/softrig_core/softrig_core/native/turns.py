@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 from ..block.fill import Fill
-from ..block.port import Port, Sample
+from ..block.port import LONGEST, Port, Sample
 from ..block.schedule import Plan
 from ..block.step import Step
-from .translate import GIVEN_UP, LONGEST, Program, made
+from .translate import GIVEN_UP, Program, made
 from .twins import form, packed
 from .value import Dynamic, Group, NotNative, Record, Static, Value, is_sure
 from .ways import alike
@@ -39,8 +39,9 @@ class Holding:
 
     @property
     def value(self) -> Any:
-        """Return what the reader has."""
-        return self.fill.reader.values[self.fill.port.name]
+        """Return what the reader has; nothing in place of what is too long for native code to read."""
+        found = self.fill.reader.values[self.fill.port.name]
+        return () if found is not None and self.fill.port.size > LONGEST else found
 
     @property
     def stamp(self) -> int:
@@ -227,6 +228,13 @@ class Turns:
             raise NotNative(f"{step.name}: {port.topic} does not come from a member of the rig")
         if fill is None or values is None:
             return Static(None)
+        # No native tick brings such an array, and none reads it: it is too long to be written out.
+        if (
+            port.size > LONGEST
+            and held is not None
+            and (self.kept[held].source is None or not fill.source.outputs[fill.output].width)
+        ):
+            return Static(values)
         if port.size > LONGEST:
             raise NotNative(f"{step.name}: {port.topic} has {port.size} numbers, expected at most {LONGEST}")
         if held is not None:
@@ -240,7 +248,7 @@ class Turns:
     def _read(self, fill: Fill, numbers: str, stamps: str, time: str, values: Any) -> Value:
         """Write what a reader makes of an output, which has `values` of it now."""
         outputs, delayed = fill.source.outputs[: fill.output], fill.stamp == "own"
-        before = sum(p.size for p in outputs)
+        before = sum(p.width for p in outputs)
         data = values.data if isinstance(values, Sample) else values
         row = [
             Dynamic(f"{numbers}[{before + p}]" if type(p) is int else repr(p), float(v))
@@ -266,7 +274,7 @@ class Turns:
     def _answered(self, k: int, value: Value, state: str | None) -> list[str]:
         """Process an answer: its state, and its checked numbers, which are written into the table."""
         step, typed, writer = self.steps[k], self.typed, self._writer(k)
-        x, size = Dynamic(""), sum(p.size for p in step.outputs)
+        x, size = Dynamic(""), sum(p.width for p in step.outputs)
         try:
             if state is not None:
                 first, value = writer.parts(value, NOWHERE)
@@ -312,7 +320,7 @@ class Turns:
         """Pass outputs with their time to their recorders; leave new kinds and invalid values to Python."""
         step, kept = self.steps[k], self.kept
         lines: list[str] = []
-        flag = sum(p.size for p in step.outputs)
+        flag = sum(p.width for p in step.outputs)
         for j, port in enumerate(step.outputs):
             said: list[str] = []
             for i, one in enumerate(kept):
@@ -320,7 +328,7 @@ class Turns:
                     continue
                 # The first message changes the type of what the reader holds, so this tick is Python's and then another
                 # text fits.
-                if one.value is None or one.fill.told() is None:
+                if one.value is None or one.fill.told() is None or not port.width:
                     said.append(GIVEN_UP)
                     continue
                 value = self._read(one.fill, f"q{k}", f"z{k}", "t", one.value)
@@ -361,7 +369,7 @@ def rows_of(
             stamps.append(writer.code(writer.attribute(said, "stamp", NOWHERE)))
             said = writer.attribute(said, "data", NOWHERE)
         row = writer.parts(said, NOWHERE)
-        if len(row) != port.size:
+        if len(row) not in (port.width, port.size):
             raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
         yield flags, stamps, said, row
 

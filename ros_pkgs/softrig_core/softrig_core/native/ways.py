@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ..block.port import LONGEST
 from .translate import (
     GIVEN_UP,
-    LONGEST,
     SMALL,
     Program,
     as_slot,

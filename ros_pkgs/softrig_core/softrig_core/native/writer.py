@@ -178,8 +178,10 @@ class Writer(Calls):
             row = rows.get(port.name, NONE)
             silent = isinstance(row, Static) and row.value is None
             if silent:
-                row = Static((0.0,) * port.size)
+                row = Static((0.0,) * (port.size if self.program.inferred else port.width))
                 row = self.named(Sample, [Static(0), row], node) if port.delayed else row
+            elif port.width < port.size and not self.program.inferred:
+                raise self.unknown(f"{port.size} numbers that are rarely published", node)
             rows[port.name] = Group((Static(0.0 if silent else 1.0), row))
         return Record(rows) if x is None else Group((x, Record(rows)))
 

@@ -230,13 +230,17 @@ class _Keeper(_ToSink):
 
     def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
         """Record many; what is numbered one by one, by its encoder."""
+        flag = sum(p.width for p in self._ports)
+        if all(p.sporadic for p in self._ports):
+            spoken = numbers[:, flag:].any(axis=1)
+            times, numbers, stamps = times[spoken], numbers[spoken], stamps[spoken]
         if self._numbered:
             super().send_all(times, numbers, stamps)
             return
-        first, late, flag = 0, 0, sum(p.size for p in self._ports)
+        first, late = 0, 0
         for port, (number, layout) in zip(self._ports, self._layouts.items(), strict=True):
-            part, marks, said = numbers[:, first : first + port.size], times, times
-            first += port.size
+            part, marks, said = numbers[:, first : first + port.width], times, times
+            first += port.width
             if port.delayed:
                 marks, late = stamps[:, late], late + 1
             if port.sporadic:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import chain
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -15,7 +14,7 @@ from .method.equations import TAPS, model, objectives
 from .method.location import Location, Locator
 from .method.objective import LocatorParams, check_travel
 from .ports import LOCATION, OBJECTIVE, VERDICT, location_port, record_port, streams
-from .records.record import COLUMNS, GROUPS, Record, RecordError, Status
+from .records.record import COLUMNS, Record, RecordError, Status
 from .records.rows import Rows
 
 Answer = Mapping[str, "tuple[float, ...] | None"]
@@ -83,7 +82,7 @@ class FaultLocator(Block[FaultLocatorParams]):
 
     def first(self) -> State:
         """No samples yet."""
-        return State(Rows(self.p.samples), ())
+        return State(Rows(self.p.samples, len(COLUMNS)), ())
 
     def update(
         self, x: State, t: int, *, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]
@@ -106,7 +105,7 @@ class FaultLocator(Block[FaultLocatorParams]):
             if self.age("record") == 0:
                 record = inputs["record"]
         else:
-            rows = rows.put((t / 1e9, *chain.from_iterable([inputs[name] for name in GROUPS])))
+            rows = rows.put((t / 1e9, *inputs["u_s"], *inputs["i_s"], *inputs["u_r"], *inputs["i_r"]))
         return State(rows, record, pressed, x.answers, x.result)
 
     def read(self, x: State) -> Record:

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
 from softrig_core import BlockParams, Level, Plant, Port, button, param, vector3
 from softrig_core.kit.draws import Draws
+from softrig_core.kit.newest import Newest
 
 from ..lines.modal import CLARKE
+from .line.moving import Moving, Parts
 from .line.parameters import RATES, RigParams
-from .line.simulation import CHANNELS, FaultedLine, State as LineState, advance
+from .line.simulation import CHANNELS, FaultedLine
 from .ports import record_port, streams
-from .records.record import GROUPS
 from .records.rows import Rows
 
 
 class State(NamedTuple):
     """The line at a sample of a record."""
 
-    line: LineState  # of the network and the instruments; never written
+    line: Moving  # the network and the instruments
     k: int  # sample of the record
     number: int  # of the record, from 0 on
     seed: int  # of its noise
@@ -84,12 +84,14 @@ class LinePlant(Plant[LinePlantParams]):
     def setup(self) -> None:
         """Prepare the network in its steady state, and its noise; compile the step before the first tick."""
         p = self.p
-        self._line = FaultedLine(p)
-        self._begin = _copied(self._line.state)
-        self._line.advance(1)
-        self._level = self._line.noise_level().tolist()
+        line = FaultedLine(p)
+        self._begin = Moving(Parts(line.net, line.chain, CLARKE), line.state)
+        self._steps = p.decimation
+        self._last, self._rate = p.samples - 1, RATES[p.measurement.profile]
+        self._begin.moved(0, 1)
+        self._level = line.noise_level().tolist()
         # by what seeds it: nothing but those numbers decides it
-        self._noise = lru_cache(maxsize=2)(
+        self._noise: Newest[int, Draws] = Newest(
             lambda seed: Draws(lambda: np.random.default_rng([p.measurement.seed, seed]), "standard_normal")
         )
 
@@ -97,29 +99,33 @@ class LinePlant(Plant[LinePlantParams]):
         """Begin a record in the steady state."""
         return self._new(0, pressed=False)
 
+    def go_on(self, x: State, before: LinePlantParams) -> State:
+        """Keep the line as it is: what has been turned acts from the next step on."""
+        return x._replace(line=Moving(self._begin.parts, x.line.state))
+
     def _new(self, number: int, *, pressed: bool) -> State:
         seed = int(self.generator().integers(2**32, size=number + 1)[-1])
-        return State(self._begin, 0, number, seed, Rows(self.p.samples), pressed)
+        return State(self._begin, 0, number, seed, Rows(self.p.samples, CHANNELS), pressed)
 
     def _row(self, k: int, seed: int, measured: Sequence[float]) -> tuple[float, ...]:
         """Return what the instruments tell of a sample: its time, and their noise on it."""
-        told = [u + 0.0 for u in measured]
+        told = tuple([u + 0.0 for u in measured])
         if self.p.measurement.noise_snr_db is not None:
             normal, at = self._noise(seed), CHANNELS * k
-            told = [u + s * normal(at + c) for c, (u, s) in enumerate(zip(told, self._level, strict=True))]
-        return (k / RATES[self.p.measurement.profile], *told)
+            told = tuple([u + s * normal(at + c) for c, (u, s) in enumerate(zip(told, self._level, strict=True))])
+        return (k / self._rate, *told)
 
-    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...] | None]:
+    def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return the samples; with the last one of a record the record."""
-        row = self._row(x.k, x.seed, x.line.measured.tolist())
-        result: dict[str, tuple[float, ...] | None] = {
-            name: row[3 * k + 1 : 3 * k + 4] for k, name in enumerate(GROUPS)
-        }
-        result["fault_current"] = tuple(x.line.fault_current.tolist())
-        if x.k == self.p.samples - 1:
-            before = (self._row(k, x.seed, measured) for k, measured in enumerate(x.rows.newest()))
-            result["record"] = tuple(value for told in (*before, row) for value in told)
-        return result
+        row, fault = self._row(x.k, x.seed, x.line.measured()), x.line.fault_current()
+        if self.p.record and x.k == self._last:
+            return {"u_s": row[1:4], "i_s": row[4:7], "u_r": row[7:10], "i_r": row[10:13], "fault_current": fault,
+                    "record": self._record(x, row)}  # fmt: skip
+        return {"u_s": row[1:4], "i_s": row[4:7], "u_r": row[7:10], "i_r": row[10:13], "fault_current": fault}
+
+    def _record(self, x: State, row: tuple[float, ...]) -> tuple[float, ...]:
+        before = (self._row(k, x.seed, measured) for k, measured in enumerate(x.rows.newest()))
+        return tuple(value for told in (*before, row) for value in told)
 
     def advance(self, x: State, t: int, *, run: tuple[float, ...] | None) -> State:
         """Move by one sampling period, or start again."""
@@ -127,12 +133,7 @@ class LinePlant(Plant[LinePlantParams]):
         if pressed and not x.pressed:
             self.report(Level.OK, "run", "a new record begins")
             return self._new(x.number + 1, pressed=True)
-        line, steps = _copied(x.line), self.p.decimation
-        advance(self._line.net, self._line.chain, CLARKE, line, x.k * steps, steps)
         # as long as the record is not full, what the instruments measure is kept
-        rows = x.rows.put(tuple(x.line.measured.tolist())) if x.k < self.p.samples - 1 else x.rows
+        rows = x.rows.put(x.line.measured()) if x.k < self._last else x.rows
+        line = x.line.moved(x.k * self._steps, self._steps)
         return State(line, x.k + 1, x.number, x.seed, rows, pressed)
-
-
-def _copied(line: LineState) -> LineState:
-    return LineState._make([part.copy() for part in line])

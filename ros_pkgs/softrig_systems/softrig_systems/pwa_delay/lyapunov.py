@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -15,6 +14,7 @@ from .certificate import VERDICT, CriterionParams
 from .ports import VALUE, mode, state
 from .proof.lmi import Array
 from .system import PwaSystem
+from .watch import Watch, fixed
 
 SAMPLES = 64  # fewest samples in the delay bound
 
@@ -85,25 +85,10 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
         return self
 
 
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """The message that it came in, samples in the delay bound (0: too few), and the matrices."""
-
-    given: tuple[float, ...] | None = None
-    m: int = 0
-    matrices: Mapping[str, Array] | None = None
-
-
-NONE = Certificate()
-
-
 class State(NamedTuple):
-    """The certificate; samples of state, slope and V, the newest last."""
+    """What the certificate makes it remember; None: it has none, or one that its samples are too coarse for."""
 
-    certificate: Certificate = NONE
-    rows: tuple[tuple[float, ...], ...] = ()
-    slopes: tuple[tuple[float, ...], ...] = ()
-    values: tuple[float, ...] = ()
+    watch: Watch | None = None
 
 
 Answer = tuple[State, Mapping[str, tuple[float, ...]]]
@@ -158,40 +143,27 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
             return self.refused(x, t)
         if matrices is None or verdict is None or verdict[1] != 1.0:
             return x, {}
-        if matrices is not x.certificate.given:
-            x = self._take(matrices, verdict[0])
-        known, rows, slopes, values = x
-        m = known.m
-        if known.matrices is None:
+        if self.age("matrices") == 0:
+            x = self._taken(matrices, verdict[0])
+            self.report(Level.OK, "certificate", f"the functional of the certificate for {verdict[0]:g} s is watched")
+        if x.watch is None:
             return x, {}
-        h = m * self.p.period
-        share = min(mode[1] / h, 1.0)
-        now = np.array(state)
-        rows = (*rows, state)[-4 * m - 1 :]
-        back = round(mode[1] / self.p.period)
-        then = np.array(rows[-1 - back] if len(rows) > back else rows[0])
-        cell = self._system.cell(now, then)
-        slope = h * (product(self._system.A[cell], now) + product(self._system.Ad[cell], then))
-        slopes = (*slopes, tuple(slope.tolist()))[-4 * m - 1 :]
-        if len(slopes) <= m + min(back, 3 * m):
-            return State(known, rows, slopes, values), {}
-        value = functional(self._system, known.matrices, np.array(rows[-m - 1 :]), np.array(slopes[-m - 1 :]), share)
-        rate = (value - values[-1]) / self.p.period if values else 0.0
-        if len(values) > m:
-            rise = value / values[0] - 1.0
-            if rise > self.p.rise:
-                self.report(Level.WARN, "rises", f"V rises by {rise:.3g} over one delay")
-        return State(known, rows, slopes, (*values, value)[-m - 1 :]), {"value": (value, rate)}
+        watch, (known, value, rate, rise) = x.watch.seen(state, mode[1])
+        if known == 0.0:
+            return State(watch), {}
+        if rise > self.p.rise:
+            self.report(Level.WARN, "rises", f"V rises by {rise:.3g} over one delay")
+        return State(watch), {"value": (value, rate)}
 
     def refused(self, x: State, t: int) -> Answer:
         """Return no output; the record begins again."""
-        return State(x.certificate), {}
+        return State(None if x.watch is None else x.watch.begun()), {}
 
-    def _take(self, matrices: tuple[float, ...], h: float) -> State:
+    def _taken(self, matrices: tuple[float, ...], h: float) -> State:
         m = round(h / self.p.period)
         if m < SAMPLES:
             self.report(
                 Level.ERROR, "coarse", f"period {self.p.period:g} s: expected at most h/{SAMPLES} = {h / SAMPLES:.3g} s"
             )
-            return State(Certificate(matrices))
-        return State(Certificate(matrices, m, self.p.unpad(matrices)))
+            return State()
+        return State(Watch(fixed(self._system, self.p.unpad(matrices), m, self.p.period)))

@@ -31,7 +31,7 @@ class State(NamedTuple):
     phase: NDArray[np.int64]  # (3,) 0 not yet, 1 closed, 2 opened
     opened: Array  # (3,) s, when a phase opened; 0: it has not
     peak: Array  # (3,) A, largest |fault current| of each phase
-    filters: Array  # (12, sections, 2)
+    filters: Array  # (sections, 2, 12)
     late: Array  # (12, n) the newest filtered values, for terminals whose clock is late
     measured: Array  # (12,) what is sampled now, without noise
 
@@ -100,8 +100,9 @@ def advance(net: Network, chain: Chain, transform: Array, state: State, k: int, 
         filter_step(chain.sos, state.filters, raw)
         for channel in range(12):
             state.late[channel, n & mask] = raw[channel]
-            delay = chain.delay[channel // 6]
-            state.measured[channel] = chain.ratio[channel // 3] * state.late[channel, (n - delay) & mask]
+    for channel in range(12):
+        old = (k + steps - chain.delay[channel // 6]) & mask
+        state.measured[channel] = chain.ratio[channel // 3] * state.late[channel, old]
 
 
 @jit
@@ -116,7 +117,8 @@ def _fault(net: Network, state: State, open_circuit: Array, n: int) -> None:
         if state.phase[ph] == 1:
             bits |= 1 << ph
     # A phase that opens changes the currents of the others in this step, so they are tested again.
-    for _ in range(3):
+    # Before `off` no phase opens.
+    for _ in range(3 if n >= net.off else 0):
         changed = False
         for ph in range(3):
             i = (
@@ -124,7 +126,7 @@ def _fault(net: Network, state: State, open_circuit: Array, n: int) -> None:
                 + net.closed[bits, ph, 1] * open_circuit[1]
                 + net.closed[bits, ph, 2] * open_circuit[2]
             )
-            if n >= net.off and state.phase[ph] == 1 and i * state.fault_current[ph] <= 0.0:
+            if state.phase[ph] == 1 and i * state.fault_current[ph] <= 0.0:
                 state.phase[ph] = 2
                 state.opened[ph] = n * net.step
                 changed = True

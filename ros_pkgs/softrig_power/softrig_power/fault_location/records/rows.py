@@ -1,6 +1,11 @@
-"""The samples of a record while it grows, as a value."""
+"""The samples of a record while it grows, as a value, and as native code takes them."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 Row = tuple[float, ...]
 
@@ -12,34 +17,85 @@ class Rows:
     ----------
     most : int
         How many are kept.
+    width : int
+        Numbers of a row.
 
     Notes
     -----
     A sample more costs one place in a list that several share: who adds to the newest of them writes behind it, who
-    adds to an older one gets a list of his own.
+    adds to an older one gets a list of his own. A list that native code has filled is made of its table when it is
+    needed, which is rarely: most often native code goes on with the table.
     """
 
-    __slots__ = ("_count", "_list", "most")
+    __slots__ = ("_count", "_list", "_table", "most", "width")
+    SCRATCH = frozenset({"_list"})  # of a table: made when it is needed
 
-    def __init__(self, most: int) -> None:
-        self.most, self._count = most, 0
-        self._list: list[Row] = []
+    _list: list[Row] | None
+    _table: NDArray[np.float64] | None
+
+    def __init__(self, most: int, width: int) -> None:
+        self.most, self.width, self._count = most, width, 0
+        self._list, self._table = [], None
 
     def put(self, row: Row) -> Rows:
         """Return them with one more; the oldest goes where there are too many."""
-        rows = self._list
+        rows = self._rows()
         if self._count != len(rows) or self._count >= 2 * self.most:
             rows = self.newest()
         rows.append(row)
-        result = object.__new__(Rows)
-        result.most, result._count, result._list = self.most, len(rows), rows
-        return result
+        return _with(self.most, self.width, len(rows), rows)
 
     def newest(self) -> list[Row]:
         """Return them, the oldest first."""
-        return self._list[max(0, self._count - self.most) : self._count]
+        return self._rows()[max(0, self._count - self.most) : self._count]
+
+    def native(self) -> RowsRing:
+        """Return them as native code takes them."""
+        rows = np.array(self.newest(), dtype=np.float64) if self._table is None else self._table
+        ring = np.zeros(self.most * self.width)
+        ring[: rows.size] = rows.ravel()
+        return RowsRing(self.most, self.width, len(rows), ring)
+
+    def _rows(self) -> list[Row]:
+        if self._list is None:
+            assert self._table is not None
+            self._list = list(map(tuple, self._table.tolist()))
+        return self._list
+
+    def __repr__(self) -> str:
+        """Show the rows."""
+        return f"Rows({self.newest()})"
 
     def __eq__(self, other: object) -> bool:
         return self.newest() == other.newest() if isinstance(other, Rows) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]
+
+
+def _with(most: int, width: int, count: int, rows: list[Row] | None, table: NDArray[np.float64] | None = None) -> Rows:
+    result = object.__new__(Rows)
+    result.most, result.width, result._count, result._list, result._table = most, width, count, rows, table
+    return result
+
+
+class RowsRing(NamedTuple):
+    """`Rows` in native code, which writes them into one ring."""
+
+    most: int
+    width: int
+    written: int
+    ring: NDArray[np.float64]
+
+    def put(self, row: Row) -> RowsRing:
+        """See `Rows.put`."""
+        place = self.written % self.most * self.width
+        for k, value in enumerate(row):
+            self.ring[place + k] = value
+        return self._replace(written=self.written + 1)
+
+    def python(self) -> Rows:
+        """Return them as Python has them."""
+        table, at = self.ring.reshape(self.most, self.width), self.written % self.most
+        full = self.written >= self.most
+        newest = np.concatenate([table[at:], table[:at]]) if full else table[:at].copy()
+        return _with(self.most, self.width, len(newest), None, newest)
