@@ -82,6 +82,8 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
             raise ValueError(
                 f"method = {self.method!r}, system = {self.system!r}: a certificate of levels has no matrices to watch"
             )
+        if self.method == "constant":
+            raise ValueError("method = 'constant': only the functional of theorem1 can be watched; expected it")
         return self
 
 
