@@ -163,6 +163,28 @@ def test_files_that_a_scenario_names_travel_with_it(tmp_path):
     assert again.expect == scenario.expect
 
 
+def test_firmware_and_what_simulates_its_board_travel_with_a_scenario(tmp_path):
+    """A Cortex-M under qemu has the machine in a file beside the program."""
+    here, there = tmp_path / "here", tmp_path / "there"
+    (here / "fw").mkdir(parents=True)
+    for name in ("law.json", "law.elf", "law.c", "board.elf", "board.json"):
+        (here / "fw" / name).write_text(name)
+    nodes = "nodes: {dc_motor_smc: {link: {port: 'qemu:fw/%s', firmware: %s}}}\n"
+    for program, firmware, wanted in (("law.elf", "fw/law.json", 2), ("board.elf", "fw/law.json", 3)):
+        (here / "mine.yaml").write_text("extends: dc_motor_smc_b2\n" + nodes % (program, firmware))
+        text, files = standing_alone(load_scenario(str(here / "mine.yaml")))
+        assert len(files) in (wanted, wanted + (program == "law.elf"))
+        shutil.rmtree(there, ignore_errors=True)
+        for place, content in {"mine.yaml": text, **{k: v.read_bytes() for k, v in files.items()}}.items():
+            (there / place).parent.mkdir(exist_ok=True, parents=True)
+            (there / place).write_bytes(content)
+        link = load_scenario(str(there / "mine.yaml")).nodes["dc_motor_smc"].link
+        kind, _, elf = link.port.partition(":")
+        assert (kind, Path(elf).read_text(), Path(link.firmware).read_text()) == ("qemu", program, "law.json")
+        assert Path(elf).with_suffix(".json").read_text() == program.replace("elf", "json")
+        assert Path(elf).is_relative_to(there)
+
+
 @pytest.mark.parametrize("name", ["dc_motor_smc_faults", "induction_dtc", "pwa_delay_margin", "tcp_aqm_smc"])
 def test_a_scenario_alone_is_the_scenario(name, tmp_path):
     text, files = standing_alone(scenario := load_scenario(name))

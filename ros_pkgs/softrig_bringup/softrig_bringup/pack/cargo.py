@@ -159,6 +159,11 @@ def brings(folder: Path, said: About) -> list[str]:
     return [*packages, *dict.fromkeys(native.node for native in _natives(folder))]
 
 
+def runs_code(scenario: Scenario) -> bool:
+    """Return whether nodes of a scenario run C, a board or a simulator, which a pack of it lists as code."""
+    return any(e.link is not None or (e.package, e.executable) in _C for e in scenario.nodes.values())
+
+
 def _natives(folder: Path) -> Iterator[Native]:
     """Yield what the nodes of a pack's scenarios run; compiler flags count, for a flag can start a program."""
     for file in sorted((folder / SCENARIO).glob("*.yaml")):

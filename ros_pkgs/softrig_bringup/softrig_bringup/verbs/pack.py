@@ -9,7 +9,7 @@ import json
 import os
 import xml.etree.ElementTree as ElementTree
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from glob import escape
 from os.path import isfile
 from pathlib import Path
@@ -21,6 +21,7 @@ import yaml
 from softrig_bags.write import retell
 from softrig_core import Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.params import flatten
+from softrig_core.board.entry import SIMULATORS
 from softrig_core.guard import naming, say
 from softrig_core.judge import registry
 from softrig_core.rig.code import fingerprints
@@ -29,7 +30,7 @@ from ..options import repeat
 from ..options.identity import HALF, asked_half, strangers
 from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeated
 from ..options.run_options import Again, scenario_of
-from ..pack.cargo import GROUPS, brings
+from ..pack.cargo import GROUPS, brings, runs_code
 from ..pack.crate import crate
 from ..pack.packed import (
     ABOUT,
@@ -64,11 +65,12 @@ _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_module
 
 
 class _Pack(NamedTuple):
-    """What goes into a file: content by place, what it says of itself, and what it lacks."""
+    """What goes into a file: content by place, what it says of itself, what it lacks, whether nodes run C or boards."""
 
     files: Mapping[str, bytes | Path]
     about: About
     lacks: tuple[str, ...]
+    natives: bool = False
 
 
 def main(options: argparse.Namespace) -> int:
@@ -83,7 +85,7 @@ def main(options: argparse.Namespace) -> int:
     print(
         f"wrote {out} ({out.stat().st_size / 1e3:.0f} kB): {', '.join([packed.about.scenario, bag, *own])}; elsewhere:"
     )
-    print(f"  scripts/softrig run --like {out.name}{' --trust' if own else ''}")
+    print(f"  scripts/softrig run --like {out.name}{' --trust' if own or packed.natives else ''}")
     return _signed(packed, out, options)
 
 
@@ -205,7 +207,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
         place = _retold(before, aside, made) or before.bag
         places = [place] if place.is_file() else sorted(f for f in place.iterdir() if f.is_file())
         files |= {f"{BAG}/{file.name}": file for file in places}
-    return _Pack(files | sources, said, _lacks(said))
+    return _Pack(files | sources, said, _lacks(said), runs_code(scenario))
 
 
 def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Path]]:
@@ -364,17 +366,32 @@ def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
     """Write the content of a scenario file, see `standing_alone`."""
     found: dict[str, Path] = {}
 
+    def placed(files: Sequence[Path]) -> str:
+        """Return the place of the first of some files that stay beside each other."""
+        folder = hashlib.sha256(files[0].read_bytes()).hexdigest()[:12]
+        found.update({f"{folder}/{file.name}": file for file in files})
+        return f"{folder}/{files[0].name}"
+
+    def linked(link: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return a link to files in the pack: the description of the firmware, and what a simulator runs."""
+        firmware, (kind, colon, name) = Path(link["firmware"]), link["port"].partition(":")
+        described = next(iter(sorted(firmware.glob("*.json"))), firmware) if firmware.is_dir() else firmware
+        result = {**link, "firmware": placed([described])} if described.is_file() else dict(link)
+        if kind in SIMULATORS and isfile(name):
+            program = Path(name)
+            machine = [file for file in [program.with_suffix(".json")] if file.is_file()]
+            result["port"] = f"{kind}{colon}{placed([program, *machine])}"
+        return result
+
     def beside(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {k: beside(v) for k, v in value.items()}
+            return {k: linked(v) if k == "link" and "firmware" in v else beside(v) for k, v in value.items()}
         if isinstance(value, list):
             return [beside(v) for v in value]
         if not isinstance(value, str) or not Path(value).suffix or not isfile(value):
             return value
         path = Path(value)
-        folder = hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-        found.update({f"{folder}/{file.name}": file for file in _belongs(path)})
-        return f"{folder}/{path.name}"
+        return placed([path, *(file for file in _belongs(path) if file != path)])
 
     content = {**content, **{key: beside(content[key]) for key in ("shared", "nodes") if key in content}}
     return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), found

@@ -7,10 +7,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import chain
-from os.path import isfile, samefile
+from os.path import exists, isfile, samefile
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ..board.entry import SIMULATORS
 from ..errors import ScenarioError, closest
 from ..kit.resource import prefixes
 from ..renamed import report
@@ -150,7 +151,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
 
 
 def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
-    """Return the whole path of a file that a node's parameter, or a shared value, names and that is beside this one.
+    """Return the whole path of a file that a node's parameter or link, or a shared value, names beside this one.
 
     What is found from the current directory is left as it is written.
     """
@@ -164,6 +165,19 @@ def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
             return value
         return str(there.absolute()) if isfile(there := path.parent / value) else value
 
+    def linked(link: Any) -> Any:
+        if not isinstance(link, Mapping):
+            return link
+        result = dict(link)
+        firmware, port = result.get("firmware"), result.get("port")
+        if isinstance(firmware, str) and not exists(firmware) and exists(there := path.parent / firmware):
+            result["firmware"] = str(there.absolute())
+        if isinstance(port, str) and port.startswith(tuple(f"{kind}:" for kind in SIMULATORS)):
+            kind, _, name = port.partition(":")
+            if not isfile(name) and isfile(there := path.parent / name):
+                result["port"] = f"{kind}:{there.absolute()}"
+        return result
+
     def inside(part: Any) -> Any:
         if not isinstance(part, Mapping):
             return part
@@ -172,7 +186,7 @@ def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
             result["shared"] = whole(result["shared"])
         if isinstance(nodes := result.get("nodes"), Mapping):
             result["nodes"] = {
-                name: {k: whole(v) if k == "parameters" else v for k, v in node.items()}
+                name: {k: whole(v) if k == "parameters" else linked(v) if k == "link" else v for k, v in node.items()}
                 if isinstance(node, Mapping)
                 else node
                 for name, node in nodes.items()
