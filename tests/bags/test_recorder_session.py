@@ -411,7 +411,7 @@ def session(monkeypatch):
     executor = SimpleNamespace(add_node=lambda node: None, spin_until_future_complete=spin)
     monkeypatch.setattr(ros.signal, "signal", signals.__setitem__)
     monkeypatch.setattr(ros.uses, "executor", lambda: executor)
-    monkeypatch.setattr(ros, "Node", Given)
+    monkeypatch.setattr(ros, "ServingNode", Given)
     monkeypatch.setattr(ros, "look_after_ports", after.append)
     monkeypatch.setattr(ros.rclpy, "init", lambda **_: None)
     monkeypatch.setattr(ros.Session, "opened", None)

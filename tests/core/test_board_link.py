@@ -26,7 +26,7 @@ from softrig_core.board.description import read_description
 from softrig_core.board.entry import LinkEntry
 from softrig_core.board.frames import Kind, Splitter, decoded, encoded, read, written
 from softrig_core.board.line import Line
-from softrig_core.board.wires import opened
+from softrig_core.board.wires import Simulated, opened
 from softrig_core.errors import RunError
 from softrig_core.export.check import FLAGS
 from softrig_core.export.golden import golden_calls, member_of
@@ -469,3 +469,12 @@ def test_arrays_that_are_larger_than_what_is_described_are_not_made(tmp_path):
     (tmp_path / "law.json").write_text(json.dumps(DESCRIBED | {"ports": [port]}))
     with pytest.raises(ValueError, match=r"ports\.0: .*port state has 1 values, expected as many as its dims give"):
         read_description(tmp_path / "law.json")
+
+
+def test_ctrl_c_in_a_terminal_does_not_reach_a_simulated_board():
+    """It goes to the group of the run, which ends the board itself."""
+    wire = Simulated(["cat"])
+    try:
+        assert os.getpgid(wire._process.pid) == wire._process.pid
+    finally:
+        wire.close()

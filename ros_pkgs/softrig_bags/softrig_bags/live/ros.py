@@ -24,6 +24,7 @@ from softrig_core.block.params import Declaration
 from softrig_nodes.below import uses
 from softrig_nodes.ros.messages import range_descriptor
 from softrig_nodes.ros.profile import joining, look_after_ports
+from softrig_nodes.ros.ros import ServingNode
 
 from ..content.topics import BagTopic
 from ..errors import BagError
@@ -72,7 +73,8 @@ class Session:
                     rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
                 except RuntimeError as error:
                     raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
-                self.node = Node(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
+                # whose parameters may be set to what they are, as `ros2 param load` of its own dump does
+                self.node = ServingNode(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
         # The profile of the middleware could not be read.
         except ValueError as error:
             raise BagError(str(error)) from None

@@ -91,8 +91,9 @@ class Simulated(FileWire):
         with there:
             end = there.fileno()
             self._said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the port
+            # Ctrl-C in a terminal is for the run: a board that ended before it would be taken for one that has failed.
             self._process = subprocess.Popen(
-                command, stdin=end, stdout=end, stderr=self._said, preexec_fn=_end_with_parent
+                command, stdin=end, stdout=end, stderr=self._said, preexec_fn=_end_with_parent, process_group=0
             )
         super().__init__(here, here.fileno())
 

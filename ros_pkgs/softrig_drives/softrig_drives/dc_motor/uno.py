@@ -55,8 +55,9 @@ class Simulator:
 
     def __init__(self, program: Path, firmware: Path) -> None:
         pipe = subprocess.PIPE
+        # Ctrl-C in a terminal is for the node: a board that ended before it would be taken for one that has failed.
         self._process: Any = subprocess.Popen(
-            [program, firmware], bufsize=0, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL
+            [program, firmware], bufsize=0, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, process_group=0
         )
         self.k = 0
 
