@@ -652,6 +652,7 @@ def test_two_interrupts_in_a_row_end_quietly(rig, tmp_path, tool):
     assert status in (0, 130, -signal.SIGINT)  # the last: before Python had begun
 
 
+@pytest.mark.long
 def test_a_late_recording_ends_with_a_status(rig, tmp_path):
     late = Recording([("/clock", CLOCK)])
     for k in range(22, 60):

@@ -220,6 +220,7 @@ def test_processes_and_inprocess_leave_the_same_bag(folder):
     assert main(["bag", "compare", "--bitwise", "a/bag", "b/bag"]) == 0
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_a_broken_run_through_processes_leaves_a_readable_bag(folder):
     from softrig_bags.read import read_bag
@@ -682,6 +683,7 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monke
     assert run("lag", "--mode", "inprocess", "--out", "a", "--no-plots") == 0  # its list of files was closed too
 
 
+@pytest.mark.long
 def test_a_terminal_that_goes_while_a_table_is_printed(folder):
     """rich by itself would end with status 1, which says that a metric misses."""
     reader, writer = os.pipe()

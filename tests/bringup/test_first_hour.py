@@ -150,6 +150,7 @@ def test_somebody_changes_a_gain(user, capsys, monkeypatch):
         assert error.count("\n") == 1
 
 
+@pytest.mark.long
 def test_a_place_that_cannot_be_written_is_one_line(user):
     (user.folder / "shut").mkdir(mode=0o555)
     _, error = user(f"'{SOFTRIG}' run dc_motor_smc_b2 --mode inprocess --out shut/here", status=2)

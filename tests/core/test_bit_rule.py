@@ -58,6 +58,7 @@ EXEMPT = {
     "softrig_core.block.answer": "whether values are below a bound",
     "softrig_core.export": "writes C, and draws the inputs of its test",
     "softrig_core.judge.measures.growth_rate": "judges what was recorded",
+    "softrig_core.judge.measures.shared": COUNT,
     "softrig_core.kit.exact": INTEGERS,
     "softrig_core.native.calls": "the word itself: of whole numbers it is translated, of others it stays Python's",
     "softrig_core.native.turns": COUNT,
@@ -125,7 +126,7 @@ def uses(module: str, tree: ast.AST) -> set[str]:
             home = node.value.id if isinstance(node.value, ast.Name) else ""
             if node.attr in OF.get(home, OTHERS):
                 result.add(where)
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "sum" and counts(node):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "sum" and counts(node):
             whole.add(node.func)
         if isinstance(node, ast.Name) and node.id == "sum" and node not in whole:  # also handed on: `map(sum, rows)`
             result.add(where)
@@ -139,7 +140,8 @@ def uses(module: str, tree: ast.AST) -> set[str]:
         # `except np.linalg.LinAlgError` and raising it compute nothing
         if not (isinstance(node, ast.Attribute) and node.attr == "LinAlgError"):
             for child in ast.iter_child_nodes(node):
-                walk(child, where)
+                if not isinstance(child, (ast.Constant, ast.expr_context)):  # half of all nodes, which use nothing
+                    walk(child, where)
 
     walk(tree, module)
     return result

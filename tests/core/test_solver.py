@@ -85,6 +85,7 @@ def test_reset_kills_the_work_and_repeats_the_run():
     assert drive(block, 4) == first
 
 
+@pytest.mark.long
 def test_going_back_has_the_work_of_then_done_once_more():
     block = ByHand(Planner(latency=0.2))
     drive(block, 1)

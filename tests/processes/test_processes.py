@@ -92,6 +92,7 @@ def every(wired, name):
     return next(m.schedule.every for m in wired.members if m.name == name)
 
 
+@pytest.mark.long
 def test_a_different_seed_gives_different_noise(tmp_path):
     wired = rig(BASIC | {"gain": params("gain", noise=0.3)}, 0.2)
     outcome = run_processes(wired, 8, tmp_path)
@@ -374,6 +375,7 @@ def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
     assert len(outcome.recording.topics["lag/command"].data) == 100
 
 
+@pytest.mark.long
 def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
     """And not a fixed time after the start: it is started only when the rig already waits for it."""
     _, outcome = with_outside_controller("", tmp_path, 1.0, "realtime", script)

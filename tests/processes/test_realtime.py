@@ -329,6 +329,7 @@ assert any(len(m.points) > 2 for m in seen["markers"])
 """
 
 
+@pytest.mark.long
 def test_a_viewer_that_comes_late_gets_the_robot_description_and_markers(bench):
     bench.start("robot_dynamics", "robot_dynamics", package="softrig_robots")
     bench.wait(lambda: bench.status("robot_dynamics")["state"] == "running")
