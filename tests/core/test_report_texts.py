@@ -1,0 +1,31 @@
+"""What blocks report, word for word: who changes a text writes one file again and reads the difference."""
+
+import ast
+from pathlib import Path
+
+from told import check_told
+
+PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
+
+
+def words(text):
+    """A text as a person reads it: what is put into it as its formula in braces."""
+    if isinstance(text, ast.JoinedStr):
+        return ast.unparse(text)[2:-1]  # without f and its quotes
+    return text.value if isinstance(text, ast.Constant) else f"{{{ast.unparse(text)}}}"
+
+
+def reports():
+    """A line for each report of a block: its module, level, key and text."""
+    for file in sorted(PACKAGES.glob("softrig_*/softrig_*/**/*.py")):
+        if "self.report(" not in (source := file.read_text()):
+            continue
+        place = ".".join(file.relative_to(PACKAGES).with_suffix("").parts[1:])
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "self.report":
+                level, key, text = node.args
+                yield f"{place}: {ast.unparse(level).removeprefix('Level.')} {words(key)}: {words(text)}"
+
+
+def test_texts_of_reports_are_as_told():
+    check_told("reports", reports())
