@@ -771,6 +771,30 @@ def test_a_delay_beyond_its_limit_is_clamped():
     assert ByHand(SwitchedDelayPlant(delay=0.1, max_delay=0.05)).outputs(0)["mode"][1] == 0.05
 
 
+def test_a_delay_changes_while_the_loop_runs_and_reads_what_was():
+    """Beside the lines of the two delays; beyond twice the first delay nothing is remembered."""
+    line = ByHand(DelayLine(delay=0.002))
+    ramp = [line.update(k * 10**6, state=(float(k), 0.0))["delayed"][0] for k in range(10)]
+    for delay, found in ((0.004, 6.0), (0.0, 11.0), (0.1, 8.0)):
+        before = line.block.p
+        line.block.change(before.model_copy(update={"delay": delay}))
+        line.x = line.block.go_on(line.x, before)
+        k = len(ramp)
+        ramp.append(line.update(k * 10**6, state=(float(k), 0.0))["delayed"][0])
+        assert ramp[-1] == pytest.approx(found)
+    assert line.reports["delay"][1] == "delay 0.1 s clamped to what is remembered = 0.004 s"
+
+
+def test_a_change_of_the_delay_moves_the_margin():
+    """x' = -x(t - d): from 1.5 s, just stable, to 1.65 s, where its swings grow at the rate Re W_0(-d)/d."""
+    scenario = load_scenario("pwa_delay_hayes").changed(duration=120.0)
+    run = simulate(scenario.having(changes=({"at": 5.0, "set": {"switched_delay_plant.delay": 1.65}},)))
+    t, x = run.signals["pwa/state/x1/position"]
+    assert run.signals["pwa/mode/delay/position"].x[[0, -1]].tolist() == [1.5, 1.65]
+    early, late = (np.abs(x[(t > at) & (t < at + 10.0)]).max() for at in (60.0, 100.0))
+    assert math.log(late / early) / 40.0 == pytest.approx(0.021239, abs=2e-3)  # of peaks in windows
+
+
 def test_delay_line_interpolates_and_begins_with_the_first_value():
     line = ByHand(DelayLine(delay=0.0025))
     found = [line.update(k * 10**6, state=(float(k), -float(k)))["delayed"][0] for k in range(6)]

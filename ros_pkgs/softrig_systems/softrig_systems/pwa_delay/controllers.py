@@ -28,7 +28,7 @@ class TankControllerParams(BlockParams):
 class TankController(Block[TankControllerParams]):
     """u = k_low A phi x below the switching level, -k_high A phi x from there on, as the paper's law.
 
-    Its gains are what certificates and monitors speak of, too: fixed at the start.
+    Plant, certificate and monitor must have the same gains: they do not change in a run.
     """
 
     INPUTS = (LEVEL,)
@@ -65,7 +65,7 @@ class PendulumControllerParams(BlockParams):
 class PendulumController(Block[PendulumControllerParams]):
     """u = -k (theta + omega) of the state that it sees, k by the sign of theta.
 
-    Its gains are what certificates speak of, too: fixed at the start.
+    The plant's certificate must have the same gains: they do not change in a run.
     """
 
     INPUTS = (SEEN,)
@@ -108,7 +108,7 @@ class Line(NamedTuple):
 class DelayLine(Block[DelayLineParams]):
     """Any JointState, a delay d(t) later, linear between its samples; before there is one, the first.
 
-    The delay sizes its memory and is what certificates speak of: fixed at the start.
+    Its memory is for twice the delay of the start; certificates are for the delay of the start.
     """
 
     @classmethod
@@ -120,17 +120,17 @@ class DelayLine(Block[DelayLineParams]):
             (joint_state("delayed", "delayed_state", params.channels, **units),),  # type: ignore[arg-type]
         )
 
-    def setup(self) -> None:
-        """Bound the delay."""
-        self._h = min(self.p.delay, self.p.max_delay)
-
     def first(self) -> Line:
         """Remember nothing."""
-        return Line(Delay(self.p.bounded_profile(self)))
+        return Line(Delay(self.p.bounded_profile(self), longest=self.p.reach))
+
+    def go_on(self, x: Line, before: DelayLineParams) -> Line:
+        """Keep the samples, which are read at the new delay from now on: at most at twice that of the start."""
+        return x._replace(delay=Delay(self.p.bounded_profile(self, x.delay.longest), longest=x.delay.longest))
 
     def update(self, x: Line, t: int, *, state: tuple[float, ...]) -> Answer:
         """Return the delayed values."""
-        past = History(self.p.period, self._h, state) if x.past is None else x.past.put(state)
+        past = History(self.p.period, self.p.reach, state) if x.past is None else x.past.put(state)
         return self._out(x.delay, past, t)
 
     def refused(self, x: Line, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]] | None]:
@@ -138,5 +138,5 @@ class DelayLine(Block[DelayLineParams]):
         return (x, None) if x.past is None else self._out(x.delay, x.past.again(), t)
 
     def _out(self, delay: Delay, past: History, t: int) -> tuple[Line, Mapping[str, tuple[float, ...]]]:
-        back = min(delay_at(delay.profile, t / 1e9), self._h)
+        back = min(delay_at(delay.profile, t / 1e9), delay.longest)
         return Line(delay, past), {"delayed": past.aged(back / self.p.period)}

@@ -110,18 +110,23 @@ def law_of_the_tank(switch: float, k_low: float, k_high: float) -> dict[str, Any
 class DelayParams(Params):
     """How a delay varies, and its bound."""
 
-    delay: float = param(0.02, "largest delay h", "s", ge=0.0, le=1000.0)
+    delay: float = param(0.02, "largest delay h", "s", ge=0.0, le=1000.0, live=True)
     max_delay: float = param(1000.0, "longest delay that is allowed; beyond it is clamped", "s", gt=0.0, le=1000.0)
     profile: Kind = param("constant", "constant, sine of rate mu, or telegraph: jumps between 0 and h at random times")
     mu: float = param(0.0, "bound of the rate of a sine", ge=0.0, le=100.0)
     seed: int = param(0, "of the telegraph, added to the seed of the run", ge=0, le=2**31 - 1)
     horizon: float = param(1000.0, "time for which a telegraph has jumps", "s", gt=0.0, le=1e6)
 
-    def bounded_profile(self, block: Block) -> Profile:
-        """Return the delay over time; `block` tells when its bound is more than is allowed."""
-        h = min(self.delay, self.max_delay)
-        if self.delay > self.max_delay:
-            text = f"delay {self.delay:g} s clamped to max_delay = {self.max_delay:g} s"
-            block.report(Level.WARN, "delay", text)
+    @property
+    def reach(self) -> float:
+        """Longest delay (s) that may be set while it runs: twice that of the start, at most `max_delay`."""
+        return min(2.0 * self.delay, self.max_delay)
+
+    def bounded_profile(self, block: Block, longest: float | None = None) -> Profile:
+        """Return the delay over time; `block` reports when its bound is more than is allowed, or is remembered."""
+        most, name = (self.max_delay, "max_delay") if longest is None else (longest, "what is remembered")
+        h = min(self.delay, most)
+        if self.delay > most:
+            block.report(Level.WARN, "delay", f"delay {self.delay:g} s clamped to {name} = {most:g} s")
         drawn = int(block.generator().integers(2**32)) if self.profile == "telegraph" else 0
         return profile(self.profile, h, self.mu, seed=[self.seed, drawn], horizon=self.horizon)

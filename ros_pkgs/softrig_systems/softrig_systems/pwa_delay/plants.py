@@ -74,8 +74,14 @@ class DelayPlant(Plant[P]):
         over time, and the steps that lie within it (None without a delay).
         """
         profile, begin = self.p.bounded_profile(self), self.begin()
-        past = Track(trajectory(self._h, profile.h + 2.0 * self._h, begin, spare=64)) if profile.h > 0.0 else None
-        return self._state(*begin[: self._size], 0, FREE, Delay(profile, self.constants(profile)), past)
+        reach = self.p.reach
+        past = Track(trajectory(self._h, reach + 2.0 * self._h, begin, spare=64)) if profile.h > 0.0 else None
+        return self._state(*begin[: self._size], 0, FREE, Delay(profile, self.constants(profile), reach), past)
+
+    def go_on(self, x: Any, before: P) -> Any:
+        """Keep the past, which is read at the new delay from now on: at most at twice that of the start."""
+        profile = self.p.bounded_profile(self, x.delay.longest)
+        return x._replace(delay=Delay(profile, self.constants(profile), x.delay.longest), cell=FREE)
 
     def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return state, cell and delay at t."""

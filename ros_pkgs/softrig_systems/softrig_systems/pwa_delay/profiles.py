@@ -64,6 +64,7 @@ class Delay:
 
     profile: Profile
     constants: Any = None  # what a native loop reads, the profile with it
+    longest: float = 0.0  # s, that is remembered: a live change goes no further
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Delay):
