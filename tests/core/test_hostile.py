@@ -384,6 +384,7 @@ def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
         context = Context()
         rclpy.init(context=context, domain_id=domain)
         node = ServingNode("node", context=context)
+        node.declare_parameter("x", 1.0)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         client = node.create_client(SetParameters, "/node/set_parameters")
@@ -394,7 +395,7 @@ def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
                 future = client.call_async(request)
                 executor.spin_until_future_complete(future, 30.0)
                 (result,) = future.result().results
-                assert (result.successful, "77" in result.reason) == (False, True)
+                assert (result.successful, "77" in result.reason) == (False, True), result.reason
         finally:
             executor.shutdown()
             node.destroy_node()
