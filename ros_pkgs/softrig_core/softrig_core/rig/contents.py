@@ -34,8 +34,14 @@ def contents(block: Block) -> dict[str, str]:
     what a class names in ``SCRATCH``, cached properties, and what libraries keep outside of Python.
     """
     skipped = _RUNNERS | _scratch(type(block))
-    result = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
-    for of in type(block).__mro__:
+    own = {f"self.{name}": digest(value) for name, value in vars(block).items() if name not in skipped}
+    return own | reached(type(block))
+
+
+def reached(block_class: type[Block]) -> dict[str, str]:
+    """Return a digest of what the code of a block can change beside the block: that outlives a run."""
+    skipped, result = _RUNNERS | _scratch(block_class), dict[str, str]()
+    for of in block_class.__mro__:
         if issubclass(of, Block) and of.__module__.partition(".")[0] != "softrig_core":
             result |= {
                 f"{of.__name__}.{name}": digest(value)
@@ -69,7 +75,8 @@ class Look:
     thorough : bool
         Compare all blocks, and once more after the run; else those of classes that have not passed in this process.
     many : bool
-        Do so of classes that are not softrig's own, because other runs will follow in this process.
+        Other runs will follow in this process: of classes that are not softrig's own, compare after the run what
+        outlives it.
 
     Attributes
     ----------
@@ -78,12 +85,14 @@ class Look:
     """
 
     def __init__(self, steps: Mapping[str, Step], thorough: bool = False, many: bool = False) -> None:
-        self._whole = {name for name, step in steps.items() if thorough or (many and is_foreign(type(step.block)))}
+        self._thorough = thorough
         self._begun = {
             name: (step.block, step.block.p, contents(step.block))
             for name, step in steps.items()
-            if name in self._whole or type(step.block) not in _passed
+            if thorough or type(step.block) not in _passed
         }
+        foreign = {name: type(step.block) for name, step in steps.items() if many and is_foreign(type(step.block))}
+        self._reached = {name: (of, reached(of)) for name, of in foreign.items()}
         self._left = {name: float(steps[name].schedule.time(1)) for name in self._begun}
         self.due = min(self._left.values(), default=math.inf)
 
@@ -98,17 +107,24 @@ class Look:
             A tick has changed what a block holds beside x; names node and attribute.
         """
         for name, (block, params, begun) in self._begun.items():
-            if (name in self._whole and t == math.inf) or self._left.get(name, math.inf) <= t:
+            if (self._thorough and t == math.inf) or self._left.get(name, math.inf) <= t:
                 self._left.pop(name, None)
                 if block.p is params and (changed := differing(begun, contents(block))):
-                    error = Impure(f"{name}: {in_place(block, changed)}")
-                    error.node = name
-                    raise error
+                    raise _impure(name, type(block), changed)
                 _passed.add(type(block))
+        for name, (of, known) in self._reached.items() if t == math.inf else ():
+            if changed := differing(known, reached(of)):
+                raise _impure(name, of, changed)
         self.due = min(self._left.values(), default=math.inf)
 
 
 _passed: set[type[Block]] = set()
+
+
+def _impure(name: str, of: type[Block], changed: Sequence[str]) -> Impure:
+    error = Impure(f"{name}: {in_place(of, changed)}")
+    error.node = name
+    return error
 
 
 def differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
@@ -116,20 +132,25 @@ def differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
     return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
 
 
-def in_place(block: Block, changed: Sequence[str]) -> str:
+def in_place(of: type[Block], changed: Sequence[str]) -> str:
     """Describe which attributes the ticks of a block change, and what to do."""
     return (
-        f"its ticks change {', '.join(changed)} in place ({type(block).__name__}); make what the block remembers a "
+        f"its ticks change {', '.join(changed)} in place ({of.__name__}); make what the block remembers a "
         "field of x, or name the attribute in SCRATCH if no answer depends on it"
     )
 
 
+_known_scratch: dict[type, frozenset[str]] = {}
+
+
 def _scratch(of: type) -> frozenset[str]:
-    names: set[str] = set()
-    for base in of.__mro__:
-        names |= vars(base).get("SCRATCH", frozenset())
-        names |= {name for name, value in vars(base).items() if isinstance(value, cached_property)}
-    return frozenset(names)
+    if of not in _known_scratch:
+        names: set[str] = set()
+        for base in of.__mro__:
+            names |= vars(base).get("SCRATCH", frozenset())
+            names |= {name for name, value in vars(base).items() if isinstance(value, cached_property)}
+        _known_scratch[of] = frozenset(names)
+    return _known_scratch[of]
 
 
 def digest(value: Any) -> str:

@@ -64,9 +64,10 @@ def all_outside(of: type) -> Iterator[tuple[str, Any]]:
                     yield from (
                         (f"{value.__name__}.{key}", one)
                         for key, one in vars(value).items()
-                        if key[:2] != "__" and _is_kept(one)
+                        # Ports are constants, and a digest of them takes as long as a short run.
+                        if key[0] != "_" and _is_kept(one) and not (key.isupper() and isinstance(one, tuple))
                     )
-            elif _is_kept(value):
+            elif _is_kept(value) and not (name.isupper() and isinstance(value, tuple)):
                 yield name, value
 
 

@@ -89,7 +89,7 @@ def _check_ticks(name: str, block: Block, inputs: Sequence[Port]) -> None:
                 f"{second}; what it remembers must be in x, random numbers must come from self.uniform(k)"
             )
     if changed := differing(begun, contents(block)):
-        raise ValueError(f"{name}: {in_place(block, changed)}")
+        raise ValueError(f"{name}: {in_place(type(block), changed)}")
 
 
 def _answers(block: Block, values: Mapping[str, Any]) -> list[tuple[int, Any]]:
