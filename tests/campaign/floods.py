@@ -98,7 +98,10 @@ def attack(seed: int, directory: Path) -> None:
         assert process.poll() is None, said.read_text()[-2000:]
         assert after > 0.2 * before, f"{before:.0f} ticks a second before, {after:.0f} after"
         assert what == "pauses" or during > 0.05 * before, f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
-        assert watch.unexplained < STANDS, f"it stood for {watch.unexplained:.1f} s and did not say why"
+        late = STANDS * max(
+            1.0, os.getloadavg()[0] / (os.cpu_count() or 1)
+        )  # a loaded machine is slow, and says so late
+        assert watch.unexplained < late, f"it stood for {watch.unexplained:.1f} s and did not say why"
         process.send_signal(signal.SIGINT)
         assert process.wait(60.0) == 130, said.read_text()[-2000:]
     finally:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
+from softrig_core.block.params import LARGEST
 from softrig_core.kit.file_format import FileFormat, Use, number_of
 
 from .urdf import check_inertia
@@ -235,11 +236,15 @@ def _check_tree(root: ElementTree.Element, where: str) -> str:
     return bases[0]
 
 
-def _number(element: ElementTree.Element, key: str, where: str, default: float | None = None) -> float:
+def _number(
+    element: ElementTree.Element, key: str, where: str, default: float | None = None, most: float = LARGEST
+) -> float:
     text = element.get(key)
     value = number_of(str(default) if text is None else text)
     if math.isnan(value):
         raise ValueError(f"{where}: {element.tag}@{key} is {text!r}, expected a number")
+    if most < abs(value) < math.inf:
+        raise ValueError(f"{where}: {element.tag}@{key} is {text!r}, expected at most {most:g} in magnitude")
     return value
 
 
@@ -250,6 +255,8 @@ def _vector(element: ElementTree.Element, key: str, size: int, where: str) -> tu
     values = tuple(map(number_of, text.split()))
     if len(values) != size or not all(map(math.isfinite, values)):
         raise ValueError(f"{where}: {element.tag}@{key} is {text!r}, expected {size} numbers")
+    if max(map(abs, values)) > LARGEST:
+        raise ValueError(f"{where}: {element.tag}@{key} is {text!r}, expected at most {LARGEST:g} in magnitude")
     return values
 
 
@@ -303,8 +310,11 @@ def _limits(joint: ElementTree.Element, where: str) -> tuple[float, float, float
         if not endless:
             raise ValueError(f"{where}: a {joint.get('type')} joint needs <limit>; an endless one is continuous")
         return -math.inf, math.inf, math.inf, math.inf
-    velocity, effort = (_number(limit, key, where, math.inf if endless else None) for key in ("velocity", "effort"))
-    lower, upper = (_number(limit, key, where, 0.0) for key in ("lower", "upper"))
+    # Exporters write 1e16 or 1e300 for what has no limit, so these may be larger than any quantity.
+    velocity, effort = (
+        _number(limit, key, where, math.inf if endless else None, most=math.inf) for key in ("velocity", "effort")
+    )
+    lower, upper = (_number(limit, key, where, 0.0, most=math.inf) for key in ("lower", "upper"))
     if endless:
         lower, upper = -math.inf, math.inf
     if lower > upper or velocity < 0.0 or effort < 0.0:

@@ -28,6 +28,7 @@ class Tuning:
         self._node, self._adapter = node, adapter
         self._own = flatten(adapter.block.p).keys()
         node.add_on_set_parameters_callback(self._set)
+        node.paused = lambda: adapter.hold.held
         # in /diagnostics, and logged with the next tick
         node.overdrawn = lambda text: adapter.step.note(Level.WARN, "services", text)
 

@@ -78,9 +78,7 @@ SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have l
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
 LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
 
-NAP = (
-    0.005  # s before each answer while services have used up their time: as long as Python leaves its lock to a thread
-)
+NAP = 0.005  # s before each answer while services have used up their time; Python leaves its lock to a thread as long
 OVERDUE = 0.1  # s between two tries to send answers that wait for their share of the time
 
 # A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
@@ -194,10 +192,13 @@ class ServingNode(Node):  # type: ignore[misc]
         Of whatever calls the node: no service is answered while a tick is under way.
     beside : bool
         Whether ticks are answered in another thread than that of the services.
+    paused : callable
+        Whether somebody holds the rig here.
     """
 
     remark = ""
     beside = False
+    paused: Callable[[], bool] = staticmethod(lambda: False)
     overdrawn: Callable[[str], object] = staticmethod(lambda text: None)
     _credit = Credit()  # one for all nodes of a process
 
@@ -217,8 +218,9 @@ class ServingNode(Node):  # type: ignore[misc]
 
         def answer(request: Any, response: Any) -> Any:
             # To take a request and to refuse it costs time, too: of a flood more than there is. Asleep, this thread
-            # leaves Python's lock to the ticks, and what comes meanwhile pushes out what is old.
-            if self.beside and self._credit.wanting():
+            # leaves the lock of Python to the ticks. A paused rig has none, and the timer that tells the other nodes
+            # to be patient waits behind all requests.
+            if self.beside and not self.paused() and self._credit.wanting():
                 time.sleep(NAP)
             with self.monitor:
                 return answered(request, response)
