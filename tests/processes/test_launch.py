@@ -1,10 +1,12 @@
 """The launch file: one start and one end of all nodes, a status, and no node left behind."""
 
 import json
+import random
 import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,10 +18,13 @@ from softrig_bringup.cli import main
 from softrig_bringup.run.run import status_of, tripped
 from softrig_bringup.verbs.launched import strange
 from softrig_core import ScenarioError, load_scenario, rig_of, run_inprocess
+from softrig_core.scenario.scenario_file import list_scenarios
 from softrig_core.wire.recording import relative
+from softrig_nodes import run_processes
 from softrig_nodes.container import split
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import environment, find_executable
+from softrig_nodes.processes.placement import Listener, Placement
 from test_outside import SYSTEMS, short
 
 SCENARIO = """
@@ -45,6 +50,11 @@ variants:
 def lag(tmp_path, monkeypatch):
     (tmp_path / "lag.yaml").write_text(SCENARIO)
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
+
+
+def drawn_today(count):
+    """Names of published scenarios, others each day."""
+    return random.Random(datetime.now(UTC).toordinal()).sample(sorted(list_scenarios()), count)
 
 
 def test_nodes_and_parameters_are_those_of_the_scenario(lag):
@@ -306,3 +316,26 @@ def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_p
         assert bag.topics[name].times == whole.topics[name].times
     if topics:
         assert set(bag.topics) == {relative(topic) for topic in topics}
+
+
+@pytest.mark.long
+@pytest.mark.processes
+@pytest.mark.parametrize("place", ["processes", "container"])
+@pytest.mark.parametrize("name", drawn_today(3))
+def test_a_recorder_has_all_of_any_scenario_and_infers_no_loss(name, place, tmp_path):
+    """Of 300 ticks, the acknowledgements of followers among them, whose first is not that of t = 0."""
+    whole = rig_of(name)
+    rig = rig_of(name, duration=min(whole.scenario.duration, 300 * whole.clock.params.period))
+    with free_domain() as domain:
+        variables = environment(domain, tmp_path, silence=PATIENCE)
+        with recording(tmp_path / "bag", variables) as recorder:
+            run = run_processes(rig, rig.scenario.seed, tmp_path / "log", Placement(place, domain=domain), Listener())
+            recorder.send_signal(signal.SIGINT)
+            told = recorder.communicate()[0]
+    assert run.error == "", run.error
+    assert recorder.returncode == 0, told
+    assert "none lost" in told
+    assert "JOINED LATE" not in told
+    bag = read_bag(tmp_path / "bag")
+    for topic, said in run.recording.topics.items():
+        assert (bag.topics[topic].times if topic in bag.topics else []) == said.times
