@@ -890,3 +890,12 @@ def test_a_node_says_what_it_is_and_how_it_is_started():
     assert any(line.startswith("  run.pace = 0.0: ") and line.endswith("; may change while running") for line in lines)
     assert not any("refused" in line for line in main.usage("source", Source).splitlines()[:6])
     assert "refused: " not in main.usage("plant", Lag)
+
+
+def test_a_profile_has_the_names_of_the_installed_fast_dds(monkeypatch):
+    """Fast DDS 3 (Kilted) refuses a whole file for one element of Fast DDS 2: then nothing of it would hold."""
+    for third, name in ((False, b"<heartbeatPeriod>"), (True, b"<heartbeat_period>")):
+        monkeypatch.setattr(profile, "third", lambda found=third: found)
+        made = profile.own(executables.PROFILE.read_bytes())
+        assert name in made
+        assert (b"nackSupressionDuration" in made, b"nack_supression_duration" in made) == (not third, third)

@@ -49,7 +49,8 @@ def find_executable(package: str, executable: str) -> Path:
 
 def given_profile() -> Path:
     """Return the profile of this process: the one of its environment, or the default."""
-    return Path(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") or default_profile())
+    names = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")  # of Fast DDS 3, and before
+    return Path(next(filter(None, map(os.environ.get, names)), default_profile()))
 
 
 def default_profile() -> Path:

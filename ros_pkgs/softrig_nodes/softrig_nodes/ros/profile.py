@@ -16,10 +16,12 @@ import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from tempfile import NamedTemporaryFile
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from softrig_core.kit.resource import prefixes
 
 from ..processes.executables import LOOPBACK, NO_MEMORY, PROFILE, given_profile, leased
 from ..processes.ports import chosen
@@ -30,6 +32,16 @@ VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 (TRANSPORTS,) = NO_MEMORY
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 STARTING = 8  # nodes that may start at this moment and look for the same room
+RENAMED = "FASTDDS_DEFAULT_PROFILES_FILE"  # of Kilted, which warns at the old name
+# elements of a writer's and a reader's times: in Fast DDS 2, in Fast DDS 3
+TIMES = {
+    "initialHeartbeatDelay": "initial_heartbeat_delay",
+    "heartbeatPeriod": "heartbeat_period",
+    "nackResponseDelay": "nack_response_delay",
+    "nackSupressionDuration": "nack_supression_duration",
+    "initialAcknackDelay": "initial_acknack_delay",
+    "heartbeatResponseDelay": "heartbeat_response_delay",
+}
 SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 
@@ -57,7 +69,7 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
     if silence is not None and given in (PROFILE, LOOPBACK):
         text = leased(text.decode(), silence).encode()
     with NamedTemporaryFile(prefix="softrig-", suffix=".xml") as file:
-        changes = {VARIABLE: file.name}
+        changes = {RENAMED if third() else VARIABLE: file.name}
         if lacking(STARTING):
             changes |= NO_MEMORY
         memory = (os.environ | changes).get(TRANSPORTS) != NO_MEMORY[TRANSPORTS]
@@ -65,16 +77,23 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
             changes[RANGE] = "SYSTEM_DEFAULT"  # what the profile allows is the loopback interface all the same
         file.write(own(text, exclusive=exclusive, memory=memory))
         file.flush()
-        before = {name: os.environ.get(name) for name in changes}
+        before = {name: os.environ.get(name) for name in (*changes, VARIABLE)}
+        os.environ.pop(VARIABLE, None)
         os.environ |= changes
         try:
             yield
         finally:  # as it was: a run that this process starts later makes one that fits it
             for name, value in before.items():
                 if value is None:
-                    del os.environ[name]
+                    os.environ.pop(name, None)
                 else:
                     os.environ[name] = value
+
+
+@cache
+def third() -> bool:
+    """Return whether this is Fast DDS 3, as of ROS 2 Kilted: its package has another name than before."""
+    return any((prefix / "share" / "fastdds").is_dir() for prefix in prefixes())
 
 
 def look_after_ports(node: Node) -> None:
@@ -110,6 +129,10 @@ def own(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> byte
         raise ValueError(f"{VARIABLE}: no participant in the profile, expected one")
     if not memory:
         _without_memory(root, space)
+    if third():  # which refuses a whole file for one element by its name of Fast DDS 2
+        for element in root.iter():
+            name = element.tag.removeprefix(space)
+            element.tag = space + TIMES.get(name, name)
     for participant in participants:
         rtps = _within(participant, f"{space}rtps")
         if rtps.find(f"{space}port") is None:
