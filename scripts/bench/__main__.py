@@ -14,6 +14,7 @@ from softrig_core.guard import guarded
 
 from . import (
     against,
+    beside,
     environment,
     exported,
     fault_location,
@@ -41,6 +42,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "containers": rigs.containers, "reading": reading.reading,
     "realtime": realtime.realtime, "view": view.view,
     "systems": systems.print_table, "induction": induction.print_table, "machines": machines.print_table,
+    "peers": beside.print_table,
     "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
     "falsify": falsification_table.print_table, "environment": environment.print_table,

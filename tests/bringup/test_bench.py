@@ -9,7 +9,7 @@ from shutil import which
 from types import SimpleNamespace
 
 import pytest
-from bench import against, induction, machines, native, realtime, rectifier, systems
+from bench import against, beside, induction, machines, native, realtime, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_core import ScenarioError, bits
 from softrig_drives.induction_dtc.switching import VECTORS
@@ -92,12 +92,12 @@ def test_a_row_for_each_work_of_the_systems(capsys):
 def test_the_induction_motor_beside_its_peers(monkeypatch, capsys):
     times = {"softrig natively, everything recorded": 0.5, "theirs": 2.0, "absent": None}
     monkeypatch.setattr(induction, "simulated_second", lambda python: times)
-    monkeypatch.setattr(induction, "agreement", lambda python: (1e-9, 2e-8))
+    monkeypatch.setattr(induction, "agreement", lambda python, seconds, name: 1e-9)
     assert main(["induction"]) == 0
     table = capsys.readouterr().out.splitlines()
     assert [line.split()[-2] for line in table[2:4]] == ["1.0", "4.0"]
     assert table[4].endswith("not installed")
-    assert "1.0e-09 Wb and 2.0e-08 rad/s" in table[5]
+    assert table[5].startswith("motulator-tight ends 1.0e-09 Wb or rad/s from ours")
 
 
 def test_drives_beside_their_peer(monkeypatch, capsys):
@@ -113,6 +113,23 @@ def test_the_duty_ratios_of_a_drive_are_those_of_its_periods():
     given, signals = machines.duty_ratios("pmsm_foc", 0.003)
     assert len(given["duties"]) == len(given["load"]) == 30
     assert given["duties"][5] == [signals[f"applied_duty/{leg}/effort"].x[6] for leg in "abc"]
+
+
+@pytest.mark.long
+def test_libraries_that_are_installed_end_where_our_rigs_do():
+    """python-control and scipy come with the tests; the DC motor is written again in `beside_peers`."""
+    row = beside.dc_motor("python_control", 1e-9)
+    assert row.apart < row.allowed
+
+
+def test_a_peer_that_ends_elsewhere_is_an_error(monkeypatch):
+    near = beside.Row("a", "b", "work", 1.0, 2.0, 1e-10, 1e-9, "A")
+    monkeypatch.setattr(beside, "ROWS", [(lambda *_: near, "b", 1e-9), (lambda *_: None, "c", 1e-9)])
+    beside.print_table()
+    far = near._replace(apart=float("nan"))
+    monkeypatch.setattr(beside, "ROWS", [(lambda *_: far, "b", 1e-9)])
+    with pytest.raises(RuntimeError, match="b ends nan A from a, expected at most 1e-09"):
+        beside.print_table()
 
 
 @pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
