@@ -1,6 +1,11 @@
 """A node on a CAN bus: the DBC of its ports, limits before the cast, a disturbed bus, a rig with a controller."""
 
+import ctypes
 import random
+import re
+import shutil
+import struct
+import subprocess
 import threading
 from dataclasses import replace
 from itertools import count
@@ -10,13 +15,15 @@ import pytest
 from softrig_core import ScenarioError, rig_of, simulate
 from softrig_core.block.port import scalars
 from softrig_core.board.can_line import CanLine
-from softrig_core.board.dbc import encoded, messages_of
+from softrig_core.board.dbc import build_of, encoded, messages_of, values_of
 from softrig_core.board.entry import LONGEST, LinkEntry, require_own_ports
 from softrig_core.board.frames import Kind
 from softrig_core.board.layout import Layout
 from softrig_core.board.line import Build
 from softrig_core.errors import RunError
+from softrig_core.export.check import FLAGS
 from softrig_core.export.golden import member_of
+from softrig_core.firmware.can_files import export_can
 from softrig_core.firmware.command import dbc
 from softrig_core.scenario.scenario import merge, read_draft
 
@@ -374,3 +381,120 @@ def test_other_parameters_than_the_dbc_is_of_are_refused(law):
     nodes = {NODE: {"link": {"port": "can:virtual/0", "firmware": str(law)}, "parameters": {"period": 0.02}}}
     with pytest.raises(ScenarioError, match="of other parameters of dc_motor_smc; export the DBC again"):
         simulate(rig_of(replace(draft, raw=merge(draft.raw, {"nodes": nodes})), duration=0.5))
+
+
+# the node's side in C -------------------------------------------------------------------------------------------------
+
+SHOWN = """
+#include "{n}_can.h"
+static {n}_can node;
+void power(void);
+unsigned receive(uint32_t id, const uint8_t *data, uint8_t length, uint32_t *ids, uint8_t *answers);
+void power(void) {{ {n}_can_init(&node); }}
+unsigned receive(uint32_t id, const uint8_t *data, uint8_t length, uint32_t *ids, uint8_t *answers)
+{{
+    const unsigned count = {n}_can_receive(&node, id, data, length);
+    for (unsigned k = 0u; k < count; k++) {{
+        ids[k] = node.frames[k].id;
+        memcpy(answers + 8 * k, node.frames[k].data, 8);
+    }}
+    return count;
+}}
+"""
+
+
+class InC:
+    """The exported node behind the interface of `Node`."""
+
+    def __init__(self, folder, name):
+        (folder / "shown.c").write_text(SHOWN.format(n=name))
+        sources = ["shown.c", f"{name}_can.c", f"{name}.c"]
+        command = ["cc", *FLAGS, "-Wconversion", "-pedantic", "-shared", "-fPIC", "-o", "node.so", *sources, "-lm"]
+        subprocess.run(command, cwd=folder, check=True)
+        self.library = ctypes.CDLL(str(folder / "node.so"))
+        self.power()
+
+    def power(self):
+        self.library.power()
+
+    def feed(self, frame):
+        if frame.is_remote_frame or frame.is_error_frame:
+            return []
+        ids, data = (ctypes.c_uint32 * 8)(), ctypes.create_string_buffer(64)
+        count = self.library.receive(frame.arbitration_id, bytes(frame.data), len(frame.data), ids, data)
+        rows = [(ids[k], data.raw[8 * k : 8 * k + 8]) for k in range(count)]
+        return [can.Message(arbitration_id=number, is_extended_id=False, data=row) for number, row in rows]
+
+
+@pytest.fixture(scope="module")
+def coded(tmp_path_factory):
+    """Folder, DBC, build and the member of a law whose node is C."""
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler (Debian: apt-get install gcc)")
+    folder, rig = tmp_path_factory.mktemp("can_c"), rig_of(SCENARIO)
+    member = member_of(rig, NODE)
+    build, file = build_of(member.block_class, member.params), folder / "smc.dbc"
+    file = file_of(folder, member.block_class.ports(member.params), build, NODE)
+    assert export_can(rig, NODE, file, build, folder, rows=50, drawn=20) == NODE
+    return folder, file, build, member
+
+
+def single(row):
+    return [struct.unpack("<f", struct.pack("<f", v))[0] for v in row]
+
+
+def test_the_node_in_c_answers_a_disturbed_bus_as_the_block_does(coded):
+    folder, file, build, member = coded
+    ports = member.block_class.ports(member.params)
+    layout, rng = Layout(*ports, {}, plant=False, single=False), random.Random(5)
+    bus = Bus(rng, 0.2, InC(folder, NODE), pulled=0.01)
+    line = CanLine("can:test", bus.opened, bus.now, bus.sleep)
+    line.use(messages_of(file, NODE, *ports, build), Build(build, (1, 100), layout), 0.05)
+    answered = 0
+    while line.counts.sent < 1500:
+        line.begin(b"")
+        block = member.block(1)
+        x = block.first()
+        for k in range(20):
+            w, i, r = single([rng.uniform(-20.0, 20.0), rng.uniform(-3.0, 3.0), rng.choice([5.0, 10.0])])
+            given = {"state": (w,), "sensors": (0.0, i), "reference": (r,) if k % 3 else None}
+            x, wanted = block.update(x, k * 10**7, **given)
+            answer = layout.answer.unpack(line.ask(Kind.STEP, layout.step.pack(k * 10**7, *layout.numbers(given))))
+            assert list(answer[1:]) == single([*wanted["command"], *wanted["surface"]])
+            answered += 1
+    assert answered > 100
+    assert min(bus.happened.values()) > 0
+
+
+def test_a_signal_with_a_range_is_packed_in_c_as_softrig_packs_it(coded, tmp_path):
+    folder, file, build, member = coded
+    ports = member.block_class.ports(member.params)
+    shutil.copytree(folder, tmp_path / "c")
+    other = tmp_path / "c" / "edited.dbc"
+    text = file.read_text()
+    lines = [line for line in text.splitlines() if line.startswith(" SG_ command_armature_effort ")]
+    assert len(lines) == 1
+    scaled = re.sub(r": (\d+)\|32@1- \(1,0\) \[[^]]*\]", r": \1|16@1- (0.001,0) [-9|9]", lines[0])
+    assert scaled != lines[0]
+    text = re.sub(
+        r"^SIG_VALTYPE_ \d+ command_armature_effort .*\n", "", text.replace(lines[0], scaled), flags=re.MULTILINE
+    )
+    other.write_text(text)
+    export_can(rig_of(SCENARIO), NODE, other, build, tmp_path / "c", rows=50, drawn=20)
+    node = InC(tmp_path / "c", NODE)
+    messages = messages_of(other, NODE, *ports, build)
+    block = member.block(1)
+    for w in (0.0, 3.0, 9.7, -20.0, 21.0):
+        node.power()
+        hello, _ = encoded(messages.hello, {"run": 7}, [int(build, 16)])
+        assert len(node.feed(can.Message(arbitration_id=0x100, is_extended_id=False, data=hello))) == 1
+        given = {"state": (w,), "sensors": (0.0, 0.5), "reference": (10.0,)}
+        wanted = block.update(block.first(), 0, **given)[1]
+        row = Layout(*ports, {}, plant=False, single=False).numbers(given)
+        answers = []
+        for frame in messages.to:
+            data, _ = encoded(frame, {"tick": 0, "run": 7}, row)
+            answers += node.feed(can.Message(arbitration_id=frame.key[0], is_extended_id=False, data=data))
+        mine = [*wanted["command"], *wanted["surface"]]
+        assert [bytes(a.data) for a in answers] == [encoded(f, {"tick": 0, "run": 7}, mine)[0] for f in messages.back]
+        assert len(values_of(ports[1], "sporadic")) == len(mine)

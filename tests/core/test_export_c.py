@@ -61,6 +61,40 @@ def test_c_has_the_bits_of_python(scenario, node, tmp_path):
     assert found.same
 
 
+COMPILERS = {  # each must give the same bits; the last one ends the program at what C leaves open
+    "clang -O0": ("clang", "-O0"),
+    "clang -O2": ("clang", "-O2"),
+    "clang -O3": ("clang", "-O3"),
+    "gcc -O0": ("gcc", "-O0"),
+    "gcc -O3": ("gcc", "-O3"),
+    "gcc, sanitizers": ("gcc", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
+}
+OTHERS = (
+    "a controller with reports",
+    "complex numbers, tables of vectors",
+    "random numbers",
+    "fuzzy inference, functions called often",
+    "a queue of messages, which grows",
+    "arrays that loops write",
+    "a casadi function",
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", OTHERS)
+def test_other_compilers_give_no_warning_and_the_same_bits(what, tmp_path):
+    if not all(map(shutil.which, ("gcc", "clang"))):
+        pytest.skip("needs gcc and clang (Debian: apt-get install gcc clang)")
+    done = export_c(rig_of(NODES[what][0]), NODES[what][1], tmp_path, rows=200, drawn=200)
+    sources = [f"{done.name}_replay.c", f"{done.name}.c", *json.loads(done.files[f"{done.name}.json"])["sources"]]
+    warned = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
+    for name, compiler in COMPILERS.items():
+        subprocess.run([*compiler, *warned, "-o", "replay", *sources, "-lm"], cwd=tmp_path, check=True)
+        ran = subprocess.run(["./replay"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert ran.returncode == 0, (name, ran.stdout[-500:], ran.stderr[-1000:])
+        assert json.loads(ran.stdout)["rows"] >= 400
+
+
 def rows_of(a, x):
     b = np.zeros_like(a)
     b[0, :] = a[1, :]

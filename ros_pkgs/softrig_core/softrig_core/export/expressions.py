@@ -31,7 +31,7 @@ from .kinds import (
     tuple_of,
     united,
 )
-from .unit import WHOLE, Value, literal
+from .unit import WHOLE, Value, bare, literal
 
 ORDER = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 ARITHMETIC = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*"}
@@ -464,7 +464,7 @@ class Expressions(Base):
             self.lines = own
             self.emit(f"{c} = {self.coerced(value, kind).c};")
         self.lines = lines
-        self.emit(f"if ({test}) {{")
+        self.emit(f"if ({bare(test)}) {{")
         self.lines += [f"    {line}" for line in then]
         self.emit("} else {")
         self.lines += [f"    {line}" for line in orelse]

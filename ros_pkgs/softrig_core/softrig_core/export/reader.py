@@ -25,7 +25,7 @@ from .kinds import (
     Table,
     united,
 )
-from .unit import WHOLE, Signature, Value, reads
+from .unit import WHOLE, Signature, Value, bare, reads
 
 ROUNDS = 12  # of reading a function until its types stay
 ASSIGNED = re.compile(r"( *)(v_\w+) = (.*);")
@@ -218,7 +218,7 @@ class Reader(Calls):
         else:
             env = self._joined(env_then, then, env_else, orelse)
         self.lines, self.env, self.ended = lines, env, over_then and over_else
-        self.emit(f"if ({test}) {{")
+        self.emit(f"if ({bare(test)}) {{")
         self.lines += [f"    {line}" for line in then]
         if orelse:
             self.emit("} else {")

@@ -268,6 +268,16 @@ def literal(value: Any) -> str:
     return f"SR_REAL({text if any(c in text for c in '.e') else text + '.0'})"
 
 
+def bare(test: str) -> str:
+    """Return a condition without the parentheses around the whole of it, of which clang warns."""
+    depth = 0
+    for k, sign in enumerate(test):
+        depth += (sign == "(") - (sign == ")")
+        if depth == 0:
+            return test[1:-1] if test[0] == "(" and k == len(test) - 1 else test
+    return test
+
+
 def reads(name: str, text: str) -> bool:
     """Return whether a text of C has a name."""
     return re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None

@@ -11,6 +11,7 @@ from ..command_line import Parser
 from ..errors import ScenarioError
 from ..export.golden import member_of
 from ..run.expand import rig_of
+from .can_files import export_can
 from .check import DEBIAN, checked
 from .files import BAUD, export_firmware
 
@@ -45,6 +46,9 @@ def dbc(arguments: Sequence[str]) -> int:
     parser.add_argument("node", metavar="NODE", help="of the scenario")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the DBC (./NODE.dbc)")
     parser.add_argument("--id", default="0x100", help="identifier of the first message (0x100); the next ones follow")
+    parser.add_argument(
+        "--code", type=Path, metavar="DIR", help="the node as C, and C that answers these messages, go to DIR"
+    )
     options = parser.parse_args(arguments)
     try:
         first_id = int(options.id, 0)
@@ -52,13 +56,17 @@ def dbc(arguments: Sequence[str]) -> int:
         first_id = -1
     if first_id < 0:
         raise ScenarioError(f"--id {options.id}: expected a whole number from 0 to 0x7ff")
-    member = member_of(rig_of(options.scenario), options.node)
+    rig = rig_of(options.scenario)
+    member = member_of(rig, options.node)
     build = build_of(member.block_class, member.params)
     text = printed(member.name, *member.block_class.ports(member.params), first_id, build)
     file = options.out or Path(f"{options.node}.dbc")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(text.encode("cp1252", "replace"))
     print(f"{file}: {text.count(chr(10) + 'BO_ ')} messages, {text.count(chr(10) + ' SG_ ')} signals")
+    if options.code is not None:
+        export_can(rig, options.node, file, build, options.code)
+        print(f"{options.code}: {', '.join(sorted(p.name for p in options.code.iterdir() if p.is_file()))}")
     return 0
 
 
