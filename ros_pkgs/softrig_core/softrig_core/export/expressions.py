@@ -433,7 +433,7 @@ class Expressions(Base):
         c = self._variable(f"b{self.temporaries}", BOOL)
         self.temporaries += 1
         self.emit(f"{c} = {'true' if stop else 'false'};")
-        self.emit(f"if ({'!' if stop else ''}({first})) {{")
+        self.emit(f"if (!({first})) {{" if stop else f"if ({bare(first)}) {{")
         self.lines += [f"    {line}" for line in [*later, f"{c} = {other};"]]
         self.emit("}")
         return Value(BOOL, c)

@@ -269,7 +269,8 @@ class Reader(Calls):
             raise self.unknown("a loop whose step is computed", node)
         down = len(ends) == 3 and isinstance(call.args[2], ast.UnaryOp)
         assert isinstance(node.target, ast.Name)
-        counter = self._variable(f"{node.target.id}_k", INT)
+        # A loop in another one may have the same name.
+        counter = self._variable(f"{node.target.id}_k{len(self.loops) or ''}", INT)
         own = self._variable(node.target.id, INT)
         head = f"for ({counter} = {first.c}; {counter} {'>' if down else '<'} {last.c}; {counter} += {step.c}) {{"
 

@@ -274,7 +274,7 @@ def bare(test: str) -> str:
     for k, sign in enumerate(test):
         depth += (sign == "(") - (sign == ")")
         if depth == 0:
-            return test[1:-1] if test[0] == "(" and k == len(test) - 1 else test
+            return bare(test[1:-1]) if test[0] == "(" and k == len(test) - 1 else test
     return test
 
 
