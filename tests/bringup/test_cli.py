@@ -576,7 +576,7 @@ def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr("softrig_bringup.terminal.listing.main", broken)
+    monkeypatch.setattr("softrig_bringup.verbs.list_verb.main", broken)
     assert main(["list"]) == 4
     said = capsys.readouterr().err
     assert said.count("\n") == 1

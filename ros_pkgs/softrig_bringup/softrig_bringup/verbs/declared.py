@@ -162,7 +162,7 @@ def _run_and_look(verb: Verb) -> None:
     layouts = verb("layouts", "verbs.layouts:layouts", text, kinds)
     layouts.add_argument("scenarios", nargs="+", metavar="SCENARIO", help="names or files")
     layouts.add_argument("--out", type=Path, default=Path("layouts"), metavar="DIR", help="they go here (layouts)")
-    listed = verb("list", "terminal.listing:main", "scenarios by system, with duration and title; signals, figures")
+    listed = verb("list", "verbs.list_verb:main", "scenarios by system, with duration and title; signals, figures")
     listed.add_argument("filter", nargs="?", default="", help="only scenarios or systems with this in their name")
     listed.add_argument(
         "--signals",

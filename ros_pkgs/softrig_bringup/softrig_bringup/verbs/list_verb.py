@@ -23,7 +23,7 @@ def main(options: argparse.Namespace) -> int:
     """Print scenarios, or signals of one, or figure functions, as the options say; returns the exit status."""
     if (options.signals, options.parameters, options.figures) == (None, None, None):
         return list_scenarios_of(options.filter)
-    from . import parts
+    from ..terminal import parts
 
     if options.signals is not None:
         return parts.list_signals(options.signals)
@@ -50,7 +50,7 @@ def list_scenarios_of(part: str) -> int:
         for s in chosen:
             print(plain(f"{s.name}\t{s.system}\t{s.duration:g} s\t{s.title}\t{s.source}"))
         return 2 if broken else 0
-    from .console import console
+    from ..terminal.console import console
 
     show = console()
     for system in sorted({s.system for s in chosen}):
@@ -62,7 +62,7 @@ def _tree(system: str, scenarios: list[Listed], depth: int) -> Tree:
     """Return the scenarios of a system, variants below what they are variants of; those below `depth` as a number."""
     from rich.tree import Tree
 
-    from .console import styled
+    from ..terminal.console import styled
 
     sources = {s.source for s in scenarios}
     tree = Tree(styled((system, "bold"), *(("  ", (sources.pop(), "dim")) if len(sources) == 1 else ())))
