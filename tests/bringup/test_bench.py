@@ -172,3 +172,17 @@ def test_a_commit_is_compared_in_turn_and_one_that_is_not_there_is_refused(capsy
     ]
     assert found == {"list": ([20.0, 28.0], [6.0, 8.0])}  # the first round is left out
     assert against.rows(found) == [("list", "24.00", "7.00", "0.29")]
+
+
+def test_whole_runs_are_compared_by_their_least_times_without_the_round_that_compiles(monkeypatch, tmp_path):
+    costs = iter([9.0, 8.0, 4.0, 3.0, 5.0, 1.0])
+    monkeypatch.setattr(against, "whole", lambda place, name, settings: next(costs))
+    assert against.run_rows((tmp_path, ROOT), ["gupfc"], "default", 2) == [("gupfc", "4.000", "1.000", "0.25")]
+    page = tmp_path / "page.md"
+    page.write_text("<!-- plain -->\nold\n<!-- end -->\n<!-- default -->\nold\n<!-- end -->\n")
+    monkeypatch.setattr(against, "PAGE", page)
+    found = against.written("default", [("a", "b"), ("1", "2")])
+    assert (
+        found
+        == "<!-- plain -->\nold\n<!-- end -->\n<!-- default -->\n| a | b |\n| --- | --- |\n| 1 | 2 |\n<!-- end -->\n"
+    )
