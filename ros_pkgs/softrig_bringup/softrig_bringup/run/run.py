@@ -87,13 +87,16 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
             with stoppable():
                 steps = run_inprocess(rig, seed, shards, progress)
             run.blocks, run.status = steps, {name: status_of(step) for name, step in steps.items()}
-            shards.flush()
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
             run.stopped = signal_of(interrupt)
         except OSError as full:
             run.error = f"{directory}: {full.strerror or full}"
+        try:
+            shards.flush()  # also of a run that broke or was stopped: what it did last is what is looked for
+        except OSError as full:
+            run.error = run.error or f"{directory}: {full.strerror or full}"
         run.recording = shards.recording()
     else:
         outcome = run_processes(rig, seed, directory, placement, listener)
