@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from softrig_core import Scenario, ScenarioError, figures_of, load_scenario
+from softrig_core import Scenario, ScenarioError, figures_of, load_scenario, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.run.purity import check_pure, is_suspect
@@ -188,7 +188,7 @@ def falsify(
             enough=0.0 if task.first else -math.inf,
         )
     whole = [(point, row) for point, row in zip(asked, rows, strict=True) if not row["error"]]
-    if whole and is_suspect(checked(space.scenario)):
+    if whole and is_suspect(rig_of(space.scenario)):
         point, last = whole[-1]
         repeated(task.name, trial(space.scenario, space.overrides(point), names, last["number"], task.budget), last)
     broken = [(row["overrides"], row["error"]) for row in rows if row["error"]]
