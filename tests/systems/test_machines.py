@@ -351,7 +351,7 @@ def test_a_refused_measurement_leaves_zero_voltage():
     assert law.x == before
 
 
-LATER = [pytest.param(f"pmsm_foc_{n}", marks=pytest.mark.long) for n in ("two_mass", "traction", "synrm", "synrm_2a")]
+LATER = [pytest.param(f"pmsm_foc_{n}", marks=pytest.mark.long) for n in ("two_mass", "traction", "synrm")]
 
 
 @pytest.mark.parametrize("name", ["pmsm_foc_switched", *LATER])

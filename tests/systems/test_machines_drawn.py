@@ -49,7 +49,7 @@ def drawn(kinds, most, draws):
 
 
 def test_all_shipped_machines_are_here():
-    assert (len(SYNCHRONOUS), len(INDUCTION), len(BRUSHLESS)) == (7, 4, 4)
+    assert (len(SYNCHRONOUS), len(INDUCTION), len(BRUSHLESS)) == (6, 4, 4)
 
 
 @pytest.mark.parametrize(("name", "seed"), drawn(SYNCHRONOUS, 3, 6))
