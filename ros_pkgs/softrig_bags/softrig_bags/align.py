@@ -90,9 +90,9 @@ class Alignment:
     span : tuple of 2 floats
         The time that both bags have, s since their start.
     lacking, extra : list of str
-        Signals of a that b lacks, signals of b that a lacks.
+        Signals that only a has, and signals that only b has.
     notes : list of str
-        Topics of which the header stamps say nothing, and why.
+        Topics whose header stamps do not identify the time of their messages, and why.
     unread : list of str
         Topics and signals that were not compared, and why.
     """
@@ -221,7 +221,7 @@ def _names(signals: BagSignals, topics: Sequence[str] | None, ignore: Sequence[s
 
 
 def _useless(pair: tuple[Table, Table]) -> str:
-    """Return why the header stamps of a topic say nothing of when its messages are from; empty where they do."""
+    """Return why the header stamps of a topic do not date its messages; an empty text if they do."""
     for name, table in zip("AB", pair, strict=True):
         stamp = table.stamp
         steps = np.diff(stamp)

@@ -64,7 +64,7 @@ def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
 
 
 def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Declaration, Any]]:
-    """Return the options as ROS parameters, for whoever asks the node what it is doing."""
+    """Return the options as ROS parameters, so that a user can query the node for what it is doing."""
     from softrig_core.block.params import Declaration  # with pydantic, which only nodes need
 
     result = []

@@ -166,8 +166,8 @@ def compare(
 ) -> Comparison:
     """Compare recording b with its reference a.
 
-    Messages are paired by header stamp, without a header by bag time, equal stamps by order. Stamps that are all zero
-    or equal say nothing: bag time is used, and that is noted.
+    Messages are paired by header stamp, or by bag time if they have no header. Messages with equal stamps are paired by
+    order. If all stamps of a topic are zero or equal, bag time is used instead, and a note reports it.
 
     Parameters
     ----------
@@ -176,11 +176,12 @@ def compare(
     default : Tolerance
         Of every number that no pattern covers; exact if not given.
     tolerances : mapping of str to Tolerance
-        By pattern (``plant/*``, ``*/velocity``) of the signal name ``topic/channel/field``; the first that fits counts.
+        By pattern (``plant/*``, ``*/velocity``) of the signal name ``topic/channel/field``; the first matching pattern
+        applies.
     bitwise : bool
         Demand equal bytes and equal bag times instead.
     topics : sequence of str, optional
-        Topics to compare, all of both by default; of an empty list nothing is asked.
+        Topics to compare, by default all topics of both bags; an empty list requires no topic.
     ignore : sequence of str
         Patterns of topics left out.
     namespaces : (str, str)
@@ -189,7 +190,8 @@ def compare(
     Raises
     ------
     BagError
-        Bad bag, no such topic, or neither has a message on the topics: nothing is no agreement.
+        A bag is bad, a topic does not exist, or neither bag has a message on the topics: two empty recordings do not
+        count as equal.
     """
     limits = _Limits(Tolerance(), {}, True) if bitwise else _Limits(default, tolerances or {}, False)
     with ExitStack() as stack:
@@ -414,7 +416,7 @@ def _show(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return what JSON can say: bytes as hex, NaN and infinity as text."""
+    """Convert a value to plain JSON data: bytes as hex, NaN and infinity as text."""
     if isinstance(value, dict):
         return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list):

@@ -4,4 +4,4 @@ from softrig_core import ScenarioError
 
 
 class BagError(ScenarioError):
-    """A bag or a choice from it that cannot be used; the text says what, where and what was expected."""
+    """A bag, or a selection from it, cannot be used; the text names the cause, the place and what was expected."""

@@ -85,10 +85,10 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
 
 
 def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
-    """Return a name for the file of each topic that has none, which every file system takes.
+    """Yield a file name, valid on every file system, for each topic that has none yet.
 
-    Some file systems do not tell capital letters from small ones: no two names differ by them alone. A name that is not
-    that of its topic with points for slashes is reported.
+    Some file systems ignore case, so no two names differ in case alone. The name is the topic's name with dots in place
+    of slashes; any other name is reported.
     """
     taken = {name.casefold() for name in known}
     for label in labels[len(known) :]:

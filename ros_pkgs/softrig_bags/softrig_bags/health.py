@@ -1,7 +1,7 @@
-"""What an outside recorder has of a run beside its signals: descriptions, health of the nodes, figures of observers.
+"""What an external recorder would have beside a run's signals: descriptions, node health, figures of observers.
 
-As they stood at the end, from what the nodes have said of themselves: equal runs still give equal bags. A bag has a
-rig's own names, without the namespace in which it was launched: `hardware_id`, which live tells rigs apart, is empty.
+They are the final values that the nodes reported, so equal runs still produce equal bags. A bag uses a rig's own names,
+without the namespace in which it was launched. `hardware_id`, which distinguishes rigs while they run, is empty.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[str, Mapping[str, Any]]) -> Recording:
-    """Return a recording with what the nodes say beside their signals.
+    """Return a recording extended by what the nodes report beside their signals.
 
     Parameters
     ----------
     texts : mapping of str to str
-        Topic to what is latched there, as ``robot_description``; what is recorded already stays as it is.
+        Topic to its latched text, such as ``robot_description``; topics that are already recorded stay unchanged.
     status : mapping of str to mapping
         Of each node: ``reports`` (key to level, text and count), ``figures`` of an observer (name to value and unit).
 
     Returns
     -------
     Recording
-        The same messages, the texts at the first stamp, and at the last one ``diagnostics`` (a status a node) and
-        ``NODE/metrics`` of each observer.
+        The same messages, with the texts at the first stamp. At the last stamp it also has ``diagnostics`` (one status
+        per node) and ``NODE/metrics`` of each observer.
     """
     ticks = [topic.ticks() for topic in recording.topics.values()]
     times = [int(t) for each in ticks for t in (*each[:1], *each[-1:])]

@@ -24,7 +24,7 @@ Compare = Callable[[Block, NDArray[np.intp], Block, NDArray[np.intp], Ints], Non
 
 
 def useless(stamps: NDArray[Any]) -> str:
-    """Return why stamps say nothing of when messages are from; empty where they do.
+    """Return why stamps do not date messages; an empty text if they do.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Pairing:
         self._left, self._new = sum(len(b) for blocks in self._waiting for b in blocks), 0
 
     def _decide(self, one: Block, two: Block) -> None:
-        """Find out whether stamps say anything, by the first of them."""
+        """Decide from the first stamps whether stamps date the messages."""
         for name, block in (("A", one), ("B", two)):
             if reason := useless(self._keys(block)):
                 self.note = f"{reason} in {name}: paired by bag time"

@@ -89,7 +89,7 @@ class Repair:
 
 
 def repair(path: Path | str, out: Path | str | None = None) -> Repair:
-    """Save every whole message of a damaged bag, write index and metadata anew.
+    """Save every complete message of a damaged bag, and write a new index and metadata.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
         Bag directory, a single .mcap or .db3 file (also compressed whole, .zstd), a directory with the shards of a
         run that was killed, or the run's own directory. A database is read with the journals beside it.
     out : Path or str, optional
-        Where the new bag goes. By default it takes the place of a damaged directory, which is renamed to
-        ``NAME.damaged``; a file gets ``NAME_repaired`` beside it, shards get ``bag`` beside their directory.
+        Path of the new bag. By default it replaces a damaged directory, which is renamed to ``NAME.damaged``. For a
+        file it is ``NAME_repaired`` beside the file; for shards it is ``bag`` beside their directory.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Topics that let a viewer show a run from its bag alone: the robot's description, its frames, the path of its tip.
 
-They follow from what was recorded, so that equal runs still give equal bags, whoever ran the nodes.
+They are computed from the recording, so that equal runs still produce equal bags in every placement.
 """
 
 from __future__ import annotations

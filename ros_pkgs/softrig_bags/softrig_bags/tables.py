@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 class Piece(NamedTuple):
     """Some messages of a topic: bag times and header stamps in ns (bag times where there is none), and columns.
 
-    What messages lack is NaN in a column, 0 in one of whole numbers; `absent` says of such columns which messages those
-    are.
+    A value that a message lacks is NaN in a column, or 0 in a column of whole numbers. For such integer columns
+    `absent` marks the messages that lack the value.
     """
 
     t: Ints

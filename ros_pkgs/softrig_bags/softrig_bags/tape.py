@@ -1,4 +1,4 @@
-"""What came from outside into a recorded run, once more: a node that says it at the ticks at which it counted."""
+"""A node that replays a recorded run's external inputs, each at the tick at which the run used it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def written(port: Port) -> str:
 
 
 def port_of(text: str) -> Port:
-    """Create the output that says what a port has read; `text` is from `written`."""
+    """Create the output that publishes what a port has read; `text` is from `written`."""
     found = {name: _tuples(value) for name, value in json.loads(text).items()}
     return replace(Port(**found), held=False, partial=False, sporadic=True)
 
@@ -62,7 +62,7 @@ def _loaded(bag: str) -> tuple[Recording, int]:
 
 
 class State(NamedTuple):
-    """How many messages of each topic are said."""
+    """Number of messages that are published on each topic."""
 
     said: tuple[int, ...]
 
@@ -70,9 +70,9 @@ class State(NamedTuple):
 class Tape(Block[TapeParams]):
     """Publishes the newest message of each topic in the bag up to a tick, if it was not published before.
 
-    A run records what comes from outside at the tick that uses it; said at that tick it is used again. What its reader
-    refuses was refused then, and is left out. Channels that a message does not name are what they were.
-    Nothing of it may change while it runs: it is a record.
+    A run records an external message at the tick that uses it. Published at that tick, the message has the same effect
+    again. Messages that the reader rejected in the recorded run are left out. Channels that a message does not name
+    keep their values. No parameter may change while the node runs, because it replays a record.
     """
 
     @classmethod

@@ -28,8 +28,8 @@ def write_bag(
 ) -> None:
     """Write a recording as a rosbag2 bag (metadata version 9), messages by time, equal times in topic order.
 
-    The bag is written under a temporary name and moved into place, so it is there whole or not at all. Equal
-    recordings give equal bytes.
+    The bag is written under a temporary name and moved into place, so it exists completely or not at all. Equal
+    recordings produce equal bytes.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def write_bag(
         Kept in the metadata, e.g. scenario, seed, versions.
 
     latched : collection of str
-        Topics whose last message is also for who comes later (transient local), as robot_description.
+        Topics whose last message is also sent to later subscribers (transient local), such as robot_description.
 
     Raises
     ------

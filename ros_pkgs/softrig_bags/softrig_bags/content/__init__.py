@@ -1,1 +1,1 @@
-"""What stands in a bag: blocks of messages, their types, and their numbers as columns."""
+"""The contents of a bag: blocks of messages, their types, and their numbers as columns."""

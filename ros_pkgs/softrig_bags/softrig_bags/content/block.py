@@ -1,4 +1,4 @@
-"""Many messages at once: one buffer, and arrays that say of each message its topic, time, place and length."""
+"""Many messages in one buffer, with arrays for the topic, time, offset and length of each message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Definitions of message types as they stand in bags: .msg and .idl texts to fields in wire order."""
+"""Parser of the message definitions stored in bags: from .msg and .idl texts to fields in wire order."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _OLD = {1: "foxy", 2: "foxy", 3: "foxy", 4: "foxy", 5: "humble", 6: "humble"}
 
 
 class UnknownType(Exception):
-    """A type that is defined neither in the bag nor here, or whose definition cannot be read; the text says which."""
+    """A type has no definition in the bag or in softrig, or its definition cannot be read; the text names the case."""
 
 
 def types_of(msgtype: str, text: str, language: str) -> Types:
@@ -44,14 +44,15 @@ def types_of(msgtype: str, text: str, language: str) -> Types:
     msgtype : str
         ``package/msg/Type``.
     text : str
-        As in a bag: the parts of several types are apart by lines of ``=``, and say ``MSG: name`` or ``IDL: name``.
+        As stored in a bag: lines of ``=`` separate the parts of several types; each part begins with ``MSG: name`` or
+        ``IDL: name``.
     language : str
-        ``ros2msg`` or ``ros2idl``, of a part that does not say.
+        ``ros2msg`` or ``ros2idl``, for a part without such a heading.
 
     Raises
     ------
     UnknownType
-        The text cannot be read, or the language is another.
+        The text cannot be read, or the language is unknown.
     """
     if language not in ("ros2msg", "ros2idl"):
         raise UnknownType(f"its definition is in {language or 'no language'}, expected ros2msg or ros2idl")
@@ -164,9 +165,9 @@ def distribution_of(name: str, version: int) -> str:
     Parameters
     ----------
     name : str
-        As the bag says, often nothing.
+        As stored in the bag, often empty.
     version : int
-        Of the bag's metadata; 0 where nothing says it.
+        Of the bag's metadata; 0 if unknown.
     """
     if name == "jazzy":
         return ""

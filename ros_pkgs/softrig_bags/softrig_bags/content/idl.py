@@ -26,7 +26,7 @@ _BASE = {
 
 
 class IdlError(ValueError):
-    """A text that is not of this part of IDL; says where."""
+    """A text is outside the supported subset of IDL; the message names the place."""
 
 
 class IdlReader:

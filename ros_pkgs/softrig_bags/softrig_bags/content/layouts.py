@@ -41,7 +41,7 @@ _STAMPS = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
 
 
 class Undecodable(Exception):
-    """Bytes that are not what the definition of their type says; the text says why."""
+    """The bytes of a message do not match the definition of its type; the text gives the reason."""
 
 
 class Leaf(NamedTuple):
@@ -296,7 +296,7 @@ def template(msgtype: str, types: Types, data: bytes) -> Template:
     Raises
     ------
     Undecodable
-        The message is not what the definition says.
+        The message does not match its definition.
     """
     try:
         made = _Maker(types, data, 4).make(msgtype)

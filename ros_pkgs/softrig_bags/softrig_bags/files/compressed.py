@@ -138,7 +138,7 @@ def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, b
 
 
 def expanded_message(data: bytes) -> bytes | None:
-    """Return the bytes of a message, of one that is compressed what it stands for; None when it is damaged."""
+    """Return the bytes of a message, decompressed if it is compressed; None if it is damaged."""
     if data[:4] != _MAGIC:
         return data
     whole, complete = inflate(data, "zstd")
@@ -185,7 +185,7 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
 
 
 def plain_messages(block: Block) -> Block:
-    """Return messages that are not compressed: those of mode message are expanded, whatever the metadata says.
+    """Return messages uncompressed: those of mode message are expanded, regardless of the metadata.
 
     Raises
     ------

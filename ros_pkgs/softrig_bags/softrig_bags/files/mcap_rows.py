@@ -87,7 +87,7 @@ def write_recording(file: McapFile, recording: Recording, numbers: Mapping[str, 
 
 
 def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], at: NDArray[np.int64], size: int) -> None:
-    """Append messages that go into one chunk; `at` says where each begins."""
+    """Append messages that go into one chunk; `at` is the offset of each message."""
     content = np.empty(size, np.uint8)
     index = {}
     known, begins = np.unique(ranks, return_index=True)

@@ -1,4 +1,4 @@
-"""What stands in an MCAP file, read whole: index and statistics are hints and claims, the records are the truth.
+"""Reader of a whole MCAP file: the records decide; the index is only a hint, the statistics only a claim to check.
 
 Format: https://mcap.dev/spec. Chunks, summary, statistics, message and chunk indexes, repeated schemas and channels are
 all optional; a file without them is as good as one with them.
@@ -375,7 +375,7 @@ class Fields:
         return int(kind.unpack_from(self._content, self._at - kind.size)[0])
 
     def data(self) -> bytes:
-        """Return the next bytes, whose length stands before them."""
+        """Return the next bytes, which are preceded by their length."""
         n = self.number("<I")
         self._at += n
         if self._at > len(self._content):

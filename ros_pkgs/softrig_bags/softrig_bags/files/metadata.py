@@ -1,4 +1,4 @@
-"""What a bag says of itself in metadata.yaml, of any version: a claim that is held against its files."""
+"""Reader of a bag's metadata.yaml, of any version: its statements are later compared with the bag's files."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ class Stated:
 
 @dataclass(frozen=True)
 class Metadata:
-    """What the metadata says.
+    """The contents of the metadata.
 
     Parameters
     ----------
     version : int
-        Of rosbag2's format of metadata, 0 where nothing is said.
+        Of rosbag2's metadata format; 0 if it is not stated.
     files : list of str
         Names of the storage files.
     count : int
-        Messages of the bag; None where nothing is said.
+        Number of messages in the bag; None if it is not stated.
     """
 
     version: int = 0
@@ -67,7 +67,7 @@ def read_metadata(path: Path) -> Metadata:
     Raises
     ------
     Damaged
-        It is no YAML, or what it says is of other kinds than in any version of rosbag2.
+        It is not YAML, or its entries have types that no version of rosbag2 writes.
     """
     if path.stat().st_size > LIMIT:
         raise Damaged(f"metadata.yaml is longer than {LIMIT} bytes")
@@ -83,7 +83,7 @@ def read_metadata(path: Path) -> Metadata:
 
 
 def embedded(text: str) -> Metadata:
-    """Read the copy that rosbag2 keeps in a storage file; nothing is said by one that cannot be read."""
+    """Read the copy that rosbag2 keeps in a storage file; a copy that cannot be read yields empty metadata."""
     try:
         found = loaded(text)
         return parsed(found) if isinstance(found, dict) else Metadata()
@@ -92,7 +92,7 @@ def embedded(text: str) -> Metadata:
 
 
 def parsed(about: Mapping[str, Any]) -> Metadata:
-    """Return what the fields of metadata say."""
+    """Convert the fields of the metadata to `Metadata`."""
     custom = about.get("custom_data", "")
     if not isinstance(custom, dict) and custom not in ("", "null", "~"):
         raise Damaged(f"metadata.yaml: custom_data is {custom!r}"[:100] + ", expected a mapping")
@@ -127,10 +127,10 @@ def _number(name: str, text: Any) -> int:
 
 
 def profiles(offered: Any) -> tuple[Qos, ...]:
-    """Return the profiles that publishers offered, of a text of YAML or of a list.
+    """Return the QoS profiles that publishers offered, from a YAML text or a list.
 
-    Numbers stand for policies before version 9. What is missing or unknown is as rclcpp offers it by default; of a text
-    that is no list of profiles nothing is known.
+    Before version 9 policies are numbers. A missing or unknown policy gets the default that rclcpp offers. A text that
+    is not a list of profiles yields no profiles.
     """
     try:
         found = loaded(offered) if isinstance(offered, str) else offered

@@ -1,7 +1,7 @@
-"""A bag being read: its topics, its messages by time, and an account of what was read against what was claimed.
+"""Reader of a bag: its topics, its messages by time, and a check of what was read against the metadata.
 
-Topics are mapped by name and type. Counts, times and order come from the files; what metadata.yaml and the statistics
-in the files claim is held against that, and a difference is said by topic and count.
+Topics are mapped by name and type. Counts, times and order come from the messages in the files. They are compared with
+metadata.yaml and with the statistics in the files; each difference is reported with topic and count.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SHOWN = 5
 
 
 class _Waiting(NamedTuple):
-    """Messages that are read, but before which others may come; rank says in which order they were written."""
+    """Messages that are read but may be preceded by others; `rank` is the order in which they were written."""
 
     rank: tuple[int, int]
     block: Block
@@ -67,17 +67,17 @@ class BagReader:
     report : callable, optional
         Receives each difference between what was read and what was claimed, in place of a line and status 1.
     namespace : str
-        Messages of the topics in this namespace alone are returned; the whole bag is accounted for.
+        Only messages of topics in this namespace are returned; the check covers the whole bag.
 
     Attributes
     ----------
     topics : list of BagTopic
-        In the order of the metadata, then of the files. A name may be there twice: of two types.
+        In the order of the metadata, then of the files. A name may occur twice, with two types.
     labels : list of str
         A name for each topic that no other has, relative as in scenario files, to `namespace` if that is given; empty
         for a topic outside of it.
     metadata : Metadata
-        What metadata.yaml says; of a single file what its writer left in it, without counts.
+        The contents of metadata.yaml; for a single file, the metadata that its writer stored in it, without counts.
 
     Raises
     ------
@@ -396,7 +396,7 @@ class BagReader:
     # Accounting -------------------------------------------------------------------------------------------------------
 
     def _account(self, counted: list[Counter[int]]) -> None:
-        """Hold what was read against what was claimed, and say what differs."""
+        """Compare what was read with the metadata, and report each difference."""
         self._require_namespace()
         self._counts = [0] * len(self.topics)
         for numbers, found in zip(self._numbers, counted, strict=True):
@@ -448,7 +448,8 @@ class BagReader:
         Raises
         ------
         UnknownType
-            There are none, they cannot be read, or its messages are in another encoding than CDR; says why.
+            There are no definitions, they cannot be read, or the messages are not encoded as CDR; the text gives the
+            reason.
         """
         if i not in self._types:
             topic = self.topics[i]

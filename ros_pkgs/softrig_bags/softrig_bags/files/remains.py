@@ -1,4 +1,4 @@
-"""What a run or a recorder has left in a folder: storage files, what stands beside them, shards."""
+"""Files that a run or a recorder has left in a folder: storage files, the files beside them, and shards."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Remains:
     files : list of Path
         Storage files in their order, of .mcap and .db3, compressed or not.
     shards : list of Path
-        Records of nodes; without storage files only.
+        Records of nodes; only if there are no storage files.
     claimed : Metadata
-        What metadata.yaml says of the bag.
+        The contents of metadata.yaml.
     """
 
     place: Path

@@ -1,4 +1,4 @@
-"""What stands in an SQLite storage file of rosbag2, of any version of its schema."""
+"""Reader of an SQLite storage file of rosbag2, of any version of its schema."""
 
 from __future__ import annotations
 

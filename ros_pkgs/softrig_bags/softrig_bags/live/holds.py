@@ -13,17 +13,18 @@ LEASE, ANNOUNCEMENT = 20.0, 3.0
 
 
 class Holds:
-    """Notices by the gaps between its own wake-ups that the process did nothing for a while.
+    """Detects from the gaps between its own wake-ups that the process was suspended for a while.
 
-    A publisher that hears nothing of a reader for the lease forgets it. What it sends until it has found it again is
-    for nobody: the middleware reports no loss, and no number shows one.
+    A publisher that receives nothing from a reader for the lease duration drops it. Messages that it sends until it has
+    discovered the reader again do not reach the reader. The middleware does not report this loss, and no counter shows
+    it.
 
     Parameters
     ----------
     limit : float
-        Longest gap in s that no publisher minds.
+        Longest gap in s after which no publisher drops the reader.
     clock : callable
-        Gives s; of a clock that goes on while the machine sleeps.
+        Returns s, from a clock that continues while the machine sleeps.
 
     Attributes
     ----------

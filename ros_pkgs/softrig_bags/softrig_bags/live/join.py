@@ -1,4 +1,4 @@
-"""How much of a topic was published before the recorder joined it: stamps of simulated time tell, or numbers."""
+"""Number of messages that were published before the recorder joined a topic, from simulated-time stamps or numbers."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ SIMULATED = 10**8 * SECOND
 
 
 class Join:
-    """Looks at the first messages of a topic.
+    """Examines the first messages of a topic to find how many were missed.
 
-    Stamps of simulated time begin at 0: a topic with one period and a first stamp that is a multiple of it began
-    earlier, or it begins late: so does a certificate that has something to report from some tick on. `missed` tells the
-    two apart. A topic without a steady period, or on the wall clock, tells nothing, and neither does one with two
-    messages, nor one that speaks at each fourth tick from the third on (the acknowledgements of a follower).
+    Stamps of simulated time begin at 0. If a topic has a constant period and its first stamp is a multiple of that
+    period, either messages were missed or the topic itself begins late. A certificate that reports from some tick on is
+    such a late topic. `missed` distinguishes the two cases. Missed messages cannot be detected on a topic without a
+    constant period, on the wall clock, or with only two messages. The same holds for a topic with a message at every
+    fourth tick from the third on (the acknowledgements of a follower).
 
     Attributes
     ----------
     open : bool
-        Whether further messages are to be looked at.
+        Whether further messages are to be examined.
     """
 
     def __init__(self, topic: BagTopic) -> None:
@@ -65,7 +66,7 @@ class Join:
 
     @property
     def periods(self) -> int:
-        """Number of periods from t = 0 to the first stamp; 0 where nothing tells."""
+        """Number of periods from t = 0 to the first stamp; 0 if it cannot be determined."""
         intervals = [b - a for a, b in zip(self._stamps, self._stamps[1:], strict=False)]
         if len(intervals) < 2 or not 0 < self._stamps[0] < SIMULATED:
             return 0
@@ -81,15 +82,15 @@ class Join:
 
 
 def missed(joins: Iterable[tuple[str, Join]]) -> dict[str, int]:
-    """Return how many messages of each topic were published before the first that came, of those that lack some.
+    """Return the number of messages missed at the start, for each topic that missed any.
 
-    A rig waits for its recorder on every topic before it sends anything: where one topic is there from t = 0 on, no
-    other was joined late, and one that begins later begins so by itself.
+    A rig waits for its recorder on every topic before it sends anything. So if one topic was recorded from t = 0 on, no
+    topic was joined late, and a topic that begins later does so by itself.
 
     Parameters
     ----------
     joins : iterable of (str, Join)
-        Topics of one recording, a name as often as it has types.
+        Topics of one recording; a name occurs once for each of its types.
     """
     known = list(joins)
     waited = any(join.from_start for _, join in known)

@@ -20,7 +20,7 @@ from .selection import Selection
 
 
 def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequence[tuple[Declaration, Any]]) -> int:
-    """Play as the options of `cli.main_play` say; return the exit status.
+    """Play a bag according to the options of `cli.main_play`; return the exit status.
 
     Parameters
     ----------

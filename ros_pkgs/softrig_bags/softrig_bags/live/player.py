@@ -44,7 +44,7 @@ WATCH_PERIOD = 0.25  # s
 
 
 class Publishers:
-    """The publishers of the topics that are played, and who listens.
+    """The publishers of the topics that are played, and their subscribers.
 
     Parameters
     ----------
@@ -250,14 +250,14 @@ class Player:
 
 @dataclass
 class Answers:
-    """What the node under test has published on one topic, and what is expected of it.
+    """Messages that the node under test has published on one topic, and those expected of it.
 
     Parameters
     ----------
     name : str
         Recorded topic name.
     recorded : bool
-        Whether the bag says which ticks are answered; otherwise every tick is.
+        Whether the bag determines which ticks are answered; otherwise an answer is expected at every tick.
     """
 
     name: str
@@ -303,16 +303,16 @@ def _changes(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
 class LockstepPlayer:
     """Plays tick by tick: the next tick is sent when the node under test has answered the last one.
 
-    The tick of a message is its bag time if that is simulated time (bags of a run, `recorder` with
-    ``--use-sim-time``: some message has its stamp as bag time), else its header stamp; a message without header belongs
-    to the tick before it. The ticks to be answered are those of the answers in the bag, or every tick if it has none. A
-    node that says its ticks on ``<node>/tick`` (one that may be silent on all topics) is waited for at each of them.
-    What the bag has on ``/parameter_events`` of a node with the name of the one under test is set before its tick.
+    The tick of a message is its bag time if that is simulated time (bags of a run, `recorder` with ``--use-sim-time``:
+    some message has its stamp as bag time), else its header stamp; a message without header belongs to the tick before
+    it. Answers are expected at the ticks at which the bag has answers, or at every tick if it has none. A node that may
+    be silent on all topics publishes its ticks on ``<node>/tick``; the player waits for each of them. Parameter changes
+    that the bag has on ``/parameter_events`` for a node with the name of the one under test are set before their tick.
 
     Parameters
     ----------
     publishers : Publishers
-        Of the topics that are played: none of the answers.
+        Of the topics that are played, without those of the answers.
     answers : sequence of str
         Recorded names of the topics that the node under test publishes.
     remap : mapping of str to str
@@ -439,7 +439,7 @@ class LockstepPlayer:
         return [] if client.services_are_ready() else [f"the parameter services of {full} are not matched"]
 
     def _paced(self, name: str) -> list[str]:
-        """Hear the ticks of a node that says them; describe what is not matched yet."""
+        """Subscribe to the tick topic of a node if it has one; describe what is not matched yet."""
         tick = f"{name}/tick"
         if tick in self._paces or tick in self._answers or not self._session.node.count_publishers(tick):
             return []

@@ -80,7 +80,7 @@ class Recorder:
 
     @property
     def missed(self) -> dict[str, int]:
-        """Number of messages by topic that were published before this recorder joined, as stamps and numbers tell."""
+        """Number of messages by topic that were published before this recorder joined, from stamps and numbers."""
         return missed((name, join) for (name, _), join in self._joins.items())
 
     @property
@@ -205,9 +205,9 @@ class Recorder:
         )
 
     def _adapt(self, name: str, msgtype: str) -> None:
-        """Subscribe anew, because a publisher came that offers less than those before.
+        """Subscribe again, because a new publisher offers a weaker QoS than those before.
 
-        What is sent while the publishers match the new subscription (some ms) is lost without being counted.
+        Messages sent while the publishers match the new subscription (some ms) are lost and not counted.
         """
         self._unsubscribe(name)
         if any(p.topic_type == msgtype for p in self._publishers(name)):

@@ -38,7 +38,7 @@ _QUEUE = 1000
 
 
 class Session:
-    """A node of a tool, spun in slices; SIGINT and SIGTERM only set `stopped`, so that the tool ends in order.
+    """A tool's node, spun in slices; SIGINT and SIGTERM only set `stopped`, so that the tool shuts down cleanly.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ class Session:
     argv : sequence of str
         Command line with the ROS arguments.
     parameters : sequence of (Declaration, value)
-        The tool's options, which everybody may look up and nobody change.
+        The tool's options, as read-only parameters.
 
     Raises
     ------
     BagError
-        ROS does not understand its arguments, or they set a parameter.
+        The ROS arguments are invalid, or they set a parameter.
 
     Attributes
     ----------
@@ -119,11 +119,11 @@ class Session:
 
 
 class EventPoll:
-    """Status events of subscriptions (messages lost, publishers that do not fit), taken when `poll` is called.
+    """Status events of subscriptions (messages lost, incompatible publishers), taken when `poll` is called.
 
-    The EventsExecutor takes one status for each notification. The second of two then asks the DDS reader itself, while
-    holding the lock that the reader's own thread waits for: under heavy loss both stop for ever (rmw_fastrtps 8.4).
-    A wait set says which status is new, and taking a new one needs nothing of the reader.
+    The EventsExecutor takes one status for each notification. For the second of two notifications it queries the DDS
+    reader while it holds the lock that the reader's own thread waits for. Under heavy loss this is a deadlock
+    (rmw_fastrtps 8.4). A wait set reports which status is new, and taking a new status does not query the reader.
     """
 
     def __init__(self, node: Node) -> None:
