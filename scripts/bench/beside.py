@@ -74,7 +74,7 @@ def arm(library: str, allowed: float) -> Row | None:
     """The two-link arm under the torques of its controller."""
     rig = rig_of("arm_computed_torque")
     signals, ours = run(rig)
-    plant = next(m.params for m in rig.members if m.is_plant)
+    plant: Any = next(m.params for m in rig.members if m.is_plant)  # parameters of arm_plant
     joints = plant.joints
     torques = np.column_stack([signals[f"joint_torques/{joint}/effort"].x for joint in joints])[:-1]
     given = {

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 from softrig_bringup.cli import make_parser
-from softrig_bringup.terminal import console, listing, parts, progress, tables
-from softrig_bringup.verbs import check, linear, run_verb
+from softrig_bringup.terminal import console, parts, progress, tables
+from softrig_bringup.verbs import check, linear, list_verb as listing, run_verb
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.scenario import index
 from softrig_core.solver.solver import UNFINISHED
