@@ -88,7 +88,7 @@ class Container:
         return self._conclude(stopped)
 
     def _loop(self, executor: Executor) -> bool:
-        """Turn until the end; False when the process was told to stop."""
+        """Run until the end; return False if the process was asked to stop."""
         exchange, garbage, limit = self.exchange, Garbage(), 0.0
         next_step = time.monotonic_ns() + LOOK
         while rclpy.ok():

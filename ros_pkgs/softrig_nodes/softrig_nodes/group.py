@@ -1,7 +1,7 @@
-"""The nodes of one process: they tell each other numbers, and in lockstep one runner takes their ticks.
+"""The nodes of one process: they pass numbers to each other, and in lockstep one runner runs their ticks.
 
-While no other process and no person has a part in them, native code answers those ticks where it can; what is recorded
-of them is written in stretches.
+While no other process and no person takes part, native code runs those ticks where it can. Their recording is then
+written many ticks at a time.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class _Link(NamedTuple):
 
 
 def _links(nodes: Sequence[Adapter]) -> list[_Link]:
-    """Find who reads whom.
+    """Find which node reads which other node.
 
     Raises
     ------
     RunError
-        Two ports of a topic do not fit, or two nodes publish it.
+        Two ports of a topic do not match, or two nodes publish it.
     """
     written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
     for node in nodes:

@@ -111,14 +111,14 @@ def make_adapter(node: ServingNode, block_class: type[Block], middleware: Middle
 
 
 def _answered(block_class: type[Block], entry: str, params: Any, name: str) -> type[Block]:
-    """Return the class of a node whose ticks a board answers, or a node of somebody else."""
+    """Return the class of a node whose ticks are answered by a board or by a third-party node."""
     if "answers" in json.loads(entry):
         return clocked(block_class, ClockEntry.model_validate_json(entry), params, name)
     return linked(block_class, LinkEntry.model_validate_json(entry), params, name)
 
 
 def introduction(block: Block, options: RunOptions) -> str:
-    """Describe in one line what a node that somebody has started by hand is, and what it waits for."""
+    """Describe in one line a node that was started by hand, and what it waits for."""
     inputs, outputs = block.ports(block.p)
     what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
     wanted = [p.topic for p in inputs if not p.held]

@@ -14,20 +14,20 @@ from softrig_core.solver.solver import Solver
 
 
 def rehearse(block_class: type[Block], params: Any, name: str, always: bool = False) -> bool:
-    """Answer a tick with a block made for that purpose, if the class uses native code that is made at its first call.
+    """Run one tick of a temporary block if its class uses native code that is compiled at the first call.
 
-    In lockstep the first tick would take seconds, in real time all the deadlines of these seconds would be missed.
+    Otherwise the first tick would take seconds in lockstep. In real time all deadlines in that time would be missed.
 
     Parameters
     ----------
     params : BlockParams
     always : bool
-        Whatever it uses: against the wall clock an import in the first tick is late, too.
+        Run the tick for any class: in real time, an import in the first tick also makes it late.
 
     Returns
     -------
     bool
-        Whether there was anything to rehearse. What fails here says so in the run.
+        Whether a tick was run. An error here is not reported; it occurs again in the run.
     """
     if issubclass(block_class, Solver) or not (always or _native(block_class)):
         return False

@@ -90,7 +90,7 @@ class Now(Mapping[str, float]):
         return result
 
     def __getitem__(self, name: str) -> float:
-        """Return the newest value of a signal, or a shared number; a KeyError says that no samples yet of it yet."""
+        """Return the newest value of a signal, or a shared number; raise a KeyError if the signal has no sample yet."""
         if name in self._shared[0]:
             return self._shared[0][name]
         topic, k = self._known[self.whole(name)]
@@ -107,25 +107,25 @@ class Now(Mapping[str, float]):
 
 
 class RigEnv(gym.Env[Array, Array]):
-    """A rig one of whose laws is an agent's part.
+    """A rig in which an agent replaces one controller.
 
-    A step of the environment is a period of that law. The agent stands where the node ``softrig_control/policy`` would:
-    what it trained there can be put back as that node (`scenario`) and gives the same numbers.
+    A step of the environment is a period of that controller. The agent takes the place of the node
+    ``softrig_control/policy``: a trained agent can be used as that node (`scenario`) and gives the same numbers.
 
     Parameters
     ----------
     what : str, Scenario or Rig
         As in `simulate`.
     replace : str
-        Node whose part the agent takes; no plant.
+        Node that the agent replaces; not a plant.
     observe : sequence of str, or mapping to (low, high), optional
-        Signals of an observation, by their own or shared names, and their bounds; default: all that the law reads,
-        within the limits of its ports.
+        Signals of an observation, by their own or shared names, and their bounds; default: all that the controller
+        reads, within the limits of its ports.
     act : sequence of str, or mapping to (low, high), optional
-        Signals of an action among those that the law says; default: all of them. The others keep their ports' safe
-        values. An action is cut at its bounds, and these at the limits of the ports.
+        Signals of an action among those that the controller publishes; default: all of them. The others keep their
+        ports' safe values. An action is clipped to its bounds, and these to the limits of the ports.
     reward : callable
-        Gets `Now`, the newest values by name, after each step; gives its reward.
+        Gets `Now`, the newest values by name, after each step; returns the reward.
     terminate : sequence of str
         Requirements of the scenario whose violation ends an episode.
     penalty : float
@@ -139,13 +139,13 @@ class RigEnv(gym.Env[Array, Array]):
     Attributes
     ----------
     rig : Rig
-        With the node ``policy`` in the place of the law.
+        Rig with the node ``policy`` in the place of the controller.
     now : Now
-        Of the episode under way.
+        Newest values of the current episode.
     member : Member
         The node ``policy``.
     blocks, steps : dict
-        Of the rig's members, by name; `clock` is the step of the one that says what time it is.
+        Blocks and steps of the rig's members, by name; `clock` is the step of the member that publishes the time.
     held : ndarray
         The observation of the agent's tick.
     over : callable or None
@@ -154,7 +154,7 @@ class RigEnv(gym.Env[Array, Array]):
     Raises
     ------
     ScenarioError
-        No such node, signal or requirement, or a value that is both what the agent says and observes at one tick.
+        No such node, signal or requirement, or the agent observes a value that it publishes at the same tick.
 
     Notes
     -----
@@ -283,14 +283,14 @@ class RigEnv(gym.Env[Array, Array]):
     # the rig around the agent -------------------------------------------------------------------------------------
 
     def published(self) -> Callable[[Array], Array]:
-        """Return the law itself as an agent, of the episode under way; its actions are all that the law says.
+        """Return the controller itself as an agent of the current episode; its actions are all its outputs.
 
-        It reads the ports, as an observation cannot say that nothing has come yet.
+        It reads the ports, because an observation cannot express that no message has arrived yet.
 
         Raises
         ------
         ScenarioError
-            The actions are only some of what the law says, or it may be silent.
+            The actions are only some of the controller's outputs, or it may be silent.
         """
         outputs = self._law.outputs
         if self.action_space.shape != (sum(p.size for p in outputs),) or any(p.sporadic for p in outputs):
@@ -424,7 +424,7 @@ def _limits(ports: Sequence[Port]) -> dict[str, float]:
 
 
 def _bounds(given: Signals | None, signals: Sequence[str], limits: Mapping[str, float]) -> list[tuple[float, float]]:
-    """Return the bounds of signals: what a mapping says of them in its order, or the limits of their ports."""
+    """Return the bounds of signals: those of a mapping, in its order, or the limits of their ports."""
     if isinstance(given, Mapping):
         return [(float(low), float(high)) for low, high in given.values()]
     return [(-limits[s], limits[s]) for s in signals]

@@ -51,9 +51,9 @@ class Columns(Now):
 class RigVectorEnv(VectorEnv[Any, Any, Any]):
     """Instances of one rig as environments, each one what `RigEnv` alone is, bit for bit.
 
-    An instance that has begun an episode is moved on by native code, all of them by one call; where that gives one up,
-    and at the first and the last step of an episode, Python moves that one on. One that has ended is begun anew by the
-    next step (``AutoresetMode.NEXT_STEP``).
+    Native code advances all instances within an episode in one call. Python advances an instance whose native tick is
+    discarded, and each one at the first and the last step of an episode. An instance whose episode has ended is reset
+    by the next step (``AutoresetMode.NEXT_STEP``).
 
     Parameters
     ----------
@@ -61,9 +61,10 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         See `RigEnv`.
     num_envs : int
     reward : callable
-        Gets the newest values by name, arrays of shape (num_envs,); gives all rewards: ``numpy.maximum``, not ``max``.
+        Gets the newest values by name, arrays of shape (num_envs,); returns all rewards. It must work on arrays:
+        ``numpy.maximum``, not ``max``.
     make : callable
-        Makes the function of a text.
+        Creates the function of a text.
     penalty : float
         See `RigEnv`.
     **keys
@@ -73,9 +74,9 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     ----------
     envs : list of RigEnv
     native : int
-        Steps of instances that native code has made.
+        Number of steps of instances that ran natively.
     reason : str
-        Why it makes none, or gave up the newest text; empty where it goes.
+        Why no steps run natively, or why the newest text was abandoned; empty while they do.
 
     Examples
     --------
@@ -299,7 +300,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._text = text
 
     def _places(self, steps: list[Step], agent: Step) -> list[Any]:
-        """Describe where each value of an observation stands among all that is said, or what it is."""
+        """Return the place of each value of an observation among all outputs, or the value if it is constant."""
         first = dict(zip(map(id, steps), [0, *accumulate(len(s.numbers) for s in steps)], strict=False))
         block: Any = agent.block
         result: list[Any] = []

@@ -136,18 +136,18 @@ def equilibrium(
     moving: Sequence[int] = (),
     tolerance: float = 1e-9,
 ) -> tuple[Array, Array]:
-    """Find where a model rests, by Newton's method.
+    """Find an equilibrium of a model by Newton's method.
 
     Parameters
     ----------
     model : casadi.Function or callable
         ``(x, u) -> (dx, y)``.
     x, u : sequence of float
-        Where to begin.
+        Starting point.
     held : sequence of int
-        States that keep their value: "at which voltage is the speed 100 rad/s?" holds the speed,
+        States that keep their value: "at which voltage is the speed 100 rad/s?" holds the speed.
     free : sequence of int
-        and frees that input.
+        Inputs that are solved for: the voltage in this example.
     moving : sequence of int
         States whose derivative need not vanish (an angle that turns); they keep their value.
     tolerance : float
@@ -163,7 +163,7 @@ def equilibrium(
     ValueError
         As many unknowns as conditions are needed.
     RunError
-        Newton's method did not converge; says how far it came.
+        Newton's method did not converge; the error contains how far it came.
     """
     at, inputs = np.array(x, dtype=float), np.array(u, dtype=float)
     evaluate, jacobian = _derivatives(model, at.size, inputs.size)

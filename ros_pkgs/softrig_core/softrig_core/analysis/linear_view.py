@@ -89,42 +89,43 @@ class Mode(NamedTuple):
 
 @dataclass(frozen=True)
 class LinearView:
-    """A rig, linear around where a run is.
+    """A rig, linearised around the state of a run.
 
     Parameters
     ----------
     rig : str
         Name of the scenario.
     at : float
-        When, s.
+        Time of the linearisation, s.
     period : float
-        Of the whole rig: the sample time of the state space, s.
+        Period of the whole rig, which is the sample time of the state space, s.
     states, inputs, outputs : tuple of str
         States are ``member.attribute``, the others signals.
     units : dict of str to str
-        Of each signal.
+        Unit of each signal.
     values : dict of str to float
-        Of states and signals there.
+        Values of states and signals at that time.
     A, B, C, D : array
-        Of the whole rig, shapes (n, n), (n, inputs), (outputs, n), (outputs, inputs).
+        Matrices of the whole rig, shapes (n, n), (n, inputs), (outputs, n), (outputs, inputs).
     link : str
-        Where the loop is opened; empty: nowhere.
+        Signal at which the loop is opened; empty: nowhere.
     a, b, c, d : array
-        Of the rig opened there: shapes (n, n), (n,), (n,), ().
+        Matrices of the rig opened there: shapes (n, n), (n,), (n,), ().
     error : float
-        Largest difference of a column between its step and the neighbouring one, of its largest entry.
+        Largest difference of a column between its step and the neighbouring one, relative to its largest entry.
     worst : str
-        Of which state or input.
+        The state or input of that column.
     heard : dict of str to float
-        Of each output the largest difference between the linear rig and the rig over 40 periods, both moved a little
-        off in all states; of the largest that it does in them.
+        For each output the largest difference between the linear rig and the rig over 40 periods, both started with a
+        small offset in all states, relative to the largest change of the output in that time.
     left_out : dict of str to str
-        Outputs that are none of the states, and why: they turn with an angle, belong to some ticks alone, or go in
-        steps.
+        Outputs that are not functions of the states, and why: they turn with an angle, belong to some ticks alone, or
+        change in steps.
     variation : float
-        Largest difference between the linear rig and the rig after each of ten periods, both moved a little off in all
-        states; of the largest difference to the run that is not moved. A rig that is another one each period has it
-        large. Of a loop that is opened: in its own states, since what rests on a limit beside it says nothing of it.
+        Largest difference between the linear rig and the rig after each of ten periods, both started with a small
+        offset in all states, relative to the largest difference to the run without offset. It is large for a rig that
+        changes from period to period. For an opened loop only its own states count, since a state outside the loop
+        that rests on a limit does not affect it.
     """
 
     rig: str
@@ -172,9 +173,9 @@ class LinearView:
 
     @cached_property
     def opened(self) -> control.StateSpace:
-        """The loop L opened at the link, with the states that hear of the link and that it hears of.
+        """The loop L opened at the link, with the states that depend on the link and on which it depends.
 
-        `control.margin` does not see a pole that leaves at z = -1 or 1: take `margins`.
+        `control.margin` does not detect a pole that leaves the unit circle at z = -1 or 1: use `margins`.
         """
         import control
 
@@ -279,7 +280,7 @@ class LinearView:
 
     @cached_property
     def margins(self) -> Margins:
-        """Measure the margins, gains at both ends, too; each told gain has a pole on the unit circle.
+        """Compute the margins, with upper and lower gain margins; each of these gains has a pole on the unit circle.
 
         Raises
         ------
@@ -311,7 +312,7 @@ class LinearView:
         return result
 
     def _confirm(self, gain: float, z: complex) -> None:
-        """Check that the loop closed over a gain has a pole at z, as near as its matrix tells."""
+        """Check that the loop closed over a gain has a pole at z, within the accuracy of its matrix."""
         A, b, c, d, _ = self._loop
         if not 0.0 < gain < math.inf or not len(b):
             return
@@ -373,30 +374,30 @@ def linear_view(
     overrides: Mapping[str, Any] | None = None,
     seed: int | None = None,
 ) -> LinearView:
-    """Linearise a rig where a run of it is.
+    """Linearise a rig around the state of a run.
 
     Parameters
     ----------
     what, duration, overrides
         See `rig_of`.
     link : str, optional
-        Signal at which a loop is opened, by its own or a shared name; default: the only value that a plant is
-        commanded; with several of them, and with ``""``, none.
+        Signal at which a loop is opened, by its own or a shared name; default: the only command value of the plants.
+        If there are several, and with ``""``, no loop is opened.
     at : float, optional
-        When, s; default: the end of the scenario.
+        Time of the linearisation, s; default: the end of the scenario.
     inputs : sequence of str, optional
-        Signals to which something is added; default: what sources (references, disturbances) say at each period.
+        Signals to which something is added; default: what sources (references, disturbances) publish at each period.
     outputs : sequence of str, optional
-        Default: what the plants say.
+        Signals that are read; default: what the plants publish.
     seed : int, optional
-        Of the rig.
+        Seed of the rig.
 
     Raises
     ------
     ScenarioError
-        No such signal; the rig's periods do not fit each other, or that of the link is not that of the whole.
+        No such signal; the rig's periods do not fit each other, or the period of the link is not that of the rig.
     RunError
-        There is no loop at the link, the rig broke, what it remembers cannot be put back, or there are too many states.
+        There is no loop at the link, the rig failed, its state cannot be restored, or there are too many states.
     """
     rig = rig_of(what, duration=duration, overrides=overrides)
     at = rig.scenario.duration if at is None else at
@@ -541,7 +542,7 @@ def _command(rig: Rig) -> str:
 
 
 def plants_say(rig: Rig) -> list[str]:
-    """Return the signals that plants say at each of their ticks."""
+    """Return the signals that plants publish at each of their ticks."""
     return [f"{p.topic}/{x}" for m in rig.members if m.is_plant for p in m.outputs if not p.sporadic for x in p.labels]
 
 
@@ -598,13 +599,13 @@ class Differences:
         self.steps: dict[int | str, float] = {}
 
     def _begin(self) -> dict[str, float]:
-        """Return what is said where the map's `start` is now, and keep what no float tells of it."""
+        """Return the outputs at the map's current `start`, and store the parts of the state that are not floats."""
         _, said = self.map(self.map.start, {})
         self.others = self.map.others()
         return said
 
     def states(self) -> tuple[list[int], Array, Array]:
-        """Return the places of the states, A, and the rows of what is heard: those that what is heard depends on."""
+        """Return the places of the states that the outputs depend on, A, and the rows of the outputs."""
         for name in [self.link] if self.link else []:
             self._signal(name)
         self._explore()
@@ -648,7 +649,7 @@ class Differences:
         return sorted(i for i in self.columns if isinstance(i, int))
 
     def _loops(self) -> bool:
-        """Return whether the link hears of itself, as far as columns tell."""
+        """Return whether the link depends on itself, according to the columns."""
         on, (column, direct) = self._on(), self.columns[self.link]
         c = np.array([self.columns[i][1][-1] for i in on])
         return bool(direct[-1] or _between(self._square(on), column[on], c).any())
@@ -892,7 +893,7 @@ class Differences:
         return result
 
     def rows(self, kept: list[int]) -> tuple[Array, Array]:
-        """Return A and the rows of what is heard where the map's `start` is now, with the steps that are known."""
+        """Return A and the rows of the outputs at the map's current `start`, with the known step sizes."""
         self._begin()
         columns = []
         for i in kept:

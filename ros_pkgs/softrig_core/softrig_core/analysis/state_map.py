@@ -38,7 +38,7 @@ HEARD = "heard "  # before the names of inputs, because a state may have the nam
 
 
 class Place(NamedTuple):
-    """Where a signal is said: by whom, at which output, as which of its values."""
+    """The source of a signal: the member, its output, and the place among the values of the output."""
 
     member: Member
     port: Port
@@ -46,7 +46,7 @@ class Place(NamedTuple):
 
 
 def signal_of(rig: Rig, name: str) -> str:
-    """Return the whole name of a signal that a member says, called by its own or a shared name.
+    """Return the full name of a signal that a member publishes, found by its own or a shared name.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def place_of(rig: Rig, signal: str) -> Place:
 
 
 def upstream(member: Member, seen: dict[str, Member] | None = None) -> dict[str, Member]:
-    """Return a member and all that it hears of, by name."""
+    """Return a member and all members that it depends on, by name."""
     seen = {} if seen is None else seen
     if member.name not in seen:
         seen[member.name] = member
@@ -83,7 +83,7 @@ def upstream(member: Member, seen: dict[str, Member] | None = None) -> dict[str,
 
 
 def is_source(member: Member) -> bool:
-    """Return whether a member hears of nobody and is no plant: a reference, a disturbance."""
+    """Return whether a member has no publishers and is not a plant: a reference, a disturbance."""
     return not member.is_plant and not member.links
 
 
@@ -129,42 +129,42 @@ class _Probe(Link):
 
 
 class StateMap:
-    """A rig where a run of it is.
+    """The map from the state of a rig to its state one period later, at a point of a run.
 
     Parameters
     ----------
     at : float
-        When, s; the first tick from then on at which all members that count are due.
+        Time of the point, s; the map starts at the first tick from then on at which all members that count are due.
     outputs : sequence of str
-        Whole names of signals. Members that none of them hears of are left out.
+        Full names of signals. Members that none of them depends on are left out.
     inputs : sequence of str
-        Whole names of signals to which something may be added, or which may be held.
+        Full names of signals to which something may be added, or which may be held.
     periods : int
-        Of the whole, that may be run from there in one go.
+        Number of periods of the rig that may be run from there in one call.
 
     Attributes
     ----------
     names : list of str
-        Of all numbers that blocks remember and their inputs hold, whether they are states or not.
+        Names of all numbers in the states of blocks and in their inputs, whether they are states or not.
     start : array
-        Those numbers there.
+        Values of these numbers at the start.
     sizes : array
-        Largest magnitude of each, seen on the way there; 0 where it never was anything else.
+        Largest magnitude of each before the start; 0 if it was always 0.
     moved : array of bool
-        Which of them have changed on the way.
+        Which of them have changed before the start.
     resting : array of bool
-        Which of them are a plant's own and have not: it may rest where it is unstable.
+        Which of them belong to a plant and have not changed: the plant may rest at an unstable equilibrium.
     t : float
-        When it is, s.
+        Time of the start, s.
     period : float
-        Of the whole, s: the shortest after which all members that count are due again.
+        Period of the rig, s: the shortest after which all members that count are due again.
 
     Raises
     ------
     ScenarioError
-        The period is too long, or a signal is said less often.
+        The period is too long, or a signal is published less often.
     RunError
-        The rig broke, or a member does not come back to where it was.
+        The rig failed, or the state of a member cannot be restored.
     """
 
     def __init__(
@@ -323,18 +323,18 @@ class StateMap:
         Parameters
         ----------
         numbers : array
-            Of `names`, where it begins.
+            Values of `names` at the beginning.
         added : mapping
-            What is added to inputs over the period.
+            Values that are added to inputs over the period.
         fixed : mapping, optional
-            What is held in the place of what is said.
+            Values that replace published ones.
 
         Returns
         -------
         array
-            The numbers after it.
+            The numbers after the period.
         dict
-            What each signal said at the beginning, before anything was added.
+            The value of each signal at the beginning, before anything was added.
         """
         return next(self.go_on(numbers, 1, added, fixed))
 

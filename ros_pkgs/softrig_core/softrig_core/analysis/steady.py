@@ -1,8 +1,8 @@
-r"""Operating points of a rig: where its map leaves its states where they are, found by Newton's method.
+r"""Find operating points of a rig, where its map leaves the states unchanged, by Newton's method.
 
 .. math:: F(x) - x = 0, \quad (I - A)\, \delta = F(x) - x
 
-What drifts without moving anything else (the angle of a motor that turns) has no such place; its rate is told.
+A state that drifts without affecting others (the angle of a motor that turns) has no such value; its rate is reported.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STAYS = 1e-6  # of its size, what a state may have moved after them
 
 
 class NoOperatingPoint(RunError):
-    """There is none near where the run is, or none was found; says why."""
+    """There is no operating point near the state of the run, or none was found; the message contains the reason."""
 
 
 @dataclass(frozen=True)
@@ -81,19 +81,19 @@ def steady(
     overrides: Mapping[str, Any] | None = None,
     seed: int | None = None,
 ) -> OperatingPoint:
-    """Find the operating point of a rig near where a run of it is.
+    """Find the operating point of a rig near the state of a run.
 
     Parameters
     ----------
     what, overrides
         See `rig_of`.
     at : float, optional
-        When, s: Newton's method begins there, and what depends on time stays as it is then. Default: the end of the
-        scenario.
+        Time at which Newton's method starts, s. Values that depend on time stay as they are then. Default: the end of
+        the scenario.
     outputs : sequence of str, optional
-        Signals that are asked for; default: what the plants say. Who does not move them may move.
+        Signals that must be at rest; default: what the plants publish. States that do not affect them may change.
     seed : int, optional
-        Of the rig.
+        Seed of the rig.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def steady(
     NoOperatingPoint
         There is none, or none was found; the reason names the state that moves most.
     RunError
-        The rig broke.
+        The rig failed.
     """
     rig = rig_of(what, overrides=overrides)
     at = rig.scenario.duration if at is None else at

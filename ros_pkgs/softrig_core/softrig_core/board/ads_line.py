@@ -29,10 +29,10 @@ BUILD = 17  # bytes of a STRING(16)
 
 
 class Plc(Protocol):
-    """The variables of a program; an OSError says that it cannot be reached now."""
+    """The variables of a program; the methods raise OSError if it cannot be reached now."""
 
     def build(self) -> str:
-        """Return what the program says of its build."""
+        """Return the build that the program reports."""
 
     def write(self, data: bytes) -> None:
         """Write the request."""

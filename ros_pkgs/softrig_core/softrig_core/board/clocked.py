@@ -1,4 +1,4 @@
-"""A block whose ticks a node of somebody else answers, which goes by /clock and copies no stamp."""
+"""A block whose ticks are answered by a third-party node that uses /clock and does not copy stamps."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Clocked(Elsewhere):
         raise RunError(f"{self.name}: its state is in the node in namespace /{self.name} and cannot be saved")
 
     def health(self, x: LinkState) -> Mapping[str, str]:
-        """Return who answers."""
+        """Return which node answers."""
         return {"answers": self._guests[0].who if self._guests else "not there yet"}
 
     def update(self, x: LinkState, t: int, **inputs: Any) -> tuple[LinkState, Mapping[str, Any]]:
@@ -96,12 +96,12 @@ class Clocked(Elsewhere):
 
 
 def clocked(block: type[Block], entry: ClockEntry, params: Any, where: str) -> type[Block]:
-    """Return the class of a node whose ticks a node of somebody else answers.
+    """Return the class of a node whose ticks are answered by a third-party node.
 
     Raises
     ------
     ScenarioError
-        It is a plant, or has ports of kinds that such a node cannot have, or `reads` names what is no input.
+        It is a plant, or has ports of kinds that such a node cannot have, or `reads` contains a name that is no input.
     """
     if issubclass(block, Clocked):  # of a rig that is made again, with other parameters
         return block

@@ -72,12 +72,12 @@ class Messages(NamedTuple):
 
 
 def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
-    """Return what a tick carries in one direction, in the order of `Layout`.
+    """Return the values that a tick transmits in one direction, in the order of `Layout`.
 
     Parameters
     ----------
     flag : {"held", "sporadic"}
-        Ports of this kind have a bit that says whether there is a value.
+        Ports of this kind have a bit that is set if there is a value.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The description of exported code, NODE.json: what it says of its node is checked before it is believed."""
+"""The description of exported code, NODE.json; its content is checked before it is used."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def read_description(file: Path) -> Description:
     OSError
         It cannot be read.
     ValueError
-        It says something else than a description does; names the place.
+        It is not a valid description; the error names the place.
     """
     data = contents_of(file, LONGEST)
     try:

@@ -1,4 +1,4 @@
-"""A block whose state is not in this process: on a board, or in a node of somebody else."""
+"""A block whose state is not in this process: on a board, or in a third-party node."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class LinkState(NamedTuple):
 
 
 class Elsewhere(Block):
-    """Stands in the place of a block; of its state it knows the number of ticks."""
+    """Replaces a block; it knows only the number of ticks of its state."""
 
     def first(self) -> LinkState:
         """Begin before the first tick."""

@@ -1,4 +1,4 @@
-"""Where the board of a node is, as scenarios say it."""
+"""The entry of a scenario that describes where the board of a node is."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class LinkEntry(Entry):
 
     @property
     def shared(self) -> bool:
-        """Return whether other nodes may be at the port, told apart by their signals or programs."""
+        """Return whether other nodes may use the port, distinguished by their signals or programs."""
         return self.port.startswith((CAN, ADS))
 
     @field_validator("port")

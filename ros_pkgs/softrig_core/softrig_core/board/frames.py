@@ -45,7 +45,7 @@ def encoded(body: bytes) -> bytes:
 
 
 def decoded(data: bytes) -> bytes | None:
-    """Return the bytes that COBS stands for; None where it is cut."""
+    """Return the bytes decoded from COBS; None if it is truncated."""
     found, at, end = bytearray(), 0, len(data)
     while at < end:
         code = data[at]

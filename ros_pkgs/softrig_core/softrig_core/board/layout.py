@@ -1,4 +1,4 @@
-"""Where each value stands in the frames of a link, for Python and for the board's C."""
+"""The place of each value in the frames of a link, for Python and for the board's C."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Layout:
         return result
 
     def outputs_of(self, answer: Sequence[Any]) -> dict[str, Any]:
-        """Return what each output says, of an unpacked answer."""
+        """Return the value of each output in an unpacked answer."""
         result: dict[str, Any] = {}
         at = 1
         for port in self.outputs:

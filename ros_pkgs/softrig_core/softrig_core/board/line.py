@@ -23,7 +23,7 @@ REMEMBERED = 64  # numbers of requests without an answer, to tell late ones from
 
 @dataclass(frozen=True)
 class Build:
-    """What a board must say of its firmware: digest, period in s as a fraction, and the frames of its node."""
+    """What a board must report about its firmware: digest, period in s as a fraction, and the frames of its node."""
 
     digest: str
     period: tuple[int, int]
@@ -32,24 +32,24 @@ class Build:
 
 @dataclass
 class Counts:
-    """What happened on a wire.
+    """Counters of the events on a wire.
 
     Attributes
     ----------
     sent : int
-        Frames.
+        Frames sent.
     repeated : int
-        Frames sent again because no answer came.
+        Frames sent again because no answer arrived.
     damaged : int
-        Frames that did not pass their checksum, or are of another session.
+        Frames that did not pass their checksum, or belong to another session.
     strays : int
-        Answers that nobody waited for: doubled ones, those of an older request.
+        Unexpected answers: duplicates, and answers to an older request.
     late, lost : int
-        Real time: answers after their deadline, and those that never came.
+        Real time: answers after their deadline, and those that never arrived.
     reopened : int
-        Times at which the port was gone and came back.
+        Number of times the port was gone and was opened again.
     rejoined : int
-        Real time: times at which the board began anew, with a fresh state.
+        Real time: number of times the board restarted with a fresh state.
     """
 
     sent: int = 0
@@ -67,12 +67,12 @@ class Counts:
 
 
 class Missing:
-    """Requests in real time whose answers did not come in time: an answer that comes late is told from a stray.
+    """Requests in real time whose answers did not arrive in time; they distinguish a late answer from a stray one.
 
     Parameters
     ----------
     counts : Counts
-        Of the line: `lost` and `late` are kept up to date.
+        Counters of the line: `lost` and `late` are kept up to date.
     """
 
     def __init__(self, counts: Counts) -> None:
@@ -106,15 +106,15 @@ class Line:
     Parameters
     ----------
     port : str
-        For errors.
+        Name of the port, for errors.
     opened : callable
-        Opens the wire; an OSError: not now, a ScenarioError: never.
+        Opens the wire; raises OSError if that fails now, ScenarioError if it can never succeed.
     build : Build
-        Another one is refused.
+        Required build; a board with another one is refused.
     timeout : float
         s until a request is sent again.
     clock, sleep : callable
-        Give a time in s, and let one pass.
+        Return the time in s, and sleep for a time in s.
 
     Attributes
     ----------
@@ -122,13 +122,13 @@ class Line:
     wire : Wire or None
         None while the port is not open.
     joined : bool
-        Whether the board has taken the reset of this session: steps may be sent.
+        Whether the board has accepted the reset of this session: steps may be sent.
     served : (int, bytes, bytes)
-        Number of the tick that was answered last, its request and its answer.
+        Number of the last answered tick, its request and its answer.
     accepted : bytes
         The parameters that the board has.
     longest : int
-        Ticks of the board's clock that its longest step took, as it said with its last hello.
+        Duration of the board's longest step in ticks of its clock, as reported in its last hello.
     """
 
     def __init__(
@@ -430,7 +430,7 @@ class Line:
                 self._inbox.append(frame)
 
     def _stray(self, frame: Frame) -> None:
-        """Count an answer that nobody waits for; a second answer to one request tells of a second board."""
+        """Count an unexpected answer; a second answer to one request indicates a second board."""
         if self._missing.late(frame.number):
             return
         self.counts.strays += 1

@@ -34,10 +34,11 @@ DONE, GAVE_UP = 0, 1
 
 
 class Linked(Elsewhere):
-    """Answers each tick by what a board says.
+    """Answers each tick with the answer of a board.
 
-    In lockstep a frame is sent again until it is answered, and the answer is that of one step. In real time the answer
-    has half a period, then the safe values are published; late and lost frames are counted in /diagnostics.
+    In lockstep a frame is sent again until it is answered, and the board runs exactly one step for it. In real time the
+    answer must arrive within half a period, otherwise the safe values are published. Late and lost frames are counted
+    in /diagnostics.
     """
 
     ENTRY: ClassVar[LinkEntry]

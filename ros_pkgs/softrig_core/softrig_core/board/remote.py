@@ -103,7 +103,7 @@ class RemoteLine(ABC):
         self._known = True
 
     def _lose(self, number: int, heard: float) -> None:
-        """Count a request as lost; a new session begins if nothing was heard for longer than the timeout."""
+        """Count a request as lost; a new session begins if nothing was received for longer than the timeout."""
         self._missing.add(number)
         # It may have restarted.
         if self._clock() - heard > self.timeout:

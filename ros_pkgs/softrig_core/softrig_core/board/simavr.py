@@ -32,21 +32,21 @@ def simavr_program(name: str) -> Path:
 
 
 def compiled(files: Mapping[str, str], libraries: Sequence[str], name: str, debian: str) -> Path:
-    """Compile files of C into a program; one that the cache has is not compiled again.
+    """Compile C files into a program, unless it is in the cache.
 
     Parameters
     ----------
     files : mapping of str to str
         Text by file name.
     name : str
-        Of the program, in the cache and in errors.
+        Name of the program, in the cache and in errors.
     debian : str
         The command that installs what is missing.
 
     Raises
     ------
     ScenarioError
-        There is no compiler, or it refuses the files; says what to install.
+        There is no compiler, or it fails on the files; the error contains what to install.
     """
     compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
     if compiler is None:
@@ -59,17 +59,17 @@ def compiled(files: Mapping[str, str], libraries: Sequence[str], name: str, debi
 
 
 def made_of(files: Mapping[str, str], compiler: str, flags: Sequence[str], libraries: Sequence[str], name: str) -> Path:
-    """Return what a compiler makes of some files, from the cache if they are the same.
+    """Return the compiler's product of some files, from the cache if it exists for the same files.
 
     Parameters
     ----------
     name : str
-        Of the product; a suffix stays behind the digest in it.
+        Name of the product; the digest is inserted before its suffix.
 
     Raises
     ------
     subprocess.CalledProcessError
-        The compiler refuses the files; with what it says in `stderr`.
+        The compiler fails on the files; its output is in `stderr`.
     """
     stem, suffix = Path(name).stem, Path(name).suffix
     content = "\0".join((*flags, *libraries, *(f"{file}\0{text}" for file, text in sorted(files.items()))))

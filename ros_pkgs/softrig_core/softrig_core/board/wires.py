@@ -31,10 +31,10 @@ class Wire(Protocol):
     """Bytes to a board and back."""
 
     def write(self, data: bytes) -> None:
-        """Send bytes; an OSError says that the board is gone."""
+        """Send bytes; raise OSError if the board is gone."""
 
     def read(self, wait: float) -> bytes:
-        """Return what has come within so many s, at once when something has; an OSError says that the board is gone."""
+        """Return bytes as soon as any arrive, after `wait` s at the latest; raise OSError if the board is gone."""
 
     def close(self) -> None:
         """Close the port."""

@@ -1,4 +1,4 @@
-"""Handing out what native code has found that members say: to those who record it, and to those who watch."""
+"""Pass the outputs that native code computed to the members that record them and to those that watch."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ def answered(
     stamps: Sequence[int] = (),
     spoken: Mapping[int, int] | None = None,
 ) -> None:
-    """Create what native code has found that a step says at a tick, of its own numbers, what it and its readers hold.
+    """Return the outputs of a step at a tick from the numbers of native code, as the step and its readers hold them.
 
     Parameters
     ----------
     step : Step
-        Whose tick it was.
+        The step of the tick.
     number : int
-        Which of its own ticks.
+        Number among its own ticks.
     numbers : tuple of float
-        All that it says, one output after another.
+        All its values, one output after another.
     stamps : sequence of int
-        Of its delayed outputs, ns.
+        Stamps of its delayed outputs, ns.
     spoken : mapping of int to int
-        When each output that is silent at times spoke last, ns, by its place; `NEVER`.
+        Time of the last message of each sporadic output, ns, by its place; `NEVER`.
     """
     step.t = step.schedule.time(number)
     said = parted(step.outputs, numbers, stamps)
@@ -60,7 +60,7 @@ def answered(
 
 
 class Answers(NamedTuple):
-    """What a step has said in some ticks: numbers, (n, size), and stamps of its delayed outputs, (n, count)."""
+    """The outputs of a step in some ticks: numbers, (n, size), and stamps of its delayed outputs, (n, count)."""
 
     numbers: Any
     stamps: Any
@@ -101,21 +101,21 @@ def stamps_of(step: Step) -> tuple[int, ...]:
 
 
 class Audience:
-    """Those to whom it is handed.
+    """The members that receive the outputs of native code.
 
     Parameters
     ----------
     steps : sequence of Step
-        Of the whole rig.
+        Steps of the whole rig.
     plan : Plan
-        Of these.
+        Plan of these steps.
 
     Attributes
     ----------
     watchers : list of Step
-        Observers that nobody reads.
+        Observers without readers.
     tick_by_tick : set of str
-        Names of the watchers that do not take at once what is recorded.
+        Names of the watchers that cannot process what is recorded in one batch.
     """
 
     def __init__(self, steps: Sequence[Step], plan: Plan) -> None:
@@ -199,7 +199,7 @@ class Audience:
         return True
 
     def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
-        """Return what one who watches sees of a member, by its inputs; None where it has to be asked at each tick."""
+        """Return the messages of a member that a watcher reads, by its inputs; None if it must run at each tick."""
         result: dict[str, Messages] = {}
         every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
         readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen

@@ -1,7 +1,8 @@
-"""The function of many instances of a rig, one of whose members is an agent: a period of it for each of them.
+"""The generated function that advances many instances of a rig with an agent, each by one period of the agent.
 
-What an instance remembers between two calls stands in a row of two tables, its numbers and its whole numbers, as it is
-before the agent's tick; what is said up to the agent is said once more at the begin of the next call.
+The state of an instance between two calls is stored in a row of two tables, one for real numbers and one for integers,
+as it is before the agent's tick. Outputs of members that run before the agent are computed again at the beginning of
+the next call.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from .value import NotNative
 
 
 class Form:
-    """Where the parts of a state stand in a row of the two tables.
+    """The places of the parts of a state in a row of the two tables.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ class Form:
     Raises
     ------
     NotNative
-        Part of it is no number.
+        Part of it is not a number.
     """
 
     def __init__(self, sample: Any) -> None:
@@ -98,45 +99,45 @@ class Form:
 
 
 def remembered(agent: Step, steps: Sequence[Step], before: Sequence[tuple[Any, tuple[float, ...]]]) -> tuple[Any, Any]:
-    """Return what is to be kept of an instance before a tick.
+    """Return what must be stored of an instance before a tick.
 
     Parameters
     ----------
     agent, steps
         See `batch_text`.
     before : sequence of (x, numbers)
-        What each step remembered, and had said last.
+        State and last outputs of each step.
     """
     states = tuple(() if s is agent else packed(x) for s, (x, _) in zip(steps, before, strict=True))
     return states, tuple(tuple(map(float, numbers)) for _, numbers in before)
 
 
 def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Form) -> RigText:
-    """Create the text.
+    """Create the text of the function.
 
     Parameters
     ----------
     steps : sequence of Step
-        Of one instance, as for `rig_text`; each has answered a tick.
+        Steps of one instance, as for `rig_text`; each has answered a tick.
     agent : Step
-        One of them; no plant.
+        One of them; not a plant.
     said : sequence of str
-        What it says, number after number, from action row `a`.
+        Its outputs, number after number, as expressions of action row `a`.
     form : Form
-        Of what `remembered` gives.
+        Form of the result of `remembered`.
 
     Returns
     -------
     RigText
-        ``rig(begin, end, n, c, F, I, R, A, K, *arrays)`` moves instances begin to end - 1, those whose tick K is not
-        negative, on by a period of the agent: their rows of F and I, columns of R (all that was said last, up to the
-        agent's next tick). n[0] is the instance under way; what is raised gives it up. Random numbers have a row an
-        instance.
+        ``rig(begin, end, n, c, F, I, R, A, K, *arrays)`` advances instances begin to end - 1 whose tick K is not
+        negative by one period of the agent. It changes their rows of F and I and their columns of R (the last outputs
+        up to the agent's next tick). n[0] is the current instance; if an exception is raised, its tick is discarded.
+        Random numbers have a row an instance.
 
     Raises
     ------
     NotNative
-        What of them native code does not know.
+        Part of the steps is not supported by native code.
     """
     turns = Turns(steps)
     if odd := [one.fill.port.name for one in turns.kept]:

@@ -167,7 +167,7 @@ class Calls(Expressions):
         return self.call(function, *self._arguments(node), node)
 
     def _as_native(self, value: Static) -> Dynamic:
-        """Return a fixed object as the value of native code that it stands for."""
+        """Return the value of native code that a fixed object represents."""
         found = value.value.native()
         if value.path is not None:
             self.program.objects[value.path] = found
@@ -241,7 +241,7 @@ class Calls(Expressions):
         return NONE
 
     def _counted(self, own: Static, node: ast.Call) -> Value:
-        """Count a report whose text nobody wants."""
+        """Count a report without its text."""
         reports = self.program.reports
         assert reports is not None
         level, key = (self.value(a) for a in node.args[:2])

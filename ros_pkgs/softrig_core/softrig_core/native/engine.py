@@ -61,13 +61,13 @@ class Engine:
     Parameters
     ----------
     steps : sequence of Step
-        As for `Loop`; wired, none of them waits for anything.
+        As for `Loop`; they are wired, and none of them waits for anything.
     make : callable
-        Makes the function of a text: `compiled` or `plain`.
+        Creates the function of a text: `compiled` or `plain`.
     alone : callable, optional
-        Whether nobody else has a part in the ticks to come: none of the steps waits for anything, and nobody hears each
-        answer as it is given. Without it that is always so. With it, ticks go on in Python while a text is compiled,
-        and what native code answers at a time is short.
+        Returns whether no other process takes part in the next ticks: no step waits for anything, and no reader needs
+        each message immediately. Without it this is assumed. With it, ticks continue in Python while a text is
+        compiled, and native code runs only few ticks in one call.
 
     Attributes
     ----------

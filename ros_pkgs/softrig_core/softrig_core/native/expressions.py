@@ -422,7 +422,7 @@ class Expressions(Ways):
         return Dynamic(f"({x.code} {text} {y.code})", computed(lambda a, b: bool(function(a, b)), x.sample, y.sample))
 
     def truth(self, value: Value) -> bool | str:
-        """Return whether a value is true, or the text that tells; `sampled` is then what it was."""
+        """Return whether a value is true, or the expression that decides it; `sampled` is then its last value."""
         self.sampled = UNKNOWN
         if isinstance(value, Static):
             if (value.path is not None and isinstance(value.value, (float, complex))) or (

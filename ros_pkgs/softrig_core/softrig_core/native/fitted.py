@@ -88,7 +88,7 @@ class Core:
 
 
 def kinds_of(core: Core, recorded: Sequence[Step], make: Make) -> tuple[Any, ...]:
-    """Return what a text is for: classes, schedules and forms of the members, who is recorded, and how it is made."""
+    """Return the key of a text: classes, schedules and forms of the members, which are recorded, and how it is made."""
     *forms, holding = core.forms()
     return (
         *(
@@ -153,16 +153,16 @@ def _told(error: Exception) -> str:
 
 
 class Fitted:
-    """A text with all that its function is called with, for the blocks as they are now.
+    """A text with all arguments of its function, for the current blocks.
 
     Parameters
     ----------
     kept : Kept
     core : Core
     recorded : sequence of Step
-        Members whose answers are written into tables: somebody records or watches them.
+        Members whose answers are written into tables, because they are recorded or watched.
     plan : Plan
-        Of the whole rig.
+        Plan of the whole rig.
     typed : bool
         See `rig_text`.
 
@@ -171,12 +171,12 @@ class Fitted:
     discarded : bool
         Whether the last call has discarded a tick.
     odd : str
-        The TypeError by which it did; empty: it has another cause, as a discarded tick may.
+        The TypeError that caused it; empty if a discarded tick had another cause.
 
     Raises
     ------
     NotNative
-        What of the blocks' tables native code does not know.
+        Part of the blocks' tables is not supported by native code.
     """
 
     def __init__(self, kept: Kept, core: Core, recorded: Sequence[Step], plan: Plan, typed: bool) -> None:
@@ -212,7 +212,7 @@ class Fitted:
         return f"the tick at t = {self._plan.clock.time(int(self._n[0])) / SECOND:.9g} s of {names} (compiled)"
 
     def drop(self) -> None:
-        """Forget the places of answers, which are large; whoever records them has them."""
+        """Release the arrays of answers, which are large; the recording has its own copy."""
         self._arrays = ()
 
     def _drawn(self, draws: Any, count: int) -> Any:
@@ -269,13 +269,13 @@ class Fitted:
         return self._n, self._constants, before, *self._arrays
 
     def call(self, begin: int, first: int, last: int, rows: dict[int, Answers]) -> tuple[int, Any]:
-        """Answer ticks from `first` up to `last`, or as far as native code goes, into places that begin at a tick.
+        """Run ticks from `first` up to `last`, or as far as native code can, into arrays that begin at a tick.
 
         Returns
         -------
         reached : int
         after : tuple or None
-            What is remembered then, and was said last; None: it went nowhere.
+            State and last outputs after these ticks; None if no tick was run.
         """
         kept = self.kept
         self.discarded, self.odd, kept.made = False, "", True

@@ -48,7 +48,7 @@ class Reports:
         return self.places[-1].at
 
     def take_down(self, table: Sequence[float], held: Sequence[Held]) -> None:
-        """Note what a table holds of the reports of each block, as if they had been told one by one."""
+        """Record the reports of each block that a table holds, as if they had been reported one by one."""
         heard = [p for p in self.places if table[p.at]]
         newest: dict[tuple[int, str], Place] = {}
         for place in sorted(heard, key=lambda p: table[p.at + 2]):

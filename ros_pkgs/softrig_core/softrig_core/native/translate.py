@@ -73,24 +73,24 @@ NEVER = Made("", (), Dynamic("", UNKNOWN, False))  # of a function that always d
 
 @dataclass
 class Program:
-    """The text that is being made for a rig: functions, what they name, slots and guards.
+    """The text under construction for a rig: its functions, the names in them, slots and guards.
 
     Parameters
     ----------
     roots : sequence
         Blocks; paths begin with their numbers.
     writer : callable
-        Gives the `Writer` of a function.
+        Returns the `Writer` of a function.
     ages : mapping of (number of a block, input) to int, str or None
-        What `Block.age` answers, or how it is written.
+        Result of `Block.age`, or the expression for it.
     silent : sequence of (int, Port)
-        Outputs that say nothing at some ticks, with the number of the block.
+        Outputs that do not publish at some ticks, with the number of the block.
     typed : bool
-        Whether objects in a state are as native code takes them (`twins.packed`).
+        Whether objects in a state have the form of native code (`twins.packed`).
     inferred : bool
-        Whether the text's reader finds types by itself: a value may then be of several types, None among them.
+        Whether the compiler of the text infers types: a value may then have several types, including None.
     reports : Reports, optional
-        Takes what is reported; without it a report gives the tick up.
+        Stores reports; without it a report discards the tick.
     """
 
     roots: Sequence[Any]

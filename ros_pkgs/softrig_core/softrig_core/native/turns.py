@@ -25,12 +25,12 @@ WHEN = "when"
 
 @dataclass(frozen=True)
 class Holding:
-    """What brings no message of its tick at each tick of the native members: whoever reads it keeps the newest.
+    """A link without a message of its tick at each tick of the native members: its reader holds the newest one.
 
     Attributes
     ----------
     source : int or None
-        Number of the native member that speaks; None: Python runs it, between native ticks.
+        Number of the native member that publishes; None: Python runs the publisher, between native ticks.
     fill : Fill
     """
 
@@ -155,7 +155,7 @@ class Turns:
     # the turns ----------------------------------------------------------------------------------------------------
 
     def show(self, k: int) -> list[str]:
-        """Write what a plant says at a tick."""
+        """Write the code for the outputs of a plant at a tick."""
         return self._due(k, self._answered(k, self._asked(k, "outputs", {}), None) + self._handed_on(k))
 
     def answer(self, k: int, inputs: Mapping[str, Value]) -> list[str]:
@@ -184,7 +184,7 @@ class Turns:
         return lines
 
     def inputs(self, k: int) -> dict[str, Value]:
-        """Describe where a member has its inputs from: of whom, and which numbers."""
+        """Describe the sources of a member's inputs: which members, and which numbers."""
         step, result = self.steps[k], {}
         for port in step.inputs:
             result[port.name] = self._input(step, port)
@@ -206,7 +206,7 @@ class Turns:
         return next((i for i, one in enumerate(self.kept) if one.fill is fill), None)
 
     def _ages(self) -> dict[tuple[int, str], int | str | None]:
-        """Return the ages of inputs: 0 of what is said at each tick of the reader; else how they are written."""
+        """Return the ages of inputs: 0 if published at each tick of the reader, else the expression for them."""
         result: dict[tuple[int, str], int | str | None] = {}
         for k, step in enumerate(self.steps):
             for port in step.inputs:

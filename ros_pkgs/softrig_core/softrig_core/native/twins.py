@@ -1,8 +1,8 @@
-"""States as native code takes them: named tuples to their leaves.
+"""States in the form of native code: named tuples down to their leaves.
 
-A frozen dataclass has a twin with the same fields, found by its name. Of other objects those that say how take part:
-`native` gives a named tuple, which may hold arrays that are its own, with methods of the same names that the
-translation reads; its `python` gives the object again.
+A frozen dataclass has a twin with the same fields, found by its name. Another object is supported if it defines the
+conversion. Its `native` returns a named tuple, which may hold arrays of its own and has methods of the same names for
+the translation. The `python` of that tuple returns the object again.
 """
 
 from __future__ import annotations
@@ -119,6 +119,6 @@ def form(value: Any) -> Any:
 
 
 def class_of(sample: Any) -> type | None:
-    """Return the class of a named tuple, or the dataclass that it stands for."""
+    """Return the class of a named tuple, or the dataclass that it represents."""
     kind = type(sample)
     return getattr(kind, OF, kind) if hasattr(kind, "_fields") else None

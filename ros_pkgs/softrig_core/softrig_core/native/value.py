@@ -11,7 +11,7 @@ UNKNOWN: Any = type("Unknown", (), {"__repr__": lambda self: "unknown"})()  # a 
 
 
 class NotNative(Exception):
-    """Something that native code does not know; says what and where."""
+    """Something that native code does not support; the message contains what and where."""
 
 
 class GivesUp(NotNative):
@@ -33,15 +33,15 @@ class Dynamic:
     Parameters
     ----------
     code : str
-        How native code writes it.
+        Its expression in native code.
     sample : object
-        What it was when the tick before was computed, which tells its type; `UNKNOWN` where nobody knows.
+        Its value at the previous tick, which defines its type; `UNKNOWN` if there is none.
     sure : bool
-        Whether it always has the type of the sample: it is then known to be None or not, and how long it is.
+        Whether it always has the type of the sample: then it is known whether it is None, and its length.
     keys : tuple of str, or None
-        Of a mapping, which native code writes as a tuple.
+        Keys of a mapping, which native code writes as a tuple.
     parts : tuple of Dynamic-like, or None
-        Of a tuple or mapping some of whose parts are mappings: what is known of each.
+        Parts of a tuple or mapping that contains mappings: what is known of each.
     """
 
     code: str
@@ -106,7 +106,7 @@ def _unknown(value: Any) -> bool:
 
 
 def is_made_text(value: Value) -> bool:
-    """Return whether a value stands for a text that is made in a tick."""
+    """Return whether a value represents a text that is created in a tick."""
     return isinstance(value, Static) and value.value is MADE_TEXT.value
 
 

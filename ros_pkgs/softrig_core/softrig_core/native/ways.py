@@ -222,7 +222,7 @@ class Ways:
             raise self.unknown("an assignment to a part of something", target)
 
     def _written_into(self, target: ast.Subscript, value: Value) -> None:
-        """Write into an array; what was read of it before stands under names of its own."""
+        """Write into an array; values that were read from it before are kept under names of their own."""
         table, at = self.value(target.value), self.dynamic(self.value(target.slice))
         if not isinstance(table, Dynamic) or not isinstance(table.sample, np.ndarray) or table.sample.ndim != 1:
             raise self.unknown("an assignment to a part of something", target)

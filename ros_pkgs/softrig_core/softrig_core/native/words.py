@@ -1,7 +1,7 @@
-"""The words of Python that native code says otherwise: with the same bits, and giving the tick up where Python raises.
+"""Replacements for functions of Python in native code: they return the same bits, and discard the tick on an error.
 
-Each is a function of its own in the text that is compiled. What raises there gives the tick up: Python computes it
-again, with its own error, text and type.
+Each is a function of its own in the compiled text. If one raises, the tick is discarded and Python computes it again,
+with its own type and text of the error.
 """
 
 from __future__ import annotations

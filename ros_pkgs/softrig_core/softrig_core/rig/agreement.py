@@ -21,12 +21,12 @@ class Named(Protocol):
 
 @once
 def agreed(block: type[Block], params: Any) -> Mapping[str, Any]:
-    """Return what a block says by `Block.agreed`."""
+    """Return the values that a block declares by `Block.agreed`."""
     return block.agreed(params)
 
 
 def require_agreement(where: str, members: Iterable[Named]) -> None:
-    """Hold what the blocks say by `Block.agreed` against each other.
+    """Compare the values that the blocks declare by `Block.agreed`.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
     Raises
     ------
     ScenarioError
-        Two nodes have different values of a quantity; names it, both nodes and both values.
+        Two nodes have different values of a quantity; the error names it, both nodes and both values.
     """
     members = list(members)
     said = spoken(members)
@@ -78,7 +78,7 @@ def assumptions(members: Iterable[Named]) -> list[str]:
 
 
 def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
-    """Return what the nodes say by `Block.agreed`: quantity to the first node that says it, and its value."""
+    """Return the values of `Block.agreed`: each quantity with the first node that declares it, and its value."""
     said: dict[str, tuple[str, Any]] = {}
     for member in members:
         for quantity, value in agreed(member.block_class, member.params).items():
@@ -89,21 +89,21 @@ def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
 def agreeing(
     said: Mapping[str, tuple[str, Any]], arguments: Mapping[str, Any], agreed: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Fill arguments of a figure in with what the nodes of its rig say.
+    """Fill in arguments of a figure with the values that the nodes of its rig declare.
 
     Parameters
     ----------
     said : mapping of quantity to (node, value)
         See `spoken`.
     arguments : mapping
-        As the scenario gives them.
+        Arguments from the scenario.
     agreed : mapping of argument to quantity
-        What the figure's function declares; what no node says stays as it is given.
+        What the figure's function declares; a quantity that no node declares leaves its argument unchanged.
 
     Raises
     ------
     ScenarioError
-        An argument is given with another value than the node's; names both.
+        An argument has another value than the node's; the error names both.
     """
     filled = dict(arguments)
     for name, quantity in agreed.items():

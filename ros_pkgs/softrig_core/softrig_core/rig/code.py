@@ -89,7 +89,7 @@ def _package(package: str) -> tuple[str, tuple[str, ...]]:
 
 @cache
 def _is_own(package: str) -> bool:
-    """Return whether a package is ours or was built by colcon: not a library, which its version tells."""
+    """Return whether a package is ours or was built by colcon; a library is identified by its version instead."""
     marks = (prefix / "share" / "colcon-core" / "packages" / package for prefix in prefixes())
     return package.startswith("softrig_") or any(map(isfile, marks))
 

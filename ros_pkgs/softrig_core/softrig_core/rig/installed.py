@@ -21,7 +21,7 @@ def load_main(package: str, executable: str) -> Any:
     Raises
     ------
     ScenarioError
-        Its module cannot be imported; says why and where.
+        Its module cannot be imported; the error contains the reason and the place.
     """
     try:
         points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")

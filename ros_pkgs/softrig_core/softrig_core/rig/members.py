@@ -100,7 +100,7 @@ class Members:
         ]
 
     def leaves(self) -> list[Member]:
-        """Members that nobody waits for at each of their ticks; they acknowledge, so that nobody runs ahead of them."""
+        """Members that no other waits for at each tick; they acknowledge ticks so that no other runs ahead of them."""
 
         def awaited(m: Member) -> bool:
             # what an outside node reads and waits for is not known
@@ -110,7 +110,7 @@ class Members:
         return [m for m in self.members if not m.is_plant and not awaited(m)]
 
     def parameter(self, node: str, name: str) -> Any:
-        """Return what ``$node.parameter`` stands for.
+        """Return the value of ``$node.parameter``.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class Members:
         return parameter_of("", params, params.__getitem__, node, name)
 
     def reference(self, name: str) -> Any:
-        """Return what a reference stands for: ``node.parameter``, or the name of a shared value.
+        """Return the value of a reference: of ``node.parameter``, or of a shared value by its name.
 
         Raises
         ------

@@ -66,17 +66,17 @@ class InputLink(BaseModel):
     Parameters
     ----------
     period : str
-        Of the sender, s, as a fraction.
+        Period of the sender, s, as a fraction.
     at_end : bool
         Whether it also sends at the end time of the run, as plants do.
     port : str
         Name of the sender's port.
     sporadic : bool
-        Whether that port may be silent, which the sender's acknowledgements tell.
+        Whether that port may be silent; the sender's acknowledgements then report whether it was.
     delayed : bool
-        Whether what comes from it bears another time than that of its tick.
+        Whether its messages are stamped with another time than that of their tick.
     told : bool
-        Realtime: whether a law is told of it, too, and waits.
+        Realtime: whether a controller also receives these acknowledgements and waits for them.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -115,60 +115,61 @@ def _tuples(value: Any) -> Any:
 
 
 class Links(BaseModel):
-    """What a node of a rig must know of its peers.
+    """What a node of a rig must know about its peers.
 
     Parameters
     ----------
     base : str
         Period of the clock in s, as a fraction; empty for a node by itself.
     inputs : by port name
-        Paired inputs; a held input that is not listed takes whatever comes.
+        Paired inputs; a held input that is not listed accepts any message.
     records : list of str, optional
         Inputs from outside the rig that this node records, at the tick at which they take effect; absent: all.
     readers : by port name
         Nodes that must be matched before the first message.
     free : list of str
-        Inputs from external nodes that may be silent: nobody says so, hence they take whatever comes.
+        Inputs from external nodes that may be silent. No acknowledgement reports that, so they accept any message.
     overheard : list of OverheardLink
-        What external nodes publish and this node records.
+        Topics that external nodes publish and this node records.
     guests : bool
-        Whether nodes of the rig are external: the first messages are said again for those that come late.
+        Whether nodes of the rig are external: the first messages are then published again for late subscribers.
     outside : list of str
-        Topics of external nodes: what the nodes behind them subscribe must be matched too.
+        Topics of external nodes: the subscriptions of the nodes that publish them must be matched too.
     clock : InputLink, optional
         The node that publishes /clock, when this node paces itself by it.
     hears_clock : bool
-        Reads /clock without need of it: an external plant may have one, and wait for its readers.
+        Subscribes to /clock without using it: an external plant may publish it and wait for its subscribers.
     owns_clock : bool
         Publishes /clock.
     acknowledges : bool
-        Sends each tick's stamp on ``<node>/tick``, so that the plant never runs ahead of it, and with it which sporadic
-        ports have spoken.
+        Publishes each tick's stamp on ``<node>/tick``, so that the plant never runs ahead of it. The message also
+        lists the sporadic ports that published at that tick.
     tick_readers : list of str
         Nodes that read these acknowledgements.
     tells : list of str
-        Realtime: nodes that read which sporadic ports have spoken at each tick.
+        Realtime: nodes that read which sporadic ports published at each tick.
     acks : by node name
-        Nodes whose ticks the owner of the clock waits for, with their period in s. With an external plant, which waits
-        for nobody but who commands it, that node waits for their ticks before its own, and a source for its readers'.
+        Nodes whose ticks the owner of the clock waits for, with their period in s. An external plant waits only for
+        the node that commands it. That node then waits for their ticks before its own, and a source waits for the
+        ticks of its readers.
     followers : list of str
         Lockstep: nodes of the rig on which nothing depends. The clock may be some ticks ahead of them.
     clock_readers : list of str
         Nodes that pace themselves by /clock.
     solvers : list of str
-        Nodes that may be at work for longer than the others' patience, and say so.
+        Nodes that may work for longer than the timeout of the others, and report so.
     starter : str
-        Realtime: the node that says when t = 0 is.
+        Realtime: the node that sets the time of t = 0.
     starts : list of str
         All nodes of the rig that are ours: in real time it waits for them.
     grid : str
         Longest period of the rig in s, of which t = 0 in real time is a multiple.
     public : bool
-        Others may live in the domain of the rig: recorders that ask for it are awaited.
+        The ROS domain may be shared with others: recorders that ask for it are awaited.
     recorders : list of str
         Nodes outside the rig that read everything and are awaited.
     returns : bool
-        Lockstep: a node that died is started again: what is said again is left out, and nobody gives up by himself.
+        Lockstep: a node that died is started again. Repeated messages are ignored, and no node ends by itself.
     """
 
     model_config = ConfigDict(extra="forbid")

@@ -38,7 +38,7 @@ def outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def all_outside(of: type) -> Iterator[tuple[str, Any]]:
-    """Yield what the methods of a class of somebody else reach, through functions, classes and modules that are no
+    """Yield what the methods of a class from outside softrig reach, through functions, classes and modules that are no
     library: variables, values of closures, mutable defaults, attributes of functions, random generators.
     """
     seen: set[int] = set()
@@ -134,7 +134,7 @@ def _is_kept(value: Any) -> bool:
 
 @cache
 def _is_library(module: str) -> bool:
-    """Return whether a module is of Python, of an installed library or of softrig, not somebody's own."""
+    """Return whether a module belongs to Python, an installed library or softrig, not to a user."""
     top = module.partition(".")[0]
     if top == "__main__":
         return False

@@ -1,4 +1,4 @@
-"""What a package offers, checked with nothing but the package: `colcon test` runs it as the package's own tests."""
+"""Check what a package offers, using only the package; `colcon test` runs this as the package's own tests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def entry_points(package: str) -> list[EntryPoint]:
 
 
 def check_entry_point(point: EntryPoint) -> str:
-    """Load what a package offers and see that it can be used with its own defaults.
+    """Load what a package offers and check that it can be used with its own defaults.
 
     A block's ports have distinct names and topics of their own, it can be set up, and a plant's outputs at the start
     are finite and the same after a reset. Two ticks on first values change nothing but its state x, and from the same

@@ -37,15 +37,14 @@ class Rig(Members):
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, classes: Mapping[str, type[Block]] | None = None) -> Rig:
-        """Build, wire and check the nodes of a scenario; `classes` gives block classes where no executable does.
+        """Build, wire and check the nodes of a scenario; `classes` holds block classes that no executable provides.
 
-        What other entries stand for (faults, live requirements, live figures) is not put among the nodes: `rig_of` does
-        that.
+        Nodes of other entries (faults, live requirements, live figures) are not added here; `rig_of` adds them.
 
         Raises
         ------
         ScenarioError
-            Names the node, port or cycle that cannot work.
+            A node, port or cycle cannot work; the error names it.
         """
         members = members_of(scenario, classes or {})
         if scenario.clock is not None or not any(m.is_plant for m in members):
@@ -176,7 +175,7 @@ def members_of(
 
 @once
 def _ports(block: type[Block], params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-    """Return the inputs and outputs of a block with these parameters, checked; a ValueError says what is wrong."""
+    """Return the inputs and outputs of a block with these parameters; raise a ValueError if they are invalid."""
     inputs, outputs = block.ports(params)
     require_distinct(inputs, outputs)
     return inputs, outputs

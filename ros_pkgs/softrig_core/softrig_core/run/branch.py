@@ -15,10 +15,10 @@ from ..wire.recording import Recording
 def branched(
     rig: Rig, recording: Recording, at: float, values: Mapping[str, Any], epoch: int = 0
 ) -> list[dict[str, Any]]:
-    """Return the changes of a run that is a recorded one up to a time, and goes on from there with other parameters.
+    """Return the changes of a run that repeats a recorded one up to a time and continues with other parameters.
 
-    Who changed what before that time has done it here, too; what people did from there on has not happened. The changes
-    that the scenario itself makes stay.
+    Changes that were made before that time are repeated. Changes that people made later are left out. The changes of
+    the scenario itself stay.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def branched(
     Raises
     ------
     ScenarioError
-        The run did not come so far.
+        The recorded run ended before that time.
     """
     reached = recording.newest(epoch) - epoch
     start = to_ns(at) if at >= 0.0 else -1

@@ -1,4 +1,4 @@
-"""Which way a run goes: natively, by one text that Python runs, or tick by tick; the time says which it is."""
+"""Choose how a run is executed: natively, as one generated text in Python, or tick by tick; the run time decides."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a 
 def ticks_of(
     steps: Sequence[Step], runs: int = 1, alone: Callable[[], bool] | None = None
 ) -> tuple[Iterator[int | None], Callable[[], object]]:
-    """Yield what answers all ticks of a rig's steps: native code or one text where that pays, else one by one.
+    """Yield an iterator that runs all ticks of a rig: by native code or one text where that pays, else one by one.
 
-    Which it is depends on the time that Python would take (`cost`); messages, reports and errors do not.
+    The choice depends on the time that Python would take (`cost`). Messages, reports and errors are the same.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def ticks_of(
     ticks : iterator
         As `Loop.run`; a run without end goes one by one.
     tell : callable
-        Has the steps know what of them was native so far.
+        Updates the steps with what was native so far.
     """
     loop = Loop(steps)
     if loop.plan.ticks is None:

@@ -1,7 +1,7 @@
-"""From a scenario to the rig that runs: what its entries stand for is put among its nodes.
+"""Expand a scenario to the rig that runs: add the nodes of its faults, requirements and figures.
 
-A fault is a node between a sender and its readers, so it is there before anything is wired. What watches a requirement
-or measures figures while the rig runs only listens: it joins the rig that is wired.
+A fault is a node between a publisher and its subscribers, so it is added before the rig is wired. A node that watches
+a requirement or measures figures only subscribes, so it is added to the wired rig.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def rig_of(
     classes : mapping of node name to type of Block, optional
         Of nodes whose class no executable gives.
     live : bool
-        Whether nodes that measure figures while it runs are told which: not where nobody asks them.
+        Whether nodes that measure figures while it runs get the list of figures; not needed where none is read.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _expanded(scenario: Scenario, classes: Classes, told_what: bool) -> Rig:
 
 
 def _telling(scenario: Scenario, live: Mapping[str, NodeEntry], told: Mapping[str, Any]) -> Scenario:
-    """Return the scenario with parameters of live nodes where these do not say them."""
+    """Return the scenario with parameters filled in for live nodes that do not set them."""
     nodes = {n: e.model_copy(update={"parameters": {**told, **e.parameters}}) for n, e in live.items()}
     return scenario.model_copy(update={"nodes": {**scenario.nodes, **nodes}}) if live else scenario
 

@@ -53,10 +53,10 @@ def run_inprocess(
     progress : callable, optional
         Called with the time in ns about a hundred times.
     runs : int
-        So many such runs are to come: native code, which takes seconds to be made, is worth it for long or many ones.
-        Of several, observers that say nothing on any topic are left out.
+        Number of such runs that will follow. Compiling native code takes seconds, which pays for long or many runs.
+        If there are several, observers that publish nothing are left out.
     topics : container of str, optional
-        The sink gets what those say who publish one of these; all when absent.
+        The sink gets the messages of nodes that publish one of these; of all nodes when absent.
     thorough : bool
         Compare what the blocks hold beside x also after the run, not only after the first ticks of a class. Of several
         runs this is done for blocks that are not softrig's own.
@@ -71,9 +71,8 @@ def run_inprocess(
     ScenarioError
         A node of the rig is external.
     RunError
-        A block raised, or gave what may not leave it (NaN, infinity, beyond `Port.limits`, a wrong number of values);
-        names node, port and time; or it has changed what it
-        holds beside x.
+        A block raised, returned an invalid output (NaN, infinity, beyond `Port.limits`, a wrong number of values), or
+        changed what it holds beside x. The error names node, port and time.
     """
     check_here(rig)
     if runs > 1:
@@ -137,12 +136,12 @@ def _searched_seldom() -> Iterator[None]:
 
 
 def wired(rig: Rig, blocks: dict[str, Block]) -> dict[str, Step]:
-    """Create the steps of a rig's members, each handing what it says to those that read it.
+    """Create the steps of a rig's members; each passes its outputs to the steps that read them.
 
     Parameters
     ----------
     blocks : dict of str to Block
-        Of the members that live here, by name.
+        Blocks of the members in this process, by name.
     """
     members = [m for m in rig.members if m.name in blocks]
     steps = {m.name: step_of(m, blocks[m.name]) for m in members}

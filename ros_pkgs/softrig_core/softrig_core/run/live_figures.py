@@ -49,10 +49,11 @@ class FiguresParams(WatchParams):
 
 
 class Figures(Watch[FiguresParams]):
-    """The figures of a scenario, measured of what came so far, each as soon as there are samples of it.
+    """Measure the figures of a scenario from the messages so far, each as soon as there are samples of it.
 
-    Those with `since` are of the newest step of their reference, and begin anew with the next; the times of others
-    count from the first tick. At a longer period than that of a topic its messages in between are not seen.
+    A figure with `since` refers to the newest step of its reference and starts again with the next one. The times of
+    other figures count from the first tick. If the period is longer than that of a topic, messages in between are
+    missed.
     """
 
     @classmethod

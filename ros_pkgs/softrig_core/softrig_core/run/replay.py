@@ -22,7 +22,7 @@ def feed(member: Member, seed: int, recording: Recording) -> Recording:
     Parameters
     ----------
     member : Member
-        The block under test; its links say what is paired, its schedule how long the run is.
+        The block under test; its links define what is paired, its schedule defines the length of the run.
     seed : int
         Rig seed of the recording.
     recording : Recording

@@ -105,7 +105,7 @@ class Session:
 
     @property
     def ticks(self) -> int:
-        """Number of the last tick, those before which nobody is due left out."""
+        """Number of the last tick; ticks at which no node is due are not counted."""
         assert self._loop.plan.ticks is not None
         return self._loop.plan.ticks
 
@@ -206,19 +206,19 @@ class Session:
         }
 
     def rewind(self, t: float) -> dict[str, Any]:
-        """Go back, as if no tick from t (s) on had been answered and nothing had been set from then on.
+        """Go back to t (s): undo all ticks and all changes from then on.
 
         Returns
         -------
         dict
-            What had been set from there on; see `undone`.
+            The changes that were undone; see `undone`.
 
         Raises
         ------
         ScenarioError
-            The run has not come so far.
+            The run has not reached that time.
         RunError
-            A block has a state that cannot be kept, or does not come back to it; names it and says why.
+            A block has a state that cannot be stored or restored; the error names the block and the reason.
         """
         k, undone = self._past(t), self.undone(t)
         self._turned = [turned for turned in self._turned if turned.k < k]
@@ -228,7 +228,7 @@ class Session:
         return undone
 
     def branch(self, t: float | None = None) -> Session:
-        """Return another run that goes on from t (s) by itself, by default from here; blocks are made anew.
+        """Return an independent run that continues from t (s), by default from the current time, with new blocks.
 
         Raises
         ------

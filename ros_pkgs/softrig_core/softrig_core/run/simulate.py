@@ -53,17 +53,17 @@ class Run:
     epoch : int
         Wall-clock ns of t = 0 in realtime, else 0.
     status : dict
-        What each node said of itself.
+        The status that each node reported.
     error : str
-        Why it broke; empty when it did not.
+        Why the run failed; empty when it did not.
     stopped : int
         Number of the signal that ended it before its time; 0 when none did.
     blocks : dict of str to Held
         The blocks with their final states, after a run in process.
     begun : Rig or None
-        Of a run that `branch` gave: the rig of the first one, whose changes are the scenario's own.
+        For a run that `branch` returned: the rig of the first run, whose changes are the scenario's own.
     wanted : list of Figure, optional
-        What `figures_of` gives of the rig, where that is known.
+        What `figures_of` returns for the rig, where that is known.
     kernels : mapping of str to str
         After a run in process: those of numpy that this process has, see `softrig_core.bits.kernels`.
     strict : bool
@@ -72,7 +72,7 @@ class Run:
     changed : str
         What else was changed of the scenario as it is written, in words.
     branched : list of dict
-        Where somebody went back while it ran: ``at_s``, ``from_s``, and ``left``, what keeps the branch that was left.
+        Times at which the run was rewound: ``at_s``, ``from_s``, and ``left``, where the abandoned branch is stored.
     """
 
     rig: Rig
@@ -111,10 +111,10 @@ class Run:
 
     @cached_property
     def results(self) -> list[Result]:
-        """The figures of the scenario, measured and judged; a run that was stopped cannot say "never".
+        """Measure and judge the figures of the scenario; a run that was stopped cannot prove "never".
 
-        Of a run that was changed only what follows the machine is judged, the rest is published for the machine as it
-        was.
+        For a run that was changed, only figures that follow the machine are judged. The expectations of the others
+        are published for the unchanged machine.
         """
         result = evaluate(self.rig, self.signals, self.wanted)
         if not self.strict:
@@ -290,10 +290,10 @@ def simulate(
         Called with the time in ns about a hundred times. True: a bar on a terminal or in a notebook, drawn by
         softrig_bringup.
     runs : int
-        So many runs of this kind are to come: many, or one that is very long, go by native code. ``SOFTRIG_JIT=0``
-        keeps them all in Python; the numbers and bytes are the same.
+        Number of runs of this kind that will follow. Many runs, or a very long one, are run natively.
+        ``SOFTRIG_JIT=0`` runs all of them in Python; the numbers and bytes are the same.
     signals : collection of str, optional
-        Record nodes that say one of these, or what a figure or requirement reads, and no others; all when absent.
+        Record only nodes that publish one of these or a signal that a figure or requirement reads; all when absent.
     thorough : bool
         Compute the first ticks twice from the same states, and compare also after the run what each block holds beside
         its state x, which no tick may change; a rig with blocks that are not softrig's own runs twice and is compared.
@@ -304,7 +304,7 @@ def simulate(
     ScenarioError
         Bad input; nothing has run.
     RunError
-        A block raised, gave NaN, infinity or a wrong number of values, or changed what it holds beside x.
+        A block raised, returned NaN, infinity or a wrong number of values, or changed what it holds beside x.
 
     Examples
     --------

@@ -150,7 +150,7 @@ def _is_call(code: CodeType, frame: FrameType) -> bool:
 
 
 def report(call: FrameType, how: str) -> tuple[str, str]:
-    """Return who does not return, and where it is, as a line."""
+    """Return the call that does not return, and one line with the place where it is."""
     known, at = call.f_locals, call
     for top in _stacks().values():  # the innermost frame of that stack
         frame: FrameType | None = top

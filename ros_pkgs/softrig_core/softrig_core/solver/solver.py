@@ -6,16 +6,16 @@ A tick of a `Solver`::
     if ask: it waits; a waiting one is replaced (or, with CANCELS, the one under way is killed)
     if nothing is under way and one waits: work on it begins, its result takes effect at t + latency
     if the result of the one under way is due at t:
-        lockstep, in process: wait for it (peers are told that we are busy)
-        realtime: take it if it is there, else go on without
+        lockstep, in process: wait for it (report to peers that we are busy)
+        realtime: use it if it is available, else continue without
     x, values = answer(x, t, newest result in effect, whether it is new at this tick)
 
-When a result takes effect is decided by simulated time alone, so runs repeat however fast the host is. The one
-exception is the limit: a wall-clock time after which the work is killed. Its result, the best answer that the work left
-so far, says that it is not repeatable.
+Simulated time alone decides when a result takes effect, so runs are repeatable on a host of any speed. The one
+exception is the limit: a wall-clock time after which the work is killed. Its result, the best answer that the work
+stored so far, is marked as not repeatable.
 
-Which requests wait, are under way or answered is part of the state, `x.jobs`. The process is none: what it works on
-follows from x, so who goes back to an earlier x has the work that was under way then done once more.
+Which requests wait, are under way or answered is part of the state, `x.jobs`. The process is not: its work follows
+from x. If a run returns to an earlier x, the work that was under way then is repeated.
 """
 
 from __future__ import annotations
@@ -98,19 +98,19 @@ class Jobs:
 
 
 class SolverState(NamedTuple):
-    """State of a solver that remembers nothing but its requests."""
+    """State of a solver that stores only its requests."""
 
     jobs: Jobs = Jobs()
 
 
 class Solver(Block[S]):
-    """A block that answers requests by slow work; a subclass gives `request`, `solve` and `answer`.
+    """A block that answers requests by slow work; a subclass defines `request`, `solve` and `answer`.
 
-    `solve` is a static method: it sees nothing but its request, and anything it keeps for the next one could be lost
-    with its process. What a warm start needs belongs into the request. Parameters are those of the start: a request
-    under way was made with them.
+    `solve` is a static method: it reads only its request, and anything that it stores for the next one could be lost
+    with its process. Put the data for a warm start into the request. Parameters keep their values of the start, because
+    a request under way was created with them.
 
-    A subclass that remembers something gives a state of its own in `first`, with a field ``jobs: Jobs = Jobs()``.
+    A subclass with more state returns its own type from `first`, with a field ``jobs: Jobs = Jobs()``.
 
     Examples
     --------
@@ -143,14 +143,14 @@ class Solver(Block[S]):
 
     @staticmethod
     def solve(request: Any, work: Work) -> Any:
-        """Work on a request, in another process; tell `work` how far it is and the best answer so far.
+        """Work on a request, in another process; report progress and the best answer so far to `work`.
 
         Parameters
         ----------
         request : any
-            What `request` gave, as it was pickled.
+            The return value of `request`, pickled and unpickled.
         work : Work
-            Takes how far it is and the best answer so far.
+            Receives progress and the best answer so far.
         """
         raise NotImplementedError
 

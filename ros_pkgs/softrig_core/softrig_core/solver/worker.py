@@ -1,8 +1,9 @@
-"""A process of its own for slow work: one call at a time, told about while it runs, killed when it is not wanted.
+"""Run slow work in a process of its own: one call at a time, with reports of its progress; it can be killed.
 
-`Worker` is the side of the caller; ``python -m softrig_core.solver.worker`` is the process. Both talk in
-pickles over its standard input and output; what the work prints goes to the caller's standard error. The process of
-a worker that is gone while nothing is under way serves the next one of the same function: its imports take a second.
+`Worker` is the side of the caller; ``python -m softrig_core.solver.worker`` is the process. They exchange pickles
+over its standard input and output; output that the work prints goes to the caller's standard error. If a worker is
+released while it is idle, its process is reused by the next worker of the same function, since its imports take a
+second.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ MOST_IDLE = 4
 
 
 class Work:
-    """What a function that works in a `Worker` may say while it does."""
+    """The interface by which a function in a `Worker` reports while it runs."""
 
     def __init__(self, send: Callable[[str, Any], None]) -> None:
         self._send = send
@@ -120,7 +121,7 @@ class Worker:
         self._process.write(request)
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until the work is over, at most so long (None: for ever); tells whether it is."""
+        """Wait until the work is over, at most so many s (None: forever); return whether it is."""
         with self._changed:
             return self._changed.wait_for(lambda: self.state != "working", seconds)
 
@@ -133,7 +134,7 @@ class Worker:
         self._forget()
 
     def strike(self) -> None:
-        """Kill the process: the best answer so far is the answer, None without one, and `struck` tells of it."""
+        """Kill the process; the answer is then the best one so far, or None, and `struck` is set."""
         best, found, job = self.best, self.has_best, self.job
         self.cancel()
         self.answer, self.has_best, self.job = best if found else None, found, job

@@ -1,4 +1,4 @@
-"""What a node says of itself: reports and refusals in the log, its status file."""
+"""What a node reports about itself: reports and rejected messages in the log, and its status file."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Account:
             self._file.write(self.status())
 
     def status(self) -> dict[str, Any]:
-        """Describe how it is, what it refuses, and while an outside node lacks who publishes what."""
+        """Describe its state, rejected messages and, while an outside node is missing, the publishers of all topics."""
         node = self._node
         refused = {i.port.topic: [i.refused, i.last_refusal] for i in node.inputs + node.paces if i.refused}
         status: dict[str, Any] = {
@@ -123,7 +123,7 @@ class Account:
             self._node.middleware.log(level, text)
 
     def _notice_types(self) -> None:
-        """Name a topic that somebody publishes with another type: nothing of it ever arrives."""
+        """Report a topic that is published with another type: its messages never arrive."""
         node = self._node
         for item in node.inputs:
             key = f"type of {item.port.topic}"

@@ -1,6 +1,6 @@
-"""What every node does with its step: endpoints, refusals, recording, its health, its end.
+"""What every node does with its step: endpoints, rejected messages, recording, its health, its end.
 
-When a tick is ready is said by what drives it: `lockstep.Lockstep` or `realtime.Realtime`. Nothing here knows ROS:
+Its drive, `lockstep.Lockstep` or `realtime.Realtime`, decides when a tick is ready. Nothing here depends on ROS:
 messages, timers and clocks come from a `Middleware`.
 """
 
@@ -37,14 +37,14 @@ from .record import CLOCK_LAYOUT, Record
 
 
 class Drive(Protocol):
-    """What says when the ticks of a node are ready.
+    """Decides when the ticks of a node are ready.
 
     Attributes
     ----------
     t : int
         Time of the tick under way, ns.
     status_every : int
-        Status files a running node writes: one in so many watch periods.
+        Number of watch periods from one status file of a running node to the next.
     """
 
     status_every: int
@@ -85,7 +85,7 @@ class Drive(Protocol):
 
 
 def _by_hand(block: Block, options: RunOptions) -> Links:
-    """Return the links of a node that no rig tells of its peers: in lockstep who may be silent says its ticks."""
+    """Return the links of a node without a rig; in lockstep it acknowledges its ticks if it may be silent."""
     if options.mode != "lockstep":
         return Links()
     plant = isinstance(block, Plant)
@@ -187,7 +187,7 @@ class Adapter:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def _may_stand(self) -> bool:
-        """Return whether it is the node of a clock in real time that can stand: all nodes go by it, and are ours."""
+        """Return whether it has the clock of a real-time rig that can be stopped: all nodes follow it and are ours."""
         links = self.links
         own = links.owns_clock and links.starter == self.middleware.name and not links.guests
         # With a given epoch there is no common start, and so no topic on which the others learn that the clock stands.
@@ -210,7 +210,7 @@ class Adapter:
             self.drive.record(self.record.foreign[port.name], port.layout().encode(0, (down,)))
 
     def _noting(self, output: Output) -> Matched:
-        """Return what hears how many read an output."""
+        """Return a callable that gets the number of readers of an output."""
 
         def matched(count: int) -> None:
             output.matched(count)
@@ -232,10 +232,10 @@ class Adapter:
         return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
 
     def publish(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Publish and record what the step has said at tick `t`, the clock if it is ours, and acknowledge the tick.
+        """Publish and record the outputs of tick `t`, publish the clock if it is ours, and acknowledge the tick.
 
-        All messages go out in one burst: a reader that wakes for the first finds the others already there, and
-        recording takes place while it works. (Each wake-up between two messages costs as much as the law.)
+        All messages are sent in one burst: a reader that wakes for the first finds the others already there. The
+        messages are recorded while it works. (Each wake-up between two messages costs as much as the controller.)
         """
         stamp, record = self.epoch + t, self.record
         # In a container this is nearly always so.
@@ -262,14 +262,14 @@ class Adapter:
                 record.sink.add(record.clock, stamp, CLOCK_LAYOUT.encode(stamp, ()))
 
     def keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
-        """Record many answers that nobody hears: their ticks, shape (n,), and all their numbers, (n, size)."""
+        """Record many answers that have no readers: their ticks, shape (n,), and all their numbers, (n, size)."""
         if self.record.shard is not None and numbers.shape[1]:
             self.record.shard.add_rows(self.epoch + times, numbers)
         for output in self.outputs:
             self.step.counts[output.name] += len(times)
 
     def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
-        """Publish what is said; returns output, stamp or number, and values of each message."""
+        """Publish the outputs; return output, stamp or number, and values of each message."""
         said = []
         for output, row in zip(self.outputs, rows, strict=True):
             if row is None:
@@ -283,7 +283,7 @@ class Adapter:
         return said
 
     def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
-        """Return what says that a tick is answered, and which sporadic ports have spoken at it."""
+        """Return a callable that acknowledges a tick and lists the sporadic ports that published at it."""
         if self._silent:
             write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self._noting(self.tick_output))
             return lambda stamp, spoken: publish(write(stamp, spoken))
@@ -303,7 +303,7 @@ class Adapter:
         self.finish("failed")
 
     def broke(self, error: RunError) -> None:
-        """End the run because the block failed or said what may not leave it: one line, the stack of a mistake."""
+        """End the run because the block failed or returned an invalid output; log one line, and the stack of a bug."""
         cause = error.__cause__
         # Arithmetic errors come from values that diverge, where the stack of the block's code explains nothing.
         if cause is not None and not isinstance(cause, ArithmeticError):

@@ -1,12 +1,14 @@
 """The common start of a rig in real time: t = 0 is set when all its nodes are up and matched, outside ones included.
 
-Each node says again and again that it is ready (`READY`, a Header with its name). One of them, the starter, has heard
-all of them and is ready itself: it sets the time of t = 0 and says it (`START`, a Header with that time and that of
-its own clock), again for
-each node that still says that it is ready, or that has been started anew; whose clock differs by more than `CLOCKS`,
-since the host's was set in between, say, goes by the starter's. With it goes where the clock of the rig stands by
-somebody's hand, if it does (`node.realtime.stand`). Readiness need not arrive at the first try; the start
-is said when all nodes hear it, as the starter's writer sees them, for a run may be over before somebody asks again.
+Each node repeatedly publishes that it is ready (`READY`, a Header with its name). One node is the starter. When it is
+ready itself and has received the message of every other node, it sets the time of t = 0. It publishes this time
+together with that of its own clock (`START`, a Header), and repeats it for each node that still publishes `READY` or
+has been started again. A node whose clock differs by more than `CLOCKS` (because the host's clock was set in between,
+for example) uses the starter's. If a person has stopped the clock of the rig, the message also contains where
+(`node.realtime.stand`).
+
+`READY` may be lost, since it is repeated. `START` is published only when the starter's writer is matched with all
+nodes, because a run may be over before a node asks again.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ class Departure(Reader):
     begin : callable
         Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
     heard : callable
-        Called with the words of whoever holds the clock of the rig, or lets it go.
+        Called with the words of the node that stops or resumes the clock of the rig.
     """
 
     def __init__(
@@ -125,7 +127,7 @@ class Departure(Reader):
         self._publish(TickWriter()(self._epoch, [str(self._node.middleware.now()), *self._words]))
 
     def _deaf(self) -> str:
-        """Name who does not read when the run starts, as far as the graph shows it."""
+        """Name the nodes that do not read the start message, as far as the graph shows it."""
         middleware = self._node.middleware
         there = {middleware.name, *(peer.name for peer in middleware.subscribers(middleware.resolve(START)))}
         return ", ".join(n for n in self._node.links.starts if n not in there) or f"one of {len(there)} nodes"

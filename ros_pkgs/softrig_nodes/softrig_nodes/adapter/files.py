@@ -15,12 +15,12 @@ from ..processes.spawning import DIED
 
 @dataclass
 class Files:
-    """What a rig has said before one of its nodes came back.
+    """What a rig published before one of its nodes was started again.
 
     Parameters
     ----------
     recording : Recording
-        Of its senders; what came from outside is in its own, and the changes of its parameters.
+        Of its senders. Messages from outside and changes of its parameters are in its own recording.
     answered : mapping of str to float
         By node: the time before which it has answered all its ticks, ns.
     gone : set of str

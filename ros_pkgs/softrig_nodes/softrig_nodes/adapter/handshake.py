@@ -1,4 +1,4 @@
-"""The start of a node of a rig: nobody sends before all readers of a message are matched, as the writer sees them."""
+"""The start of a node of a rig: it publishes a message only when its writer is matched with all its readers."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ SETTLED = 25  # checks in a row (half a second) in which the graph has not chang
 
 
 class Handshake:
-    """Says who is not there yet.
+    """Determines which nodes are still missing at the start.
 
     Parameters
     ----------
     awaited : sequence of (Input, str)
-        What must have a writer, and whose.
+        Inputs that must have a writer, and the node that it belongs to.
     wanted : sequence of (Output, list of str)
-        What must be matched with its readers, and the readers that the rig names.
+        Outputs that must be matched with their readers, and the readers that the rig names.
     local : set of str
-        Nodes of the same process, which are there.
+        Nodes of the same process, which are present.
 
     Attributes
     ----------
     lacking : list of str
         Topics of external nodes that no node publishes yet.
     missing : list of str
-        Nodes that do not publish or subscribe yet what they are to.
+        Nodes that do not yet publish or subscribe to the expected topics.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Handshake:
         ]
 
     def _knows_all(self) -> bool:
-        """Return whether the rig names all who may be there."""
+        """Return whether the rig names all nodes that may be present."""
         links = self._node.links
         return bool(self._node.options.links) and not links.outside and not links.public
 

@@ -1,7 +1,7 @@
-"""The table of a node's senders: who sends what, and what of it has come for which tick.
+"""The table of a node's senders: which node sends what, and which messages have arrived for which tick.
 
-A row for each topic that the node reads. Every message goes the same way through its row; what it means for the ticks
-is said by the kind of row: `paired` for lockstep, `live` for real time.
+The table has a row for each topic that the node reads. Every message is processed by its row. The kind of row decides
+what the message means for the ticks: `paired` for lockstep, `live` for real time.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from .adapter import Adapter
 
 
 class Sender(Input):
-    """A row: who sends us something on one topic.
+    """A row of the table: one topic that the node reads, and its sender.
 
     Parameters
     ----------
     node : Adapter
-        Who reads.
+        The node that reads the topic.
     who : str
         Node name of the sender, for errors.
 
     Attributes
     ----------
     stamp : int or None
-        Of the value that the input holds, ns.
+        Stamp of the value that the input holds, ns.
     """
 
     def __init__(self, node: Adapter, port: Port, who: str = "another node") -> None:
@@ -65,7 +65,7 @@ class Sender(Input):
         return self.node.state in ("done", "failed")
 
     def read(self, data: bytes) -> tuple[int, Any]:
-        """Return stamp (or number) and values; `Refused` says what is wrong with them."""
+        """Return stamp (or number) and values; raise `Refused` with the reason if they are invalid."""
         return self.decode(data)
 
     def spoilt(self, data: bytes) -> None:
@@ -79,7 +79,7 @@ class Sender(Input):
     # what the kinds of rows have in common -------------------------------------------------------------------------
 
     def value(self, stamp: int, values: tuple[float, ...]) -> Any:
-        """Return what the input is to hold; channels that a partial message leaves out keep what this one said."""
+        """Return the value to hold; channels that a partial message leaves out keep the values of this one."""
         if self.port.partial:
             self.decode.kept = values
         return Sample(stamp - self.node.epoch, values) if self.port.delayed else values
@@ -93,12 +93,12 @@ class Sender(Input):
     def in_order(self, number: int) -> bool:
         """Return whether an array is new to an input that uses the newest; reject repeated ones, count lost ones.
 
-        Number 0 may begin anew: a bag that is played in a loop.
+        Number 0 may start a new sequence: a bag that is played in a loop.
 
         Parameters
         ----------
         number : int
-            What the array says of itself; -1 when it says nothing: then it is new.
+            Number that the array contains; -1 when it contains none: then it is new.
         """
         expected = self.following
         if number < 0 or expected is None:

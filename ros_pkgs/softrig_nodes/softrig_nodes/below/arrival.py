@@ -1,9 +1,9 @@
-"""Messages heard of in the thread of the middleware that has received them, which rclpy has no way to.
+"""Process messages in the thread of the middleware that received them; rclpy offers no way to do this.
 
-The functions are those of rcl that rclpy itself is linked with, called through ctypes, which lets go of Python's lock
-meanwhile: the thread that has received a message holds the lock of its reader in Fast DDS while it waits for Python's.
-For the same reason nothing may take messages or events of such a reader, make, or destroy an endpoint under Python's
-lock; rclpy does all of that so.
+The functions are those of the rcl that rclpy itself is linked with. They are called through ctypes, which releases
+Python's lock during the call: the thread that received a message holds the lock of its reader in Fast DDS while it
+waits for Python's. For the same reason no code may take messages or events of such a reader, or create or destroy an
+endpoint, while it holds Python's lock. rclpy does all of this under that lock.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def library() -> Any:
 
 
 class Arrival:
-    """Tells of the messages of one subscription where they arrive.
+    """Announces the messages of one subscription in the thread in which they arrive.
 
     Parameters
     ----------
@@ -75,11 +75,12 @@ class Arrival:
     subscription : rclpy.subscription.Subscription
         One that no executor knows.
     receive : callable
-        Gets the bytes of a message; it may publish, in vain when a signal has shut the context down meanwhile.
+        Gets the bytes of a message; it may publish, without effect if a signal has shut the context down.
     matched : callable
         Gets the number of writers when that has changed.
     arrive : callable
-        Gets, for each new message and in a thread of the middleware, what hands it to `receive`; raises nothing.
+        Called for each new message in a thread of the middleware, with a callable that passes it to `receive`;
+        raises nothing.
     """
 
     def __init__(

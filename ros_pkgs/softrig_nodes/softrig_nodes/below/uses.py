@@ -1,7 +1,8 @@
-"""What is used of rclpy below its public interface: with which version it was seen, a test of it, and the public way.
+"""Uses of rclpy below its public interface: the version in which each was seen, a test of it, and the public way.
 
-Each use is tested once a process, before it is first made; where the test fails, or `SOFTRIG_PUBLIC` names the use
-(several parted by commas, or `all`), the public way is taken. It gives the same numbers; it takes longer or tells less.
+Each use is tested once a process, before its first call. The public way is used if the test fails or if
+`SOFTRIG_PUBLIC` names the use (several are separated by commas; `all` names every one). The public way gives the same
+numbers; it takes longer or reports less.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def _c() -> Any:
 
 
 def _takes(function: Any, *names: str) -> bool:
-    """Return whether a function has these parameters; one of C says so in its first line of help."""
+    """Return whether a function has these parameters; for a C function, by the first line of its help."""
     try:
         known = set(inspect.signature(function).parameters)
     except ValueError:
@@ -119,7 +120,7 @@ def _rcl_error() -> type[Exception]:
 
 @cache
 def works(name: str) -> bool:
-    """Return whether a use of `USES` is as it was seen, and nobody wants the public way."""
+    """Return whether a use of `USES` works as it was seen and the public way is not requested."""
     asked = os.environ.get(VARIABLE, "").split(",")
     if name in asked or "all" in asked:
         return False

@@ -137,12 +137,12 @@ def _offer_following(node: ServingNode, adapter: Adapter, port: Port) -> None:
 
 
 def _read(publisher: Any) -> bool:
-    """Return whether anybody reads a topic: what takes longer than a tick is not worked out for nobody."""
+    """Return whether a topic has subscribers; work that takes longer than a tick is skipped without one."""
     return bool(publisher.get_subscription_count())
 
 
 def _publish_latched(node: ServingNode, block: Block) -> None:
-    """Publish the block's texts for whoever comes, now or later."""
+    """Publish the block's texts, latched for late subscribers."""
     profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     string = message_class("std_msgs/msg/String")
     for topic, text in block.latched().items():

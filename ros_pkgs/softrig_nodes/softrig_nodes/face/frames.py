@@ -20,7 +20,7 @@ PERIOD = SECOND // 30  # ns of the wall between two sets of moving frames: a vie
 
 
 class Frames:
-    """Publishes on /tf_static, for whoever comes, the frames that stand, and on /tf, while it is read, those that move.
+    """Publishes fixed frames on /tf_static, latched, and moving frames on /tf while it has subscribers.
 
     Parameters
     ----------

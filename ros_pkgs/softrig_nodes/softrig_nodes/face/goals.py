@@ -19,7 +19,7 @@ QUANTITIES = ("position", "velocity", "acceleration")
 
 
 class BadGoal(ValueError):
-    """A trajectory cannot be followed; the message says why.
+    """A trajectory cannot be followed; the message contains the reason.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
-"""The services of simulation_interfaces, as other simulators answer them, on the node of a lockstep rig's clock.
+"""The services of simulation_interfaces, as other simulators offer them, on the node of a lockstep rig's clock.
 
-They do what ``~/pause``, ``~/resume`` and ``~/step`` do, which need no such package (`seam.hold`), and tell where the
-bodies of the node's scene are. What a run cannot do, begin anew, is answered as not supported.
+They do the same as ``~/pause``, ``~/resume`` and ``~/step``, which need no such package (`seam.hold`). They also
+report the poses of the bodies in the node's scene. A run cannot be reset; such a request is answered as not supported.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def types() -> dict[str, Any]:
 
 @dataclass
 class _Steps:
-    """Steps that somebody waits for: to this tick, with what is done once they are taken, or cannot be."""
+    """Steps that a client waits for: the last tick, and what to do when they are done or impossible."""
 
     first: int
     last: int
@@ -229,7 +229,7 @@ class Simulation:
         return {} if scene is None else {pose.child: pose for pose in (*scene.fixed(), *scene.moving(q))}
 
     def _values(self, quantity: str) -> list[float]:
-        """Return what the scene's port has said last of a quantity of each joint; zero before it has said anything."""
+        """Return the last published values of a quantity, one a joint; zero before the scene's port has published."""
         if self._scene is None:
             return []
         step = self._adapter.step

@@ -1,9 +1,10 @@
-"""A node that comes back: it goes through the ticks that it had answered with what the files of the run hold.
+"""Restart a killed node: it repeats the ticks that it had answered, from the files of the run.
 
-In a run whose nodes may come back (`Links.returns`) each of them keeps what it has said last, and says it again as long
-as the rig stands: who has it already leaves it out. A node that was killed is started anew when all others stand. It
-answers its ticks from the first one on, silently, from what its senders have recorded; what came from outside and what
-was changed is in its own record. So it has its state, its tick and all its messages. Then it is one that waits.
+In a run whose nodes may be restarted (`Links.returns`) each node stores its last messages. It publishes them again as
+long as the rig makes no progress; a reader that has them already ignores them. A node that was killed is started
+again when all others wait. It repeats its ticks from the first one on without publishing. It reads the messages of
+its senders from their recordings, and messages from outside and changes of parameters from its own. After that it has
+its state, its tick and all its messages, and waits like the others.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ SAID = 2  # newest messages of each topic that are repeated
 
 
 class Spoken:
-    """What a node has said last on each topic.
+    """Stores what a node published last on each topic.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class Spoken:
     Attributes
     ----------
     silent : bool
-        Whether what it says is kept only.
+        Whether its outputs are only stored, not published.
     """
 
     def __init__(self, node: Adapter) -> None:
@@ -222,7 +223,7 @@ class Comeback:
                 row.recall(k, data)
 
     def look(self) -> bool:
-        """Learn from the files, as they are now, what was said before this node was known; whether nodes have left."""
+        """Read from the current files what was published before this node was known; return whether nodes have left."""
         files = self._files = self._look_up()
         new = files.gone - self.gone
         self.gone |= new
@@ -242,7 +243,7 @@ class Comeback:
         return bool(new)
 
     def _heard_of(self, row: Paired) -> int:
-        """Return the tick of a sender whose message is the newest that was used; of who brings none, the newest."""
+        """Return the tick of the newest message that was used; for a sender without messages, its newest tick."""
         heard = self._paired.get(row)
         if heard is None:
             return self._answered(row)

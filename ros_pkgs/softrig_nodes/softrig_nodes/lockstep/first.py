@@ -1,7 +1,7 @@
-"""A node's messages of t = 0, said again to readers that come late.
+"""A node's messages of t = 0, published again for late subscribers.
 
-An outside node announces its endpoints one by one, and nobody knows which of our topics it is going to read. As long
-as the rig stands at t = 0, who gets a new reader says its first message again; our nodes take it once.
+An outside node announces its endpoints one by one, and it is not known which of our topics it will subscribe to. As
+long as the rig is at t = 0, a node that gets a new reader publishes its first message again. Our nodes use it once.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ class Lockstep(Link):
         self._starter = node.middleware.timer(CHECK, self._start)
 
     def _place(self) -> Place:
-        """Return where the node works: of a loop of two only one works at a time, who follows works meanwhile."""
+        """Return the node's place: in a loop of two only one works at a time; a follower works in the meantime."""
         links = self.node.links
         loop = set(links.starts) - set(links.followers)
         # Only in a loop of two does one node wait while the other works, so that they can share a processor.
@@ -233,7 +233,7 @@ class Lockstep(Link):
                 self._leave()
 
     def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
-        """Record answers that nobody hears, given by native code."""
+        """Record answers of native code that have no readers."""
         if not self._keeps:
             super().send_all(times, numbers, stamps)
             return
@@ -278,9 +278,9 @@ class Lockstep(Link):
         )
 
     def _leave(self) -> None:
-        """Finish when all who tell us of their ticks have begun, who may still wait for us to be there.
+        """Finish when every node that acknowledges its ticks to us has started; until then it may wait for us.
 
-        Then wait, for a bounded time, for the last messages of external nodes, which it records.
+        Then wait for a bounded time for the last messages of external nodes, and record them.
         """
         self._over = True
         begun = self.ready and all(row.heard for row in self.senders.rows if row.earlier)
@@ -288,7 +288,7 @@ class Lockstep(Link):
             self.node.finish()
 
     def busy(self) -> bool:
-        """Return whether a solver is at work, or somebody holds the run."""
+        """Return whether a solver is at work or the run is paused."""
         hold = self.node.hold
         return hold.held or hold.waits or (self.solving is not None and self.solving.working)
 
@@ -310,7 +310,7 @@ class Lockstep(Link):
         return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations, self._longest)
 
     def progress(self) -> None:
-        """End the run when a peer is gone, stalls or never came; say again what may have been lost with one."""
+        """End the run when a peer is gone, stalls or never came; publish again what may have been lost with one."""
         if self.spoken is not None:
             # A rig that answered a tick since the last look has lost nothing, so messages are only repeated while it
             # stands.

@@ -26,12 +26,12 @@ AHEAD = 100_000  # messages that a sender may be ahead
 
 
 class PairedSenders:
-    """Who sends to a lockstep node.
+    """The senders of a lockstep node.
 
     Parameters
     ----------
     turns : Turns
-        Goes on when the tick under way lacks nothing any more.
+        Continues when the current tick has all its messages.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class PairedSenders:
     missing : int
         Number of rows that the tick under way still lacks.
     heard : int
-        Messages that are no step of ours: a peer is alive.
+        Messages that do not advance our tick but show that a peer is alive.
     """
 
     def __init__(self, node: Adapter, turns: Turns) -> None:
@@ -77,7 +77,7 @@ class PairedSenders:
         return row
 
     def without(self, local: Set[str]) -> None:
-        """Wait for nobody who is in the same process: the runner's order sees to that."""
+        """Stop waiting for nodes of the same process; the order of the runner ensures that they have published."""
         self.rows = [r for r in self.rows if r.who not in local and not r.local]
 
     def follow_clock(self, link: InputLink) -> None:
@@ -139,34 +139,35 @@ class Newest(Sender):
 
 
 class Paired(Sender):
-    """A sender whose messages are brought to the ticks that they belong to, by their stamps.
+    """A sender whose messages are assigned by their stamps to the ticks that they belong to.
 
-    A tick needs the newest one up to `want`. What comes before its time is kept: with several plants, and from outside
-    nodes, a sender may be ahead of us by some ticks.
+    A tick needs the newest message up to `want`. An early message is stored: a sender may be some ticks ahead of us
+    if there are several plants or if it is an outside node.
 
     Parameters
     ----------
     schedule : Schedule
         Of the sender.
     earlier : bool
-        Whether the awaited stamp is that of the last tick before ours: what a block has said about the end of the run.
+        Whether the awaited stamp is that of the last tick before ours; at the end of the run it is what the block
+        published then.
     silent : str
-        Name of the sender's port if that is sporadic: silence is told by its acknowledgement.
+        Name of the sender's port if that is sporadic: silence is reported by its acknowledgement.
 
     Attributes
     ----------
     want : int
         Awaited stamp, ns.
     have : bool
-        Whether the sender has spoken up to there.
+        Whether the sender has published up to there.
     used : int
-        The last awaited stamp up to which the sender had spoken.
+        The last awaited stamp up to which the sender had published.
     reached : int
-        The tick up to which its silences and acknowledgements tell.
+        The last tick that its messages, silences and acknowledgements cover.
     said : dict
-        What was said at ticks that are not used yet: value and bytes, `KEEP` or `BAD`.
+        What was published at ticks that are not used yet: value and bytes, `KEEP` or `BAD`.
     excused : int
-        Stamp of the newest refused message that is answered: a better one that follows is too late.
+        Stamp of the newest rejected message whose tick is answered: a valid one that follows is too late.
     """
 
     def __init__(
@@ -296,7 +297,7 @@ class Paired(Sender):
             self._excuse(readable_stamp(data))
 
     def told(self, position: int, spoke: bool) -> None:
-        """A sporadic sender says whether it has spoken at one of its ticks."""
+        """Process the report of a sporadic sender whether it published at one of its ticks."""
         if not spoke and self._may_come(position):
             self._put(position, KEEP)
 
@@ -324,7 +325,7 @@ class Paired(Sender):
         )
 
     def _put(self, position: int, found: Any) -> None:
-        """Keep what was said at a tick, and use it if that completes what ours needs."""
+        """Store what was published at a tick, and use it if that completes the inputs of our tick."""
         if not self.silent and position < self.want:
             # Of a faster publisher only the newest message up to the wanted tick can be used; older ones are dropped.
             self.said = {p: said for p, said in self.said.items() if p > position}
@@ -342,9 +343,10 @@ class Paired(Sender):
 
 
 class Counted(Paired):
-    """A sender whose messages have no stamp of their tick: the n-th is that of its n-th tick.
+    """A sender whose messages have no stamp of their tick: the n-th belongs to its n-th tick.
 
-    Of a sporadic one, that of the n-th tick at which it says it has spoken. A plant does not count what it refuses.
+    If it is sporadic, the n-th message belongs to the n-th tick at which it reports that it published. A plant does
+    not count messages that it rejects.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -388,12 +390,12 @@ class Counted(Paired):
         self._serve()
 
     def spoilt(self, data: bytes) -> None:
-        """It is counted, by who does not wait for a better one."""
+        """Count a rejected message if the node does not wait for a valid one."""
         if not self.node.is_plant:
             self.came(self.decode.number(data), None, data)
 
     def told(self, position: int, spoke: bool) -> None:
-        """A sporadic sender says whether it has spoken at one of its ticks."""
+        """Process the report of a sporadic sender whether it published at one of its ticks."""
         # This acknowledgement was repeated.
         if position <= self._told:
             return
@@ -433,7 +435,7 @@ class Counted(Paired):
 
 
 class Pace(Paired):
-    """A sender that brings nothing but its ticks: /clock."""
+    """A sender whose messages carry only its ticks: /clock."""
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
         """Its sender has come to a tick of its own."""

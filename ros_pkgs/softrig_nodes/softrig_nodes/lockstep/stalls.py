@@ -1,4 +1,7 @@
-"""A lockstep run that makes no progress ends, and says who is missing; the only use of wall-clock time in lockstep."""
+"""End a lockstep run that makes no progress, and report which nodes are missing.
+
+This is the only use of wall-clock time in lockstep.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +72,7 @@ class Stalls:
                 self._judge(waited)
 
     def _begun(self) -> bool:
-        """Return whether the rig has sent anything: before that, somebody still waits for an outside node."""
+        """Return whether the rig has sent anything; until then a node may still wait for an outside node."""
         node = self._node
         if node.links.owns_clock or self._senders.heard:
             return True
@@ -82,7 +85,7 @@ class Stalls:
         return any(row.have for row in others) or (node.ticks > 0 and bool(others))
 
     def _name(self, item: Input, waited: float) -> None:
-        """End the run with the names of all who publish a topic, when the graph knows them."""
+        """End the run with the names of all nodes that publish a topic, if the graph knows them."""
         node, topic = self._node, item.port.topic
         rivals = self._middleware.publishers(self._middleware.resolve(topic))
         names = sorted({p.full_name for p in rivals})

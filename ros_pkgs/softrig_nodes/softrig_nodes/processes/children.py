@@ -56,7 +56,7 @@ def stop(children: list[Child]) -> None:
 
 
 def read_status(path: Path) -> dict[str, Any]:
-    """Read what a node says of itself; empty before it has said anything."""
+    """Read the status that a node reported; empty before its first report."""
     with suppress(FileNotFoundError):
         return json.loads(path.read_text())
     return {}

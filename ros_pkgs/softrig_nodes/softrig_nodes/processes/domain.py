@@ -29,17 +29,19 @@ SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # of Linux: <net/if.h>
 def free_domain(wanted: int | None = None) -> Iterator[int]:
     """Reserve a ROS_DOMAIN_ID for the length of a ``with`` block, across all processes of this host.
 
-    A domain is taken while some process holds the lock on its file in the user's cache folder or, whosever it is, its
-    name among the abstract sockets of the host; the operating system drops both of a dead process. One that a ROS
-    session of this host works in, whoever started it, is not chosen either: it holds ports of that domain. The search
-    starts at the process number, so that two runs in a row seldom share a domain and see each other's ghosts. It goes
-    on in `BEYOND` when all of `DOMAINS` are taken. What killed processes have left in shared memory is removed, with
-    all ports of a domain in which nobody is: any node takes them as they are (see `remove_leftovers`).
+    A domain is taken while a process of this user holds the lock on its file in the user's cache folder, or a process
+    of any user holds its name among the abstract sockets of the host. The operating system drops both when the process
+    ends. A domain that any ROS session of this host uses is not chosen either: the session holds ports of that domain.
+
+    The search starts at the process number, so that two successive runs rarely share a domain and see each other's
+    dead nodes. It continues in `BEYOND` when all of `DOMAINS` are taken. Files that killed processes left in shared
+    memory are removed, together with all ports of a domain without nodes, because a new node would use them as they
+    are (see `remove_leftovers`).
 
     Parameters
     ----------
     wanted : int, optional
-        This one and no other.
+        Reserve only this domain.
 
     Yields
     ------
@@ -51,7 +53,7 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     ScenarioError
         `wanted` is no domain.
     RunError
-        `wanted`, or every domain, is taken; says by whom.
+        `wanted`, or every domain, is taken; the error names the processes.
 
     Examples
     --------
@@ -107,12 +109,12 @@ def holders(domains: Iterable[int]) -> str:
 
 
 def join_domain(number: int) -> int:
-    """Hold a domain beside others who join it, against runs that want one for themselves, until this process ends.
+    """Hold a domain together with others until this process ends, so that no run reserves it for itself.
 
     Returns
     -------
     int
-        A file number; to close it lets go.
+        A file number; closing it releases the domain.
 
     Raises
     ------

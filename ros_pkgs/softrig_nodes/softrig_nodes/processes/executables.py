@@ -54,7 +54,7 @@ def given_profile() -> Path:
 
 
 def default_profile() -> Path:
-    """Return the profile of a process that is given none: only who asks for other hosts is reached from them."""
+    """Return the profile of a process without its own; other hosts reach a process only if it asks for that."""
     asked = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
     return PROFILE if asked or any(map(os.environ.get, NETWORK)) else LOOPBACK
 
@@ -101,8 +101,10 @@ def leased(profile: str, silence: float) -> str:
 
 
 def node_main(package: str, executable: str, arguments: list[str]) -> int:
-    """Become an executable: what ``ros2 run`` does. One of Python runs in this process, so that what stops its module
-    from being imported is told with its place; any other replaces it.
+    """Become an executable, as ``ros2 run`` does.
+
+    A Python executable runs in this process, so that an error at the import of its module is reported with its place.
+    Any other executable replaces this process.
 
     Raises
     ------

@@ -155,11 +155,11 @@ class ForkServer:
         return self._owner == os.getpid() and self._key == _key(variables)
 
     def status(self, pid: int) -> int:
-        """Return the exit status of a process that has ended; that of the server's own death if it cannot say it."""
+        """Return the exit status of a process that has ended; that of the server if the server died before."""
         return int(self._ask({"status": pid}).get("status", -signal.SIGKILL))
 
     def __del__(self) -> None:
-        """Nobody asks any more: its nodes hold it too."""
+        """Stop the server when this object is released; its nodes hold a reference to it."""
         self._link.close()
         if os.getpid() == self._owner:  # and not a fork of it
             self._process.kill()
@@ -249,7 +249,7 @@ class _Edited:
 
 
 def serve(link: socket.socket) -> Callable[[], Any]:
-    """Answer requests until nobody can ask any more; returns only in a process that it has forked, with its work."""
+    """Answer requests until the link is closed; return only in a forked process, with its work."""
     for point in importlib.metadata.entry_points(group="softrig_preloaded"):  # what nodes need; no ROS is known here
         with contextlib.suppress(Exception):  # the node says itself what is wrong with it
             point.load()

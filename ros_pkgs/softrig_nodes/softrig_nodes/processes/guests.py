@@ -21,7 +21,7 @@ CYCLONE = (
 
 
 class Guests:
-    """The external nodes of a run: says what they are to do, and when they have come."""
+    """The external nodes of a run: reports what is expected of them, and when they have joined."""
 
     def __init__(self, rig: Rig, announce: Callable[[str], object] | None) -> None:
         self._announce = announce
@@ -34,7 +34,7 @@ class Guests:
         self._since = time.monotonic()
 
     def invite(self, domain: int) -> None:
-        """Report who is expected, where, and with what."""
+        """Report which external nodes are expected, in which domain, and with which topics."""
         if self._announce is None or not self._needed:
             return
         who = ", ".join(self._awaited or self._needed)
@@ -50,12 +50,12 @@ class Guests:
         self._announce("\n".join(lines))
 
     def look(self, states: Mapping[str, Mapping[str, Any]]) -> None:
-        """Report who has come since the last look, and, once, what stands in the way of the others.
+        """Report the nodes that have joined since the last call and, once, what prevents the others from joining.
 
         Parameters
         ----------
         states : mapping
-            What each node of ours has said of itself, by name (`softrig_nodes.adapter.adapter.Adapter.status`).
+            Status of each of our nodes, by name (`softrig_nodes.adapter.adapter.Adapter.status`).
         """
         if not self._needed:
             return
@@ -82,7 +82,7 @@ class Guests:
             )
 
     def _name_strays(self, lacking: Set[str], published: Mapping[str, list[tuple[str, str]]]) -> None:
-        """Report who publishes, under a name that the rig does not know, the type of a topic that is awaited."""
+        """Report nodes that publish the type of an awaited topic under a name that the rig does not know."""
         awaited = {
             p.topic: (m.name, p.msgtype)
             for m in self._rig.members

@@ -59,14 +59,15 @@ def links(rig: Rig, member: Member) -> Links:
 
 
 def starter(rig: Rig) -> Member:
-    """Return the node that says when a run in real time starts: the clock, or the first that is ours."""
+    """Return the node that sets the start of a run in real time: the clock, or the first node that is ours."""
     return next((m for m in (rig.clock, *rig.members) if not m.external), rig.clock)
 
 
 def _overheard(rig: Rig, member: Member) -> list[OverheardLink]:
     """Return the outputs of external nodes that a member records: those that it is the first to read.
 
-    What nobody reads is recorded by the starter. A sporadic one is recorded by its reader, at the tick that uses it.
+    An output without readers is recorded by the starter. A sporadic one is recorded by its reader, at the tick that
+    uses it.
     """
     result = []
     for m in rig.members:
@@ -101,7 +102,7 @@ def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
 
 
 def _tick_readers(rig: Rig, member: Member) -> list[str]:
-    """Name the nodes that read what a member says of its ticks."""
+    """Name the nodes that read a member's acknowledgements of its ticks."""
     gatherer = _gatherer(rig)
     found = [gatherer] if gatherer not in (None, member) and member in _acknowledging(rig) else []
     found += [m for m in rig.members if member in _pacers(rig, m)]
@@ -110,9 +111,9 @@ def _tick_readers(rig: Rig, member: Member) -> list[str]:
 
 
 def _told(reader: Member, link: Link) -> bool:
-    """Return whether a law in real time waits for what a sender that may be silent says of its ticks.
+    """Return whether a controller in real time waits for the acknowledgements of a sender that may be silent.
 
-    A plant waits for no message; what pairs by order belongs to the tick at which it comes.
+    A plant does not wait for messages. A message that is paired by its order belongs to the tick at which it arrives.
     """
     port = link.port
     return port.sporadic and port.stamped and not port.delayed and not reader.is_plant and not reader.external
@@ -130,7 +131,7 @@ def _clocked(rig: Rig) -> list[Member]:
 
 
 def _gatherer(rig: Rig) -> Member | None:
-    """Return the member that waits for the acknowledgements: the clock, or who commands an external one."""
+    """Return the member that waits for the acknowledgements: the clock, or the node that commands an external clock."""
     if not rig.clock.external:
         return rig.clock
     senders = [k.source for k in rig.clock.links.values()]
@@ -150,7 +151,7 @@ def _pacers(rig: Rig, member: Member) -> list[Member]:
 
 
 def _followers(rig: Rig) -> list[str]:
-    """Name the nodes that read others and are read by none; nobody where a node is outside, or works for long."""
+    """Name the nodes that subscribe but have no subscribers; none if a node is outside or works for long."""
     if any(m.external or issubclass(m.block_class, Solver) for m in rig.members):
         return []
     return [
@@ -161,6 +162,6 @@ def _followers(rig: Rig) -> list[str]:
 
 
 def _acknowledging(rig: Rig) -> list[Member]:
-    """Members that would otherwise be left behind: those nobody waits for, and further plants."""
+    """Return the members that others would otherwise run ahead of: those that no node waits for, and further plants."""
     leaves = rig.leaves()
     return [m for m in rig.members if m is not rig.clock and not m.external and (m.is_plant or m in leaves)]

@@ -1,4 +1,4 @@
-"""How a run goes, and who hears of it."""
+"""Placement of a run, and the callbacks that report on it."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from softrig_core.rig.rig import Rig
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the nodes of a run live, and what they go by.
+    """Where the nodes of a run are placed, and how they run.
 
     Parameters
     ----------
     mode : {"processes", "container", "inprocess"}
-        Each in a process of its own; together in those that the scenario names, or all in one; as blocks alone.
+        Each node in a process of its own; together in the containers of the scenario, or all in one; only the blocks,
+        without nodes.
     domain : int, optional
         ROS_DOMAIN_ID; a free one when absent.
     containers : sequence of sequences of str, optional
-        Names of nodes that share a process, instead of what `mode` says.
+        Names of nodes that share a process; overrides `mode`.
     only : sequence of str
         Names of the nodes that are started here, when the others run on another machine; all when empty.
     wait : float, optional
         Limit in s of the wait for all nodes, 0 for none; by default the scenario's, and none for external nodes.
     paused : bool
-        In lockstep: the run is held at t = 0 until its clock is told to resume.
+        In lockstep: the run is paused at t = 0 until ``~/resume`` of its clock is called.
     pace : float
-        In lockstep: simulated by wall-clock time, 0 for as fast as it goes.
+        In lockstep: ratio of simulated to wall-clock time, 0 for as fast as possible.
     record : bool
-        Whether nodes record what they publish; without, the recording is empty.
+        Whether nodes record what they publish; otherwise the recording is empty.
     restart : int
-        In lockstep, of nodes that have a process each: how often one that was killed is started again.
+        In lockstep, with a process for each node: how often a killed node is started again.
     """
 
     mode: Literal["processes", "container", "inprocess"] = "processes"
@@ -61,14 +62,14 @@ class Placement:
 
 @dataclass(frozen=True)
 class Listener:
-    """Who hears of a run while it lasts.
+    """Callbacks that report on a run while it lasts.
 
     Parameters
     ----------
     progress : callable, optional
         Gets the plant's time in ns.
     announce : callable, optional
-        Gets a text when an external node is waited for, and when it has come.
+        Gets a text when the run waits for an external node, and when that has joined.
     opened : callable, optional
         Gets the domain before the first node is started.
     """

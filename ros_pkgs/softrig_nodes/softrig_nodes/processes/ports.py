@@ -1,16 +1,20 @@
-"""Port numbers of DDS: those at which a participant is found, and others that nobody has had lately.
+"""Port numbers of DDS: the well-known ones of discovery, and others that were not used recently.
 
-Left to itself Fast DDS takes the lowest numbers that are free, so that a node which follows a killed one gets its ports
-in shared memory. But until the lease of the dead one is over the others write to it: each message makes its port anew
-and removes it, from several processes at once, with the mutex that was to keep them apart (Fast DDS 2.14, `~Port`,
-`open_port_internal`). In one of ten cases the port of the new node goes with them: it hears nobody and no error is
-told. So every participant of ours listens at numbers that come round again only after `AROUND`, and of which nobody has
-left a file: who wrote to the dead one holds his port for up to 40 s, until he finds that nobody reads it, and what he
-has for a new one of that name goes there. And a port that was left behind is judged by the time of its last reader.
-They are free to choose: participants tell each other of them, only the well-known ones of RTPS 9.6.1 have to be where
-they are expected.
-Nor may two that begin together want the same port: who has no processor for 2 s while he makes it loses its mutex to
-the other one, and then takes the port away by its name when he finds it locked (`Failed init_port`).
+By default Fast DDS uses the lowest free numbers, so a node that is started after a killed one gets its ports in shared
+memory. Until the lease of the dead node ends, the others still write to it. Each message creates its port again and
+removes it, from several processes at the same time, together with the mutex that should keep them apart (Fast DDS
+2.14, `~Port`, `open_port_internal`). In one of ten cases this also removes the port of the new node: it receives
+nothing and no error is reported.
+
+So each of our participants listens at numbers that repeat only after `AROUND` and for which no file is left. A writer
+to the dead node keeps its port open for up to 40 s, until it finds that the port has no reader. Messages for a new
+node with the same port name would go to that old port. Moreover, an abandoned port is judged by the time of its last
+reader. The numbers can be chosen freely, since participants announce them to each other. Only the well-known ports of
+RTPS 9.6.1 are fixed.
+
+Two participants that start together must not use the same port either. A participant that gets no processor for 2 s
+while it creates the port loses its mutex to the other one. It then finds the port locked and removes it by its name
+(`Failed init_port`).
 """
 
 from __future__ import annotations
@@ -72,7 +76,7 @@ def _participants(domain: int) -> int:
 
 
 def udp_ports() -> set[int]:
-    """Return the UDP ports of this host that somebody has bound; none where that cannot be seen."""
+    """Return the UDP ports of this host that are bound; empty if that cannot be read."""
     result = set()
     for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
         with suppress(OSError):  # not Linux, or no IPv6

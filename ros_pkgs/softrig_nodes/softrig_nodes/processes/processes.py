@@ -169,14 +169,14 @@ def run_processes(
 def gathered(
     rig: Rig, directory: Path, names: Iterable[str], namespace: str = ""
 ) -> tuple[Recording, dict[str, dict[str, Any]]]:
-    """Return what the nodes of a run have recorded and what each said of itself.
+    """Return the recording of the nodes of a run, and the status of each.
 
     Parameters
     ----------
     directory : Path
-        Of the `FILES` that the nodes wrote.
+        Folder of the `FILES` that the nodes wrote.
     names : iterable of str
-        Of the nodes.
+        Names of the nodes.
     namespace : str
         See `Recording.read_shard`.
     """

@@ -18,12 +18,12 @@ Again = Callable[[int], object]
 
 
 def check_restart(rig: Rig, placement: Placement) -> None:
-    """Ensure that nodes of a run could be started again, if that is wanted.
+    """Check that nodes of a run can be started again, if that is requested.
 
     Raises
     ------
     ScenarioError
-        Of this placement they could not; says why.
+        They cannot with this placement; the error contains the reason.
     """
     if not placement.restart:
         return
@@ -45,19 +45,19 @@ class _Look(NamedTuple):
 
 
 class Restarts:
-    """How often a node of a run may be started again.
+    """Restarts killed nodes of a run, up to a limit.
 
     Parameters
     ----------
     again : callable
-        Starts the node of a child anew, by its number, and puts it in its place.
+        Starts the node of a child again, by its number, and replaces the child.
     announce : callable, optional
-        Gets a text when that is done.
+        Gets a text at each restart.
 
     Attributes
     ----------
     counts : dict of str to int
-        By node: how often it was.
+        Number of restarts by node.
     """
 
     def __init__(self, most: int, again: Again, announce: Callable[[str], object] | None = None) -> None:
@@ -66,10 +66,10 @@ class Restarts:
         self._looks: dict[str, dict[str, _Look]] = {}  # by node that has died, at each of the others
 
     def look(self, children: list[Child]) -> list[Child]:
-        """Start those again that were killed, when all others stand; return those that nobody can start again.
+        """Start killed nodes again when all others wait; return those that cannot be started again.
 
-        What a node has recorded is in its file a quarter of a second later, and its status after that: two of them that
-        tell of the same tick mean that it stands, and that all it has said can be read.
+        A node writes its recording to its file within a quarter of a second, and its status after that. Two statuses
+        with the same tick mean that the node waits and that all its messages can be read.
         """
         lost = []
         for k, child in enumerate(children):
@@ -83,7 +83,7 @@ class Restarts:
         return lost
 
     def _stand(self, dead: Child, children: list[Child]) -> bool:
-        """Return whether all others stand, or have ended; of one that has said nothing yet nothing is known."""
+        """Return whether all others wait or have ended; a node without a status is ignored."""
         looks = self._looks.setdefault(dead.member.name, {})
         for child in children:
             with suppress(OSError):

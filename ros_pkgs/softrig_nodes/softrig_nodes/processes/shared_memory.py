@@ -23,19 +23,20 @@ MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.In
 
 
 def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
-    """Remove the segments and ports whose owner is dead; returns how many files that were.
+    """Remove the segments and ports whose owner is dead; return the number of removed files.
 
-    As `fastdds shm clean` does: an owner holds a lock on ``NAME_el`` (or, with others, on ``NAME_sl``), which the
-    operating system drops when the process ends. What belongs to other users is left alone, and so are the ports of
-    other domains: who looks whether a port is locked locks it, and a node that starts in that moment cannot open it.
-    (Of those that are not of a domain it takes the next one then.)
-    A port whose maker was killed before it had finished goes in any domain when it is old: whoever opens it waits for
-    the maker for ever. (A node looks for younger ones in its domain, see `clear_ports`.)
+    This works like `fastdds shm clean`: an owner holds a lock on ``NAME_el`` (or, with others, on ``NAME_sl``), which
+    the operating system drops when the process ends. Files of other users are kept. Ports of other domains are kept
+    too: a test of the lock locks the port, and a node that starts at that moment could not open it. (If the port
+    belongs to no domain, the node uses the next one.)
+
+    A port whose creator was killed before it had finished is removed in any domain once it is old: a process that
+    opens it would wait forever for the creator. (A node looks for younger ones in its domain, see `clear_ports`.)
 
     Parameters
     ----------
     domain : int, optional
-        A ROS_DOMAIN_ID in which nobody is or starts: its ports go, also where nobody has ever held a lock on them.
+        A ROS_DOMAIN_ID in which no node runs or starts: its ports are removed, even those that were never locked.
     """
     removed = 0
     locked = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
@@ -92,7 +93,7 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
 
 
 def numbers(folder: Path = FOLDER) -> set[int]:
-    """Return the numbers of the ports of which there is a file, whoever made it."""
+    """Return the numbers of all ports that have a file, of any process."""
     there = os.listdir(folder) if folder.is_dir() else []
     return {int(found[1]) for name in there if (found := re.match(r"fastrtps_port(\d+)", name))}
 
@@ -116,15 +117,16 @@ def domain_id() -> int:
 
 
 class Ears:
-    """The ports of this process, through which it hears of what others send it in shared memory.
+    """The ports of this process, through which it receives messages of others in shared memory.
 
-    A port is known by its name. One whose file is another by now, or gone, is written to by those who had opened it
-    before, and by nobody else.
+    A port is identified by its name. If its file was replaced or removed, only processes that had opened it before
+    still write to it.
 
-    A reader who waits for messages stirs every third of the time after which his port is judged (20 s, see
-    fastdds_loopback.xml). Who opens the port between a judgement and that cannot know whether he lives, and waits a
-    third of it, too, holding whatever he sends: of late nodes one in six heard nothing for 6.7 s and was forgotten by
-    its peers, whose lease is shorter. So a process that looks after its ports says so, and they are not judged.
+    Fast DDS judges after 20 s (see fastdds_loopback.xml) whether a port still has a reader. A waiting reader becomes
+    active every third of this time. A process that opens the port between a judgement and the reader's next activity
+    cannot know whether the reader is alive. It waits for a third of the time as well and sends nothing in the
+    meantime. One of six late nodes received nothing for 6.7 s, and its peers, whose lease is shorter, dropped it. So
+    a process that watches its ports marks them, and they are not judged.
     """
 
     # s, of which a pause between two looks, where the host has no time for this process, counts as one at most: Fast
@@ -167,8 +169,8 @@ class Ears:
 def _judged(segment: bytes, path: Path) -> int:
     """Return where a port stores the time (ms) of the last look at its readers; -1 if this cannot be found.
 
-    Of Fast DDS 2.14 (`SharedMemGlobal::PortNode`): the number of the port, its readers, the time after which it is
-    judged and a third of it stand 20 bytes further on.
+    In Fast DDS 2.14 (`SharedMemGlobal::PortNode`) the number of the port, its readers, the time after which it is
+    judged and a third of that time are stored 20 bytes further on.
     """
     number = struct.pack("=I", int(path.name.removeprefix("fastrtps_port")))
     for found in re.finditer(re.escape(number), segment):
@@ -228,7 +230,7 @@ def _unfinished(path: Path) -> bool:
 
 
 def _taken(lock: Path, held: ExitStack) -> bool:
-    """Return whether a lock file is old and nobody's; it is ours then until `held` ends."""
+    """Return whether a lock file is old and not locked; if so, this process locks it until `held` ends."""
     try:
         if not _older(lock, AGE):
             return False

@@ -42,8 +42,8 @@ def node_parameters(
     ----------
     mode : {"lockstep", "realtime"}
     recorders : sequence of str, optional
-        Nodes outside the rig that read everything and are awaited, besides those that ask for it; None: the domain is
-        the rig's own, nobody else is in it.
+        Nodes outside the rig that read everything and are awaited, besides those that ask for it. None means that the
+        domain is the rig's own, with no other nodes in it.
     returns : bool
         Whether a node that died is started again.
     """

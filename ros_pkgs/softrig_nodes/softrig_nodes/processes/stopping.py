@@ -81,7 +81,7 @@ def unstopped() -> Iterator[None]:
 
 @contextmanager
 def undisturbed() -> Iterator[list[int]]:
-    """Yield the signals that come meanwhile, which do nothing else; whoever asks for it says what becomes of them."""
+    """Yield a list of the signals that arrive within the block; they have no other effect, the caller handles them."""
     came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield came

@@ -33,12 +33,13 @@ def supervise(
     clock: SystemClock,
     announce: Callable[[str], object] | None = None,
 ) -> str:
-    """Wait until all have ended or one has failed; returns the reason of a failure.
+    """Wait until all nodes have ended or one has failed; return the reason of a failure.
 
-    A node may wait for ever for a peer that has ended: it has the scenario's timeout, in realtime from the end of the
-    run, in lockstep from the end of a node or the last progress. So has one whose process is stopped (SIGSTOP). One
-    that never says anything of itself has the scenario's time for the start: its peers may wait for an outside node.
-    Where nodes that were killed are started again, a rig that stands for longer than a start may take is lost.
+    A node could wait forever for a peer that has ended, so the scenario's timeout applies to it. In realtime it counts
+    from the end of the run, in lockstep from the end of a node or the last progress. It also applies to a node whose
+    process is stopped (SIGSTOP). A node that never reports a status has the scenario's start timeout, because its
+    peers may wait for an outside node. If killed nodes are started again, the run fails when it makes no progress for
+    longer than a start may take.
     """
     comes_up = time.monotonic() + rig.scenario.start_timeout
     late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
@@ -103,9 +104,10 @@ def _to_start(epoch: int, most: float) -> float:
 
 
 class SystemClock:
-    """Whether the system's clock was set back.
+    """Detects that the system's clock was set back.
 
-    Fast DDS waits by that clock: until it is there again nobody is found, nor is what was lost sent again.
+    Fast DDS waits by that clock. Until the clock reaches its old time again, no participant is discovered and no lost
+    message is sent again.
     """
 
     def __init__(self) -> None:
@@ -137,7 +139,7 @@ def idle(states: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def left_early(states: Mapping[str, Mapping[str, Any]]) -> str:
-    """Name the nodes that a signal of somebody else has ended before their last tick; empty without any."""
+    """Name the nodes that a foreign signal ended before their last tick; empty if there are none."""
     found = [
         f"{name} at t = {state.get('t', 0) / 1e9:.9g} s" for name, state in states.items() if state.get("left_early")
     ]
@@ -145,7 +147,7 @@ def left_early(states: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
-    """Name the nodes that have said nothing yet; empty without any."""
+    """Name the nodes that have not reported a status yet; empty if there are none."""
     names = ", ".join(name for name, state in states.items() if not state)
     return f"node {names} has reported nothing within {patience:g} s of its start" if names else ""
 
@@ -189,12 +191,12 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
 
 
 def blamed(waits: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the nodes whose errors tell the cause: those that waited for none, or for one that has not failed.
+    """Return the nodes whose errors show the cause: those that waited for none, or for one that has not failed.
 
     Parameters
     ----------
     waits : by node name
-        For whom each node that failed waited.
+        The nodes that each failed node waited for.
     """
     causes = [n for n, senders in waits.items() if not all(sender in waits for sender in senders) or not senders]
     return causes or list(waits)[:1]

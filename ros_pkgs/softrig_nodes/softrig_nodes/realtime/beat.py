@@ -1,6 +1,6 @@
-"""The ticks of nodes of one process that read only each other, in real time: at each all that are due answer in order.
+"""Real-time ticks of nodes of one process that read only each other: at each tick all due nodes run in order.
 
-They need not wait for messages: what one says is in the inputs of the others before these answer, as in process.
+They need not wait for messages: the outputs of one are in the inputs of the others before these run, as in process.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ BEHIND = SECOND // 20  # ns; a beat that is further behind skips ticks
 
 
 class Beat:
-    """Says the ticks of some nodes by one timer.
+    """Triggers the ticks of several nodes by one timer.
 
     Parameters
     ----------
     drives : sequence of Realtime
         Plants first, then each after those that it reads, which are all among them.
     commands : sequence of (step, Live, plant)
-        What the plants read, and whose it is.
+        Commands of the plants: the step that publishes each, its row and the plant that reads it.
     """
 
     def __init__(self, drives: Sequence[Realtime], commands: Sequence[tuple[Step, Live, Realtime]]) -> None:

@@ -22,13 +22,13 @@ GONE = SECOND  # ns by which one of several publishers may be late before anothe
 
 
 class LiveSenders:
-    """Who sends to a node in real time.
+    """The senders of a node in real time.
 
     Parameters
     ----------
     node : Adapter
     clock : callable
-        Gives the wall-clock time, ns.
+        Returns the wall-clock time, ns.
 
     Attributes
     ----------
@@ -36,19 +36,19 @@ class LiveSenders:
     stale : set of str
         Inputs whose senders have been silent for too long.
     window : int
-        ns from now within which a stamp is believed.
+        Largest difference of a stamp from now that is accepted, ns.
     least : int
         ns after which a sender may be stale.
     watchdog : int
-        ns after which a command is; 0: so many intervals of its sender.
+        ns after which a command is stale; 0: a number of intervals of its sender.
     unrecorded : list of (due, number, message)
-        What has come from outside and no tick has used: it is recorded at the first one that is not before `due`, ns.
+        Messages from outside that no tick has used: they are recorded at the first tick that is not before `due`, ns.
     take : callable
-        Gets (row, stamp, time of the tick that it belongs to, value, now) of each good message.
+        Gets (row, stamp, time of the tick that it belongs to, value, now) of each valid message.
     excuse : callable
-        Gets (row, time of its tick, now) of each bad one whose tick is known.
+        Gets (row, time of its tick, now) of each invalid one whose tick is known.
     act : callable
-        Does what is to be done once all that has come together has been taken or excused.
+        Called when all messages that arrived together have been passed to `take` or `excuse`.
     """
 
     take: Callable[[Live, int, int, Any, int], object]
@@ -107,7 +107,7 @@ class LiveSenders:
 
 
 class Live(Sender):
-    """A sender whose newest messages count.
+    """A sender of which the newest messages are used.
 
     Parameters
     ----------
@@ -117,30 +117,30 @@ class Live(Sender):
     Attributes
     ----------
     schedule : Schedule or None
-        Of the sender, when the rig says who it is; otherwise its interval is learned from its stamps.
+        Schedule of the sender, if the rig names it; otherwise its interval is estimated from its stamps.
     awaited : bool
-        Whether a tick waits for it: required, and the sender is never silent or says when it was.
+        Whether a tick waits for it: it is required, and its sender is never silent or reports when it was.
     by_arrival : bool
-        Whether its messages belong to the tick at which they come: they do not say of which they are.
+        Whether its messages belong to the tick at which they arrive: they do not contain the time of their tick.
     paired : bool
         Whether a node of the rig sends it: its value at a tick is then the newest stamped up to there, as in lockstep.
     expected : bool
-        Whether a law waits for it although it is optional: it is paired and its sender speaks at each of its ticks. One
-        that has been waited for in vain is expected again when it has come.
+        Whether a controller waits for it although it is optional: it is paired and its sender publishes at each of its
+        ticks. After a wait that timed out it is expected again once a message has arrived.
     answered : int
         Stamp of the newest tick that has used it, ns.
     stamp : int or None
         Of the newest message, ns since the Unix epoch.
     arrived : int or None
-        Wall-clock time at which it came.
+        Wall-clock time at which it arrived.
     fresh : bool
-        Whether something has come since the last answer.
+        Whether a message has arrived since the last answer.
     bad : int or None
-        Stamp of a refused message.
+        Stamp of a rejected message.
     recent : deque of (stamp, value)
-        The newest messages; those that no tick needs any more fall out when it is full.
+        The newest messages; the oldest are dropped when it is full.
     holds : int
-        For ticks stamped before it what is due is there.
+        All messages for ticks stamped before this time have arrived.
     """
 
     def __init__(self, table: LiveSenders, port: Port) -> None:
@@ -177,7 +177,7 @@ class Live(Sender):
         self.table.act()
 
     def _numbered(self, number: int | None) -> None:
-        """Who should speak at each tick and has been silent for too long does not keep another from being believed."""
+        """Count the writers by a message's number; one that is silent for too long no longer blocks another."""
         if self.outside < 2:
             return
         before, silence = self._rivals.alone, max(self._silence(), GONE)
@@ -188,7 +188,7 @@ class Live(Sender):
 
     @property
     def disputed(self) -> bool:
-        """Return whether several write it of whom nobody knows whom to believe."""
+        """Return whether several writers publish it and it is unknown which one is valid."""
         return self.publishers > 1 and (self.local or not self._rivals.alone)
 
     def deaf(self) -> bool:
@@ -256,7 +256,7 @@ class Live(Sender):
             self._recovered()
 
     def told(self, stamp: int, spoke: bool) -> None:
-        """The sender has answered a tick, and spoken or not: nobody waits for that here."""
+        """Ignore the sender's report whether it published at a tick; this kind of row does not wait for it."""
 
     def _begin(self, stamp: int) -> None:
         """By hand a law's t = 0 is the tick of the first message."""

@@ -106,7 +106,7 @@ class Realtime(Link):
         return lambda: self._timer.again(SOON)
 
     def join(self, local: Set[str]) -> None:
-        """Begin, or wait for the others if t = 0 is to be said; `local` are the other nodes of this process."""
+        """Begin, or wait for the others if t = 0 is to be agreed; `local` are the other nodes of this process."""
         node = self.node
         self._begun = self._begun or self._by_itself()
         told = listen(self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local])
@@ -164,7 +164,7 @@ class Realtime(Link):
             node.finish()
 
     def _tell_unheard(self) -> None:
-        """Name what a law has waited for in vain since it began although somebody publishes it."""
+        """Report inputs that a controller has never received although they have a publisher."""
         node, now = self.node, self.node.middleware.steady()
         unheard = sorted(r.port.topic for r in self.senders.rows if r.awaited and r.stamp is None and r.publishers)
         if not unheard:
@@ -201,7 +201,7 @@ class Realtime(Link):
         self.clock = clock
 
     def busy(self) -> bool:
-        """Return whether somebody holds the clock of the rig."""
+        """Return whether a person has stopped the clock of the rig."""
         return self.node.hold.held
 
     # messages --------------------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ class Realtime(Link):
         self.node.step.bad = True
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Publish, and have the readers of this process hear it when what is under way has returned."""
+        """Publish; readers of this process receive the messages after the current callback has returned."""
         node = self.node
         node.publish(t, rows, numbers)
         stamp = node.epoch + t
@@ -333,7 +333,7 @@ class Realtime(Link):
                 self.senders.record(stamp)
 
     def _fresh_inputs(self, now: int) -> dict[str, Any]:
-        """Live commands; the safe value in place of one that is stale at the time of a tick, said late or not."""
+        """Return the current commands; a command that is stale at the time of a tick is replaced by the safe value."""
         inputs = self.node.values
         for row in self._commands:
             if row.disputed or row.silent(now):
@@ -341,7 +341,7 @@ class Realtime(Link):
         return inputs
 
     def _answer(self, t: int) -> None:
-        """Publish the answer of tick `t`; the safe values when the law overflows or gives what nobody may send."""
+        """Publish the outputs of tick `t`; the safe values if the controller overflows or returns invalid ones."""
         node, step = self.node, self.node.step
         if self._over:
             return

@@ -6,14 +6,14 @@ from __future__ import annotations
 class Rivals:
     """Several writers on one topic, told apart by how each numbers its messages, without a gap.
 
-    Who was killed stays matched until its lease is over, and neither it nor who takes its place is believed meanwhile.
-    Where each message has the number after that before, they are all of one writer: another one that speaks repeats a
-    number or leaves some out, except where both have sent equally many; then the next message shows it.
+    A killed writer stays matched until its lease is over. Until then neither its messages nor those of its replacement
+    are accepted. If the numbers of all messages are consecutive, they come from one writer. A message of another one
+    repeats a number or skips some, unless both have sent equally many; then the next message shows it.
 
     Attributes
     ----------
     alone : bool
-        Whether one has spoken alone for long enough to be believed. Once two of them have been heard it is never.
+        Whether one writer has published alone for long enough to be accepted; false for good once two were received.
     """
 
     def __init__(self) -> None:
@@ -31,11 +31,11 @@ class Rivals:
         Parameters
         ----------
         number : int or None
-            As its writer counts; None where the middleware does not say.
+            Number by its writer's count; None if the middleware does not provide it.
         now : int
             Time, ns.
         silence : int
-            ns after which who has said nothing counts no more.
+            ns after which a silent writer is ignored.
         """
         last, self._last = self._last, number
         if number is None or (last is not None and number <= last):

@@ -1,4 +1,4 @@
-"""A sender in real time that may be silent: what it says of its ticks tells at which, so that a law can wait for it."""
+"""A sender in real time that may be silent: its acknowledgements report at which ticks, so a controller can wait."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from .live import KEPT, Live, LiveSenders
 
 
 class Sporadic(Live):
-    """A row of a law that is told at which of its ticks the sender was silent.
+    """A row of a controller that receives reports at which of its ticks the sender was silent.
 
-    What comes on the topic and what tells of silence overtake each other: what is said to have been sent is waited for.
+    A message and the acknowledgement of its tick may overtake each other. The row waits for a message that was
+    acknowledged as sent.
     """
 
     def __init__(self, table: LiveSenders, port: Port) -> None:
@@ -24,7 +25,7 @@ class Sporadic(Live):
         self._sent: deque[int] = deque(maxlen=KEPT)  # stamps of what has been sent and has not come
 
     def told(self, stamp: int, spoke: bool) -> None:
-        """The sender has answered the tick of a stamp, and said something on this topic or not."""
+        """Process the report whether the sender published on this topic at the tick of a stamp."""
         if self.deaf() or stamp <= self._told:
             return
         self._begin(stamp)
@@ -70,7 +71,7 @@ class Sporadic(Live):
 
 
 class Acknowledgements(Sender):
-    """What a node says of its ticks, for those of its ports that may be silent.
+    """The acknowledgements of a node's ticks, for those of its ports that may be silent.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ class Acknowledgements(Sender):
     who : str
         The node.
     rows : sequence of (Sporadic, str)
-        What we read of it, and the name of its port.
+        Rows that we read from it, and the names of their ports.
     """
 
     def __init__(self, table: LiveSenders, who: str, rows: Sequence[tuple[Sporadic, str]]) -> None:
@@ -106,7 +107,7 @@ class Acknowledgements(Sender):
 
 
 def listen(table: LiveSenders, rows: Iterable[Sporadic]) -> list[Acknowledgements]:
-    """Read what the senders of some rows say of their ticks."""
+    """Subscribe to the acknowledgements of the senders of some rows."""
     node = table.node
     by_sender: dict[str, list[tuple[Sporadic, str]]] = {}
     for row in rows:

@@ -1,9 +1,10 @@
-"""The clock of a rig in real time that a person holds: all its nodes stand at one time, and go on from there.
+"""A clock of a real-time rig that a person can pause: all nodes stop at one time and resume from there.
 
-Their clocks stay at a time that is said some way ahead, and lag behind the wall's from then on by as long as they
-stood. Ticks, stamps and patience go by this clock, so nothing is late or stale for it. It is told with the start of the
-run (`node.adapter.departure`), as words: ``ahead=NS`` (of the wall's clock), ``from=NS`` and ``until=NS``, between
-which it stays. Hardware does not stand: a rig with a node that is not ours has no such clock.
+The stop time is announced in advance. From then on the clocks of the nodes lag behind the wall clock by the length of
+the pause. Ticks, stamps and timeouts use this clock, so a pause makes nothing late or stale. The state of the clock is
+published with the start of the run (`node.adapter.departure`), as words: ``ahead=NS`` (relative to the wall clock),
+``from=NS`` and ``until=NS``, the interval in which it is stopped. Hardware cannot be paused, so a rig with a node that
+is not ours has no such clock.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Stand:
         self._goes_by(clock)
 
     def serve(self, say: Callable[[Sequence[str]], object]) -> None:
-        """Hold the rig when its node of the clock is asked to (`seam.hold`); `say` tells the others."""
+        """Pause the rig when the node of its clock gets a request (`seam.hold`); `say` publishes it to the others."""
         self._say = say
         node = self._node
         node.hold.begin(node.middleware, self._turn)
@@ -63,7 +64,7 @@ class Stand:
         self._go_by(lambda: min(max(own() + ahead, first), until))
 
     def _turn(self) -> None:
-        """Set the rig to what its `Hold` says."""
+        """Pause or resume the rig as its `Hold` requires."""
         node, now, ahead = self._node, self._clock(), self._ahead
         hold, epoch, schedule = node.hold, node.epoch, node.schedule
         # The clock stands and is to go on: it continues from where it stands, not from the wall clock's time.

@@ -27,7 +27,7 @@ class ContainedMiddleware(RosMiddleware):
         self._exchange = exchange
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Receive:
-        """Offer a topic; DDS carries it while somebody in another process reads it."""
+        """Offer a topic; it is published by DDS while it has subscribers in another process."""
         carry, readers, note = self._exchange.carry, [0], _noting(matched)
         to_others = super().publisher(topic, msgtype, lambda count: note(readers, count))
 
@@ -69,7 +69,7 @@ class _Exchanged(Reader):
 
 
 def _noting(matched: Matched) -> Callable[[list[int], int], None]:
-    """Return what keeps a number of readers and tells it."""
+    """Return a callable that stores a number of readers and passes it to `matched`."""
 
     def note(readers: list[int], count: int) -> None:
         readers[0] = count

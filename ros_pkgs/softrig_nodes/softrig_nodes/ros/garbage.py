@@ -16,14 +16,14 @@ CLEAN, UNCLEAN = 100, 10  # steps to the next look, after one without and with a
 
 
 class Garbage:
-    """Searches for cycles seldom while none come about, and as usual while some do.
+    """Searches for reference cycles rarely while none occur, and as usual while some do.
 
     Parameters
     ----------
     collector : module
-        `gc`, or what stands in for it.
+        `gc`, or a replacement for it.
     off : bool
-        Never search but in `step`: what is found may be what no other thread may destroy.
+        Search only in `step`: an object that is found may be one that no other thread may destroy.
     """
 
     def __init__(self, collector: Any = gc, *, off: bool = False) -> None:

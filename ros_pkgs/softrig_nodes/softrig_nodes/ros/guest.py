@@ -1,9 +1,9 @@
-"""A node of somebody else that goes by a clock of its own: handed its inputs, its clock advanced, its answer awaited.
+"""A third-party node with a clock of its own: it gets its inputs, its clock is advanced, its answer is awaited.
 
-It is started in the namespace of the rig's node, so that it reads and publishes there and not among the rig, and with
-/clock remapped into it. Before its clock moves, its executor has answered a question that was asked after the inputs
-of the tick: what one process sends to another arrives in order, so its callbacks of the tick have run, whatever the
-load. (An acknowledgement by DDS would say less, and comes with a heartbeat, up to seconds later.)
+It is started in the namespace of the rig's node, with /clock remapped into that namespace. So it reads and publishes
+there and not on the topics of the rig. After the inputs of a tick it gets a request, and its clock moves only when its
+executor has answered that. Messages from one process to another arrive in order, so its callbacks of the tick have run
+by then, at any load. (An acknowledgement by DDS would prove less, and comes with a heartbeat, up to seconds later.)
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ SAY_AFTER = 1.0  # s after which it is said what is waited for
 
 
 class Guest:
-    """The other node.
+    """A third-party node that is driven by a node of the rig.
 
     Parameters
     ----------
     name : str
-        Of the rig's node; the other one is in the namespace of this name.
+        Name of the rig's node; the third-party node is in the namespace of this name.
     inputs, outputs : sequence of Port
-        What it reads and publishes.
+        Ports that it reads and publishes.
     entry : ClockEntry
-        How long it is waited for.
+        Timeouts and order of its messages.
 
     Attributes
     ----------
     who : str
-        Full name of the other node.
+        Full name of the third-party node.
     """
 
     def __init__(self, name: str, inputs: Sequence[Port], outputs: Sequence[Port], entry: ClockEntry) -> None:

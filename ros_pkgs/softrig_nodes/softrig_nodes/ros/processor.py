@@ -1,13 +1,13 @@
 """The processor on which the two nodes of a lockstep loop take turns.
 
-One plant and one law wait for each other, so that there is never work for two at a time. But the system wakes who gets
-a message on a processor that is idle, and to wake that one takes longer than a short tick; what the tick needs is in
-the caches of another one then. So they stay on one, by the number of their domain: both on the same, rigs that run
-beside each other on others. Who follows them and is waited for by none has the others. Who computes for longer goes
-where there is room.
+One plant and one controller wait for each other, so only one of them works at a time. But the system wakes the
+receiver of a message on an idle processor. Waking that processor takes longer than a short tick, and the data of the
+tick is then in the caches of another one. So both nodes stay on one processor, chosen by the number of their domain;
+rigs that run at the same time use different ones. Followers use the remaining processors. A node that computes for
+longer runs wherever there is room.
 
-With a third node in the loop there is work for two: what that shares saves more than the way between processors costs.
-What a rig has is known to the rig alone, and comes from there (`Middleware.be_prompt`).
+With a third node in the loop two can work at a time; running them in parallel saves more than the way between
+processors costs. Only the rig knows which nodes it has, so it selects the placement (`Middleware.be_prompt`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""How a process of ours joins a domain: with a Fast DDS profile of its own, made of the one that it is given.
+"""Join a domain with a Fast DDS profile of the process's own, derived from the one that it is given.
 
-Its ports are such that nobody who was killed just now had them (see `processes.ports` for why), and in a container it
-does not match its own writers with its own readers: what two nodes of one process say to each other goes by memory, DDS
-would deliver it a second time. With the property `fastdds.ignore_local_endpoints` the endpoints stay in the graph and
-are matched with other processes only.
+Its ports are ones that no recently killed process used (see `processes.ports` for why). In a container its writers are
+not matched with its own readers: messages between two nodes of one process are passed in memory, and DDS would deliver
+them a second time. With the property `fastdds.ignore_local_endpoints` the endpoints stay in the graph and are matched
+with other processes only.
 
 Where shared memory has no room for a node, the profile has no transport by shared memory. Fast DDS falls back to UDP
 only if it cannot make a segment. If the room ends between a segment and its ports, the node's peers write to ports that
@@ -47,14 +47,14 @@ SPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 
 @contextmanager
 def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterator[None]:
-    """Within the block a participant may begin: no damaged port is in its way, and its profile is made.
+    """Prepare for a participant that starts within the block: remove damaged ports and write its profile.
 
     Parameters
     ----------
     exclusive : bool
         Whether its endpoints are matched with other processes only.
     silence : float, optional
-        Where nobody has given a profile: others take it for dead only after more than so many s.
+        If no profile is given: others consider it dead only after more than this many s.
 
     Raises
     ------

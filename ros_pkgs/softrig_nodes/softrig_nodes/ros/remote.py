@@ -37,7 +37,7 @@ class Remote:
     ----------
     node : rclpy.node.Node
     answer : callable
-        Gets the id of a request, whether it was done (None: nobody answered), and the reason if it was not.
+        Gets the id of a request, whether it was done (None: no answer), and the reason if it was not.
     patience : float
         How long to wait for a node, s.
     """

@@ -130,19 +130,19 @@ class Credit:
 
 
 class Answers:
-    """Answers of one service, sent while there is time for them: one to a client that has gone takes 0.1 s of waiting.
+    """Answers of one service, sent within a share of the time: an answer to a client that has left blocks for 0.1 s.
 
-    The middleware (rmw_fastrtps of Jazzy) waits that long for the reader of each answer. Where nobody uses the service
-    any more none is sent; while others use it, answers wait for their share of the time, and the oldest are dropped.
+    The middleware (rmw_fastrtps of Jazzy) waits that long for the reader of each answer. If the service has no clients
+    left, no answer is sent. While it has others, answers wait for their share of the time, and the oldest are dropped.
 
     Parameters
     ----------
     send : callable
         Sends a response by the header of its request.
     clients : callable
-        Gives the number of clients.
+        Returns the number of clients.
     later : callable
-        Has `go_on` called now and then, from the first call on.
+        Arranges that `go_on` is called from time to time, from the first call on.
     """
 
     MOST = 100  # that wait; so many requests of a service are kept
@@ -175,25 +175,25 @@ class Answers:
 
 
 class ServingNode(Node):  # type: ignore[misc]
-    """A node whose services outlive what they are asked: rclpy's own end it at a parameter of an unknown type.
+    """A node whose services survive any request: rclpy's own end the node at a parameter of an unknown type.
 
-    What is set together is taken together where all of it fits, each by itself where not all does (`ros2 param load` of
-    a whole file); a whole number stands for a real one, and what a read-only parameter is already may be set again.
-    The ticks of the nodes go first: what any service costs, answers included, is taken off one share of the time, and
-    who sets more than fits beside the ticks is refused and told when to come back.
+    Parameters that are set in one request are set together if all are valid; otherwise each is set by itself (`ros2
+    param load` of a whole file). An integer is accepted for a real number. A read-only parameter may be set to the
+    value that it has. The ticks of the nodes have priority: all services, answers included, share one part of the
+    time. A request that does not fit beside the ticks is refused, and the answer states when to try again.
 
     Attributes
     ----------
     remark : str
-        What whoever takes a set has to say of it: rclpy tells the reason of a refusal only.
+        Remark on an accepted set; rclpy reports only the reason of a refusal.
     overdrawn : callable
-        Gets why a set was refused for want of time.
+        Gets the reason why a set was refused for lack of time.
     monitor : Monitor
-        Of whatever calls the node: no service is answered while a tick is under way.
+        Monitor of all calls of the node: no service is answered during a tick.
     beside : bool
-        Whether ticks are answered in another thread than that of the services.
+        Whether ticks run in another thread than the services.
     paused : callable
-        Whether somebody holds the rig here.
+        Returns whether the rig is paused here.
     """
 
     remark = ""
@@ -392,7 +392,7 @@ def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Argume
 
 
 def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
-    """Return a callback of a subscription that tells the number of each message before it hands the message over."""
+    """Return a callback of a subscription that passes the number of each message on before the message."""
 
     def take(*said: Any) -> None:
         # this executor hands both over as one (rclpy 7.1), which is not what it asks the signature for
@@ -471,7 +471,7 @@ class RosMiddleware(Middleware):
         return sending(made)
 
     def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
-        """Offer a topic; its messages become bytes only while somebody in another process reads it."""
+        """Offer a topic; its messages are serialized only while it has subscribers in another process."""
         if not self.mute:
             return super().sender(topic, layout, matched)
         readers = 0
@@ -507,7 +507,7 @@ class RosMiddleware(Middleware):
         self._read.append((made, reader))
 
     def _counting(self, matched: Matched) -> Callable[[Any], None]:
-        """Return what takes news of who is matched."""
+        """Return a callable that receives changes of the matched endpoints."""
         call = self._in_turn(matched)
         return lambda status: call(status.current_count)
 

@@ -1,7 +1,8 @@
-"""Recorders that ask a rig to wait for them: who picks topics up as they appear would otherwise miss its first ticks.
+"""Recorders that a rig waits for: a recorder that subscribes to topics as they appear would miss its first ticks.
 
-A recorder that offers `RECORDER` is awaited by the nodes of a rig on everything they publish, but for what it says
-there, again and again, that it leaves out. Other recorders (rosbag2) are awaited where the rig is told their names.
+The nodes of a rig wait for a recorder that offers `RECORDER` on every topic that they publish, except those that it
+lists there as left out; it repeats this message. The nodes wait for other recorders (rosbag2) if the rig is given their
+names.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ RECORDER = "/_softrig/recorder"  # hidden: no tool lists or records it unasked
 
 
 def left_out(recorder: str, topics: Iterable[str]) -> bytes:
-    """Return the message by which a recorder says what it leaves out.
+    """Return the message by which a recorder lists the topics that it leaves out.
 
     Parameters
     ----------
     recorder : str
-        Its full name.
+        Full name of the recorder.
     topics : iterable of str
-        By their full names.
+        Full names of the topics.
     """
     return TickWriter()(0, [f"{recorder}:{topic}" for topic in topics])
 
 
 class Awaited(Reader):
-    """Who is awaited, to read the first message of each topic of a node.
+    """The recorders that must read the first message of each topic of a node.
 
     Parameters
     ----------

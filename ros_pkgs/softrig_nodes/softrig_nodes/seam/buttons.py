@@ -30,7 +30,7 @@ class Buttons:
         self.pressed: dict[Port, int] = {}
 
     def press(self, port: Port) -> tuple[bool, str]:
-        """Press; gives whether that could be done, and what to say."""
+        """Press the button; return whether that was possible, and the text of the answer."""
         if port not in self.pressed:
             if self._values[port.name] == (1.0,):
                 return False, f"{port.name} is held down by its topic"

@@ -13,26 +13,26 @@ COPY = "copy the stamp of what you answer"  # advice to the author of an outside
 
 
 class Input(Reader):
-    """A topic that is read: decoder, writers and what was refused.
+    """A topic that is read: its decoder, its writers and its rejected messages.
 
     Attributes
     ----------
     outside : int
-        Writers in other processes that are matched.
+        Number of matched writers in other processes.
     local : bool
         Whether a node of this process writes it.
     following : int or None
-        Of arrays: the number after that of the newest one; None when any may come, as from a new writer.
+        For arrays: the next number that is expected; None if any number is accepted, as from a new writer.
     lost : int
-        Arrays that were sent, as the numbers of others say, and did not come.
+        Arrays that were sent but did not arrive, according to the numbers of the others.
     late : int
-        Messages that came after a newer one, or twice, and were left out.
+        Messages that arrived after a newer one, or twice, and were ignored.
     overdue : int
-        Messages of the rig that came after the tick that should have used them.
+        Messages of the rig that arrived after the tick that should have used them.
     heard : bool
-        Whether a message has come.
+        Whether a message has arrived.
     refused : int
-        Messages that never reached the block.
+        Messages that were rejected before they reached the block.
     last_refusal : str
     """
 

@@ -1,7 +1,7 @@
-"""What makes the nodes of a container go: one queue of what is to happen, and timers; no ROS in it.
+"""Run the nodes of a container with one queue of calls and with timers, without ROS.
 
-What a node has for its neighbours is taken from the queue when whoever gave it has returned: ticks follow each other,
-none runs inside another, and the depth of the stack does not grow.
+A message for a neighbour is taken from the queue only when the call that put it there has returned. So ticks follow
+each other, none runs inside another, and the depth of the stack does not grow.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Exchange:
         return ExchangeTimer(self._moved, ns, callback)
 
     def culprit(self) -> str:
-        """Name of the node whose code has raised; empty when it is nobody's."""
+        """Name of the node whose code has raised; empty if it was not a node's code."""
         return self.owners.get(self._culprit, "") if self._culprit is not None else ""
 
     # what is to happen -------------------------------------------------------------------------------------------

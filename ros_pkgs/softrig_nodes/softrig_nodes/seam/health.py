@@ -18,19 +18,19 @@ _renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
 
 
 class StatusFile:
-    """The file in which a node says how it is, as JSON.
+    """The file in which a node reports its status, as JSON.
 
     Parameters
     ----------
     path : str
-        Empty: none is wanted.
+        Path of the file; if empty, none is written.
     """
 
     def __init__(self, path: str) -> None:
         self._path = Path(path)
 
     def write(self, status: Mapping[str, Any]) -> None:
-        """Replace what it says; nobody ever finds it half written."""
+        """Replace the content of the file atomically; a reader never sees half of it."""
         new = self._path.with_suffix(".new")
         new.write_bytes(json.dumps(status).encode())
         _exchange(new, self._path)

@@ -1,7 +1,7 @@
-"""A run held by a person, or slowed to a pace: the node of the clock stays at a tick, all others wait for it.
+"""Pause or slow down a run: the node of the clock stays at a tick, and all others wait for it.
 
-What is held is only when a tick is taken, never what is in it: the numbers are those of a run that nobody held. In real
-time nobody waits for anybody: there the clock of the rig stands (`node.realtime.stand`), and there is no pace.
+A pause changes only when a tick runs, never its values: the numbers are those of a run without pauses. In real time
+nodes do not wait for each other. There the clock of the rig is stopped (`node.realtime.stand`), and there is no pace.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ LOOK = SECOND // 100  # ns between two looks at the wall clock: ticks come in bu
 
 
 class Hold:
-    """Whether the node of the clock may go on.
+    """Decides whether the node of the clock may continue.
 
     Parameters
     ----------
     held : bool
-        From the start.
+        Whether the run is paused at the start.
     pace : float
-        Simulated time by wall-clock time; 0: as fast as it goes.
+        Ratio of simulated to wall-clock time; 0: as fast as possible.
     paced : bool
-        Whether it can have one: in lockstep, where those who wait are told to be patient, too.
+        Whether a pace is possible: only in lockstep, where waiting nodes are also informed of it.
 
     Attributes
     ----------
     steps : int
-        That it may take all the same.
+        Steps that it may run while it is paused.
     waits : bool
         Whether a tick waits for the wall clock.
     """
@@ -110,7 +110,7 @@ class Hold:
         return self.waits
 
     def ask(self, what: str, steps: int = 1) -> tuple[bool, str]:
-        """Pause, resume or take steps; returns whether that could be done, and what to say."""
+        """Pause, resume or run steps; return whether that was possible, and the text of the answer."""
         if self._turn is None:
             return False, "this node has not begun"
         if what == "pause":

@@ -1,7 +1,7 @@
-"""The seam between a node's logic and what carries its messages.
+"""The interface between a node's logic and its middleware.
 
-Nodes know nothing but this: bytes out, bytes in, who is matched, timers and two clocks. ROS stands
-behind it in `ros.RosMiddleware`; a test, a simulation or a container hands over its own.
+Nodes depend only on this: bytes out, bytes in, matched endpoints, timers and two clocks. `ros.RosMiddleware`
+implements it with ROS; a test, a simulation or a container supplies its own implementation.
 """
 
 from __future__ import annotations
@@ -34,12 +34,13 @@ class Peer(NamedTuple):
 
 
 class Reader:
-    """What receives the messages of a topic; this one drops them.
+    """Receives the messages of a topic; this base class drops them.
 
     Attributes
     ----------
     numbered : callable or None
-        Gets the number of each message, as its writer counts, or None if nobody says it, before `receive` gets that.
+        Gets the number of each message by its writer's count, or None if it is unknown, before `receive` gets the
+        message.
     """
 
     numbered: Numbered | None = None
@@ -120,7 +121,7 @@ class Middleware(Protocol):
         """Wall-clock time in ns: the stamps of real time."""
 
     def steady(self) -> float:
-        """Time in s that nobody sets, for limits."""
+        """Return the time in s of a monotonic clock, for timeouts."""
 
     def publishers(self, topic: str) -> list[Peer]:
         """Writers of a topic, by its full name, as the graph shows them."""
@@ -142,7 +143,7 @@ class Middleware(Protocol):
         """Describe why what others send cannot arrive any more; empty while it can."""
 
     def log(self, level: Level, text: str) -> None:
-        """Log a message for whoever operates the node."""
+        """Log a message for the operator of the node."""
 
     def close(self) -> None:
         """Stop delivering messages after those under way, or raise a RunError; raise pending errors."""

@@ -1,9 +1,10 @@
-"""A monitor (Hoare): of all that calls a node, one thing at a time, whatever thread it comes from.
+"""A monitor (Hoare): it runs the calls of a node one at a time, from whichever thread they come.
 
-A message may be worked on in the thread that has received it, which saves the hand-over to another one: half of what a
-tick between two processes costs. That thread must not wait for anything: it holds locks of the middleware. So it works
-when nobody is at it, and else leaves what has come to whoever is. All else (timers, services, who is matched) comes
-from the executor's thread, which waits for its turn and goes before the messages.
+A message may be processed in the thread that received it. This saves the hand-over to another thread, which is half
+of the cost of a tick between two processes. That thread must not wait, because it holds locks of the middleware. So it
+processes the message if no other thread is in the monitor, and otherwise leaves it to that thread. All other calls
+(timers, services, matched endpoints) come from the executor's thread, which waits for its turn and has priority over
+the messages.
 """
 
 from __future__ import annotations

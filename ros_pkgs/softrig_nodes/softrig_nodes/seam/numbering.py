@@ -1,7 +1,7 @@
-"""Numbers behind messages that are counted, in a rig whose nodes come back: what is said again is known by its number.
+"""Append numbers to counted messages in a rig with restarts: a repeated message is recognised by its number.
 
-The stamp of such a message is another time than that of its tick. Its number on its topic, from 0, stands in eight
-bytes behind its end: who reads CDR stops there, and a record never has them.
+The stamp of such a message is not the time of its tick. Its number on its topic, from 0, is stored in eight bytes
+after its end. A CDR reader stops before them, and a recording never contains them.
 """
 
 from __future__ import annotations

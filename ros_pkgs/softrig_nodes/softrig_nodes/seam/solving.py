@@ -57,7 +57,7 @@ class Solving(Link):
         return self._block.working(self.step.x)
 
     def finished(self, t: int) -> bool:
-        """Begin a tick (ns) if that is not done; tell whether its answer can be given."""
+        """Begin a tick (ns) if it has not begun; return whether its answer is available."""
         step, block = self.step, self._block
         # This is asked again and again until the answer is there, but a tick begins once. After a rejected input there
         # is no new request, only the work under way.
@@ -88,12 +88,12 @@ class Solving(Link):
 
 
 class Busy(Input):
-    """What the solvers of a rig publish while they are at work.
+    """The topic that the solvers of a rig publish while they work.
 
     Parameters
     ----------
     solvers : int
-        How many there are, this node included: the input has a publisher when all of them are matched.
+        Number of solvers, this node included: the input has a publisher when all of them are matched.
     heard : callable
         Called at each message.
     """

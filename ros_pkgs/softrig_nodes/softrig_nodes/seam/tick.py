@@ -1,7 +1,7 @@
-"""The acknowledgement of a tick: a std_msgs/Header on ``<node>/tick`` whose frame_id says what was sent at it.
+"""The acknowledgement of a tick: a std_msgs/Header on ``<node>/tick`` whose frame_id lists what was published.
 
-A node on which nothing depends acknowledges some ticks together, and the clock is ahead of it by some: the tick need
-not wait for it, and it works beside the others.
+A follower acknowledges several ticks together, and the clock may be some ticks ahead of it. So no tick waits for it,
+and it works in parallel to the others.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ LAG = 4  # ticks of the clock: it is ahead by less than 9, and a reader's queue 
 
 
 def acknowledged(schedule: Schedule, t: int) -> bool:
-    """Return whether a follower says of its tick `t` (ns) that it has answered that and those before."""
+    """Return whether a follower acknowledges its tick `t` (ns) and all before it."""
     ends = schedule.end is not None and schedule.next(t) >= schedule.end
     return ends or (schedule.tick(t) + 1) % _together(schedule) == 0
 
 
 def needed(schedule: Schedule, clock: Schedule, t: int) -> int:
-    """Return the tick of a follower that must be answered before the clock goes on from tick `t`, both in ns.
+    """Return the tick of a follower that must be answered before the clock leaves tick `t`, both in ns.
 
-    At the end of the run it is the newest one: who is still at work then is waited for, as ever.
+    At the end of the run it is the newest one: the clock waits for a node that is still at work then.
     """
     if clock.end is not None and clock.next(t) >= clock.end:
         return schedule.awaited(t)
