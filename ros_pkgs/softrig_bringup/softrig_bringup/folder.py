@@ -50,19 +50,19 @@ class ResultsFolder:
     Parameters
     ----------
     path : Path
-        New, empty, or with the results of a former run; other files may lie beside those.
+        A new folder, an empty one, or one with the results of an earlier run; it may also contain other files.
     ours : pattern
-        Names at the top of the folder that this kind of run writes.
+        Names that this kind of run writes at the top level of the folder.
 
     Attributes
     ----------
     replaced : str
-        What a former run left there, in words; empty for nothing.
+        A description of what an earlier run left there; empty if it left nothing.
 
     Raises
     ------
     ScenarioError
-        Something there stands in the way that no run of softrig has listed as its own, or results of another kind.
+        The folder has a conflicting file that no run of softrig has listed as its own, or results of another kind.
     """
 
     def __init__(self, path: Path, ours: re.Pattern[str] = RUN) -> None:
@@ -107,7 +107,7 @@ class ResultsFolder:
             raise ScenarioError(f"{error.filename}: {error.strerror}; choose another --out") from None
 
     def hold(self) -> str | None:
-        """Hold the folder against other calls, until it is closed; say who has it already, None if nobody does."""
+        """Lock the folder against other calls until it is closed; return the present holder, or None."""
         if self._lock is None:
             lock = _lock(self.path)
             if isinstance(lock, str):
@@ -134,12 +134,12 @@ class ResultsFolder:
             return False
 
     def once(self, broken_off: Callable[[Iterable[Path]], Iterable[str]]) -> str:
-        """Describe why what a former run left there cannot be made again; empty if it can.
+        """Describe why the results of an earlier run cannot be reproduced; empty if they can.
 
         Parameters
         ----------
         broken_off : callable
-            Gets the shards of a run that was killed, and says what in them cannot be made again.
+            Called with the shards of a run that was killed; returns what in them cannot be reproduced.
         """
         try:
             content = json.loads((self.path / "metrics.json").read_text())
@@ -200,12 +200,12 @@ class ResultsFolder:
 
     @contextmanager
     def anew(self) -> Iterator[Path]:
-        """Yield a folder for new files; they take the places of the old ones when all are written, or none does.
+        """Yield a folder for new files; the new files replace the old ones when all are written, or none is replaced.
 
         Raises
         ------
         ScenarioError
-            One of them would replace a file of somebody else.
+            One of them would replace a file that softrig did not write.
         """
         self.begin()
         new = self.path / NEW
@@ -259,7 +259,7 @@ def alone_in(path: Path) -> Iterator[None]:
 
 
 def _lock(path: Path) -> int | str:
-    """Create and lock a folder: the descriptor that holds it, or who has it."""
+    """Create and lock a folder; return the descriptor that holds the lock, or a description of the present holder."""
     path.mkdir(parents=True, exist_ok=True)
     lock = os.open(path, os.O_RDONLY)  # the end of this process, whatever its kind, lets go
     try:

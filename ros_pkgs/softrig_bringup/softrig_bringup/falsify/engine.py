@@ -30,30 +30,30 @@ SHRINKING = 100  # runs that a violation is made small with
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a falsification has found.
+    """The result of a falsification.
 
     Parameters
     ----------
     names : tuple of str
         The requirements.
     nominal, worst : dict of str to float or None
-        Margins without changes, and of the worst run.
+        Margins of the run without changes, and of the worst run.
     found : Found
-        Of margins each divided by its size in the nominal run, where there are several.
+        The search result; with several requirements, each margin is divided by its magnitude in the nominal run.
     case : Case, optional
         The worst run; None when no run could be measured.
     small : Case, optional
-        The violation made small; None when there is none.
+        The violation after it was reduced to smaller changes; None if there is no violation.
     shrinking : int
-        Runs that this took.
+        Number of runs that the reduction needed.
     broken : list of (dict, str)
-        Changes and reason of the runs that broke.
+        Changes of each run that failed, and the reason of the failure.
     own : tuple of str
-        Of `names`, those with bounds for the machine as it was.
+        Those of `names` whose bounds apply to the unchanged machine.
     not_judged : tuple of str
-        Requirements of the scenario that were left out, as nobody asked for them and they have such bounds.
+        Requirements of the scenario that were left out, because they have such bounds and were not requested.
     machine : str
-        What that machine had.
+        Parameters of the unchanged machine.
     """
 
     space: Space

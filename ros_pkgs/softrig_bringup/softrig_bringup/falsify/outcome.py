@@ -85,12 +85,12 @@ def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: 
 
 
 def _standing_alone(text: str, file: Path) -> Scenario:
-    """Load a scenario file before it is in its place: nobody finds one there that cannot run.
+    """Load a scenario file before it is moved into place, so that a file that cannot run is never placed there.
 
     Raises
     ------
     ScenarioError
-        It cannot run by itself.
+        The scenario cannot run by itself.
     """
     with TemporaryDirectory() as folder:
         place = Path(folder) / file.name

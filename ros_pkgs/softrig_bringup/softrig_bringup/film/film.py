@@ -130,7 +130,7 @@ def _with_time(
 
 
 def said(speed: float) -> str:
-    """Describe how fast a film goes.
+    """Describe the speed of a film relative to the run.
 
     Examples
     --------

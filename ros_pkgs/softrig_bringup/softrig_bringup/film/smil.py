@@ -17,7 +17,7 @@ SPOKEN = 4  # frames for which a text stays: five a second can be read
 
 
 def animated(film: Film) -> str:
-    """Write a film as SVG; shapes that stay stand once, those that are shifted as a whole are shifted."""
+    """Write a film as SVG; a constant shape is written once, a rigidly moved shape once with its translations."""
     clips: list[Element] = []
     parts = [_moving(series, film, clips) for series in zip(*film.frames, strict=True)]
     content = [e("defs", *clips), *parts] if clips else parts

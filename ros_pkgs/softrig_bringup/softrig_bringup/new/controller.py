@@ -42,7 +42,7 @@ class Replaced(NamedTuple):
 
 
 def replaced(wanted: str, name: str) -> Replaced:
-    """Return what a package `name` needs to stand in for the controller of a scenario.
+    """Return what a package `name` needs to replace the controller of a scenario.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def replaced(wanted: str, name: str) -> Replaced:
     Raises
     ------
     ScenarioError
-        No such scenario or node, or a scenario without a controller.
+        There is no such scenario or node, or the scenario has no controller.
     """
     scenario, _, node = wanted.partition("/")
     rig = rig_of(load_scenario(scenario))

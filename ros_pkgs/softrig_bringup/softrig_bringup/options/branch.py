@@ -18,7 +18,7 @@ def continued(scenario: Scenario, run: Recalled, at: float, values: Mapping[str,
     Raises
     ------
     ScenarioError
-        The run did not come so far, or a node of somebody else was in it.
+        The run ended before that time, or it had an external node.
     """
     rig = rig_of(scenario)
     if outside := [m.name for m in rig.members if m.external]:

@@ -1,4 +1,4 @@
-"""What stands behind ``NODE.PARAMETER=`` on a command line, for every option the same: a value, several, or a range."""
+"""Syntax of the text after ``NODE.PARAMETER=``, the same for every option: one value, several, or a range."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def identity(rig: Rig, seed: int, recording: Recording) -> str:
 
 
 def recorded_half(recording: Recording) -> str:
-    """Compute the half that says what was recorded: topics, times and bytes."""
+    """Compute the half of the identity that covers the recording: topics, times and bytes."""
     whole = hashlib.sha256()
     for name in sorted(name for name, topic in recording.topics.items() if topic.number):
         topic = recording.topics[name]
@@ -47,9 +47,9 @@ def recorded_half(recording: Recording) -> str:
 
 
 def asked_half(rig: Rig, seed: int) -> str:
-    """Compute the half that says what was asked: length, seed and the parameters of all nodes at the start.
+    """Compute the half of the identity that covers the inputs: length, seed and all nodes' initial parameters.
 
-    Of a file its name counts: a pack has it in another folder.
+    A file enters with its name only, because a pack has it in another folder.
     """
     nodes = {m.name: _plain(flatten(m.params)) for m in rig.members if not m.external and m.name not in NOT_NODES}
     asked = {"duration": rig.scenario.duration, "seed": seed, "nodes": nodes}
@@ -65,16 +65,16 @@ def _plain(value: Any) -> Any:
 
 
 def strangers(content: Mapping[str, Any], bag: Mapping[str, str], recording: Recording | None) -> list[str]:
-    """Describe what of a run does not belong together; nothing where all does, or where it is of an older version.
+    """Describe which parts of a run do not belong together; empty if all do, or if an older version wrote the run.
 
     Parameters
     ----------
     content : mapping
         Of metrics.json.
     bag : mapping
-        What the bag says of itself.
+        The bag's own metadata.
     recording : Recording, optional
-        What is in the bag.
+        The contents of the bag.
     """
     figures, bagged = str(content.get("run", "")), str(bag.get("run", ""))
     if figures and bagged and figures != bagged:

@@ -158,7 +158,7 @@ def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> R
 
 
 def _content(metrics: Path) -> Mapping[str, Any]:
-    """Read what stands beside a bag, which may be there by itself."""
+    """Read the metrics.json beside a bag, if there is one."""
     try:
         content = json.loads(metrics.read_text())
     except (OSError, ValueError):
@@ -167,12 +167,12 @@ def _content(metrics: Path) -> Mapping[str, Any]:
 
 
 def repeated(scenario: Scenario, run: Recalled) -> Scenario:
-    """Return the scenario of a run with what was changed while it ran, and a node that says what came from outside.
+    """Return a run's scenario with the changes made while it ran, and a node that replays its external inputs.
 
     Raises
     ------
     ScenarioError
-        Somebody else's plant: it alone knows what it does.
+        The plant was an external node, whose behaviour is unknown.
     """
     if run.digests:
         # The file of a pack without its bag has the changes already.
@@ -189,7 +189,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
 
 
 def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
-    """Return the node that says what came from outside, up to a time (s; 0: all), if anything has."""
+    """Return the node that replays external inputs up to a time (s; 0: all); empty if the run had no such inputs."""
     inputs = from_outside(rig, run.recording)
     parameters = {
         "period": str(rig.clock.schedule.period),
@@ -220,19 +220,21 @@ def _text(port: Port) -> str:
 
 
 def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[bool, list[str]]:
-    """Hold a repetition against the run: whether all nodes said the same numbers at the same ticks; in words.
+    """Compare a repetition with the run: whether all nodes published the same numbers at the same ticks.
 
-    The end counts as far as both have come: in real time the last tick may be over before all have answered it.
+    The runs are compared up to the time that both have reached: in real time a run may end before all nodes have
+    answered the last tick.
 
     Parameters
     ----------
     made_with : mapping
-        What has made the repetition, as ``metrics.json`` has it.
+        Versions and settings that produced the repetition, as in ``metrics.json``.
 
     Returns
     -------
     told : list of str
-        The last line says whether it repeats, and if not, which version differs first.
+        Description of the comparison; the last line states whether the numbers repeat, and if not, which version
+        differs first.
     """
     lines, messages, topics = _differences(before, run)
     same = not lines and messages > 0
@@ -277,7 +279,7 @@ def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
 
 
 def _said(run: Run) -> Iterable[tuple[Member, Port]]:
-    """Return what nodes say, the one that says what came from outside left out."""
+    """Yield the outputs of all nodes except the one that replays the external inputs."""
     return ((m, port) for m in run.rig.members if m.name != TAPE for port in m.outputs)
 
 

@@ -1,4 +1,4 @@
-"""What stands before ``=`` on a command line and is not whole: the parameter that it may be."""
+"""Check of the names before ``=`` on a command line: a name without its node is refused, with the full name."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def check_names(draft: Draft, given: Iterable[str]) -> None:
 
 
 def _parameters(node: object) -> set[str]:
-    """Return the names of a node's parameters; none where it is not one that can be found, which is said elsewhere."""
+    """Return the names of a node's parameters; empty if the node cannot be found (reported elsewhere)."""
     about = node if isinstance(node, dict) else {}
     try:
         return {d.name for d in declarations(load_block(str(about["package"]), str(about["executable"])).Params)}

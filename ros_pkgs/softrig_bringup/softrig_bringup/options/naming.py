@@ -10,17 +10,18 @@ LONGEST = 80  # letters before the digest
 
 
 def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:
-    """Name a folder by what a run or study was called with.
+    """Name a folder after the arguments of a run or study.
 
-    A digest of everything follows where the name does not say everything: letters that no file name should have are
-    replaced, what is beyond `LONGEST` is left out by whole parts (a number that is cut is another number).
+    Characters that do not belong in a file name are replaced. A name longer than `LONGEST` loses whole parts, because a
+    truncated number would be another number. If the name does not contain everything, a digest of everything is
+    appended.
 
     Parameters
     ----------
     parts : sequence of str
-        What the name is made of, the first part is always in it.
+        Parts of the name; the first one is always kept.
     apart : sequence of str
-        What the folder depends on beside that, paths of other runs or files.
+        Further inputs that the folder depends on: paths of other runs or files.
     """
     said = parts[0]
     for part in parts[1:]:
@@ -37,7 +38,7 @@ def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:
 
 
 def elsewhere(path: Path | None) -> list[str]:
-    """Return the path of a file whose name alone does not tell it from others: one that is not of this folder."""
+    """Return the path of a file outside the current folder, whose name alone may be ambiguous."""
     if path is None or path.absolute().parent == Path.cwd():
         return []
     return [from_here(path)]

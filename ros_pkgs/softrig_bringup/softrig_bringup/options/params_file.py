@@ -117,7 +117,7 @@ def params_of(
 
 
 def matches(pattern: str, name: str) -> bool:
-    """Return whether the name of a section stands for a node, as rcl decides it; both full names."""
+    """Return whether the name of a section matches a node by the rules of rcl; both are full names."""
     wild = {"**": r"(/\w+)*", "*": r"/\w+"}
     parts = (wild.get(part, f"/{re.escape(part)}") for part in pattern[1:].split("/"))
     return re.fullmatch("".join(parts), name, re.ASCII) is not None

@@ -60,12 +60,12 @@ def scenario_word(name: str) -> str:
 
 
 def for_reader(command: str) -> str:
-    """Return a command that repeats a run as others can type it: without the folders of whoever ran it.
+    """Return a command that repeats a run on any machine, without folders of the machine that ran it.
 
     Parameters
     ----------
     command : str
-        As metrics.json has it.
+        As stored in metrics.json.
     """
     try:
         parts = shlex.split(command)

@@ -1,4 +1,4 @@
-"""The options of the verb `run`: what they change of a scenario, what a run is called, how to say them again."""
+"""The options of the verb `run`: how they change a scenario and name a run, and how a command repeats them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML file") -> None:
-    """Declare the options; `scenario` says what may be named."""
+    """Declare the options; `scenario` is the help text of the argument that names the scenario."""
     parser.add_argument("scenario", nargs="?", default="", help=scenario)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(

@@ -1,1 +1,1 @@
-"""Files that repeat a run or a study elsewhere: what is in one, whether its code may run, and who vouches for it."""
+"""Files that repeat a run or a study on another machine: contents, permission to run their code, signatures."""

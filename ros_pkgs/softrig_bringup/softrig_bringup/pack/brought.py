@@ -1,4 +1,4 @@
-"""Code of a pack that somebody has confirmed: imported from one folder of the cache, for this process and its own."""
+"""Confirmed code of a pack: imported from one folder of the cache, in this process and its child processes."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if __name__ == "__main__":  # processes that it starts import it
 
 
 def bring(digest: str, packages: Iterable[Package]) -> None:
-    """Create packages importable, here and in every process that is started from here.
+    """Add packages to the import path of this process and of every process that it starts.
 
-    Their folder holds nothing but them, and comes last: no module that is here is replaced.
+    Their folder contains only these packages and is last in the search path, so they replace no installed module.
 
     Parameters
     ----------
     digest : str
         Of the pack.
     packages : iterable of Package
-        Whose names have been checked.
+        Packages whose names have been checked.
     """
     prefix = cache_folder() / "packs" / f"{digest}-code{_FORM}-py{sys.version_info[0]}.{sys.version_info[1]}"
     if not prefix.is_dir():

@@ -1,4 +1,4 @@
-"""What a pack says of itself to archives: RO-Crate 1.1, JSON-LD that Zenodo, WorkflowHub and others read."""
+"""Metadata of a pack for archives: RO-Crate 1.1, as JSON-LD that Zenodo, WorkflowHub and others read."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def crate(
     Parameters
     ----------
     name, about : str
-        Of the whole, and what is in it.
+        Name of the pack, and a description of its contents.
     versions : mapping
-        Of softrig's packages, as the run has them.
+        Versions of softrig's packages in the run.
     files : mapping of str to bytes or Path
         By place.
     sums : mapping of str to str
         SHA-256 by place.
     publication : Publication
-        Who publishes it, when, and what others may do with it.
+        Authors, publisher, date and licence.
     """
     parts: list[dict[str, Any]] = [
         {

@@ -1,4 +1,4 @@
-"""A run in one file, as somebody else gets it: what may be in it, and unpacking that a stranger's file cannot harm."""
+"""A run in one file for other users: its permitted contents, and an unpacker that is safe for untrusted files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,99}$")]
 
 
 class Digest(BaseModel):
-    """What a node said on a topic: how many messages, and the first half of a SHA-256 of ticks, stamps and values."""
+    """Digest of a topic: the number of messages, and the first half of a SHA-256 of ticks, stamps and values."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -56,27 +56,27 @@ class Digest(BaseModel):
 
 
 class About(BaseModel):
-    """What ``pack.json`` says.
+    """The contents of ``pack.json``.
 
     Parameters
     ----------
     format : int
-        Of the file; another one is of a later version of softrig.
+        Of the file; a different number was written by a later version of softrig.
     scenario : str
-        Name of the scenario, whose file stands alone in ``scenario/``.
+        Name of the scenario, whose file is the only one in ``scenario/``.
     packages : dict of str to str
-        Packages that are no part of softrig, and their versions: each is in ``packages/``, or its sources were not
-        found and who runs it has to have it.
+        Packages outside softrig, and their versions. Each is in ``packages/``; if its sources were not found, it must
+        be installed on the machine that runs the pack.
     offers : dict
-        By package and group the entry points, name to ``module:function``; of older files ``setup.cfg`` has them.
+        Entry points by package and group, from name to ``module:function``; older files have them in ``setup.cfg``.
     versions, code, contents : dict
-        As ``metrics.json`` has them: what decided the numbers.
+        As in ``metrics.json``: everything that determines the numbers.
     digests : dict of str to Digest
-        By topic, of a file without the bag.
+        By topic, in a file without the bag.
     run : str
         The digest that bag, figures and scenario of a run share; see `softrig_bringup.options.identity`.
     files : dict of str to str
-        SHA-256 of each file; older files have none.
+        SHA-256 of each file; empty in older files.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -111,12 +111,12 @@ def is_pack(path: Path) -> bool:
 
 
 def about(folder: Path) -> About:
-    """Read what an unpacked file says of itself.
+    """Read the ``pack.json`` of an unpacked file.
 
     Raises
     ------
     ScenarioError
-        It does not say it, or not in this form.
+        It is missing or has another form.
     """
     try:
         return About.model_validate_json((folder / ABOUT).read_bytes())
@@ -242,7 +242,7 @@ def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
 
 
 def _check_content(folder: Path, files: dict[str, str]) -> None:
-    """Refuse an unpacked file that is not what it says of itself: its files, packages, scenario and bag."""
+    """Refuse an unpacked file whose files, packages, scenario or bag do not match its description."""
     said = about(folder)
     if said.files and said.files != (there := {k: v for k, v in files.items() if k != ABOUT}):
         other = sorted(k for k in {*said.files, *there} if said.files.get(k) != there.get(k))

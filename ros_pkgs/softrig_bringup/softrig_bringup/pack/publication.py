@@ -1,4 +1,4 @@
-"""Who publishes a file, when, and what others may do with it: what an archive asks, as RO-Crate has it."""
+"""Publication data that archives require, in the form of RO-Crate: authors, publisher, date and licence."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _ORCID = re.compile(r"\s*(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])$
 
 
 class Publication(NamedTuple):
-    """What an archive asks whoever publishes a file.
+    """Publication data that an archive requires.
 
     Attributes
     ----------
     day : str
-        When it is published, as ISO 8601 has it.
+        Date of publication, as in ISO 8601.
     authors : tuple of dict
         Entities of persons, see `person`.
     publisher, license : dict or None
@@ -54,7 +54,7 @@ def person(text: str) -> dict[str, str]:
 
 
 def publisher(text: str) -> dict[str, str]:
-    """Read who publishes: a name, and a web address after it if there is one."""
+    """Read the publisher: a name, optionally followed by a web address."""
     name, _, address = text.strip().rpartition(" ") if "://" in text else (text.strip(), "", "")
     if not name:
         raise argparse.ArgumentTypeError(f'expected a name, as "Zenodo https://zenodo.org", got {text!r}')

@@ -1,7 +1,7 @@
-"""Run the code of somebody else in bubblewrap, where the machine has it: no network, no home, one folder to write.
+"""Run foreign code in bubblewrap if it is installed: no network, no home folder, one writable folder.
 
-Everything else is read-only, other processes are not to be seen, and the terminal is not within reach: what the run
-prints comes through pipes.
+Everything else is read-only. Other processes are invisible. The terminal is not accessible; the output of the run is
+passed through pipes.
 """
 
 from __future__ import annotations

@@ -37,12 +37,12 @@ def sign(path: Path, key: Path) -> Path:
 
 
 def signed_by(path: Path) -> str:
-    """Return who signed a file, in words; refuse a signature that does not fit.
+    """Return a description of the signer of a file; refuse an invalid signature.
 
     Raises
     ------
     ScenarioError
-        Its signature is not one of this file, or of nobody among the signers of `SIGNERS`.
+        Its signature does not belong to this file, or the signer is not listed in `SIGNERS`.
     """
     signature = beside(path)
     if not signature.is_file():

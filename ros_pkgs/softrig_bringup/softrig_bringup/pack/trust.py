@@ -1,4 +1,4 @@
-"""The door for code of somebody else: it is listed, confirmed, and only then imported, in a sandbox if there is one."""
+"""Admission of foreign code: it is listed, confirmed, and only then imported, in a sandbox if there is one."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from .signature import signed_by
 
 
 def admitted(options: argparse.Namespace) -> int | None:
-    """Allow imports of a repeated run's pack once its code is confirmed; a pack without code needs no word.
+    """Allow imports of a repeated run's pack once its code is confirmed; a pack without code needs no confirmation.
 
     Parameters
     ----------
     options : argparse.Namespace
-        Of the verb `run` or `study`; `trust` confirms in place of a person.
+        Of the verb `run` or `study`; with `trust`, the code counts as confirmed.
 
     Returns
     -------
     int or None
-        The exit status, where the run was made in a sandbox; None: it is to be made here.
+        The exit status if the run was made in a sandbox; None if it is to be made in this process.
 
     Raises
     ------
     ScenarioError
-        Nobody has confirmed it, or the pack has something that never runs.
+        The code is not confirmed, or the pack contains something that may never run.
     """
     path = sandbox.source_of(options)
     if path is None or not is_pack(path):
@@ -66,7 +66,7 @@ def admitted(options: argparse.Namespace) -> int | None:
 
 
 def _confirm(path: Path, cargo: Cargo, who: str, trusted: bool) -> None:
-    """List what would run and have somebody confirm it."""
+    """List the code that would run, and ask the user to confirm it."""
     say(f"{path} (sha256 {digest_of(path)[:LETTERS]}, {who}) has code that would run here:")
     for line in cargo:
         say(f"  {line}")

@@ -1,9 +1,9 @@
 """The wiring of a rig as a block diagram: an SVG drawing that takes its colours from the page.
 
-Boxes stand in columns (`softrig_bringup.page.wiring.columns`). Between two columns is a channel; a wire leaves its box
-to the right, with its topic written on it, and has a vertical lane of its own in that channel. Readers in the next
-column branch off the lane; all others are reached over a track below the boxes and a second lane in the channel before
-them. Every lane and track carries one wire, so wires cross, but never run over each other.
+Boxes are arranged in columns (`softrig_bringup.page.wiring.columns`). Between two columns is a channel. A wire leaves
+its box to the right, is labelled with its topic, and has a vertical lane of its own in that channel. Readers in the
+next column are connected to this lane. All other readers are connected by a track below the boxes and a second lane in
+the channel before them. Every lane and track carries one wire, so wires cross but never overlap.
 """
 
 from __future__ import annotations

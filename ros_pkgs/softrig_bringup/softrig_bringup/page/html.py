@@ -33,7 +33,7 @@ def page(title: str, body: Sequence[Element]) -> str:
 
 
 def e(tag: str, *content: Element | str, **attributes: str) -> Element:
-    """Create an element; text is escaped when the tree is written. ``class_`` stands for class."""
+    """Create an element; text is escaped when the tree is written. ``class_`` is written as ``class``."""
     element = Element(tag, {name.rstrip("_"): value for name, value in attributes.items() if value})
     for item in content:
         if isinstance(item, Element):
@@ -66,14 +66,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Element | str]], number
 
 
 def picture(content: bytes | str, title: str) -> Element:
-    """Create an image that stands in the page itself, with its size, so that nothing moves while the page is read.
+    """Create an image embedded in the page, with its size, so that the layout does not shift while the page loads.
 
     Parameters
     ----------
     content : bytes or str
         A picture of `softrig_bringup.plots.svg`, which becomes a part of the page with its description; or a PNG.
     title : str
-        Of a PNG, which has none of its own.
+        Title for a PNG, which has no title of its own.
     """
     png = content if isinstance(content, bytes) else content.encode()
     if png.startswith(b"<svg"):

@@ -35,14 +35,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Suite:
-    """What was judged of a run.
+    """The verdicts on a run, as a JUnit test suite.
 
     Parameters
     ----------
     seconds : float
-        Wall-clock time of the run; each case says an equal share, since servers add up those of the cases.
+        Wall-clock time of the run; each case reports an equal share, because servers add up the times of the cases.
     error : str
-        Why the run broke; empty when it did not.
+        Why the run failed; empty if it did not.
     """
 
     name: str

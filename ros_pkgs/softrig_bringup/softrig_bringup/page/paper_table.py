@@ -85,7 +85,7 @@ def latex(head: str, rows: Sequence[str], columns: Sequence[Column]) -> str:
 
 
 def table_csv(head: str, rows: Sequence[str], columns: Sequence[Column]) -> str:
-    """Write a table as CSV; the uncertainty of a column stands in one behind it."""
+    """Write a table as CSV; the uncertainty of a column is in the column after it."""
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     having = [(c, c.cells(), bool(c.halves)) for c in columns]

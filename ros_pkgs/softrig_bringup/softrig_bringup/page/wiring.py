@@ -1,4 +1,4 @@
-"""Who talks to whom in a rig, and where each node stands in its block diagram."""
+"""The links of a rig, and the position of each node in its block diagram."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Node(BaseModel):
     period : float
         s.
     plant, outside : bool
-        Whether it owns time; whether somebody else starts it.
+        Whether the node owns time; whether it is an external node.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -84,8 +84,9 @@ def wiring_of(rig: Rig) -> Wiring:
 def columns(wiring: Wiring) -> list[list[str]]:
     """Arrange the nodes as a control engineer draws them, by column from left to right.
 
-    What acts on a plant stands left of it, as near as its readers allow; then the plants; then who only looks on.
-    Wires out of a plant do not count: they are the feedback. Inside a column nodes stand beside their neighbours.
+    Nodes that act on a plant are left of it, as near as their readers allow. Next come the plants, then the nodes that
+    only observe. Wires out of a plant do not affect the order, because they are the feedback. Inside a column nodes are
+    near the nodes they are connected to.
     """
     after = {n: [r for w in wiring.wires if w.source == n for r in w.readers] for n in wiring.nodes}
     plants = {n for n, node in wiring.nodes.items() if node.plant}

@@ -17,7 +17,7 @@ MOST = 3  # intervals that are written
 
 
 def number(value: float | None) -> str:
-    """A number that somebody wrote down, with all its digits."""
+    """Format a number from a file or a person, with all its digits."""
     return NONE if value is None else f"{value:.10g}".replace("-", "−")
 
 
@@ -27,7 +27,7 @@ def short(value: float | None) -> str:
 
 
 def in_words(metric: Result) -> str:
-    """Return what stands in place of a value that is none: it never happens, or was not measured; empty for a value."""
+    """Return the words for a missing value: it never happens, or was not measured; empty if there is a value."""
     if metric.value is not None:
         return ""
     word, *rest = metric.error.split(" ")
@@ -35,7 +35,7 @@ def in_words(metric: Result) -> str:
 
 
 def measured_here(metric: Result) -> bool:
-    """Return whether the run says anything of it: a value, that it never happens, that a requirement holds."""
+    """Return whether the run yields a result: a value, or that it never happens, or that a requirement holds."""
     return in_words(metric) != "not measured"
 
 

@@ -90,7 +90,7 @@ class Cells(Artist):
 
 @dataclass(eq=False)
 class Words(Artist):
-    """Text at a point; `where` says of what x and y are shares, else data."""
+    """Text at a point in data coordinates; with `across` x, with `up` y is a share of the axes instead."""
 
     text: str = ""
     x: float = 0.0
@@ -454,7 +454,7 @@ class Axes:
     def set_xticks(
         self, ticks: Sequence[float] | Array, labels: Sequence[str] | None = None, *, fontsize: float | None = None
     ) -> None:
-        """Set the ticks of the x axis, and what stands there."""
+        """Set the ticks of the x axis and their labels."""
         self._set_ticks("x", ticks, labels)
         if fontsize:
             self.tick_sizes["x"] = fontsize
@@ -462,7 +462,7 @@ class Axes:
         self._called("set_xticks", None, ticks, *([labels] if labels is not None else []), **how)
 
     def set_yticks(self, ticks: Sequence[float] | Array, labels: Sequence[str] | None = None) -> None:
-        """Set the ticks of the y axis, and what stands there."""
+        """Set the ticks of the y axis and their labels."""
         self._set_ticks("y", ticks, labels)
         self._called("set_yticks", None, ticks, *([labels] if labels is not None else []))
 
@@ -495,7 +495,7 @@ class Axes:
         labelbottom: bool | None = None,
         length: float | None = None,
     ) -> None:
-        """Set the size of numbers, whether they stand below, and whether ticks have a length."""
+        """Set the size of the tick labels, whether they are drawn below the axis, and whether ticks have a length."""
         if labelsize:
             self.tick_sizes |= dict.fromkeys(("x", "y") if axis == "both" else (axis,), labelsize)
         if labelbottom is not None:

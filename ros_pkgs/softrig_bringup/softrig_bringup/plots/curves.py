@@ -107,7 +107,7 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
     Returns
     -------
     x, y : float arrays of shape (at most 4 columns + 4,)
-        The signal itself when it is not longer than 4 columns; the last sample may stand in a column of its own.
+        The signal itself if it is not longer than 4 columns; the last sample may be in a column of its own.
     """
     if len(x) <= 4 * columns:
         return x, y
@@ -173,7 +173,7 @@ class Source:
     signals : Signals
         Of the run's recording.
     rig : Rig
-        Says units, which topics are held between samples, which are references.
+        Provides the units, which topics are held between samples, and which are references.
     """
 
     def __init__(self, signals: Signals, rig: Rig) -> None:
@@ -249,7 +249,7 @@ class Source:
 
 
 def _reference(port: Port, label: str) -> bool:
-    """Return whether a signal is a reference: by its message, or by what its label says."""
+    """Return whether a signal is a reference, judged by its message type or its label."""
     said = label.startswith(("reference", "set point")) or label.endswith((" reference", " set point"))
     return said or port.msgtype.startswith("trajectory_msgs")
 

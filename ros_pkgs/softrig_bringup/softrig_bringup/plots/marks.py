@@ -52,7 +52,7 @@ class Mark:
         return not math.isnan(self.low)
 
     def at(self, place: Callable[[float], float], axis: Literal["value", "time"]) -> Mark:
-        """Return the mark of figures at the places of the picture that stand for them."""
+        """Return the mark with its figures converted to positions in the picture."""
         low, high = sorted((place(self.low), place(self.high)))
         return replace(self, axis=axis, low=low, high=high, published=place(self.published))
 

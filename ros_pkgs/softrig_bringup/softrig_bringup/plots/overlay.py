@@ -28,14 +28,14 @@ _SAMPLES = 1000  # of a band
 
 @dataclass(frozen=True)
 class Overlay:
-    """A run to be laid over others.
+    """A run to be drawn over others.
 
     Parameters
     ----------
     label : str
-        What tells it apart.
+        Text that distinguishes it from the others.
     group : str
-        The same for runs that are draws of the same, else the label.
+        Equal for runs that are draws of the same case; otherwise the label.
     shown : mapping
         Of the signals of its plots.
     """

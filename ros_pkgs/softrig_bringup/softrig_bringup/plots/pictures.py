@@ -102,21 +102,21 @@ def plot_run(signals: Signals, rig: Rig, directory: Path, also: str = "", most: 
     Parameters
     ----------
     signals : Signals
-        Of the run's recording; topics without a message are named, not drawn.
+        Of the run's recording; topics without a message are listed but not drawn.
     rig : Rig
-        Says units, which topics are held between samples, which are references.
+        Provides the units, which topics are held between samples, and which are references.
     directory : Path
         An existing directory.
     also : str
-        pdf or png: a file of this kind beside each SVG, by matplotlib; empty: none.
+        ``pdf`` or ``png``: matplotlib also writes a file of this kind beside each SVG; empty: none.
     most : int, optional
         Only the first plots, and the overview if there are fewer.
 
     Returns
     -------
     list of Path
-        `plot_name` of each entry in its order, then ``overview.svg``. An entry about nothing but what an outside node
-        would publish, and did not, has no picture.
+        `plot_name` of each entry in its order, then ``overview.svg``. An entry has no picture if its signals all belong
+        to an external node that did not publish them.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def _limit_time(ax: Axes, entry: PlotEntry, scale: float) -> None:
 
 
 def _value_title(row: Sequence[Curve], unit: str, given: str = "") -> str:
-    """Title of a value axis: what the entry says, what the unit stands for, or the only curve's label."""
+    """Return a value axis's title: that of the entry, else the quantity of the unit, else the only curve's label."""
     name = given or quantity(unit) or (row[0].label if len(row) == 1 else "") or ("Value" if unit else "")
     return axis_title(name, unit)
 

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
-    """Draw a picture anew by matplotlib.
+    """Redraw a picture with matplotlib.
 
     Parameters
     ----------
     own : mapping
-        Settings of matplotlib beside those of `softrig_bringup.plots.style`.
+        Settings of matplotlib in addition to those of `softrig_bringup.plots.style`.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure as New
@@ -46,7 +46,7 @@ def printed(figure: Figure, own: Mapping[str, Any] | None = None) -> Printed:
 
 
 def _there(value: Any, known: Mapping[int, Any], target: Any = None) -> Any:
-    """Return what stands in matplotlib's picture for something of ours; a number or a text for itself."""
+    """Return matplotlib's counterpart of one of our objects; a number or a text is returned unchanged."""
     if isinstance(value, Across):
         return target.get_xaxis_transform() if value.data == "x" else target.get_yaxis_transform()
     if isinstance(value, Place):

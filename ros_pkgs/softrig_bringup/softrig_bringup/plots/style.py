@@ -88,7 +88,7 @@ _QUANTITIES = {unit: name for name, units in _UNITS.items() for unit in units.sp
 
 
 def quantity(unit: str) -> str:
-    """Return the quantity that a unit of the suite stands for; empty where it may be several."""
+    """Return the quantity that a unit of the suite measures; empty if it may be several."""
     return _QUANTITIES.get(unit, "")
 
 

@@ -41,7 +41,7 @@ class Box(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """Ticks of an axis: where, what stands there, and the power of ten of its title."""
+    """Ticks of an axis: their positions, their labels, and the power of ten in the title."""
 
     at: Sequence[float]
     names: Sequence[str]
@@ -67,7 +67,7 @@ def svg(figure: Figure) -> str:
 
 
 def described(figure: Figure) -> Iterator[str]:
-    """Describe what can be seen, for those who cannot: of each axes its titles, of each curve its range and its end."""
+    """Describe a picture for blind readers: the titles of each axes, the range and the final value of each curve."""
     for axes in figure.axes:
         if not axes.on:
             continue
@@ -238,7 +238,7 @@ class _Writer:
         yield from self._heads(axes, box)
 
     def _heads(self, axes: Axes, box: Box) -> Iterator[str]:
-        """Write what stands above an axes: the legend, and texts at the left and right above it."""
+        """Write the parts above an axes: the legend, and the texts at its upper left and upper right."""
         point, base = self.point, box.top - 5.0 * self.point
         if axes.named:
             entries, title, ncols, size = axes.named
@@ -264,7 +264,7 @@ class _Writer:
                 yield self._text(text, box.left + box.width, base, size, colour, "end")
 
     def _sample(self, artist: Artist, left: float, y: float) -> str:
-        """Draw what stands for something in the legend."""
+        """Draw the sample of an artist in the legend."""
         right = left + 15.0 * self.point
         if isinstance(artist, Area | Cells):
             top, high = y - 3.0 * self.point, 6.0 * self.point
@@ -300,7 +300,7 @@ class _Writer:
                    f'{"".join(drawn)}</svg>')  # fmt: skip
 
     def _over(self, axes: Axes, box: Box, to_x: Any, to_y: Any) -> Iterator[str]:
-        """Draw what may lie over the edges: texts, and marks that stand for values beyond them."""
+        """Draw what may extend over the edges: texts, and marks for values beyond the edges."""
         for item in axes.items:
             if isinstance(item, Line) and not item.clip_on:
                 y = box.top + (1.0 - item.y) * box.height if item.up else to_y(item.y)

@@ -53,14 +53,14 @@ def power_of(ticks: Sequence[float]) -> int:
 
 
 def texts(ticks: Sequence[float], power: int, limits: tuple[float, float]) -> list[str]:
-    """Return ticks as they are printed, all with as many digits as tell them apart.
+    """Return the printed ticks, all with as many digits as needed to distinguish them.
 
     Parameters
     ----------
     power : int
         See `power_of`.
     limits : (float, float)
-        Of the axis, which count where there is one tick.
+        Limits of the axis, which are used if there is only one tick.
     """
     if not len(ticks):
         return []

@@ -1,4 +1,4 @@
-"""What tells runs apart: their names on a page, and what differs between them."""
+"""Distinction of runs: their names on a page, and the differences between them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHORT, LONGEST = 30, 60  # letters: of folders that name their runs, and of what
 
 
 def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> list[str]:
-    """Name each run: as the command line says, by its own label, or by its folder.
+    """Name each run by the command line, by its own label, or by its folder.
 
     Parameters
     ----------
@@ -25,8 +25,8 @@ def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> 
     Returns
     -------
     list of str
-        All different: of folders as much of their path as tells them apart, or, where that is long, what differs
-        between them; equal labels have it behind them.
+        All names are different. A folder is named by the last parts of its path that distinguish it or, if these are
+        long, by what differs between the runs. The same text is appended to equal labels.
     """
     folders = _tails([path for path, _ in runs])
     if max(map(len, folders), default=0) > SHORT:
@@ -37,7 +37,7 @@ def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> 
 
 
 def _by_difference(runs: Sequence[RunRecord]) -> list[str]:
-    """Name runs by what differs between them, ``delta 2, seed 3``; nothing where that is long or tells too little."""
+    """Name runs by their differences, such as ``delta 2, seed 3``; empty if that is too long or not unique."""
     changed, _ = differing(runs)
     told = {what: own for what, own in changed.items() if not what.startswith(("code of", "version of", "node "))}
     parts = [
@@ -60,15 +60,16 @@ def _tails(paths: Sequence[Path]) -> list[str]:
 
 
 def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return what differs between runs, by what it is: its value in each of them, as text; empty where it is not there.
+    """Return what differs between runs: from the name of each difference to its value in each run, empty if absent.
 
     Returns
     -------
     changed : dict of str to list of str
-        What a person has done: another scenario, mode, seed or length, what the command line or a hand changed; code
-        of each package, nodes, what they ran on, and how they ended.
+        Differences made by a person: scenario, mode, seed, length, and changes on the command line or by hand. Also the
+        code of each package, the nodes, the machine, and how the runs ended.
     follows : dict of str to list of str
-        Parameters that differ because of it. Of runs between which nobody says what was changed, they are the change.
+        Parameters that differ as a consequence. If the runs do not record what was changed, these parameters are the
+        change.
     """
     about: dict[str, Callable[[RunRecord], str]] = {
         "scenario": lambda r: r.scenario,
@@ -98,7 +99,7 @@ def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str
 
 
 def machine(run: RunRecord) -> dict[str, str]:
-    """Versions, without the commit: the code says which files count."""
+    """Return the versions; the commit is omitted if digests of the code are known."""
     return {k: v for k, v in run.versions.items() if k not in ("commit", "run.lock") or not run.code}
 
 

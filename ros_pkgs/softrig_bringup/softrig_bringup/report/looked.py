@@ -50,12 +50,13 @@ def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
 
 
 def record_of_pack(folder: Path) -> RunRecord:
-    """Read what an unpacked pack says of its run, with the figures that its bag and its scenario give.
+    """Read the record of an unpacked pack's run, with figures computed from its bag and its scenario.
 
     Returns
     -------
     RunRecord
-        `doubts`: what its metrics.json says otherwise, what does not belong together, what could not be computed.
+        Its `doubts` list what its metrics.json states differently, what does not belong together, and what could not be
+        computed.
     """
     said, content = about(folder), _content(folder)
     rig, found = rig_of_pack(folder)
@@ -131,7 +132,7 @@ def _content(folder: Path) -> dict[str, Any]:
 
 
 def _shown(scenario: Scenario, folder: Path, found: BagSignals, ours: Mapping[str, NodeEntry]) -> Rig:
-    """Create a rig of one node that says what the bag has; of the scenario only the plots stay that it can show."""
+    """Create a rig of one node that publishes the bag's topics; it keeps those plots that the topics can show."""
     units = {name: str(one.get("unit", "")) for name, one in _units(folder).items()}
     ports = [written(port) for port in _ports(scenario, found, units, ours)]
     if not ports:

@@ -1,4 +1,4 @@
-"""What ``metrics.json`` says of a run, for the pages about it."""
+"""The contents of a run's ``metrics.json``, for the pages about the run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..plots.curves import Shown
 
 
 class _Status(BaseModel):
-    """What the pages read of a node's status by its name; figures may stand beside it."""
+    """The entries of a node's status that the pages read by name; the status may also contain figures."""
 
     error: str = ""
     reports: dict[str, tuple[int, str, int]] = {}
@@ -78,7 +78,7 @@ class RunRecord(BaseModel):
 
     @property
     def made_by(self) -> str:
-        """The command that says of what rig it was: of a run that went on from another one, that of the first."""
+        """Return the command that identifies the rig: for a run continued from another one, that of the first."""
         return self.command if self.origin is None else self.origin.command
 
     @field_validator("nodes")

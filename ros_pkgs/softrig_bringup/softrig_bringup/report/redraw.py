@@ -46,20 +46,20 @@ def rig_of_run(directory: Path, namespace: str = "") -> tuple[Rig, BagSignals]:
     Parameters
     ----------
     directory : Path
-        Of a run, or any bag: a directory or a single file; or a pack.
+        The directory of a run, any bag (a directory or a single file), or a pack.
     namespace : str
-        Of a bag: only the topics in it, which are named without it.
+        For a bag: only topics in this namespace are read, and their names are given without it.
 
     Returns
     -------
     (Rig, BagSignals)
-        The rig that ran; of a bag that does not say of which scenario it is, or whose scenario is unknown here, one of
-        its topics alone, without units.
+        The rig that ran. If the bag does not name its scenario, or the scenario is unknown here, the rig has only the
+        bag's topics, without units.
 
     Raises
     ------
     ScenarioError
-        No bag, or none in it, or what was run is unknown here.
+        There is no bag, or the scenario of the run is unknown here.
     """
     rig, found = _recalled(directory, namespace)
     return rig, found.known_as(other_names(rig))
@@ -104,7 +104,7 @@ def _parser() -> Parser:
 
 
 def _as_it_ran(command: str) -> Rig:
-    """Build the rig that a run's command stands for."""
+    """Build the rig that a run's command describes."""
     try:
         words = shlex.split(command)
         words = words[words.index("run") + 1 :]
@@ -160,7 +160,7 @@ def _is_run(word: str) -> bool:
 
 
 def _look(options: argparse.Namespace, named: bool) -> Look:
-    """Return what the options ask for; what a publisher asks for stands behind what is said beside it."""
+    """Return the look that the options select; an explicit option overrides the publisher's style."""
     paper = PAPERS.get(options.style)
     width = options.width or (paper.widths[int(options.columns) - 1] if paper else None)
     title = not (options.no_title or named or paper)

@@ -68,14 +68,14 @@ def write_report(
         Run directories, or folders of such: ``metrics.json``, the bag, and the pictures of
         `softrig_bringup.plots.pictures.plot_run`, as far as they are there; or packs, whose figures are computed.
     output : Path
-        The HTML file; appears complete or not at all.
+        The HTML file; it is written completely or not at all.
     labels : sequence of str
-        What the runs are called, in their order; of those that it does not reach, their own label or folder.
+        Names of the first runs, in order; the other runs are named by their own label or folder.
     doubted : bool
-        Whether bags are held against what their metrics.json says of them; what does not fit is said and marked.
+        Whether bags are compared with their metrics.json; differences are reported and marked.
 
     head : sequence of Element
-        What the page begins with, in place of its own title.
+        Elements at the top of the page, in place of its own title.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def write_report(
     Raises
     ------
     ScenarioError
-        A directory is not that of a run; more labels than runs.
+        A directory is not that of a run, or there are more labels than runs.
     """
     runs: list[tuple[Path, RunRecord]] = []
     without = []

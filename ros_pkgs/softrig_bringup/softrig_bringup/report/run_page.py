@@ -105,7 +105,7 @@ def verdict(run: RunRecord) -> Element:
 
 
 def metrics(run: RunRecord) -> Element:
-    """The table of figures, without columns that say nothing."""
+    """Create the table of figures, without empty columns."""
     if not run.metrics:
         return e("p", "No metrics." if run.error else "This scenario has no metrics.", class_="note")
     columns: dict[str, tuple[str, Callable[[Result], Element | str]]] = {
@@ -240,7 +240,7 @@ def _pairs(values: Mapping[str, str]) -> Element:
 
 
 def _nodes(run: RunRecord) -> Iterator[Element]:
-    """Run statistics: one row a node, one column a figure that any node has; then what the nodes had to say."""
+    """Create the run statistics: one row per node and one column per figure, then the nodes' reports."""
     rows = {
         node: {"refused": sum(count for count, _ in status.get("refused", {}).values())} | _plain(status)
         for node, status in run.nodes.items()

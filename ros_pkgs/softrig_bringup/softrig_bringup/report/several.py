@@ -114,9 +114,9 @@ def index(runs: Sequence[RunRecord], named: Sequence[str]) -> Element:
 
 
 def side_by_side(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Element]:
-    """For each system with several runs: the metrics that at least two of them have, one row a run.
+    """Create tables for each system with several runs: metrics that at least two of them have, one row per run.
 
-    More than `COLUMNS` metrics of a few runs stand one a row instead, of many runs in several tables.
+    With more than `COLUMNS` metrics, a table of few runs has one row per metric instead; many runs get several tables.
     """
     for system in dict.fromkeys(run.system for run in runs):
         group = [(i, run) for i, run in enumerate(runs, 1) if run.system == system and run.metrics]

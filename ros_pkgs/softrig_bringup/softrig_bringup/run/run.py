@@ -63,12 +63,12 @@ CHANGED, OUTSIDE = "parameters were changed while it ran", "messages came from o
 
 
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:
-    """Run a rig; one that broke or was stopped says so in `error` or `stopped` and has what was recorded.
+    """Run a rig; if it failed or was stopped, `error` or `stopped` is set, and the result has what was recorded.
 
     Parameters
     ----------
     rig : Rig
-        As `checked` gives it.
+        As returned by `checked`.
     directory : Path
         For the logs of node processes.
     """
@@ -109,7 +109,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
 
 
 def status_of(step: Step) -> dict[str, Any]:
-    """Return what a block says of itself at the end of a run in process, as a node's status file does."""
+    """Return a block's status at the end of a run in process, as in a node's status file."""
     status: dict[str, Any] = {
         "reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
         "native": step.native,
@@ -120,7 +120,7 @@ def status_of(step: Step) -> dict[str, Any]:
 
 
 def tripped(rig: Rig, status: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Return the nodes whose protection has acted though the scenario does not expect it, and what each said."""
+    """Return the nodes whose protection tripped although the scenario does not expect it, with their reports."""
     return {
         m.name: text
         for m in rig.members
@@ -233,7 +233,7 @@ def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
 
 
 def turned(run: Run) -> list[str]:
-    """Describe in words what somebody changed while it ran, the scenario's own changes left out."""
+    """Describe what a user changed while the run was under way, without the scenario's own changes."""
     scripted = {
         (m.schedule.next(c.at - 1), m.name, name): value
         for m in run.rig.members
@@ -293,7 +293,7 @@ def checkout() -> dict[str, str]:
 def save(
     run: Run, content: Mapping[str, Any], folder: ResultsFolder, record: bool = True, health: bool = False
 ) -> None:
-    """Write metrics.json and bag/ into a folder, and the list of what was written.
+    """Write metrics.json and bag/ into a folder, with a list of the files written.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def save(
     record : bool
         Whether the bag is written.
     health : bool
-        Whether what the nodes say beside their signals is in it.
+        Whether the bag also has what the nodes report beside their signals.
     """
     with _writing(folder) as directory, unstopped():
         texts = _texts(run.rig) if health else {}

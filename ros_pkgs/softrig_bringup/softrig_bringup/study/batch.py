@@ -78,10 +78,10 @@ class Batch:
 
 
 class Log:
-    """Rows as they come, a line each, in a file that survives an interruption.
+    """A file of rows, appended one line each as runs end, that survives an interruption.
 
-    What is in the file stays there: a line that was cut off or damaged, and one that tells of another run than the
-    study has under that number, is passed over, and its run is done again.
+    Lines in the file are never removed. A line is skipped, and its run is repeated, if it is truncated or damaged, or
+    if it belongs to another run than the study has under that number.
 
     Parameters
     ----------
@@ -90,13 +90,13 @@ class Log:
     total : int
         Runs of the study.
     cases : iterable of Case
-        Those runs, where they are known before; a search asks `knows`.
+        The runs of the study, if they are known in advance; a search calls `knows` instead.
 
     Attributes
     ----------
     path, total
     passed_over : int
-        Lines of the file that are no rows of this study, or repeat one.
+        Number of lines that are not rows of this study or repeat a row.
     """
 
     def __init__(self, path: Path, total: int, cases: Iterable[Case] | None = None) -> None:

@@ -74,10 +74,11 @@ class Draws(Entry):
 
 
 class Search(Entry):
-    """A search for parameters that minimise (or maximise) a figure; a figure that cannot be measured is the worst.
+    """A search for parameters that minimise (or maximise) a figure; a figure that cannot be measured counts as worst.
 
-    Candidates come in batches, told in order: the result does not depend on the number of workers. Those that do not
-    keep to `subject_to` (figure to what is expected of it, in each run) are never the best.
+    Candidates are evaluated in batches and their values are passed to the search in order, so the result does not
+    depend on the number of workers. `subject_to` maps figures to expectations, which must hold in each run; a candidate
+    that violates one is never the best.
     """
 
     figure: str
@@ -133,23 +134,23 @@ class Study(Entry):
     Parameters
     ----------
     cases : dict of str to dict
-        By name: parameters to change; the key ``scenario`` takes another scenario.
+        By name: parameters to change; the key ``scenario`` selects another scenario.
     grid : dict of str to list
         Every combination of the values.
     seeds : int or list of int
-        Rig seeds; a number n stands for 0 to n - 1. Absent: the scenario's.
+        Rig seeds; a number n means 0 to n - 1. Default: the seed of the scenario.
     figures : list of str
-        Which figures are kept; all when empty.
+        Figures to store; all if empty.
     signals : list of str
-        Signals that are kept, at `samples` times, and drawn with bands over the seeds.
+        Signals to store at `samples` times; they are drawn with bands over the seeds.
     require : dict of str to Expectation
-        Figures and what is required of them: how often it holds is estimated.
+        Figures with requirements; the study estimates how often each requirement holds.
     strict : bool
-        Whether changed runs are judged also by what is published for the machine as it was, as `run --strict` does.
+        Whether changed runs are also judged by values published for the unchanged machine, as with `run --strict`.
     summaries, expect, claims
-        Numbers over the runs, what they should be, what the paper says of them.
+        Numbers computed over the runs, their expected values, and the paper's claims about them.
     changed : tuple of str
-        Entries that the command line has changed: `expect` and `claims` are of the study as it is written.
+        Entries changed on the command line; `expect` and `claims` apply to the study file without these changes.
     """
 
     name: str

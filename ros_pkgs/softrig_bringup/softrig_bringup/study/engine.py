@@ -31,16 +31,16 @@ from .work import Work, recorded, repeated, repeating, value_of
 def run_study(
     study: Study, out: Path, *, workers: int | None = None, scheduler: str = "", distinct: bool = False
 ) -> Log:
-    """Run what is not yet done of a study.
+    """Run those runs of a study that are not done yet.
 
     Parameters
     ----------
     out : Path
-        Gets ``study.json`` and ``rows.jsonl``; what an earlier call left there is kept and not run again.
+        Folder for ``study.json`` and ``rows.jsonl``; results of an earlier call are kept and not run again.
     workers, scheduler
         See `softrig_optim.sweep.Workers`.
     distinct : bool
-        Refuse several seeds that are one run, see `check_seeds`, before the first row.
+        Whether to refuse, before the first row, seeds that all produce the same run; see `check_seeds`.
 
     Returns
     -------
@@ -50,8 +50,8 @@ def run_study(
     Raises
     ------
     ScenarioError
-        Bad input, or the directory holds another study, files of somebody else under our names, or another call is at
-        work there.
+        The input is bad, the folder has another study or foreign files with our names, or another call is using the
+        folder.
     """
     folder = ResultsFolder(out, STUDY)
     # The files are read once, so that an edit during the study does not change it.
@@ -164,12 +164,12 @@ def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str,
 
 
 def same(content: dict[str, Any], file: Path, what: str) -> str:
-    """Ensure that a folder holds this content or none, whose rows are taken over by their number; return its text.
+    """Ensure that a folder has this content or none, because its rows are reused by number; return the content as text.
 
     Raises
     ------
     OtherContentError
-        It holds another; says why it does where the words are the same.
+        It has other content; the text names the changed files if the definitions are equal.
     """
     if file.exists():
         try:
@@ -197,7 +197,7 @@ def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
 
 
 def check_study(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
-    """Build the rig of the first run of each case, so that what is misspelt is said at once; return them."""
+    """Build and return the rig of the first run of each case, so that a misspelt name is reported before any run."""
     rigs = []
     for case in _firsts(study, drafts):
         check_names(drafts[case.scenario], case.overrides)
@@ -241,7 +241,7 @@ def _suggest_middle(d: Any) -> Any:
 
 
 def _search(study: Study, search: Search, batch: Batch, drafts: Mapping[str, Draft]) -> None:
-    """Ask and tell in batches; rows that exist already are reported again in the same order."""
+    """Run the ask/tell loop of a search in batches; existing rows are passed to it again in the same order."""
     need("optuna", f"{study.name}: its search")
     import optuna
 

@@ -97,8 +97,8 @@ def share(portion: float, n: int) -> Estimate:
     Parameters
     ----------
     portion : float
-        Of n independent runs, those in which it is so; scipy has the interval for whole numbers of runs alone, which
-        this is not where each run stands for a mean over seeds.
+        Share of n independent runs in which the event occurs. scipy computes the interval for integer counts only, and
+        the count is not an integer if each run is a mean over seeds.
     """
     from scipy import stats
 

@@ -140,7 +140,7 @@ def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
 
 
 def _is_same(text: str, others: Sequence[str]) -> bool:
-    """Return whether a scenario stands twice among some, by whatever path."""
+    """Return whether a scenario occurs twice in a list, also under different paths."""
     return sum(locate(other)[1].samefile(locate(text)[1]) for other in others if "=" not in other) > 1
 
 

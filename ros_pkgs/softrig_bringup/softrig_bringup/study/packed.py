@@ -59,7 +59,7 @@ def standing_alone(study: Study) -> tuple[Study, dict[str, dict[str, Any]]]:
 
 
 def rows_alone(rows: Sequence[Row]) -> bytes:
-    """Write rows without folders of this machine: scenarios by name, what a broken run said without places."""
+    """Write rows without folders of this machine: scenarios by name, error texts of failed runs without paths."""
     lines = []
     for row in rows:
         told = {**row, "scenario": locate(row["scenario"])[0], "error": placeless(row["error"])}

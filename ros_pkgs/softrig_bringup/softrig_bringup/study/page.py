@@ -325,7 +325,7 @@ def _verdict(result: Result) -> Element | str:
 
 
 def _word(study: Study, claim: Finding) -> Element:
-    """Write the verdict on a claim that is not refuted; of a changed study it says nothing."""
+    """Write the verdict on a claim that is not refuted; for a changed study there is no verdict."""
     if study.written and claim.holds is None:
         return e("span", "not judged", title=f"published for {study.written}")
     return e("b", claim.verdict.replace("_", " "))

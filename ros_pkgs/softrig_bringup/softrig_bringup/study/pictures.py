@@ -116,7 +116,7 @@ def _columns(rows: Iterable[Row], parameter: str, figure: str) -> tuple[Array, A
 def _over(
     rows: Sequence[Row], parameter: str, names: Sequence[str], units: Mapping[str, str], *, banded: bool
 ) -> Figure:
-    """Figures over a parameter; what has no value in a run stands at the top, counted, and takes part in the median."""
+    """Draw figures over a parameter; runs without a value are counted at the top and enter the median as infinity."""
     figure, axes = _axes(len(names))
     groups: dict[str, list[Row]] = {}
     for row in rows:

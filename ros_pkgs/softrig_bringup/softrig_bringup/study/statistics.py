@@ -1,4 +1,4 @@
-"""What the runs of a study say together: statistics of each case, cases held against each other, sensitivities."""
+"""Statistics of a study: of each case, comparisons between cases, and sensitivities."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class Line(NamedTuple):
-    """A figure over the runs of a case and grid point: `n` independent ones have a number, `lost` tells of the rest."""
+    """A figure over the runs of a case and grid point: `n` independent runs have a value; `lost` covers the rest."""
 
     group: str
     figure: str
@@ -142,7 +142,7 @@ class Sample:
 def statistics(
     study: Study, rows: Sequence[Row], units: Mapping[str, str], widths: Mapping[str, float] | None = None
 ) -> Statistics:
-    """Compute what the runs of a study say together; nothing of a search, whose runs are no sample.
+    """Compute the statistics of a study; empty for a search, whose runs are not a random sample.
 
     Parameters
     ----------
@@ -151,12 +151,12 @@ def statistics(
     units : mapping
         Of figures.
     widths : mapping, optional
-        Of a figure, requirement or share, how wide its interval is to be; the notes say how many runs that needs.
+        Desired interval width of a figure, requirement or share; the notes give the number of runs that it needs.
 
     Raises
     ------
     ScenarioError
-        A width of what the study does not estimate.
+        A width names a quantity that the study does not estimate.
     """
     if study.search or not rows:
         return Statistics()

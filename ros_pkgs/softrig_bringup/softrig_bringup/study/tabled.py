@@ -17,7 +17,7 @@ DIGITS = 2  # of the width of an interval that are written
 
 
 class Tabled(NamedTuple):
-    """A table; of its columns the first `keys` say of what a row is; `answers`: what a study of cases is asked for."""
+    """A table; its first `keys` columns identify a row. `answers` marks a table that answers the study's question."""
 
     title: str
     heads: Sequence[str]

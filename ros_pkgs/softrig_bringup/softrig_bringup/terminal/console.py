@@ -12,13 +12,13 @@ from softrig_core.guard import plain
 
 
 def console(**options: Any) -> Console:
-    """Create a console as wide as the terminal or as COLUMNS says; in a pipe, lines are as long as they are."""
+    """Create a console as wide as the terminal or COLUMNS; in a pipe, lines are not wrapped."""
     narrow = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
     return _Console(**{"width": None if narrow else 1000, "highlight": False, "markup": False} | options)
 
 
 def styled(*parts: str | tuple[str, str]) -> Text:
-    """Create a line of texts and of (text, style): no text has a style by itself, whoever wrote it."""
+    """Create a line from texts and (text, style) pairs; control characters and markup in a text have no effect."""
     return Text.assemble(*(plain(p) if isinstance(p, str) else (plain(p[0]), p[1]) for p in parts))
 
 

@@ -13,7 +13,7 @@ from softrig_core.wire.signals import short_name
 
 
 def list_figures(name: str) -> int:
-    """Print the figure functions that scenarios may name, or what one of them says of itself."""
+    """Print the figure functions that scenarios may name, or the documentation of one of them."""
     if name:
         function = find(name)
         print(f"{name}{inspect.signature(function)}\n\n{inspect.getdoc(function) or ''}\n")
@@ -26,8 +26,9 @@ def list_figures(name: str) -> int:
 
 
 def list_signals(scenario: str) -> int:
-    """Print the signals of a scenario: name, unit, who publishes it, who reads it; a field that is the only one is left
-    out, as it may be wherever a signal is named.
+    """Print the signals of a scenario: name, unit, publisher and readers.
+
+    If a topic has only one field, the field is left out of the name, as is allowed wherever a signal is named.
     """
     rig = rig_of(scenario)
     units = signal_units(rig)

@@ -21,7 +21,7 @@ def fits(console: Console, table: Table) -> bool:
 
 
 def table_of(heads: Sequence[str], rows: Sequence[Sequence[Cell]], folded: bool = False) -> Table:
-    """Create a table, its heads folded at underscores and dots or not; what is no word stands to the right."""
+    """Create a table, its heads optionally folded at underscores and dots; cells other than words are right-aligned."""
     result = Table(box=None, pad_edge=False)
     for k, head in enumerate(heads):
         room = max((len(row[k]) for row in rows), default=0) if folded else len(head)
@@ -68,7 +68,7 @@ def _chosen(heads: Sequence[str], rows: Sequence[Sequence[Cell]], columns: Seque
 
 
 def _folded(head: str, room: int) -> str:
-    """Fold a name at its underscores and dots where what stands below is shorter."""
+    """Fold a head at its underscores and dots if the cells below it are narrower."""
     lines = [""]
     for part in plain(head).replace("_", "_\0").replace(".", ".\0").split("\0"):
         if lines[-1] and len(lines[-1] + part) > room:

@@ -95,7 +95,7 @@ def _expectations(options: argparse.Namespace) -> int:
 
 
 def _called(word: str) -> str:
-    """Name what is judged: a file by its path, which tells ``a/task.yaml`` from ``b/task.yaml``."""
+    """Name the judged scenario: a file by its path, which distinguishes ``a/task.yaml`` from ``b/task.yaml``."""
     return word if Path(word).suffix in (".yaml", ".yml") else load_name(word)
 
 
@@ -105,7 +105,7 @@ def load_name(word: str) -> str:
 
 
 def judge(work: Judged) -> dict[str, Any]:
-    """Run one scenario in this process and give what is to be said of it, as plain data; bad input is said there."""
+    """Run one scenario in this process and return its outcome as plain data, in which bad input is also reported."""
     started = time.perf_counter()
     about: dict[str, Any] = {"scenario": work.name, "metrics": [], "claims": [], "kind": "", "differs": []}
     try:
@@ -160,7 +160,7 @@ def _cell(case: Case) -> str:
 
 
 def outcome_of(run: Run, wall_s: float) -> dict[str, Any]:
-    """Return what is to be said of a run, as plain data."""
+    """Return the outcome of a run as plain data."""
     return {
         "scenario": run.rig.scenario.name,
         "wall_s": round(wall_s, 3),

@@ -1,6 +1,6 @@
 """Golden bags: a short recorded run of a scenario that later versions must reproduce.
 
-``bags/NAME/`` holds ``bag/`` and ``golden.yaml``, which says how it was made and what may differ.
+``bags/NAME/`` has ``bag/`` and ``golden.yaml``, which records how the bag was made and what may differ.
 """
 
 from __future__ import annotations
@@ -154,9 +154,10 @@ class Golden:
         return ", ".join(f"{name} {there} there, {here} here" for name, (there, here) in self.others.items())
 
     def check(self) -> tuple[Comparison, str]:
-        """Run it once more and compare; returns the comparison, and how far they agree.
+        """Run the scenario again and compare; return the comparison and a description of the agreement.
 
-        Where not all is as it was when the bag was made, every byte may be the same nonetheless: then that is said.
+        If conditions differ from those in which the bag was made, every byte may still be equal; the description then
+        says so.
         """
         new = self.rerun()
         found = self.compare(new)
@@ -410,7 +411,7 @@ def _with(node: str, folder: Path, names: Iterable[str]) -> list[str]:
 
 
 def _one(work: tuple[Path, dict[str, Any], bool, bool]) -> tuple[dict[str, Any], bool, set[str]]:
-    """Create or check a golden bag: give what is to be said of it, whether there was none before, its `others`."""
+    """Create or check a golden bag; return its outcome, whether there was none before, and its `others`."""
     started = time.perf_counter()
     folder, changes, check, differing = work
     there = check or (folder / "golden.yaml").is_file()

@@ -84,24 +84,24 @@ def begin(values: Mapping[str, str]) -> Launched:
 
 
 class Launched:
-    """The processes of a rig, for whoever starts them and says when they have ended.
+    """The processes of a rig, for a caller that starts them and reports when they have ended.
 
     Parameters
     ----------
     values : mapping of str to str
-        What is given of `ARGUMENTS`.
+        Values of `ARGUMENTS`.
 
     Raises
     ------
     ScenarioError
-        The scenario, or what is changed of it, is wrong.
+        The scenario, or a change of it, is invalid.
     RunError
-        The domain is a run's own.
+        The domain is the private domain of a run.
 
     Attributes
     ----------
     sent : signal.Signals
-        What a launch that is shut down was sent.
+        The signal that shut the launch down.
     """
 
     sent = signal.SIGINT
@@ -231,7 +231,7 @@ class Launched:
 
 
 def _options(given: Mapping[str, str]) -> argparse.Namespace:
-    """Return the options of `softrig run` that say the same."""
+    """Return the equivalent options of `softrig run`."""
     words = [given["scenario"], "--mode", given["place"], *(["--realtime"] if given["mode"] == "realtime" else [])]
     for name, option in (("duration", "duration"), ("seed", "seed"), ("params_file", "params-file"), ("out", "out")):
         words += [f"--{option}={given[name]}"] if given[name] else []

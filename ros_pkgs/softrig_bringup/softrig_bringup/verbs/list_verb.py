@@ -20,7 +20,7 @@ FOLDED = 1  # levels of variants that are shown of all systems
 
 
 def main(options: argparse.Namespace) -> int:
-    """Print scenarios, or signals of one, or figure functions, as the options say; returns the exit status."""
+    """Print scenarios, signals of one scenario, or figure functions, as the options select; return the exit status."""
     if (options.signals, options.parameters, options.figures) == (None, None, None):
         return list_scenarios_of(options.filter)
     from ..terminal import parts

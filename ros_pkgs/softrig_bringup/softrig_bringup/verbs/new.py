@@ -190,7 +190,7 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _in_place_of(options: argparse.Namespace) -> int:
-    """Write a controller that stands in for the one of a scenario."""
+    """Write a controller that replaces the one of a scenario."""
     of = replaced(options.scenario, options.name)
     shown = shlex.quote(os.path.relpath(new_package(options.name, options.into, "for", of)))
     scenario, node = of.values["extended"], of.values["node"]

@@ -65,7 +65,7 @@ _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_module
 
 
 class _Pack(NamedTuple):
-    """What goes into a file: content by place, what it says of itself, what it lacks, whether nodes run C or boards."""
+    """Parts of a pack: files by place, its description, what it lacks, and whether nodes run C or boards."""
 
     files: Mapping[str, bytes | Path]
     about: About
@@ -74,7 +74,7 @@ class _Pack(NamedTuple):
 
 
 def main(options: argparse.Namespace) -> int:
-    """Write the file and say what is in it; returns the exit status."""
+    """Write the file and print its contents; return the exit status."""
     if (options.run / "study.json").is_file():
         return _pack_study(options)
     with TemporaryDirectory(prefix="softrig_pack_") as aside:
@@ -120,12 +120,12 @@ def _signed(packed: _Pack, out: Path, options: argparse.Namespace) -> int:
 
 
 def collect_study(folder: Path) -> tuple[_Pack, int]:
-    """Gather what somebody needs who repeats a study, and its rows; say how many.
+    """Gather what is needed to repeat a study, and its rows; return also their number.
 
     Raises
     ------
     ScenarioError
-        No study, one of which something has changed since or that is not finished, or packages that are not softrig's.
+        The folder has no study, the study has changed since or is not finished, or it uses packages outside softrig.
     """
     study = of_folder(folder)
     log = Log(folder / ROWS, count(study))
@@ -149,21 +149,22 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
 
 
 def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
-    """Gather what somebody needs who repeats a run.
+    """Gather what is needed to repeat a run.
 
     Parameters
     ----------
     run : Path
         Its folder, its bag, or a pack of it.
     aside : Path
-        An empty folder, for a copy of the bag that names no folder of this machine.
+        An empty folder for a copy of the bag without folder names of this machine.
     bag : bool
-        Whether the bag is in it; otherwise digests of what was said on each topic.
+        Whether to include the bag; otherwise digests of the messages on each topic are stored.
 
     Raises
     ------
     ScenarioError
-        No run; what it was made of is no longer what it was; its bag alone has what is needed, and is to be left out.
+        There is no run, its inputs have changed since, or only its bag has what is needed and the bag is to be left
+        out.
     """
     if is_pack(run) and (names := brings(unpacked := opened(run), about(unpacked))):
         raise ScenarioError(
@@ -211,7 +212,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
 
 
 def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Path]]:
-    """Return what `About` says of the packages that are not softrig's, and their files."""
+    """Return the entries of `About` for the packages outside softrig, and the files of these packages."""
     own = [name for name in code if not name.startswith("softrig_")]
     sources = {name: _sources(name) for name in own}
     files: dict[str, bytes | Path] = {}
@@ -229,7 +230,7 @@ def _lacks(said: About) -> tuple[str, ...]:
 
 
 def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str, Any]:
-    """Return what is known of a run as somebody elsewhere may read it: without folders of this machine."""
+    """Return the metadata of a run for readers on other machines: without folders of this machine."""
     told: dict[str, Any] = placeless({**content, **made})
     if "from" in told:
         told["from"] |= made
@@ -257,12 +258,12 @@ def _described(packed: _Pack, publication: Publication) -> _Pack:
 
 
 def write(packed: _Pack, out: Path) -> None:
-    """Write a file; the same run gives the same bytes.
+    """Write a file; the same run produces the same bytes.
 
     Raises
     ------
     ScenarioError
-        It would be larger than who unpacks it takes.
+        It would be larger than the limit for unpacking.
     """
     listed = {place: _sha256(content) for place, content in packed.files.items()}
     about = packed.about.model_copy(update={"files": listed})
@@ -322,7 +323,7 @@ def _beside(bag: Path) -> dict[str, Any]:
 
 
 def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:
-    """Refuse a run whose scenario, parameter file or package says something else by now."""
+    """Refuse a run whose scenario, parameter file or package has changed since."""
     then = content.get("parameters", {})
     for member in rig.members:
         now = json.loads(json.dumps(flatten(member.params)))
@@ -335,7 +336,7 @@ def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:
 
 
 def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the digests that stand for a bag, where scenario and changes alone make it again."""
+    """Return the digests that replace a bag; refuse a run that scenario and changes alone do not reproduce."""
     if before.digests:
         return before.digests
     rig = rig_of(scenario.having(changes=[]))

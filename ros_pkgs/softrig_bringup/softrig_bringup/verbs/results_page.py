@@ -29,7 +29,7 @@ AGREES = (
 
 
 def counts(rows: Sequence[Finding]) -> str:
-    """Describe how many claims have which verdict, and how many verdicts are false; what is said twice counts once."""
+    """Describe how many claims have which verdict, and how many verdicts are false; a repeated claim counts once."""
     found = Counter(verdict for verdict in _said(rows).values())
     text = ", ".join(f"{found[v]} {v.replace('_', ' ')}" for v in VERDICTS if found[v])
     false = sum(not row.holds for row in rows)
@@ -56,9 +56,9 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
     Parameters
     ----------
     without : str
-        What is not on it.
+        Text that names what is not on the page.
     out : Path, optional
-        Where it will stand, with the runs that it links.
+        Folder of the page and of the runs that it links.
     """
     groups = list(by_system(scenarios, rows))
     totals: list[tuple[Element | str, ...]] = [

@@ -111,7 +111,7 @@ def _how_to_connect(domain: int, directory: Path) -> str:
 
 
 def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
-    """Clear the folder for the results of a run, and say what it replaces."""
+    """Clear the folder for the results of a run, and report what they replace."""
     out = (options.out or Path("runs") / folder_name(rig.scenario.name, options)).absolute()
     before = options.like if options.origin is None else options.origin[0]
     if before is not None and out in (before.absolute(), before.absolute().parent):
@@ -170,14 +170,14 @@ class _Kept(NamedTuple):
 
 
 def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
-    """Write what a run has brought, print its figures, judge it.
+    """Write the results of a run, print its figures, and judge it.
 
     Parameters
     ----------
     options : argparse.Namespace
         Of the verb `run`.
     folder : ResultsFolder or None
-        None: nothing is written.
+        Target folder; None: nothing is written.
 
     Returns
     -------
@@ -187,7 +187,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
     Raises
     ------
     KeyboardInterrupt
-        A signal came; a note says what there is not because of it.
+        A signal was received; a note of the exception names the results that are missing because of it.
     """
     try:
         with stoppable():
@@ -280,7 +280,7 @@ def _write_junit(options: argparse.Namespace, done: Run) -> None:
 
 
 def _doubts(like: Path) -> list[str]:
-    """Describe what a pack or a run says of itself that its own bag does not bear out."""
+    """Describe statements of a pack or a run about itself that its own bag contradicts."""
     from ..report.looked import doubts, record_of_pack
 
     if not is_pack(like):
@@ -291,7 +291,7 @@ def _doubts(like: Path) -> list[str]:
 
 
 def _speak(kept: _Kept, done: Run, out: Path | None) -> None:
-    """Print the figures, and what is to be said of the run."""
+    """Print the figures and the remarks on the run."""
     if done.error:
         say(f"the run broke: {done.error}")
         if out is not None:
@@ -392,7 +392,7 @@ def _print_table(console: Console, run: Run) -> None:
 
 
 def _print_remarks(console: Console, run: Run) -> None:
-    """Report what figures, requirements and claims have to say beside the table."""
+    """Print the remarks of figures, requirements and claims that are not in the table."""
     if any(f.published_for for f in run.results):
         console.print(f"not judged: published for {run.published_for} (--strict judges them)")
     for f in run.results:

@@ -81,7 +81,7 @@ class Beside:
             remote.ask({"node": rig.clock.name, "call": "resume"}, lambda done, reason: remote.close())
 
     def over(self, run: Run, folder: Path) -> None:
-        """Notify the pages that the run is over, and wait until nobody looks any more; Ctrl-C ends the wait."""
+        """Notify the pages that the run is over, and wait until no browser is connected; Ctrl-C ends the wait."""
         self._ends = True
         if self._process is None or self._process.poll() is not None or self._process.stdin is None:
             return

@@ -59,12 +59,12 @@ class Knob:
         return self.kind in (int, float) and isinstance(self.value, int | float | None)
 
     def read(self, text: str) -> Any:
-        """Return what somebody has typed as a value.
+        """Convert text that a user has typed to a value.
 
         Raises
         ------
         ScenarioError
-            It is none.
+            The text is not a valid value.
         """
         if self.kind is str:
             return text
@@ -81,7 +81,7 @@ class Knob:
 
 
 class Said(NamedTuple):
-    """A line for the page: when in the run (s), who, what, and whether it was refused."""
+    """A line for the page: time in the run (s), author, text, and whether the change was refused."""
 
     t: float
     who: str
@@ -90,34 +90,35 @@ class Said(NamedTuple):
 
 
 class Control:
-    """The knobs and buttons of a rig.
+    """The live parameters (knobs) and buttons of a rig, as a page shows them.
 
     Parameters
     ----------
     rig : Rig
     ask : callable
-        Gets a request (`softrig_nodes.ros.remote`) and who wants its answer; None where nothing can be asked.
+        Called with a request (`softrig_nodes.ros.remote`) and a callback for its answer; None if requests are not
+        possible.
     now : callable
-        Gives the time of the run, s.
+        Returns the time of the run, s.
     over : callable
-        Says how the run ended; empty while it goes on.
+        Returns how the run ended; empty while the run is under way.
     held : bool or None
-        Whether the run is paused; None where it cannot be.
+        Whether the run is paused; None if it cannot be paused.
     pace : float or None
-        Simulated by wall-clock time; 0: as fast as it goes; None: in real time.
+        Ratio of simulated to wall-clock time; 0: as fast as possible; None: in real time.
 
     Attributes
     ----------
     knobs : dict of str to Knob
-        By `Knob.key`, those of the laws first.
+        By `Knob.key`, those of the controllers first.
     roles : dict of str to str
-        What each node with a knob is, see `role`.
+        Role of each node with a knob, see `role`.
     buttons : list of (node, name)
     said : deque of Said
     lines : int
-        How many there have been.
+        Number of lines so far.
     goes_back : bool
-        Whether the run can be taken back to a time.
+        Whether the run can go back to an earlier time.
     """
 
     goes_back = False
@@ -154,7 +155,7 @@ class Control:
         self.lines += 1
 
     def turn(self, who: str, key: str, value: Any) -> None:
-        """Turn a knob; what becomes of it is said on all pages."""
+        """Change a parameter; the outcome is shown on all pages."""
         knob = self.knobs[key]
         value = float(value) if knob.kind is float and isinstance(value, int) and not isinstance(value, bool) else value
 
@@ -217,7 +218,7 @@ class Control:
             self._ask(request, answered)
 
     def took_effect(self, t: float, node: str, values: Mapping[str, Any]) -> None:
-        """Note a change that a node has recorded, whoever made it."""
+        """Add a line for a change that a node has recorded, from any source."""
         for name, value in values.items():
             if (knob := self.knobs.get(f"{node}.{name}")) is not None:
                 knob.value = value
@@ -226,7 +227,7 @@ class Control:
 
 
 def role(rig: Rig, member: Member) -> str:
-    """Describe what a node is to somebody who tunes: a law where it lies on a loop of the plant; one of `ROLES`."""
+    """Return the role of a node for tuning, one of `ROLES`; a node on a feedback loop of the plant is a law."""
     if (member.package, member.executable) == (PACKAGE, EXECUTABLE):
         return "fault"
     if member.is_plant:

@@ -41,21 +41,23 @@ class Here(Growing):
     ----------
     session : Session
     held : bool
-        From the start.
+        Whether the run is paused at the start.
     pace : float
-        Simulated by wall-clock time; 0: as fast as it goes.
+        Ratio of simulated to wall-clock time; 0: as fast as possible.
     call : callable
-        Gets a function to be called in the thread of the ticks: Bokeh hears browsers in threads of its own.
+        Called with a function that must run in the thread of the ticks, because Bokeh handles browsers in its own
+        threads.
     place : callable, optional
-        Gives the folder of the run, asked again after a way back: its `log` gets what is recorded as it goes on, and of
-        a process that is killed the branches that were left are there, too. Without it nothing is kept.
+        Returns the folder of the run; it is called again after the run has gone back to an earlier time. The folder's
+        `log` is written while the run continues. If the process is killed, the abandoned branches are also stored
+        there. Without `place` nothing is stored.
 
     Attributes
     ----------
     control : Control
     branched : list of dict
-        Where it went back, as `Run.branched`: what was left is a folder or, if it had not ended and somebody had tuned
-        it there, a scenario in that of the run.
+        Each return to an earlier time, as in `Run.branched`. The abandoned branch is stored as a folder or, if it had
+        not ended and was tuned by hand, as a scenario in the folder of the run.
     """
 
     def __init__(
@@ -227,9 +229,10 @@ class Here(Growing):
 
 @watched()
 def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, conclude: Conclude) -> int:
-    """Show a rig that runs in this process, until it is over and nobody looks any more, or Ctrl-C.
+    """Show a rig that runs in this process, until it is over and no browser is connected, or until Ctrl-C.
 
-    A run that has ended stays as it was written: what goes back from it goes to a folder beside.
+    A finished run is not overwritten: if the user goes back from its end, the new branch is written to a folder beside
+    it.
 
     Parameters
     ----------
@@ -238,9 +241,9 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     address : str
         ``host:port``.
     folder : ResultsFolder
-        Held, for the first run.
+        The locked folder of the first run.
     conclude : callable
-        Writes a run into a folder and judges it; gives the exit status.
+        Writes a run into a folder and judges it; returns the exit status.
     """
     from tornado.ioloop import IOLoop, PeriodicCallback
 

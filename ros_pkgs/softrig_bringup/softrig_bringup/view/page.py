@@ -47,7 +47,7 @@ WHAT = {"law": "", "fault": "fault"}  # beside the name of a node, by its role; 
 
 
 class Page:
-    """What one browser sees.
+    """The page shown in one browser.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ class Page:
     source : Source
     control : Control
     figures : callable
-        Gives the newest figures, and whether they are those so far.
+        Returns the newest figures, and whether they are provisional.
     who : str
-        What this browser is called on all pages.
+        Name of this browser on all pages.
     how : str
-        Mode and place of the run.
+        Mode and placement of the run.
     look : {"light", "dark"}
     """
 

@@ -18,16 +18,16 @@ from .control import Answer
 
 
 class Remote:
-    """Asks the nodes of a rig, and gives their answers to whoever asked.
+    """Sends requests to the nodes of a rig, and passes their answers to the callers.
 
     Parameters
     ----------
     domain : int
         ROS_DOMAIN_ID.
     directory : Path
-        For logs.
+        Folder for logs.
     call : callable
-        Gets a function to be called in the thread of the pages.
+        Called with a function that must run in the thread of the pages.
     """
 
     def __init__(self, domain: int, directory: Path, call: Callable[[Callable[[], object]], object]) -> None:
@@ -45,7 +45,7 @@ class Remote:
         threading.Thread(target=self._listen, daemon=True).start()
 
     def ask(self, request: Mapping[str, Any], answered: Answer) -> None:
-        """Send a request; `answered` gets whether it was done, and what was said."""
+        """Send a request; `answered` is called with its success and the text of the answer."""
         number = next(self._numbers)
         self._asked[number] = answered
         assert self._process.stdin is not None

@@ -1,4 +1,4 @@
-"""The server of the pages: on one address, for as long as somebody looks; beside a run it is a process of its own.
+"""The server of the pages, on one address, while a browser is connected; beside a run it is a separate process.
 
 in     {"over": "ended", "folder": ".../runs/x"}      a line from the run, when it is over; the end of the input ends it
 """
@@ -80,7 +80,7 @@ class Watched(BaseModel):
 
 
 class OneLine(logging.Filter):
-    """Bokeh logs the stack of what a browser says that no page of ours does; here it is one line, a flood a few."""
+    """Shortens Bokeh's stack trace for an invalid browser message to one line; a flood of them becomes a few lines."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -106,13 +106,13 @@ class OneLine(logging.Filter):
 
 
 class _Token(AuthProvider):  # type: ignore[misc]
-    """Lets in who says the token in the address of the page; a cookie says it from then on.
+    """Admits a browser that has the token in the address of the page; later a cookie carries the token.
 
     Parameters
     ----------
     token : str
     names : tuple of str
-        By which the page may be asked for; none: any. A name of somebody else may lead to this host, too.
+        Host names under which the page may be requested; empty: any. A foreign host name may also resolve to this host.
     """
 
     def __init__(self, token: str, names: tuple[str, ...]) -> None:
@@ -240,7 +240,7 @@ class Pages:
             bare(document, self._control, who, error)
 
     def left(self) -> bool:
-        """Note who is there; whether a browser has shown a page, none does, and none may come back by reloading."""
+        """Update the connections; return whether a browser has shown a page and all have left without reloading."""
         sessions = self.server.get_sessions(PAGE)
         # what was only asked for, without its websocket, may be a slow machine's
         self.came = self.came or any(session.connection_count > 0 for session in sessions)
@@ -290,7 +290,7 @@ def serve(source: Source, how: str, address: str) -> None:
 
 
 def beside(watched: Watched, lines: Any) -> None:
-    """Show a run under way until it is over and nobody looks any more, or `lines` ends."""
+    """Show a run under way until it is over and no browser is connected, or until `lines` ends."""
     os.nice(10)  # the loop comes first
     rig = rig_of(Scenario.model_validate(watched.scenario))
     loop = IOLoop.current()

@@ -32,33 +32,34 @@ class Growing:
     ----------
     rig : Rig
     held : bool
-        Whether each message stands for a period: in lockstep nobody is behind the others for longer than he takes to
-        hand over what he records.
+        Whether each message represents a period. In lockstep a node lags behind the others only by the time it needs to
+        pass on its records.
 
     Attributes
     ----------
     live : bool
-        Whether more may come.
+        Whether more messages may arrive.
     end : float
-        Up to when all nodes have handed over what they record, s; in real time, and in the end, of the newest message.
+        Time up to which all nodes have passed on their records, s; in real time, and after the end, that of the newest
+        message.
     version : int
-        Another one when there is something new.
+        Changes whenever there is something new.
     status : dict
-        What each node says of itself.
+        Status reported by each node.
     changes : list
-        Of parameters: the tick in s from which they hold, the node, its new values.
+        Parameter changes: the tick in s from which they are effective, the node, its new values.
     results : list
-        Figures as metrics.json has them; empty before the end.
+        Figures as in metrics.json; empty before the end.
     outcome : str
-        How it ended; empty while it goes on.
+        How the run ended; empty while it is under way.
     length : float
-        What pictures begin with, s: of the whole run.
+        Initial length of the pictures' time axis, s: that of the whole run.
     speed : float
-        Of late, simulated by wall-clock time.
+        Recent ratio of simulated to wall-clock time.
     awaited : list of str
-        Nodes that have to be there before the run begins or goes on.
+        Nodes that the run waits for before it begins or continues.
     waited : float
-        How long they have been waited for, s of the wall.
+        How long the run has waited for them, s of wall-clock time.
     """
 
     def __init__(self, rig: Rig, held: bool = True) -> None:
@@ -90,7 +91,7 @@ class Growing:
 
     @property
     def awaited(self) -> list[str]:
-        """Those that have not said anything yet, or, where all have, those that look for each other."""
+        """Return the nodes that have not reported yet or, if all have, those that are still starting."""
         mute = [name for name, said in self.status.items() if not said]
         return mute or [name for name, said in self.status.items() if said.get("state") == "starting"]
 

@@ -1,4 +1,4 @@
-"""What a page says in words and tables: HTML of figures, health and of what was done."""
+"""Text and tables of a page: HTML of figures, node health and user actions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COUNTS = {
 
 
 def head(source: Source, how: str, control: Control) -> str:
-    """Describe what is shown, how far it is, and what was last said."""
+    """Describe the run, its progress, and the newest line of the log."""
     scenario = source.rig.scenario
     state, look = f"{source.end:.6g} s, {source.outcome}", "soft"
     if source.outcome and source.live:
@@ -106,7 +106,7 @@ def health(status: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def log(lines: Iterable[Said]) -> str:
-    """Return what was done and said, newest first."""
+    """Format the log of actions and reports, newest first."""
     rows = [
         f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.who)}</td>'
         f'<td class="{"wrong" if s.wrong else ""}">{html.escape(s.text)}</td></tr>'
