@@ -1,7 +1,7 @@
-"""A step of numba's compiler: a function that only reads arrays which it is handed counts no references to them.
+"""A step of numba's compiler: a function that only reads its array arguments does not count references to them.
 
-Each count is a call with an atomic addition, before and after which all numbers leave their registers: in a loop of a
-few operations that is half of its time. Who calls holds the arrays until the function has returned.
+Each count is a call with an atomic addition, and all numbers leave their registers before and after it. In a loop of a
+few operations that is half of the time. The caller must hold the arrays until the function has returned.
 """
 
 # mypy: allow-untyped-calls
@@ -59,7 +59,7 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
 
 
 class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
-    """numba's compiler with that step; without it for a function that makes arrays nobody sees, as copies of parts."""
+    """numba's compiler with that step, but without it for a function that creates temporary arrays."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)

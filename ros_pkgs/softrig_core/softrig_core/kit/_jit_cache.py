@@ -1,8 +1,9 @@
-"""What needs numba: its type for our functions, and a cache of native code whose names say all that is in it.
+"""Code that needs numba: its type for our functions, and a cache of native code with digests as file names.
 
-numba's own cache keys a function by the date of its file: it keeps old code when a function called in another file
-changes, and two processes that compile at the same time may cross its index. Here a file is named by a digest of
-everything and moved into place whole, so that any number of processes may compile the same function at the same time.
+numba's own cache keys a function by the date of its file. It therefore keeps old code when a function called in
+another file changes, and two processes that compile at the same time may corrupt its index. Here a file is named by a
+digest of everything that affects its content, and is moved into place as a whole. So any number of processes may
+compile the same function at the same time.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ from .compiled import cache_folder, store
 
 
 class Cache:
-    """Native code of one function, a file a signature; in the form that numba's dispatcher asks for.
+    """Native code of one function, with a file for each signature, by the interface of numba's dispatcher.
 
     Parameters
     ----------
     name : str
-        Of the function, for people who look into the folder.
+        Name of the function, for people who read the folder.
     digest : str
-        Of all that decides what the code does, save the types of the arguments and the processor.
+        Digest of everything that affects the code, except the types of the arguments and the processor.
     unnamed : tuple of bytes
-        Native code in whose file one of these stands is not kept.
+        Native code is not stored if its file contains one of these.
     """
 
     def __init__(self, name: str, digest: str, unnamed: tuple[bytes, ...] = ()) -> None:

@@ -150,7 +150,7 @@ class Compiled:
         return inputs, outputs, f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()
 
     def scratch(self) -> NDArray[np.float64]:
-        """Return memory for calls from native code: inputs, outputs, then what `places` says, addresses filled in."""
+        """Return memory for calls from native code: inputs, outputs, then the parts of `places` with addresses set."""
         import numpy as np
 
         f, places = self._function, self.places
@@ -241,7 +241,7 @@ def build(function: ca.Function) -> Path | None:
     Returns
     -------
     Path or None
-        The shared library; None without a usable compiler (a warning says why).
+        The shared library; None without a usable compiler (a warning contains the reason).
     """
     compiler = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:

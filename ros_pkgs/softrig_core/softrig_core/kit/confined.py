@@ -1,7 +1,7 @@
-"""A process without rights: no network, no file but what it is to read, nothing that it may write but a scratch folder.
+"""Run a process without rights: no network, no files but those that it must read, no writing but to a scratch folder.
 
-By namespaces of the kernel (namespaces(7)), which most systems allow to every user; where one does not, the reason is
-said and nothing is pretended.
+It uses namespaces of the kernel (namespaces(7)), which most systems allow to every user. If a system does not,
+`confine` raises an error with the reason.
 """
 
 from __future__ import annotations

@@ -88,17 +88,17 @@ def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Traje
 
 
 class Track:
-    """The newest steps of a solution, a value: what a plant remembers of its past between two calls of native loops.
+    """The newest steps of a solution, as a value: the past that a plant stores between two calls of native loops.
 
     Parameters
     ----------
     begin : Trajectory
-        As `trajectory` gives it; nobody else writes it from now on.
+        A result of `trajectory`; no other code may write to it from now on.
 
     Notes
     -----
-    Steps more cost as many rows of arrays that tracks share: who goes on from the newest of them writes behind it, who
-    goes on from an older one gets arrays of his own.
+    Tracks share arrays, so each new step needs only one more row. A continuation of the newest track appends to the
+    shared arrays; a continuation of an older one gets arrays of its own.
 
     Examples
     --------
@@ -251,8 +251,8 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
     Parameters
     ----------
     t : float
-        s. Beyond the newest step its cubic goes on (a delay shorter than the step: order 4 only while smooth); before
-        the oldest its first value stands.
+        Time, s. After the newest step its cubic is extrapolated (for a delay shorter than the step, which has order 4
+        only while the solution is smooth). Before the oldest step its first value is used.
     """
     size = past.begin.shape[0]
     newest = past.meta[0] - 1

@@ -1,4 +1,4 @@
-"""Random numbers by index: the k-th of a stream, whoever asks and as often as wanted."""
+"""Random numbers by index: the k-th number of a stream is the same for every caller and every call."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Stream:
     Parameters
     ----------
     generator : numpy.random.Generator
-        At its beginning, as `numpy.random.default_rng` makes it; nobody else draws from it from now on.
+        A new generator, as returned by `numpy.random.default_rng`; no other code may draw from it from now on.
     """
 
     # A number depends on its index alone; these only remember where the generator is.
@@ -31,7 +31,7 @@ class Stream:
         self._generator, self._begin, self._at = generator, generator.bit_generator.state, 0
 
     def at(self, k: int) -> np.random.Generator:
-        """Return a generator whose next number is the k-th of the stream, for as many draws as `drawn` says."""
+        """Return a generator whose next number is the k-th of the stream; report the draws by `drawn`."""
         if k != self._at:
             bits: Any = self._generator.bit_generator
             bits.state = self._begin
@@ -96,7 +96,7 @@ class Draws:
         return result
 
     def _drawn(self, n: int) -> list[float]:
-        """Draw row n, and on the way there those that nobody has asked for yet."""
+        """Draw row n, and first all rows before it that have not been drawn yet."""
         bits = self._generator.bit_generator
         for m in range(min(n, len(self._before) - 1), n + 1):
             bits.state = self._before[m]

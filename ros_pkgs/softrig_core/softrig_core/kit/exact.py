@@ -42,7 +42,7 @@ def settled(function: Callable[[int], Result], same: Callable[[Result, Result], 
     function : callable
         Called with the number of bits to carry; an `UnsettledError` asks for more.
     same : callable
-        Tells of two results whether they are as good as equal.
+        Returns whether two results are sufficiently equal.
 
     Raises
     ------

@@ -80,7 +80,7 @@ class FileFormat:
         return next((key for key in covering if key in self.table), None)
 
     def known(self) -> list[str]:
-        """Return the names that may stand in a file."""
+        """Return the names that a file may contain."""
         return [key.removesuffix(BELOW) for key, (use, _) in self.table.items() if use != "refused"]
 
 

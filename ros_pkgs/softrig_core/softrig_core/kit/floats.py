@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 
 def leaves(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (name, value) of all in a state that is no tuple of others: ``pid.integral``; rows of floats stay rows.
+    """Yield (name, value) of each leaf of a state, such as ``pid.integral``; rows of floats are leaves.
 
-    Left out are named tuples whose class says so, by a property ``aside``: nothing that a block says depends on them
-    but its reports.
+    Named tuples whose class has a property ``aside`` are left out: only the reports of a block depend on them, its
+    outputs do not.
     """
     # What such a class holds goes into reports only, so that a linear view need not disturb it.
     if hasattr(type(x), "aside"):
@@ -35,8 +35,8 @@ def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
     """Yield (name, numbers) of every float in a state.
 
     Floats, complex numbers (two each), arrays of them, and tuples of these, also named ones within: ``pid.integral``.
-    Whole numbers, words and switches are no part of a linear view (`others`); nor are objects, which are opaque, but
-    for those that tell their own, by ``numbers()`` and ``with_numbers(row)``: a history.
+    Integers, strings and booleans are no part of a linear view (`others`). Objects are opaque, unless they provide
+    their numbers by ``numbers()`` and ``with_numbers(row)``, as a history does.
     """
     for name, leaf in leaves(x, path):
         if isinstance(leaf, float):

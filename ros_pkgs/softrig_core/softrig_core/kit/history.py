@@ -16,17 +16,17 @@ Row = tuple[float, ...]
 
 
 class History:
-    """The newest samples of a signal, a value: read on a straight line between two at any age up to the longest delay.
+    """The newest samples of a signal, as a value: interpolated linearly at any age up to the longest delay.
 
-    That is exact where the signal is a line, and a jump between two samples stays between them; elsewhere the error
-    is h^2/8 x''. A plant's own delay equation wants order four: `softrig_core.kit.dde`.
+    The result is exact where the signal is a line, and a jump between two samples stays between them. Elsewhere the
+    error is h^2/8 x''. A plant's own delay equation needs order four: use `softrig_core.kit.dde`.
 
     Parameters
     ----------
     step : float
         Time between samples, s.
     longest : float
-        Longest delay that will be asked for, s.
+        Longest delay that will be requested, s.
     past : sequence of float
         The signal at and before its first sample, one value a channel.
 
@@ -37,8 +37,8 @@ class History:
 
     Notes
     -----
-    A sample more costs one place in a list that histories share: who adds to the newest of them writes behind it, who
-    adds to an older one gets a list of his own.
+    Histories share a list, so each new sample needs only one more place. A sample for the newest history is appended
+    to the shared list; an older history gets a list of its own.
 
     Examples
     --------

@@ -202,7 +202,7 @@ def our_numba() -> Any:
 
 
 class _Parts(NamedTuple):
-    """An argument in its parts: their names, how they are handed over, how it is made of them, what tells its kind."""
+    """The parts of an argument: their names, the code that passes them and rebuilds it, and the tests of its type."""
 
     names: list[str]
     handed: str

@@ -22,12 +22,12 @@ def resource(source: str, kind: str = "file") -> Path:
     source : str
         A file name, or ``package://NAME/path`` below the share folder or the Python package of an installed package.
     kind : str
-        What an error calls it.
+        Kind of the file, for errors.
 
     Raises
     ------
     ValueError
-        There is no such file or package; says where it was looked for.
+        There is no such file or package; the error contains the searched places.
     """
     if source.startswith("package://"):
         package, _, rest = source.removeprefix("package://").partition("/")

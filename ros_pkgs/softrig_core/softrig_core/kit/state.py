@@ -17,8 +17,8 @@ def state_type(*groups: tuple[str, Iterable[str]]) -> Any:
     ----------
     *groups : (prefix, names)
         One group a quantity: ``("q", ("hip", "knee")), ("v", ("hip", "knee"))`` names the fields q_hip, q_knee, v_hip,
-        v_knee; with an empty prefix names stand alone. What a name may not have becomes ``_``; what may not be a name
-        gets ``x_`` in front.
+        v_knee. With an empty prefix the names are used alone. A character that a name may not contain becomes ``_``. A
+        name that is still invalid gets the prefix ``x_``.
     """
     return _state_type(tuple(_field(f"{p}_{n}" if p else n) for p, names in groups for n in names))
 

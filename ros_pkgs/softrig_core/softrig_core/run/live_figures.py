@@ -49,7 +49,7 @@ class FiguresParams(WatchParams):
 
 
 class Figures(Watch[FiguresParams]):
-    """Measure the figures of a scenario from the messages so far, each as soon as there are samples of it.
+    """The figures of a scenario, measured from the messages so far, each as soon as there are samples of it.
 
     A figure with `since` refers to the newest step of its reference and starts again with the next one. The times of
     other figures count from the first tick. If the period is longer than that of a topic, messages in between are

@@ -1,12 +1,12 @@
 """CDR bytes of the suite's messages: prepared layouts for speed, a general reader for everything else.
 
-A `Layout` is a message whose variable-size parts (frame, names, sequence lengths) are fixed; only the
-stamp and the float64 numbers change: one prepared struct packs or unpacks it whole, fixed bytes included, and
-decoding compares those. A message of another layout goes through `parse`.
+A `Layout` is a message whose variable-size parts (frame, names, sequence lengths) are fixed; only the stamp and the
+float64 numbers change. One prepared struct packs or unpacks the whole message, fixed bytes included, and decoding
+compares the fixed bytes. A message of another layout is read by `parse`.
 
-A Float64MultiArray has no stamp. Ours say instead which one of their topic they are, counted from 0, at the end of the
-label of the first dimension: ``row; sequence 000000000017``. Number, sizes and strides of the dimensions stay those of
-the data: who reshapes by them, or reads ``dim[0].size``, need not know of it. Only the twelve digits change.
+A Float64MultiArray has no stamp. Ours contain instead their number on their topic, from 0, at the end of the label of
+the first dimension: ``row; sequence 000000000017``. Number, sizes and strides of the dimensions remain those of the
+data, so a reader that reshapes by them, or uses ``dim[0].size``, is not affected. Only the twelve digits change.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _NUMBERED = re.compile(rf"(.*){NUMBER}([0-9]{{1,18}})", re.DOTALL)  # others nee
 class Message:
     """A parsed message: stamp in ns (None without header), frame, channel names, numbers by field, array shape.
 
-    Of an array also its number on its topic, None where it says none.
+    For an array also its number on its topic, None if it contains none.
     """
 
     stamp: int | None
@@ -77,15 +77,15 @@ class Layout:
     dims : Dims
         Shape of a Float64MultiArray.
     numbered : bool
-        Whether an array says its number.
+        Whether an array contains its number on its topic.
 
     Attributes
     ----------
     encode : callable
-        Gets the stamp in ns and all numbers in wire order, field by field: gives the bytes of the message. Of an array
-        that is numbered the first one is its number on its topic, from 0; it is ignored where a message has neither.
+        Gets the stamp in ns and all numbers in wire order, field by field; returns the bytes of the message. For a
+        numbered array the first argument is its number on its topic, from 0. It is ignored if a message has neither.
     decode : callable
-        Gets bytes: gives (stamp in ns, numbers), or None when they have another layout; for the stamp see
+        Gets bytes; returns (stamp in ns, numbers), or None if they have another layout; for the stamp see
         `Message.mark`.
     """
 
@@ -318,7 +318,7 @@ def parse(msgtype: str, data: bytes) -> Message:
     Raises
     ------
     CdrError
-        The bytes are truncated or malformed; says where.
+        The bytes are truncated or malformed; the error names the place.
     """
     reader = Reader(msgtype, data)
     stamp: int | None = None

@@ -39,7 +39,7 @@ class Columns(NamedTuple):
         return self.values[:, k]
 
     def messages(self, said: int) -> list[bytes]:
-        """Return their bytes; `said` messages of the topic were before them."""
+        """Return the bytes of the messages; `said` is the number of earlier messages of the topic."""
         marks = np.arange(said, said + len(self.times)) if self.layout.numbered else self.times
         raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
         return [raw[i : i + n] for i in range(0, len(raw), n)]
@@ -136,7 +136,7 @@ class Rows:
 
 
 class Stored(NamedTuple):
-    """Messages of one layout as numbers that are read from a file when somebody asks for them; see `Columns`."""
+    """Messages of one layout as numbers that are read from a file on demand; see `Columns`."""
 
     rows: Rows
     first: int

@@ -61,15 +61,15 @@ class Sink(Protocol):
 class ShardWriter:
     """Append-only file of one node's messages; cheap in the loop, flushed by size and by `flush`.
 
-    The first message goes out at once: who looks at the file sees that the node speaks.
+    The first message is written immediately, so that a reader of the file sees that the node publishes.
 
-    What a node says at each of its ticks is a row: its messages have one stamp, and only their numbers are written.
-    Their bytes are made when the shard is read, from the layouts in its head.
+    The messages of a node at one of its ticks are a row: they have one stamp, and only their numbers are written.
+    Their bytes are created when the shard is read, from the layouts in its head.
 
     Parameters
     ----------
     topics : sequence of (name, message type)
-        In the order of the numbers that `add` takes.
+        In the order of the topic numbers that `add` accepts.
     row : mapping of int to Layout
         The messages of a row, in order: number of the topic and layout.
     """
@@ -133,7 +133,7 @@ class ShardWriter:
 class Topic:
     """All messages of one topic: tick times in ns and message bytes.
 
-    What came as numbers stays so until somebody asks for bytes: they take a tenth of the room.
+    Messages that were stored as numbers are converted to bytes only on demand: numbers need a tenth of the memory.
     """
 
     def __init__(self, name: str, msgtype: str) -> None:
@@ -236,7 +236,7 @@ class Topic:
         return result
 
     def stream(self) -> Iterator[tuple[int, bytes]]:
-        """Yield time and bytes of each message; what stands as numbers is not kept as bytes."""
+        """Yield time and bytes of each message; messages that are stored as numbers are not kept as bytes."""
         whole = self.columns()
         if whole is None:
             yield from zip(self.times, self.data, strict=True)
@@ -275,7 +275,7 @@ class Recording:
         found.data.append(data)
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
-        """Return what appends one message of each of some topics; their bytes are made when somebody asks for them."""
+        """Return a callable that appends one message of each of some topics; their bytes are created on demand."""
         buffer, pack = bytearray(), _row_packer(layouts.values())
         # References are weak: a cycle through `settle` would hold the memory until the garbage collector runs.
         topics = [(weakref.ref(self._order[number]), layout) for number, layout in layouts.items()]
@@ -308,7 +308,7 @@ class Recording:
         return add
 
     def note(self, t: int, data: bytes) -> None:
-        """Add a change of parameters, by time and then by content: whoever made it, in whatever order they are read."""
+        """Add a change of parameters, sorted by time and then by content, independent of the order of reading."""
         if EVENTS not in self.topics:
             self.topics[EVENTS] = Topic(EVENTS, EVENT)
             self._order.append(self.topics[EVENTS])
@@ -407,18 +407,18 @@ class Recording:
         Parameters
         ----------
         head : mapping
-            What the shard says of itself.
+            Description in the head of the shard.
         content : memoryview
             From the beginning of a message on.
         namespace : str
             See `read_shard`.
         found : callable, optional
-            Gets where rows begin in the content and how many bytes they have, in place of their messages.
+            Gets the offset and the number of bytes of rows in the content; their messages are then not added.
 
         Returns
         -------
         int
-            Bytes of the messages that are there as a whole.
+            Number of bytes of the complete messages.
         """
         topics = [self.topics[name.removeprefix(namespace)] for name, _ in head["topics"] if name != EVENTS]
         row = [(topics[number], Layout(*form)) for number, form in head["row"]]
@@ -577,7 +577,7 @@ def shard_topics(path: Path) -> dict[str, str]:
 
 
 def _read_head(content: memoryview) -> tuple[dict[str, Any] | None, int]:
-    """Return what a shard says of itself, and where its messages begin."""
+    """Return the head of a shard, and the offset of its messages."""
     start = bytes(content[:_HEAD]).find(b"\n", len(_MAGIC)) + 1
     if bytes(content[: len(_MAGIC)]) != _MAGIC or not start:
         return None, 0

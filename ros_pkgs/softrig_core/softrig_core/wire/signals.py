@@ -179,7 +179,7 @@ class Signals(Mapping[str, Signal]):
         return self._tables[topic]
 
     def _joined(self, topic: Topic, parts: Sequence[Columns | Stored]) -> Table:
-        """Return the columns of messages that stand as numbers."""
+        """Return the columns of messages that are stored as numbers."""
         layout = parts[0].layout
         flags = [code[-1] == "?" for _, code in layout.slots for _ in range(int(code[:-1]))]
         first = parse(topic.msgtype, layout.encode(0, (0.0,) * layout.size))

@@ -54,7 +54,7 @@ class MessageType:
 
     @cached_property
     def framed(self) -> bool:
-        """Return whether its header says in which frame its values are."""
+        """Return whether its header contains the frame of its values."""
         return self._has("frame") and bool(self.sizes)
 
     @cached_property
@@ -74,11 +74,11 @@ class MessageType:
 
     @cached_property
     def sizes(self) -> dict[str, int | None]:
-        """Number of values of each field; None where the message says it."""
+        """Return the number of values of each field; None if the message contains it."""
         return {i.name: i.size or None for i in self.schema if i.kind in ("sequence", "numbers", "flag")}
 
     def labels(self, fields: Mapping[str, int], names: Sequence[str] = (), dims: Dims | None = None) -> tuple[str, ...]:
-        """Name each value below the topic: ``shaft/velocity``, ``force/x``; ``x`` or ``data`` where one word says it.
+        """Name each value below the topic: ``shaft/velocity``, ``force/x``; ``x`` or ``data`` where one word suffices.
 
         Parameters
         ----------
