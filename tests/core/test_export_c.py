@@ -61,6 +61,30 @@ def test_c_has_the_bits_of_python(scenario, node, tmp_path):
     assert found.same
 
 
+def test_odd_drawn_numbers_leave_no_way_without_c(tmp_path):
+    done = export_c(rig_of("induction_dtc"), "im_plant", tmp_path, rows=200, drawn=200)
+    assert not done.discards
+    found = replayed(tmp_path, done.name)
+    assert found.same
+    assert found.rows >= 400
+
+
+def test_a_kept_answer_for_another_value_is_given_up_and_said(tmp_path):
+    patterns = [1000.0, 800.0, 600.0, 400.0, *[1000.0] * 4]
+    overrides = {"shading_source.times": [0.0, 0.01], "shading_source.irradiance": patterns}
+    done = export_c(rig_of("pv_mppt", overrides=overrides), "pv_plant", tmp_path, rows=60, drawn=50)
+    assert done.discards == ("a value that _source is asked for later",)
+    assert done.ends == "the rows end at 0.01 s: _source is asked for another value"
+    found = replayed(tmp_path, done.name)
+    assert found.same
+    assert found.gave_up >= 1
+    source = tmp_path / f"{done.name}.c"
+    text = source.read_text()
+    source.write_text(text.replace("if (!((v_conditions.f0", "if (false && !((v_conditions.f0"))
+    assert source.read_text() != text
+    assert replayed(tmp_path, done.name).wrong_status >= 1
+
+
 COMPILERS = {  # each must give the same bits; the last one ends the program at what C leaves open
     "clang -O0": ("clang", "-O0"),
     "clang -O2": ("clang", "-O2"),

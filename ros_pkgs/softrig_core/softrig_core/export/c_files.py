@@ -24,8 +24,8 @@ from ..native.twins import packed
 from ..native.value import NotNative
 from ..rig.members import Member
 from ..solver.solver import Solver
-from .drawn import Beyond, Raised, drawn_calls
-from .golden import Call, Changed, methods
+from .drawn import Beyond, Raised, asks_anew, drawn_calls
+from .golden import Call, Changed, keys_of, methods
 from .kinds import ABSENT, INT, REAL, Absent, Kind, Maybe, Number, Table, Tuple, identifier, kind_of, leaves, remark
 from .law import Form, Law, input_kind, law_of
 from .reader import Reader
@@ -204,8 +204,12 @@ class _Files:
         return before or any(k in ks for ks in self.settable.values())
 
     def _replayable(self, golden: Sequence[Call | Changed]) -> tuple[Sequence[Call | Changed], str]:
-        """Return the calls up to a change of parameters that C cannot repeat, and why it cannot."""
+        """Return the calls up to a change of parameters, or a value asked for, that C does not know, and the reason."""
+        at_hand = keys_of(self.block)
         for k, one in enumerate(golden):
+            if isinstance(one, Call) and asks_anew(one, at_hand):
+                paths = ", ".join(sorted(written(path) for path in self.law.program.newest))
+                return golden[:k], f"the rows end at {one.t / 1e9:g} s: {paths} is asked for another value"
             if isinstance(one, Changed):
                 fixed = sorted(one.names - self.settable.keys())
                 if fixed or (one.moved and not self.goes_on):

@@ -14,7 +14,7 @@ from ..block.answer import admit
 from ..block.block import Block
 from ..block.port import Port, Sample
 from ..rig.members import Member
-from .golden import Call, Changed, answer_of, methods
+from .golden import Call, Changed, answer_of, kept_of, keys_of, methods
 
 # zeros of both signs, the smallest numbers, large ones, and what no port lets in but C may be handed
 ODD = (0.0, -0.0, 5e-324, -5e-324, 1e-308, 1e-30, 1.0, -1.0, 1e30, -1e300, math.inf, -math.inf, math.nan)
@@ -26,7 +26,7 @@ AGAIN = 50  # calls after which a sequence begins from the first state again: wh
 
 @dataclass(frozen=True)
 class Raised:
-    """A call that Python answers by an error, or whose answer may not leave the block."""
+    """A call that Python answers by an error, whose answer may not leave the block, or that asks for one C lacks."""
 
     method: str
     t: int
@@ -35,7 +35,12 @@ class Raised:
 
 
 @dataclass(frozen=True)
-class Beyond(Call):
+class Drawn(Call):
+    """A call with inputs that no run gave."""
+
+
+@dataclass(frozen=True)
+class Beyond(Drawn):
     """A call with an input that its port refuses: no node is asked so, and C may discard it where Python answers."""
 
 
@@ -61,14 +66,20 @@ def drawn_calls(
     held = {p.name for p in member.inputs if p.held} if absent else set()
     asked = [c for c in golden if isinstance(c, Call)]
     rows = {name: [c.inputs for c in asked if c.method == name] for name in methods(block)}
+    at_hand = next((c.kept for c in asked if c.method == methods(block)[-1]), ())
     result: list[list[Call | Raised]] = []
     while sum(map(len, result)) < count:
-        result.append(_sequence(member, block, rows, held, draw))
+        result.append(_sequence(member, block, rows, held, draw, at_hand))
     return result
 
 
 def _sequence(
-    member: Member, block: Block, rows: Mapping[str, Sequence[Any]], held: set[str], draw: np.random.Generator
+    member: Member,
+    block: Block,
+    rows: Mapping[str, Sequence[Any]],
+    held: set[str],
+    draw: np.random.Generator,
+    at_hand: tuple[Any, ...],
 ) -> list[Call | Raised]:
     """Return calls from the first state on; a plant whose state has no outputs ends the run, and so the sequence."""
     x, k, calls = block.first(), 0, list[Call | Raised]()
@@ -76,7 +87,12 @@ def _sequence(
         t = round(k * member.schedule.period * 10**9)
         for name in methods(block):
             inputs = _inputs(rows[name][int(draw.integers(len(rows[name])))], held, draw)
+            for one, key in zip(kept_of(block), at_hand, strict=False):
+                if key is not None:
+                    one(key)
             call = _asked(member, block, name, x, t, inputs)
+            if isinstance(call, Call) and asks_anew(call, at_hand):
+                call = Raised(name, t, x, inputs)
             calls.append(call)
             if isinstance(call, Call):
                 x = call.after
@@ -86,6 +102,11 @@ def _sequence(
     return calls
 
 
+def asks_anew(call: Call, at_hand: Sequence[Any]) -> bool:
+    """Return whether a call asked a kept answer for another value than the one that C has the answer for."""
+    return any(asked is not None and asked != known for asked, known in zip(call.kept, at_hand, strict=False))
+
+
 def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapping[str, Any]) -> Call | Raised:
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -93,8 +114,9 @@ def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapp
             found = getattr(block, name)(x, t, **inputs)
         after, outputs = answer_of(name, x, found)
         ports = () if name == "advance" else member.outputs
-        kind = Call if all(_admitted(p, inputs.get(p.name)) for p in member.inputs) else Beyond
-        return kind(name, t, x, inputs, after, {p.name: admit(outputs, p, member.name, t) for p in ports})
+        kind = Drawn if all(_admitted(p, inputs.get(p.name)) for p in member.inputs) else Beyond
+        told = {p.name: admit(outputs, p, member.name, t) for p in ports}
+        return kind(name, t, x, inputs, after, told, keys_of(block))
     except Exception:  # whatever it raises ends a run
         return Raised(name, t, x, inputs)
 

@@ -11,6 +11,7 @@ from ..block.loop import Loop
 from ..block.params import flatten
 from ..block.step import Step
 from ..errors import ScenarioError, closest
+from ..kit.newest import Newest
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..run.inprocess import check_here, wired
@@ -34,6 +35,8 @@ class Call:
         After it; the same where the method does not move it.
     outputs : mapping of str to values
         What it published; empty for `advance`.
+    kept : tuple
+        What each kept answer of the block (`Newest`) was asked for last; None: not yet.
     """
 
     method: str
@@ -42,6 +45,7 @@ class Call:
     inputs: Mapping[str, Any]
     after: Any
     outputs: Mapping[str, Any]
+    kept: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,16 @@ def member_of(rig: Rig, node: str) -> Member:
 def methods(block: Block) -> tuple[str, ...]:
     """Return the methods by which a block is asked."""
     return PLANT if isinstance(block, Plant) else LAW
+
+
+def kept_of(block: Block) -> list[Newest[Any, Any]]:
+    """Return the kept answers of a block: C has the one that is at hand after the first calls, and no other."""
+    return [one for one in vars(block).values() if isinstance(one, Newest)]
+
+
+def keys_of(block: Block) -> tuple[Any, ...]:
+    """Return what each kept answer of a block was asked for last."""
+    return tuple(one.key for one in kept_of(block))
 
 
 def golden_calls(rig: Rig, node: str, seed: int, most: int) -> list[Call | Changed]:
@@ -138,7 +152,7 @@ def _watch(block: Block, name: str, calls: list[Call | Changed]) -> None:
 
     def watched(x: Any, t: int, **inputs: Any) -> Any:
         result = method(x, t, **inputs)
-        calls.append(Call(name, t, x, dict(inputs), *answer_of(name, x, result)))
+        calls.append(Call(name, t, x, dict(inputs), *answer_of(name, x, result), keys_of(block)))
         return result
 
     setattr(block, name, watched)

@@ -16,6 +16,7 @@ from ..native.twins import packed
 from ..native.value import Dynamic, Group, NotNative, Static, Value
 from ..native.words import TEXTS
 from ..native.writer import Writer
+from .drawn import Beyond, Drawn
 from .golden import Call
 from .kinds import INT, REAL, Kind, Tuple, kind_of, leaves, room_of, roomy, tuple_of
 
@@ -58,7 +59,8 @@ class Law:
 def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[Form, Call]]:
     """Return the types that the state has at some time, and the newest call of each form.
 
-    What keeps more or fewer samples at another time is one type, with room for the most.
+    What keeps more or fewer samples at another time is one type, with room for the most. Calls of the run go before
+    drawn ones, and these before what no port admits: odd numbers leave types of what is computed from them unknown.
     """
     kinds = [kind_of(packed(x), ("its state",)) for x in (block.first(), *(x for c in calls for x in (c.x, c.after)))]
     rooms: dict[tuple[Any, ...], int] = {}
@@ -68,11 +70,17 @@ def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[For
                 place = room_of(path, table)
                 rooms[place] = max(rooms.get(place, 0), table.shape[0])
     kinds = [roomy(kind, rooms) for kind in kinds]
-    newest = {}
+    newest: dict[Form, Call] = {}
     for call, x in zip(calls, kinds[1::2], strict=True):
         there = tuple(sorted(name for name, value in call.inputs.items() if value is not None))
-        newest[Form(call.method, x, there)] = call
+        form = Form(call.method, x, there)
+        if form not in newest or _oddity(call) <= _oddity(newest[form]):
+            newest[form] = call
     return list(dict.fromkeys(kinds)), newest
+
+
+def _oddity(call: Call) -> int:
+    return isinstance(call, Drawn) + isinstance(call, Beyond)
 
 
 def law_of(
