@@ -127,7 +127,7 @@ class Container:
 
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
-    """Start the nodes that the command line names; bad parameters give one line and exit status 2."""
+    """Start the nodes that the command line names; invalid parameters cause one line and exit status 2."""
     interrupt.install()
     secure_streams()
     arguments = list(sys.argv[1:] if args is None else args)

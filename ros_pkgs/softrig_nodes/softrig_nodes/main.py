@@ -50,7 +50,7 @@ ARRAYS = {
 
 
 def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
-    """Run a block as a node until it and the process end; bad parameters give one line and exit status 2."""
+    """Run a block as a node until it and the process end; invalid parameters cause one line and exit status 2."""
     secure_streams()
     name = Path(argv[0]).name
     if {"-h", "--help"} & set(argv[1:]):

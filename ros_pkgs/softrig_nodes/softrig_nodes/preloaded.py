@@ -1,6 +1,6 @@
-"""What every node needs before it is made, loaded by being imported: the fork server does that before it forks.
+"""Load what every node needs before it is created: the fork server imports this module before it forks.
 
-Half of what is left of a node's start after Python's imports are the C libraries of message types.
+After Python's imports, loading the C libraries of message types takes half of the rest of a node's start.
 """
 
 from __future__ import annotations

@@ -390,7 +390,7 @@ def _without(law: Member, value: Any) -> Any:
 
 
 def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) -> NodeEntry:
-    """Return the node that takes a law's place: its ports, and what else is observed."""
+    """Return the node that replaces a controller: its ports, and the other observed signals."""
     now, come = Now(rig), list(law.inputs)
     observed = None if observe is None else [now.whole(name) for name in observe]
     for signal in observed or ():

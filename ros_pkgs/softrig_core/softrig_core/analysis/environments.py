@@ -216,7 +216,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._t[j] = self.envs[j].clock.t / SECOND
 
     def _loaded(self, j: int) -> None:
-        """Create an instance go on in Python."""
+        """Let an instance continue in Python."""
         if self._k[j] < 0:
             return
         env, k = self.envs[j], int(self._k[j])
@@ -313,7 +313,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         return result
 
     def _moved(self, given: Any, by_python: Callable[[int], None]) -> None:
-        """Move on those that are native; what is given up is left to Python."""
+        """Advance the native instances; Python runs the steps that native code discards."""
         assert self._text is not None
         begin, n = 0, np.zeros(2, np.int64)
         while begin < self.num_envs:

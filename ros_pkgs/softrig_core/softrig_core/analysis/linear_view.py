@@ -53,7 +53,7 @@ DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
 
 
 class Margins(NamedTuple):
-    """How far a loop is from a change of its stability; infinite where nothing crosses."""
+    """The distances of a loop from a change of its stability; infinite without a crossing."""
 
     gain: float
     """Factor by which the loop's gain may grow, 1."""
@@ -153,10 +153,10 @@ class LinearView:
 
     @cached_property
     def closed(self) -> control.StateSpace:
-        """The whole rig, of the python-control library, with the names of its states and signals.
+        """Return the whole rig as a system of the python-control library, with the names of its states and signals.
 
-        Its `margin` looks for crossings between frequencies and does not see a pole that leaves at z = -1 or 1 (a gain
-        margin of infinity where 540 is right): take `margins`.
+        Its `margin` searches for crossings between frequencies and does not detect a pole that leaves the unit circle
+        at z = -1 or 1 (a gain margin of infinity where 540 is right): use `margins`.
         """
         import control
 
@@ -205,7 +205,7 @@ class LinearView:
 
     @cached_property
     def modes(self) -> list[Mode]:
-        """Poles of the whole rig with the states that take part, the slowest first; those gone in a period left out."""
+        """Return the poles of the rig with their states, the slowest first, without those that decay in a period."""
         poles, right = np.linalg.eig(self.A) if self.states else (np.empty(0), np.empty((0, 0)))
         left = np.linalg.pinv(right)
         result = []
@@ -768,7 +768,7 @@ class Differences:
         self.columns[i], self.steps[i] = self._column(i, at, size)
 
     def _parted(self, numbers: Array, added: Mapping[str, float]) -> str:
-        """Name something that is no float, goes along with what was moved and counts; empty for nothing."""
+        """Name a value that is not a float, changes with what was moved, and has an effect; empty if there is none."""
         now, then = self.map.others(), self.others
         if now == then:
             return ""
@@ -858,7 +858,7 @@ class Differences:
         return sizes
 
     def _left_out(self, kept: list[int], A: Array, C: Array, apart: float, heard: Sequence[float]) -> dict[str, str]:
-        """Return the outputs that the states do not give, with the reason."""
+        """Return the outputs that are not functions of the states, with the reason."""
         far = {k: error for k, error in enumerate(heard) if error > max(LEFT_OUT, 100.0 * apart)}
         result = {}
         if quiet := [k for k, error in enumerate(heard) if not error and not C[k].any()] if kept else []:

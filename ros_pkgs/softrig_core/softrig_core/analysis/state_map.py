@@ -88,7 +88,7 @@ def is_source(member: Member) -> bool:
 
 
 class _Known(NamedTuple):
-    """What a member remembers, and what its inputs hold."""
+    """The state of a member, and the values that its inputs hold."""
 
     x: Any
     inputs: tuple[Any, ...]
@@ -237,7 +237,7 @@ class StateMap:
         self.sizes, self.moved = np.where(np.isfinite(sizes), sizes, 0.0), np.array(list(moved.values()), bool)
 
     def _check(self) -> None:
-        """Hold two goes from the same place against one another."""
+        """Compare two runs from the same state."""
         once, _ = self(self.start, {})
         self.moved = self.moved | (once != self.start)
         plants = {m.name for m in self.rig.members if m.is_plant}

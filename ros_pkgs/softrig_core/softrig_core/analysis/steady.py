@@ -34,26 +34,26 @@ class NoOperatingPoint(RunError):
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Where a rig rests under what drives it at some time.
+    """The equilibrium of a rig for the references and disturbances of one time.
 
     Parameters
     ----------
     at : float
-        When, s: references and disturbances as they are then.
+        Time of these references and disturbances, s.
     period : float
-        Of the whole rig, s.
+        Period of the whole rig, s.
     states, signals : dict of str to float
-        Values there.
+        Values at the operating point.
     units : dict of str to str
-        Of the signals.
+        Units of the signals.
     drifting : dict of str to float
-        Rate of states that go on and move nothing else, in their unit a second.
+        Rate of states that drift without affecting others, in their unit a second.
     steps : int
-        Of Newton's method.
+        Number of steps of Newton's method.
     slowest : float
-        Magnitude of the largest pole there, of states that move others; above 1 it is unstable.
+        Magnitude of the largest pole of the states that affect others; above 1 the point is unstable.
     moved : float
-        How far a run from there has moved at most after 200 periods of the whole, of the sizes of the states.
+        Largest change of a state in a run of 200 periods of the rig from the point, relative to the state's size.
     """
 
     rig: str

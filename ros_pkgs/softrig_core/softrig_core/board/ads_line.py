@@ -53,15 +53,15 @@ class AdsLine(RemoteLine):
     Parameters
     ----------
     port : str
-        For errors.
+        Name of the port, for errors.
     opened : callable
-        Connects within a time in s; an OSError: not now, a ScenarioError: never.
+        Connects within a time in s; raises OSError if that fails now, ScenarioError if it can never succeed.
     build : Build
-        Another one is refused.
+        Required build; a program with another one is refused.
     timeout : float
         s until a lockstep request is written again.
     clock, sleep : callable
-        Give a time in s, and let one pass.
+        Return the time in s, and sleep for a time in s.
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class AdsLine(RemoteLine):
         return self._connected(f"the PLC {self.port} cannot be reached", given)
 
     def _done(self, call: Callable[[Plc], Any], end: float) -> Any:
-        """Return what a call gives, True for nothing; None where the PLC is not there."""
+        """Return the result of a call, True if it has none; None if the PLC cannot be reached."""
         if self._connection is None:
             return None
         try:

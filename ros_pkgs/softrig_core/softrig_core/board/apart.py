@@ -12,7 +12,7 @@ QUICK = 1e-3  # s that a tick waits: most ports open within it
 
 
 class Apart:
-    """Opens a port: at once, or, where `patient` is false, in a thread that goes on while ticks are answered.
+    """Opens a port: directly or, if `patient` is false, in a thread that runs while ticks are answered.
 
     Parameters
     ----------

@@ -30,11 +30,11 @@ class CanLine(RemoteLine):
     Parameters
     ----------
     port : str
-        For errors.
+        Name of the port, for errors.
     opened : callable
-        Opens the bus; an OSError: not now, a ScenarioError: never.
+        Opens the bus; raises OSError if that fails now, ScenarioError if it can never succeed.
     clock, sleep : callable
-        Give a time in s, and let one pass.
+        Return the time in s, and sleep for a time in s.
     """
 
     def __init__(

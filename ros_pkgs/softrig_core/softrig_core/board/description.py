@@ -58,7 +58,7 @@ class PortDescription(_Checked):
 
 
 class Description(_Checked):
-    """What `softrig export` writes of a node, as far as others rely on it."""
+    """The content that `softrig export` writes about a node, as far as other code relies on it."""
 
     node: str = Field(pattern=r"^[A-Za-z_]\w{0,99}$")
     block: _Name = Field(alias="class")

@@ -8,7 +8,7 @@ from ..block.block import Block
 
 
 class LinkState(NamedTuple):
-    """How many ticks are answered; of a plant on a board what the next one moves it on with: time, and its inputs."""
+    """The number of answered ticks; for a plant on a board also the time and inputs of its next step."""
 
     k: int = 0
     moved: tuple[Any, ...] = ()

@@ -13,7 +13,7 @@ LONGEST = 1 << 16  # bytes between two zeros: more is no frame
 
 
 class Kind(IntEnum):
-    """What a frame is."""
+    """The kind of a frame."""
 
     HELLO = 1
     RESET = 2
@@ -59,12 +59,12 @@ def decoded(data: bytes) -> bytes | None:
 
 
 def written(number: int, kind: int, values: bytes, session: int) -> bytes:
-    """Return a frame as it goes over the wire, behind a zero that ends what noise has begun.
+    """Return a frame as it is sent over the wire, after a zero that ends a frame started by noise.
 
     Parameters
     ----------
     session : int
-        What the checksum begins with; 0 in a hello.
+        Initial value of the checksum; 0 in a hello.
     """
     body = HEAD.pack(number, kind) + values
     return b"\0" + encoded(body + CRC.pack(crc_hqx(CRC.pack(session) + body, 0))) + b"\0"

@@ -23,7 +23,7 @@ REMEMBERED = 64  # numbers of requests without an answer, to tell late ones from
 
 @dataclass(frozen=True)
 class Build:
-    """What a board must report about its firmware: digest, period in s as a fraction, and the frames of its node."""
+    """The build that a board must report: digest, period in s as a fraction, and the frames of its node."""
 
     digest: str
     period: tuple[int, int]
@@ -388,7 +388,7 @@ class Line:
             self._gone()
 
     def _gone(self) -> None:
-        """Close a wire whose board is not there: the session goes on if the board kept its power."""
+        """Close a wire whose board cannot be reached; the session continues later if the board kept its power."""
         if self.wire is not None:
             self.wire.close()
             self.wire = None

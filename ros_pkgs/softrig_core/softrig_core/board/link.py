@@ -288,7 +288,7 @@ def _settable(known: Mapping[str, Any], params: Any) -> dict[str, type]:
 
 
 def _packed(layout: struct.Struct, row: list[Any]) -> bytes:
-    """Return numbers as the board takes them.
+    """Return numbers packed for the board.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a line to a node on a CAN bus and one to a program on a PLC share: the connection, and what is counted."""
+"""Common base of a line to a node on a CAN bus and one to a program on a PLC: the connection and the counters."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from .line import REOPEN, Counts, Missing
 
 
 class RemoteLine(ABC):
-    """The base of lines to what has parameters of its own and stays where it is; has what `Link` wants of a `Line`.
+    """The base of lines to a node that has parameters of its own and stays where it is; it has the methods of a `Line`.
 
     Parameters
     ----------
     port : str
-        For errors.
+        Name of the port, for errors.
     opened : callable
-        Opens a connection; an OSError: not now, a ScenarioError: never.
+        Opens a connection; raises OSError if that fails now, ScenarioError if it can never succeed.
     clock, sleep : callable
-        Give a time in s, and let one pass.
+        Return the time in s, and sleep for a time in s.
     """
 
     joined: bool
@@ -92,7 +92,7 @@ class RemoteLine(ABC):
         return True
 
     def _gone(self, why: str) -> None:
-        """Close a connection that is not there: the run goes on if the other side kept its power."""
+        """Close a lost connection; the run continues if the other side kept its power."""
         self._why = why
         self._tried = self._clock()
         self.close()

@@ -1,4 +1,4 @@
-"""What carries bytes to a board: a serial port, or a simulator of the board as a process of its own."""
+"""Transports of bytes to a board: a serial port, or a simulator of the board in a process of its own."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
         return False
 
     def _made(self, state: Any) -> list[Any]:
-        """Return the types of what it returns, and of what is no part of anything that it was handed."""
+        """Return the types of its results, and of values that are no part of its arguments."""
         result = [state.return_type]
         for block in state.func_ir.blocks.values():
             for assigned in block.find_insts(ir.Assign):

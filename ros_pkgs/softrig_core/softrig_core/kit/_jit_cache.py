@@ -81,7 +81,7 @@ class Cache:
 
 
 def teach(numba: Any, functions: type, power: Callable[[float, float], float]) -> None:
-    """Create numba take our functions for its own, and ours of the C library under a name its optimiser does not know.
+    """Register our functions with numba, and those of the C library under a name that its optimiser does not know.
 
     Parameters
     ----------

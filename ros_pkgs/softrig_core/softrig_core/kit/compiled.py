@@ -213,9 +213,9 @@ def moved(place: Path, make: Callable[[Path], object]) -> None:
     Parameters
     ----------
     place : Path
-        A file that is there is replaced.
+        An existing file is replaced.
     make : callable
-        Writes the file that it is handed, which is alone in a folder beside the place.
+        Writes the file whose path it gets, which is alone in a folder beside the place.
     """
     with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
         product = Path(scratch, "product")

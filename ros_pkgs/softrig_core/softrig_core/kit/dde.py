@@ -3,10 +3,10 @@ r"""Delay-differential equations in native loops: classical Runge-Kutta steps ov
 .. math:: \dot x(t) = f(t, x(t), x(t - \tau_1(t, x)), \ldots)
 
 The right-hand side is a `jit` function that reads the history itself, so that delays may be constant, change with time
-or depend on the state. Every step is kept as the cubic of its values and slopes at both ends: fourth order throughout,
-and a jump of the state, of an input or of a slope at the border of two steps stays exactly there. Where such jumps come
-back after a delay is the caller's knowledge: put borders there (delays that are multiples of the step do it by
-themselves), or take small steps.
+or depend on the state. Every step is stored as the cubic of its values and slopes at both ends. This has fourth order
+throughout, and a jump of the state, of an input or of a slope at the border of two steps stays exactly there. The
+caller knows where such jumps recur after a delay and must put borders there (for delays that are multiples of the step
+they coincide with steps anyway), or use small steps.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def trajectory(step: float, longest: float, past: Past, spare: int = 0) -> Traje
     Parameters
     ----------
     step : float
-        Usual length of a step, s; longer ones never occur, shorter ones take of the spare.
+        Usual length of a step, s; longer ones never occur, shorter ones use the spare.
     longest : float
-        Longest delay that will be asked for, s.
+        Longest delay that will be requested, s.
     past : float, sequence of float, or callable
         Constant, or a function of the time (s, 0 and negative) that can be evaluated a little before -longest too.
     spare : int
@@ -141,7 +141,7 @@ class Track:
         return new
 
     def numbers(self) -> Array:
-        """Return values and slopes of all its steps in one row: what a linear view takes for states."""
+        """Return values and slopes of all its steps in one row: the states of a linear view."""
         import numpy as np
 
         past = self._copy(self._capacity)
@@ -154,7 +154,7 @@ class Track:
         return Track(past._replace(**{field: own.copy() for field, own in zip(FIELDS, rows, strict=True)}))
 
     def native(self) -> TrackRing:
-        """Return it as native code takes it."""
+        """Return the track in the form of native code."""
         return TrackRing(self._capacity, self._copy(2 * self._capacity))
 
     def __eq__(self, other: object) -> bool:
@@ -177,7 +177,7 @@ class Track:
 
 
 class TrackRing(NamedTuple):
-    """A `Track` in native code: one ring, which goes on in place."""
+    """A `Track` in native code: one ring, which is updated in place."""
 
     capacity: int
     past: Trajectory
@@ -292,10 +292,10 @@ def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = Non
     ----------
     rhs : callable
         `jit` function (t, x, past, p, dx): writes the slope of x into dx; reads delayed values by
-        ``delayed(past, t - tau, channel)``; p is what the caller gives (inputs, parameters: a tuple or array).
+        ``delayed(past, t - tau, channel)``; p is passed by the caller (inputs, parameters: a tuple or array).
     limit : callable, optional
         `jit` function (x, p): brings a state back into its range (a queue that cannot be negative), at each stage and
-        at the end of a step. The right-hand side gives no slope that points outwards at a bound.
+        at the end of a step. The right-hand side must return no slope that points outwards at a bound.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Small dense algebra with one order of additions: the same bits on every CPU, which BLAS and LAPACK do not give.
+"""Small dense algebra with one order of additions: the same bits on every CPU, unlike BLAS and LAPACK.
 
 For matrices of a model's size, up to some tens of rows. Complex numbers are worked out in real arithmetic: numpy fuses
 the multiplication of complex arrays on some CPUs and not on others.

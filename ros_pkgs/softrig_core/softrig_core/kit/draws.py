@@ -59,7 +59,7 @@ class Draws:
     Parameters
     ----------
     stream : callable
-        Gives a generator at the beginning of the stream.
+        Returns a generator at the beginning of the stream.
     kind : {"standard_normal", "random"}
         Normal with mean 0 and variance 1, or uniform in [0, 1).
     """

@@ -85,7 +85,7 @@ class FileFormat:
 
 
 def number_of(text: str) -> float:
-    """Return a number as C reads it, NaN where it is none: Python alone takes 1_000 and the digits of other scripts."""
+    """Return a number as C reads it, NaN if it is none: only Python accepts 1_000 and digits of other scripts."""
     try:
         return float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:

@@ -68,7 +68,7 @@ def numbers(x: Any) -> Array:
 
 
 def split(x: Any, row: Array) -> list[Array]:
-    """Cut a row as `numbers` gives it into what `put` takes.
+    """Cut a row from `numbers` into the arguments of `put`.
 
     Raises
     ------

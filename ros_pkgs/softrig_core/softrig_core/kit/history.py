@@ -134,7 +134,7 @@ class History:
         return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
 
     def numbers(self) -> NDArray[np.float64]:
-        """Return all its samples in one row, the oldest first: what a linear view takes for states."""
+        """Return all its samples in one row, the oldest first: the states of a linear view."""
         import numpy as np
 
         return np.array(self._newest(), dtype=np.float64).ravel()
@@ -153,7 +153,7 @@ class History:
         return new
 
     def native(self) -> HistoryRing:
-        """Return it as native code takes it."""
+        """Return the history in the form of native code."""
         import numpy as np
 
         line, rows = self._line, self._newest()

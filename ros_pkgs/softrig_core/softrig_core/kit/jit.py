@@ -45,10 +45,10 @@ REFUSED = {
 def jit(function: F) -> F:
     """Compile a function of floats and arrays at its first call; kept in a cache across processes.
 
-    No fast-math, no contraction, numpy's rules for division: the compiled function gives the bits of the plain one,
-    which runs in its place, a hundred times slower, where numba is absent or ``SOFTRIG_JIT=0``. (Errors differ: where
-    plain Python raises, for ``1.0 / 0.0`` or ``math.sqrt(-1.0)``, native code gives infinity or NaN.)
-    numba is imported at the first call, not before.
+    The function is compiled without fast-math and contraction, and with numpy's rules for division, so its results
+    are bit-identical to those of the plain one. The plain one is used, a hundred times slower, if numba is absent or
+    ``SOFTRIG_JIT=0``. (Errors differ: if plain Python raises, for ``1.0 / 0.0`` or ``math.sqrt(-1.0)``, native code
+    returns infinity or NaN.) numba is imported at the first call, not before.
 
     Parameters
     ----------
@@ -131,9 +131,9 @@ class Jit:
         return self._straight
 
     def _by_parts(self, numba: Any, arguments: tuple[Any, ...]) -> Callable[..., Any] | None:
-        """Create what hands tuples over part by part: to look at one takes numba 1 us, at a number or an array 0.05 us.
+        """Create a callable that passes tuples in parts: numba inspects one in 1 us, a number or an array in 0.05 us.
 
-        None where no argument is a tuple. Later arguments of another kind than these go as they are.
+        Return None if no argument is a tuple. Later arguments of another kind than these are passed unchanged.
         """
         from ._borrowed import Borrowing
         from ._jit_cache import Cache

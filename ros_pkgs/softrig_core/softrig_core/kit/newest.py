@@ -16,21 +16,21 @@ KEPT = 256
 
 
 class Newest(Generic[K, V]):
-    """A function of one value, whose newest answers are at hand.
+    """A function of one value that stores its newest results.
 
-    Native code takes the newest answer for a constant, and leaves the tick to Python at which another one is asked for.
+    Native code treats the newest result as a constant, and leaves a tick that needs another one to Python.
 
     Parameters
     ----------
     function : callable
-        Its answer depends on its argument alone.
+        Its result must depend only on its argument.
     size : int
-        So many answers are kept.
+        Number of stored results.
 
     Attributes
     ----------
     key, answer : object
-        What was asked last, and what it was; None before.
+        Last argument and its result; None before the first call.
     """
 
     SCRATCH = frozenset({"key", "answer"})  # a cache: the answer depends on the argument alone
@@ -49,9 +49,9 @@ class Newest(Generic[K, V]):
 
 
 def once(function: Callable[S, A]) -> Callable[S, A]:
-    """Keep the answers of a function by the identity of its arguments: comparing contents takes longer than it saves.
+    """Store the results of a function by the identity of its arguments: comparing contents takes longer than it saves.
 
-    The answer must depend on nothing else; neither it nor the arguments may be changed. Errors are not kept.
+    The result must depend only on the arguments; neither it nor the arguments may be changed. Errors are not stored.
     """
     kept: dict[tuple[int, ...], tuple[Any, A]] = {}
 

@@ -51,11 +51,11 @@ def rk4_loop(ode: Callable[..., None], limit: Callable[..., None] | None = None)
     Parameters
     ----------
     ode : callable
-        `jit` function (t, x, p, dx): writes the derivative of x (1/s) into dx; p is what the caller gives (inputs,
+        `jit` function (t, x, p, dx): writes the derivative of x (1/s) into dx; p is passed by the caller (inputs,
         parameters: a tuple or array).
     limit : callable, optional
         `jit` function (x, p): brings a state back into its range (a current that a diode keeps positive), at each
-        stage and at the end of a step: put into effect only at the end it would leave an error of first order.
+        stage and at the end of a step. If it were applied only at the end, an error of first order would remain.
 
     Returns
     -------

@@ -56,7 +56,7 @@ class Calls(Expressions):
     """Reads calls, and lists whose parts are gone through; see `Ways`."""
 
     def listed(self, node: ast.expr) -> list[Value] | None:
-        """Return the values that a loop goes through, where their number is fixed; None where it is not."""
+        """Return the values that a loop iterates over if their number is fixed; None otherwise."""
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id not in self.env:
             name = node.func.id
             if name == "range":
@@ -194,7 +194,7 @@ class Calls(Expressions):
         return Dynamic(age, 0)
 
     def _arguments(self, node: ast.Call) -> tuple[list[Value], dict[str, Value]]:
-        """Return what is handed over by place and by name."""
+        """Return the positional and the keyword arguments of a call."""
         given: list[Value] = []
         for one in node.args:
             if isinstance(one, ast.Starred):

@@ -34,8 +34,8 @@ def compiled(made: RigText) -> Callable[..., Any]:
     Returns
     -------
     callable
-        ``rig(first, last, n, c, s, *arrays) -> s``: answers the ticks of the clock from `first` up to `last`; n[0] is
-        the one under way, n[2] the one with which the places of answers begin. What it raises gives that tick up.
+        ``rig(first, last, n, c, s, *arrays) -> s``: runs the ticks of the clock from `first` up to `last`. n[0] is the
+        current tick, n[2] the one with which the places of answers begin. An exception discards the current tick.
     """
     numba = our_numba()
     from ..kit._borrowed import Borrowing

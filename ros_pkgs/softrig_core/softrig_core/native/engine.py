@@ -1,4 +1,4 @@
-"""A rig's members answered by native code as far as it goes, and by Python where it gives a tick up."""
+"""Run a rig's members natively as far as possible, and in Python at ticks that native code discards."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ TRIES = 3
 
 @dataclass
 class Native:
-    """What native code does of a rig, for the record of a run.
+    """The native part of a rig, for the record of a run.
 
     Attributes
     ----------
     members : tuple of str
-        Those that it answers.
+        Members that run natively.
     reason : str
-        Why it does not answer the others, or any.
+        Why the others, or all, do not.
     ticks, given_up, decided : int
-        Of the clock: answered by native code, and left to Python in between: where it went no further, and where a
-        member wants it so (`Deciding.decides`).
+        Numbers of ticks of the clock: run natively; discarded by native code and run in Python; left to Python because
+        a member requires it (`Deciding.decides`).
     """
 
     members: tuple[str, ...] = ()
@@ -212,7 +212,7 @@ class Engine:
         return self._alone is None or self._alone()
 
     def _not_free(self, k: int) -> Iterator[int | None]:
-        """Answer ticks in Python until native code may go on."""
+        """Run ticks in Python until native code may continue."""
         compiling = self._compiling is not None and self._compiling.is_alive()
         outside = "somebody outside of this process, or a person, has a part in its ticks"
         self.native.reason = "its text is being compiled" if compiling else outside
@@ -295,7 +295,7 @@ class Engine:
     # going --------------------------------------------------------------------------------------------------------
 
     def _go(self, first: int, last: int) -> int:
-        """Answer ticks of the clock from `first` up to `last`, or as far as native code goes; return how far."""
+        """Run ticks of the clock natively from `first` up to `last`, or as far as possible; return the tick reached."""
         fit = self._fit
         assert fit is not None
         rows = fit.places(first, last)
@@ -378,7 +378,7 @@ class Engine:
 
 
 class _Later(Link):
-    """Keeps what is published in a tick of Python whose answers are handed out later, with those of native code."""
+    """Stores messages of a tick in Python that are published later, with those of native code."""
 
     kept: list[tuple[Any, ...]] | None = None
 

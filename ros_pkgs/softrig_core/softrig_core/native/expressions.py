@@ -202,7 +202,7 @@ class Expressions(Ways):
         return None
 
     def _looked_up(self, table: Static, key: Value, node: ast.AST, other: Value | None = None) -> Dynamic:
-        """Look a computed key up in a fixed mapping; without it the tick is given up, or the `other` value is meant."""
+        """Look up a computed key in a fixed mapping; if it is missing, use the `other` value or discard the tick."""
         entries = list(table.value.items())
         if len(entries) > LONGEST:
             raise self.unknown(f"a mapping of {len(entries)}, expected at most {LONGEST}", node)

@@ -254,7 +254,7 @@ class Fitted:
         return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
 
     def _handed(self, begin: int) -> tuple[Any, ...]:
-        """Return what the function is handed after its ticks; the places of answers begin at a tick."""
+        """Return the arguments of the function after its ticks; the places of answers begin at a tick."""
         kept = self.kept
         before = (
             *(applied(way, s.x) for way, s in zip(self._pack, self._steps, strict=True)),

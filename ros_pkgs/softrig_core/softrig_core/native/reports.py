@@ -1,4 +1,4 @@
-"""What blocks report in ticks that native code answers: counted there, worded afterwards with the newest numbers."""
+"""The reports of blocks in native ticks: native code counts them, Python words them later with the newest numbers."""
 
 from __future__ import annotations
 

@@ -24,9 +24,9 @@ class RigText:
     text : str
     program : Program
     arrays : tuple of str
-        What it is handed beside its state, in order: tables, random numbers, memory for calls, places for answers.
+        Its arguments besides the state, in order: tables, random numbers, memory for calls, places for answers.
     stamped : tuple of int
-        Of the steps those with delayed outputs, whose stamps are at the end of the state.
+        Steps with delayed outputs, whose stamps are at the end of the state.
     """
 
     text: str
@@ -99,7 +99,7 @@ def written_out(program: Program, rig: str) -> str:
 
 
 def _reached(functions: Sequence[str], rig: str) -> list[str]:
-    """Return the functions that the rig's calls, directly or not: others were tried on a way that is given up."""
+    """Return the functions that the rig's calls, directly or not; others belong to abandoned translations."""
     known = {text[4 : text.index("(")]: text for text in functions}
     found: dict[str, str] = {}
     open_ = [rig]

@@ -1,10 +1,10 @@
 """The text of a block's methods, specialised to the block, in the part of Python that numba compiles.
 
-A method is read with the values that its block has now. What is fixed chooses the text (texts, switches, whole
-numbers) or becomes a constant that is handed in (numbers, tables: *slots*), so that one text serves all variants of a
-block; what was used to choose is kept as a *guard*. Objects and methods are followed to the functions that they mean.
-What is not understood is refused by `NotNative`; `raise` gives the tick up, and so does `report` where its text is not
-written out.
+A method is read with the current values of its block. A fixed string, boolean or integer selects the text. A fixed
+number or table becomes a constant argument, a *slot*, so that one text serves all variants of a block. Values that
+selected the text are kept as *guards*. Objects and methods are resolved to the functions that they refer to.
+`NotNative` is raised for a construct that is not supported. `raise` discards the tick, and so does `report` if its text
+is not written out.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ NUMBERS = (int, float, complex, bool)
 
 @dataclass(frozen=True)
 class Made:
-    """A specialised function: its name, the arrays that it needs beside its arguments, and what it gives."""
+    """A specialised function: its name, the arrays that it needs besides its arguments, and its result."""
 
     name: str
     arrays: tuple[str, ...]
@@ -146,7 +146,7 @@ class Program:
         return value.value
 
     def slot(self, value: Static) -> Dynamic:
-        """Return a fixed number, or table of numbers, as a constant that is handed in."""
+        """Return a fixed number, or table of numbers, as a constant argument."""
         assert value.path is not None
         if isinstance(value.value, np.ndarray):
             name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
@@ -269,7 +269,7 @@ def shape(value: Any) -> Any:
 
 
 def as_slot(value: Any) -> Any:
-    """Return a number or table as native code takes it: lists as tuples.
+    """Return a number or table in the form of native code: lists as tuples.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def _parsed(function: types.FunctionType) -> ast.FunctionDef:
 def made(
     program: Program, function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value], arrays: set[str]
 ) -> Value:
-    """Call a function of Python with values: specialise it to those that are fixed, and give the call.
+    """Specialise a Python function to the fixed ones of its arguments, and return the code of the call.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def made(
     given, words : sequence and mapping of Value
         Its arguments by place and by name.
     arrays : set of str
-        Takes the names of the arrays that the call hands on.
+        Set to which the names of the arrays that the call passes on are added.
     """
     inner: dict[str, Value] = {}
     outer: list[str] = []
@@ -389,7 +389,7 @@ def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapp
 
 
 def is_number_slot(value: Any) -> bool:
-    """Return whether a fixed number is handed in, not written into the text."""
+    """Return whether a fixed number is an argument, not written into the text."""
     return isinstance(value, (float, complex)) or (isinstance(value, int) and abs(value) > SMALL)
 
 

@@ -104,27 +104,27 @@ def decides(step: Step) -> bool:
 
 
 class Turns:
-    """Writes the turns of members.
+    """Writes the code of the members' turns in a tick.
 
-    In the text of a tick k at time t: of member i, x{i} is what it remembers, q{i} what it answers, r{i} its newest
-    answer, z{i} the stamps of its delayed outputs; h{j} is what holding j keeps.
+    In the text of a tick k at time t: for member i, x{i} is its state, q{i} its answer, r{i} its newest answer, z{i}
+    the stamps of its delayed outputs; h{j} is the value of holding j.
 
     Parameters
     ----------
     steps : sequence of Step
         Plants first, then the others, each after those that it reads; each has answered a tick.
     recorded : sequence of Step
-        Those whose answers are written into tables o{i}, stamps into p{i}.
+        Steps whose answers are written into tables o{i}, and their stamps into p{i}.
     typed : bool
         See `rig_text`.
 
     Attributes
     ----------
     arrays : set of str
-        What the text is handed beside states.
+        Arguments of the text besides states.
     kept : list of Holding
     spoken : list of (int, int)
-        Numbers of the outputs that are silent at times: of the member, and of its output.
+        Sporadic outputs, each by the number of its member and its own number.
     """
 
     def __init__(self, steps: Sequence[Step], recorded: Sequence[Step] = (), typed: bool = True) -> None:
@@ -174,7 +174,7 @@ class Turns:
         return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
 
     def decided(self, state: str) -> list[str]:
-        """Write that the text goes no further where a member has its tick left to Python."""
+        """Write code that stops at a tick which a member leaves to Python."""
         lines: list[str] = []
         for k, step in enumerate(self.steps):
             if decides(step):
@@ -375,7 +375,7 @@ def rows_of(
 
 
 def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bound: float, typed: bool) -> list[str]:
-    """Write what takes all numbers of an answer, flags of silence after them; beyond the bound they are Python's."""
+    """Write code that stores the numbers of an answer and its flags of silence; beyond the bound Python does it."""
     told = "".join(f"{flag}, " for flag in flags)
     if typed or size < FEW:
         squares = " + ".join(f"{q}[{i}] * {q}[{i}]" for i in range(size))

@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
 
 
 def packed(value: Any, typed: bool = True) -> Any:
-    """Return a state as native code takes it, where arrays are copies; `typed` false: objects as Python has them."""
+    """Return a state in the form of native code, with copies of arrays; `typed` false: objects stay as in Python."""
     return applied(packer(value, typed), value)
 
 
@@ -82,7 +82,7 @@ def packer(sample: Any, typed: bool) -> Way:
 
 
 def unpacker(sample: Any) -> Way:
-    """Return how what native code gives, of the form of a sample, is unpacked; None: it is as Python has it."""
+    """Return how a result of native code with the form of a sample is unpacked; None: it needs no unpacking."""
     if type(sample) in NUMBERS:
         return None
     if hasattr(sample, "python"):

@@ -1,4 +1,4 @@
-"""What the translation knows of a value: that it is fixed, how it is written, what it was in the tick before."""
+"""What the translation knows about a value: whether it is fixed, its expression, and its value at the previous tick."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class NotNative(Exception):
 
 
 class GivesUp(NotNative):
-    """A call that never comes back: what it does is to give the tick up."""
+    """A call that never returns, because it discards the tick."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a function's text is at a line: names, values as text, and the ways that a test parts and joins."""
+"""The state of a function's text at a line: names, values as text, and the branches that a test splits and joins."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Writer(Calls):
         return self.lines
 
     def result(self) -> Value:
-        """Return what the function gives: a fixed value where it is nothing else."""
+        """Return the result of the function; a fixed value if it has no other."""
         found = self.returned
         if len(self.lines) == 1 and len(found) == 1 and isinstance(found[0], Static):
             return found[0]
@@ -54,7 +54,7 @@ class Writer(Calls):
         return Dynamic("", known[0].sample if known else UNKNOWN, sure, first.keys, first.parts)
 
     def run(self, statements: Sequence[ast.stmt]) -> None:
-        """Write statements, as far as they are reached; those that surely lead to a report may give the tick up."""
+        """Write statements as far as they are reached; statements that always lead to a report may discard the tick."""
         aside = self.program.aside
         try:
             self._run(statements)
@@ -88,7 +88,7 @@ class Writer(Calls):
             self._give_up()
 
     def _reporting(self, statements: Sequence[ast.stmt]) -> None:
-        """Write statements that report; where native code does not know them, they give the tick up at once."""
+        """Write statements that report; if native code does not support them, they discard the tick immediately."""
         env, lines = dict(self.env), list(self.lines)
         try:
             if self.program.reports is None:

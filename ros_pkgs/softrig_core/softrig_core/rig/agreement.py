@@ -1,4 +1,4 @@
-"""Nodes of a rig that speak of the same thing must mean the same: a certificate its loop, a figure its network."""
+"""Check that nodes of a rig agree on common quantities: a certificate with its loop, a figure with its network."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..kit.newest import once
 
 
 class Named(Protocol):
-    """What is needed of a member."""
+    """The attributes that are needed of a member."""
 
     name: str
     block_class: type[Block]
@@ -65,7 +65,7 @@ class Assuming(Protocol):
 
 
 def assumptions(members: Iterable[Named]) -> list[str]:
-    """Describe which nodes take others for what they are not, by `Assuming.assumed`, a line each."""
+    """Describe which nodes have wrong assumptions about others, by `Assuming.assumed`, in one line each."""
     members = list(members)
     said = spoken(members)
     return [

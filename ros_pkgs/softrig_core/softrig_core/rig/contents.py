@@ -1,4 +1,4 @@
-"""What a block holds beside its state x: constants, which no tick may change."""
+"""The contents of a block besides its state x: constants, which no tick may change."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _outside(of: type) -> Iterator[tuple[str, Any]]:
 
 
 class Look:
-    """What blocks hold when they begin, to be compared with what they hold later.
+    """The contents of blocks at the start, to be compared with their contents later.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from ..scenario.scenario import Scenario
 
 @dataclass(frozen=True)
 class Link:
-    """Where an input comes from: the publishing member, its port, and which of its values it takes."""
+    """The source of an input: the publishing member, its port, and the values that the input uses."""
 
     source: Member
     port: Port

@@ -1,4 +1,4 @@
-"""The ``run.*`` parameters that every node has besides those of its block, and the links a runner hands over."""
+"""The ``run.*`` parameters that every node has besides those of its block, and the links that a runner passes."""
 
 from __future__ import annotations
 

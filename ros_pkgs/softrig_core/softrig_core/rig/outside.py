@@ -1,4 +1,4 @@
-"""What the code of a block uses from outside of it: variables of modules, closures, defaults, random generators."""
+"""Find what a block's code uses from outside of it: variables of modules, closures, defaults, random generators."""
 
 from __future__ import annotations
 

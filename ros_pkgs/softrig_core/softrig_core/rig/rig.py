@@ -157,14 +157,14 @@ def members_of(
     Parameters
     ----------
     classes : mapping of node name to type of Block
-        Of those that no executable gives.
+        Classes of nodes that no executable provides.
     names : iterable of str, optional
         Only these.
 
     Raises
     ------
     ScenarioError
-        Names the node whose executable, parameters or topics are wrong.
+        The executable, parameters or topics of a node are wrong; the error names the node.
     """
     entries = scenario.nodes.items()
     known = {n: classes[n] if n in classes else load_block(e.package, e.executable) for n, e in entries}
@@ -270,7 +270,7 @@ def _link(scenario: Scenario, members: list[Member], new: list[Member]) -> None:
 
 
 def _expected(rig: Rig) -> dict[str, Expectation]:
-    """Return a scenario's expectations with the numbers that they take from the nodes."""
+    """Return a scenario's expectations, with their numbers from the nodes filled in."""
     result = {}
     for name, limits in rig.scenario.expect.items():
         try:
@@ -310,7 +310,7 @@ def _named(
 
 
 def _check_units(scenario: Scenario, members: list[Member]) -> None:
-    """Refuse links whose ends give one value different units."""
+    """Refuse links whose ends have different units for one value."""
     for member in members:
         for port in member.inputs:
             link = member.links.get(port.name)

@@ -43,14 +43,14 @@ def ticks_of(
     steps : sequence of Step
         As for `Engine`.
     runs : int
-        So many such runs are to come.
+        Number of such runs that will follow.
     alone : callable, optional
         See `Engine`.
 
     Returns
     -------
     ticks : iterator
-        As `Loop.run`; a run without end goes one by one.
+        As `Loop.run`; a run without end is run tick by tick.
     tell : callable
         Updates the steps with what was native so far.
     """
@@ -148,15 +148,15 @@ def forbidden() -> str:
 
 
 def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
-    """Describe why native code is not worth its making, which takes seconds, once; empty where it is.
+    """Describe why compiling, which takes seconds once, does not pay; empty if it does.
 
     Parameters
     ----------
     steps : sequence of Step
     left : float
-        What Python would take for the ticks that are left, s.
+        Time that Python would need for the remaining ticks, s.
     runs : int
-        So many such runs are to come.
+        Number of such runs that will follow.
     """
     if reason := forbidden():
         return reason

@@ -41,7 +41,7 @@ def rig_of(
     overrides : mapping, optional
         ``node.parameter``, or for a scenario by its name or draft also a shared value's name, to value.
     classes : mapping of node name to type of Block, optional
-        Of nodes whose class no executable gives.
+        Classes of nodes that no executable provides.
     live : bool
         Whether nodes that measure figures while it runs get the list of figures; not needed where none is read.
 

@@ -1,4 +1,4 @@
-"""The figures of a scenario while its rig runs, or beside hardware that speaks on the same topics."""
+"""The figures of a scenario while its rig runs, or together with hardware that publishes on the same topics."""
 
 from __future__ import annotations
 

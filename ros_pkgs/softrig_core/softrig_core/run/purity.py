@@ -1,4 +1,4 @@
-"""Whether the ticks of a rig's blocks follow from x, t and inputs alone: each of the first ones is computed twice."""
+"""Check that ticks of a rig's blocks depend only on x, t and inputs: each of the first ones is computed twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run in this process that goes on when it is asked to, goes back to any tick, and on from there with other gains."""
+"""A run in this process that advances on request, and can return to any tick and continue with other parameters."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Session:
         self._keep()
 
     def _begin(self, blocks: dict[str, Block], recording: Recording, k: int = 0, moment: Moment | None = None) -> None:
-        """Wire blocks, and have them go on from tick k."""
+        """Wire blocks, and let them continue from tick k."""
         self.recording, self._k, self.error = recording, k, ""
         self.steps = wired(self.rig, blocks)
         record(self.rig, self.steps, recording)
@@ -131,7 +131,7 @@ class Session:
         Raises
         ------
         RunError
-            A block failed, or gave what may not leave it. The run is over then; `rewind` takes it back.
+            A block failed, or returned an invalid output. The run is over then; `rewind` restores an earlier tick.
         """
         self._answer(min(self._k + ticks, self.ticks + 1))
 
@@ -190,7 +190,7 @@ class Session:
             self._turned.append(_Turned(self._k, node, own))
 
     def undone(self, t: float) -> dict[str, Any]:
-        """Return what going back to t (s) would undo: ``node.parameter`` to its newest value, as `set` takes it.
+        """Return what going back to t (s) would undo: ``node.parameter`` to its newest value, in the form of `set`.
 
         Raises
         ------

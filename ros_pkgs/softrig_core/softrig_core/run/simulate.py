@@ -137,9 +137,9 @@ class Run:
 
     @cached_property
     def claims(self) -> list[Finding]:
-        """The scenario's claims held against this run; those that need another scenario's figures stay open.
+        """Check the scenario's claims in this run; claims that need another scenario's figures stay open.
 
-        So do those of a run that was changed: a paper speaks of its own machine.
+        All claims of a changed run stay open as well, because a paper describes its own machine.
         """
         own, units = values(self.results), {r.name: r.unit for r in self.results}
         name = self.rig.scenario.name

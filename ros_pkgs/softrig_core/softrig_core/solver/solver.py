@@ -36,7 +36,7 @@ UNFINISHED = "unfinished"  # what is reported under it counts the ticks that wen
 
 
 class SolverParams(BlockParams):
-    """What every solver node has."""
+    """The parameters of every solver node."""
 
     period: float = param(0.1, "sampling period: how often it looks for a request and answers", "s", gt=0.0, le=3600.0)
     latency: float = param(
@@ -59,7 +59,7 @@ S = TypeVar("S", bound=SolverParams, default=Any)
 
 
 class Result(NamedTuple):
-    """What came of a request."""
+    """The result of a request."""
 
     stamp: int
     """Time of the request, ns."""
@@ -86,7 +86,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Jobs:
-    """How far a solver is with its requests; opaque to a linear view."""
+    """The progress of a solver with its requests; opaque to a linear view."""
 
     waiting: Job | None = None
     active: Job | None = None

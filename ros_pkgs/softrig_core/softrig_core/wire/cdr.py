@@ -173,7 +173,7 @@ class Layout:
         self.encode, self.decode = _coders(whole, wire, self.size, [data for _, _, data in self._fixed], numbered)
 
     def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Return the bytes of n messages as an array of shape (n, length): row by row what `encode` gives.
+        """Return the bytes of n messages as an array of shape (n, length); each row is a result of `encode`.
 
         Parameters
         ----------
@@ -282,7 +282,7 @@ def _runs(places: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def getter(places: Sequence[int]) -> Picker:
-    """Return an itemgetter that always gives a tuple (of a tuple)."""
+    """Return an itemgetter that always returns a tuple (of a tuple)."""
     if len(places) > 1:
         return itemgetter(*places)
     start = places[0] if places else 0

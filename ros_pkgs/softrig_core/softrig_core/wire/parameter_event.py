@@ -16,7 +16,7 @@ _KINDS = {bool: (_BOOL, _BOOLS), int: (_INTEGER, _INTEGERS), float: (_DOUBLE, _D
 
 
 class Recorded(Protocol):
-    """What has topics by name, each with its messages: a recording."""
+    """An object with topics by name, each with its messages: a recording."""
 
     @property
     def topics(self) -> Mapping[str, Any]:

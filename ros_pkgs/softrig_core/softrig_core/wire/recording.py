@@ -1,4 +1,4 @@
-"""What a run recorded: shards written at the source, and all messages of a run in memory."""
+"""The recording of a run: shards written by each node, and all messages of a run in memory."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def relative(name: str) -> str:
 
 
 class Sink(Protocol):
-    """Where a block's published bytes go."""
+    """The destination of a block's published bytes."""
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message of topic number `topic`, published at tick time `t` (ns)."""
@@ -468,7 +468,7 @@ class ShardTail:
         self._at = 0
 
     def read(self, recording: Recording) -> bool:
-        """Add what is new to a recording; whether there may be more than one look takes.
+        """Add new messages to a recording; return whether there may be more than one call reads.
 
         Parameters
         ----------
@@ -523,7 +523,7 @@ def _note_rows(places: list[tuple[int, int]], start: int, at: int, size: int) ->
 
 
 class _Clock:
-    """The times of a topic, some at a time; a time that goes back counts as the newest before it."""
+    """The times of a topic, read in parts; a time that is earlier than the one before it is replaced by that one."""
 
     def __init__(self, topic: Topic) -> None:
         self._topic, self._whole = topic, topic.columns()

@@ -1,4 +1,4 @@
-"""Where a run in one process is recorded: a shard for each node, as nodes in processes of their own write them."""
+"""Record a run in one process: a shard for each node, as nodes in processes of their own write them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ REST = "not-rows"
 
 
 class Shards:
-    """A `Sink` that keeps only the newest messages in memory; a process that is killed leaves the others.
+    """A `Sink` that keeps only the newest messages in memory; the others remain on disk if the process is killed.
 
     Parameters
     ----------
     folder : Path
-        Is made when the first message comes.
+        Created when the first message arrives.
     topics : sequence of (name, message type)
-        In the order of the numbers that `add` takes.
+        In the order of the topic numbers that `add` accepts.
     """
 
     def __init__(self, folder: Path, topics: Sequence[tuple[str, str]]) -> None:

@@ -42,7 +42,7 @@ class Writer:
         self.written.append((at, len(self.data)))
 
     def text(self, text: str, room: int = 0) -> int:
-        """Write a string, with room for so many characters at its end; gives where."""
+        """Write a string with room for so many characters at its end; return the position of the room."""
         raw = text.encode()
         self.add("I", len(raw) + room + 1)
         at = len(self.data) + len(raw)
@@ -52,7 +52,7 @@ class Writer:
 
 
 class Reader:
-    """Takes the parts of a message one after the other, in either byte order.
+    """Reads the parts of a message one after the other, in either byte order.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class Item(NamedTuple):
 
 @dataclass(frozen=True)
 class MessageType:
-    """What the suite knows of a message type.
+    """The description of a message type in the suite.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the nodes of a run have written, for one of them that comes back."""
+"""The files that the nodes of a run have written, for a node that is started again."""
 
 from __future__ import annotations
 

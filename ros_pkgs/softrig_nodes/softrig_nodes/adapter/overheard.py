@@ -1,8 +1,8 @@
-"""What external nodes publish: the first subscriber of the rig records it, or the starter what has no subscriber.
+"""Record the messages of external nodes, by their first subscriber in the rig, or without one by the starter.
 
-Our nodes record what they publish; an external node records nothing. In lockstep a message is recorded at its own time,
-with all that a slower reader does not use. In real time a reader records what it uses at the tick that uses it, by
-which a repetition finds it (`LiveSenders.record`), and only what comes after its last tick is left.
+Our nodes record what they publish; an external node records nothing. In lockstep each message is recorded at its own
+time, even if a slower reader does not use it. In real time a reader records a message at the tick that uses it, so that
+a repetition of the run finds it there (`LiveSenders.record`). Only messages after its last tick are left.
 
 The recorder waits for the publishers at the start and for the last messages at the end, each for a bounded time: an
 external node need not have all outputs of the node that it replaces.
@@ -67,7 +67,7 @@ class Overheard(Input):
             self.topics.came()
 
     def _record(self, data: bytes) -> None:
-        """Record a message but one that is published again for late subscribers, or that no input would take."""
+        """Record a message unless it is published again for late subscribers, or no input would accept it."""
         node = self._node
         try:
             mark, values = self.decode(data)
@@ -111,7 +111,7 @@ class Overheard(Input):
 
 
 class _Both(Reader):
-    """Records the messages of an input and hands them on."""
+    """Records the messages of an input and passes them to it."""
 
     def __init__(self, row: Overheard, item: Input) -> None:
         self._row, self._item, self.numbered = row, item, item.numbered
@@ -163,7 +163,7 @@ class OverheardTopics:
         return item if row is None else _Both(row, item)
 
     def came(self) -> None:
-        """Renew the patience: a slow publisher is waited for as long as it goes on."""
+        """Restart the timeout: the wait for a slow publisher continues as long as it publishes."""
         self._since.pop("end", None)
         self._then()
 

@@ -1,4 +1,4 @@
-"""What a node records: what it publishes, what comes to it from outside, parameters that change."""
+"""The record of a node: the messages that it publishes, messages from outside, and changes of parameters."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class Record:
     owns_clock : bool
         Whether it publishes /clock.
     resolve : callable
-        Gives the whole name of a topic of the node.
+        Returns the full name of a topic of the node.
     of_rig : callable
-        Gives the whole name of a topic of the rig, which the node does not remap.
+        Returns the full name of a topic of the rig, which the node does not remap.
     sink : Sink or None
         Gets the messages in place of the file that the options name.
 
     Attributes
     ----------
     topics : list of (str, str)
-        Name and type of what is recorded.
+        Name and type of each recorded topic.
     foreign : dict of str to int
         Number of each input that is recorded here.
     overheard : list of int
@@ -45,9 +45,9 @@ class Record:
         Number of /clock.
     sink : Sink or None
     shard : ShardWriter or None
-        The sink, where it is the file that the options name.
+        The sink, if it is the file that the options name.
     add_row : callable or None
-        Records an answer as its stamp and numbers, where the file takes them so.
+        Records an answer as its stamp and numbers, if the file supports that.
     """
 
     def __init__(

@@ -136,7 +136,7 @@ class Arrival:
             self._matched(self._writers)
 
     def _taking(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
-        """Return what takes the oldest message and hands it over; a newer one may have replaced it in a full queue."""
+        """Return a callable that takes the oldest message and passes it on; in a full queue a newer one replaced it."""
         take, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
         bytes_now = memoryview(self._bytes).cast("B").cast("Q")  # where they are, how many, how many there may be
         room, content = 0, memoryview(b"")

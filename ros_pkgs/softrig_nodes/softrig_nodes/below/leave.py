@@ -20,10 +20,11 @@ PATIENCE = 2  # s: time to leave the graph; it takes some ms
 def leave(nodes: Sequence[Node], status: int) -> NoReturn:
     """Remove the nodes of this process from the graph, so that peers notice immediately, and end it.
 
-    Fast DDS 2.14 cannot be trusted with either step: `destroy_node` waits for ever when news of another node that
-    leaves comes at the same moment (eProsima/Fast-DDS#6513; once in some hundred runs, for nodes in lockstep finish
-    together), or ends in a segmentation fault (one of some 300 starts on a host with fifty busy processes), and its
-    static destructors may do the same. Hence a limit for the first, an end in either case, and no regular exit.
+    In Fast DDS 2.14 both steps may fail. `destroy_node` waits forever if the departure of another node is announced at
+    the same moment (eProsima/Fast-DDS#6513; once in some hundred runs, since nodes in lockstep finish together). It may
+    also end in a segmentation fault (one of some 300 starts on a host with fifty busy processes). The static
+    destructors may do the same. So the first step has a time limit, the process ends in any case, and there is no
+    regular exit.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """tf2_msgs/msg/TFMessage where tf2_msgs is not installed: a type to publish and take as bytes.
 
-The package is no wheel. What the middleware asks of a type when a topic is offered (its name, the form of its members,
-its hash and description) is made from that of geometry_msgs/msg/TransformStamped, of which the message is a sequence.
-It has no message object: only bytes go through it. The structures are those of ROS 2 Jazzy (rosidl_runtime_c,
-rosidl_typesupport_introspection_c and rosidl_typesupport_fastrtps_cpp, message_type_support.h).
+The package is not available as a wheel. The middleware needs the name of a type, the form of its members, its hash and
+its description when a topic is offered. They are derived from those of geometry_msgs/msg/TransformStamped, of which
+the message is a sequence. There is no message object, only bytes. The structures are those of ROS 2 Jazzy
+(rosidl_runtime_c, rosidl_typesupport_introspection_c and rosidl_typesupport_fastrtps_cpp, message_type_support.h).
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def _bytes_only(*_: Any) -> Any:
 
 @cache
 def tf_class() -> Any:
-    """Return a class that rclpy takes for tf2_msgs/msg/TFMessage in publishers and subscriptions of bytes.
+    """Return a class that rclpy accepts as tf2_msgs/msg/TFMessage in publishers and subscriptions of bytes.
 
     Raises
     ------

@@ -181,7 +181,7 @@ def overrides(node: Node) -> Mapping[str, Parameter]:
 
 
 class _Known(Mapping[str, Any]):
-    """What a node has of each of its parameters, asked for by public methods."""
+    """The parameters of a node, read by public methods."""
 
     def __init__(self, node: Node, ask: Callable[[str], Any], missing: Callable[[str], Any]) -> None:
         self._node, self._ask, self._missing = node, ask, missing
@@ -259,7 +259,7 @@ def news(node: Node, handlers: Iterable[Any]) -> list[tuple[Callable[[Any], None
 
 
 def taken(subscription: Any) -> Iterator[bytes]:
-    """Return the messages that have arrived and that no executor has taken; none where rclpy does not give them."""
+    """Return the messages that have arrived and that no executor has taken; none if rclpy does not provide them."""
     if not works("take_message"):
         return
     with subscription.handle:

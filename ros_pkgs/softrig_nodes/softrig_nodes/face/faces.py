@@ -1,4 +1,4 @@
-"""What people see of a node and do with it by usual ROS tools: diagnostics, figures, markers, texts, buttons."""
+"""The interface of a node for the usual ROS tools: diagnostics, figures, markers, texts, buttons."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Faces:
     def _measure(self, block: Any) -> None:
         """Measure the figures outside of the tick: for a long window this takes longer than many ticks.
 
-        What they are of is a value, which the ticks meanwhile do not change.
+        The measured data are a value, which ticks in the meantime do not change.
         """
         t, x = self._adapter.t, self._adapter.step.x
         if self._beside is None:

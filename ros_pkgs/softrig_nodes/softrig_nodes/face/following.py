@@ -71,7 +71,7 @@ class _Active:
 
 
 class Following(Reader):
-    """Takes trajectories for a reference, on ``~/joint_trajectory`` and by ``~/follow_joint_trajectory``.
+    """Accepts trajectories for a reference, on ``~/joint_trajectory`` and by ``~/follow_joint_trajectory``.
 
     Parameters
     ----------

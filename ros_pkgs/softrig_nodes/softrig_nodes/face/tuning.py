@@ -16,12 +16,12 @@ from ..ros.ros import ServingNode, plain
 
 
 class Tuning:
-    """Hands changed parameters to the step of a node, all of a call or none.
+    """Passes changed parameters to the step of a node, all of a call or none.
 
     Parameters
     ----------
     node : ServingNode
-        Whose parameters are declared.
+        The node that declares the parameters.
     """
 
     def __init__(self, node: ServingNode, adapter: Adapter) -> None:

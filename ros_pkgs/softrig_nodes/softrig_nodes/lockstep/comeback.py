@@ -130,14 +130,14 @@ class _Returning(Link):
 
 
 class Comeback:
-    """Has a node where it was.
+    """Brings a restarted node back to its state and tick.
 
     Parameters
     ----------
     drive : Lockstep
-        Of the node; its table of senders is whole.
+        Drive of the node; its table of senders is complete.
     look_up : callable
-        Gives the files as they are now.
+        Returns the current files.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class Comeback:
         return False
 
     def _has(self, row: Paired, want: int) -> bool:
-        """Return whether a sender had spoken at one of its ticks."""
+        """Return whether a sender had published at one of its ticks."""
         if want < self._files.answered.get(row.who, 0):
             return True
         times = self._paired[row].times if row in self._paired else []

@@ -38,7 +38,7 @@ SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin l
 
 
 class Lockstep(Link):
-    """What makes the ticks of a node ready: the messages of its peers in other processes.
+    """Makes the ticks of a node ready when the messages of its peers in other processes have arrived.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class Lockstep(Link):
         self.senders.await_tick(t)
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Publish an answer; note when a plant has spoken."""
+        """Publish an answer; note the time if the node is a plant."""
         node = self.node
         node.publish(t, rows, numbers)
         if node.is_plant:

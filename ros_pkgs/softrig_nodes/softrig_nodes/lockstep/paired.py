@@ -232,7 +232,7 @@ class Paired(Sender):
             self._arrived()
 
     def _complete(self) -> bool:
-        """Return whether the sender has spoken up to the awaited tick."""
+        """Return whether the sender has published up to the awaited tick."""
         return self.want <= self.used or self.want <= self.reached or (not self.silent and self.want in self.said)
 
     def _use(self) -> None:
@@ -252,7 +252,7 @@ class Paired(Sender):
             self.record(self.node.t, data)
 
     def _arrived(self) -> None:
-        """The tick under way lacks one less; go on when that was the last one."""
+        """Count one message less that the current tick needs; continue if it was the last one."""
         self.have = True
         self.table.missing -= 1
         if not self.table.missing:
@@ -472,12 +472,12 @@ class Behind(Pace):
 
 
 class Ticks(Pace):
-    """The acknowledgements of a node: of its ticks, and of the sporadic ports that have spoken at them.
+    """The acknowledgements of a node: its ticks, and the sporadic ports that published at them.
 
     Parameters
     ----------
     silent_rows : iterable of Paired
-        What we read of these ports.
+        Rows of these ports.
     then : callable
         Called after each.
     """

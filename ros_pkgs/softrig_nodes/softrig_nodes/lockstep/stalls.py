@@ -22,12 +22,12 @@ STANDS, SAY_AFTER = "stands", 1.5  # key of a report, and s without a tick after
 
 
 class Stalls:
-    """Looks, again and again, whether the run goes on.
+    """Checks periodically whether the run makes progress.
 
     Attributes
     ----------
     handshake : Handshake
-        Of the start.
+        Handshake of the start.
     rivals : Input or None
         An input with more than one publisher.
     """

@@ -25,9 +25,9 @@ class Turns:
     Attributes
     ----------
     ticks : iterator
-        Of the loop; a node that comes back goes through those that it had answered.
+        Ticks of the loop; a restarted node repeats those that it had answered.
     tell_native : callable or None
-        Brings `Step.native` of each up to date; None: native code answers none of their ticks.
+        Updates `Step.native` of each step; None: no ticks run natively.
     """
 
     ticks: Iterator[int | None]

@@ -62,9 +62,9 @@ def default_profile() -> Path:
 def environment(
     domain: int, directory: Path, *, discovery: str = "LOCALHOST", silence: float | None = None
 ) -> dict[str, str]:
-    """Return the environment of a node process: its domain, as far as `discovery` reaches, its logs in a directory.
+    """Return the environment of a node process: its domain, the range of its discovery, its logs in a directory.
 
-    With `silence`, others take it for dead only after more than so many s; the profile for that is written there.
+    With `silence`, others consider it dead only after more than so many s; the profile for that is written there.
     """
     variables = dict(os.environ)
     pin(variables)

@@ -1,9 +1,9 @@
-"""The fork server: a process that has done the imports of a node, and forks one for each that is asked for.
+"""The fork server: a process that has done the imports of a node, and forks a new process for each requested node.
 
-A node's imports take ten times the rest of its start. Each forked one is a process as any other: its pid, its name and
-command line in /proc, its environment, working directory and log, its own end. When it forks, the server has no thread
-that could hold a lock, and has not touched DDS; where that does not hold, the caller starts an executable by itself,
-which gives the same.
+A node's imports take ten times as long as the rest of its start. Each forked process has its own pid, its name and
+command line in /proc, its environment, working directory and log, and its own end, like any other. When it forks, the
+server has no thread that could hold a lock, and has not used DDS. If that is not the case, the caller starts the
+executable itself, with the same result.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ def _key(variables: Mapping[str, str]) -> frozenset[tuple[str, str]]:
 
 
 class _Edited:
-    """Whether a module that has been imported from outside Python's libraries was changed since."""
+    """Detects whether an imported module from outside Python's libraries has changed since."""
 
     def __init__(self) -> None:
         self._seen: dict[str, int] = {}

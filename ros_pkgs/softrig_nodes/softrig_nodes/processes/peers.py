@@ -1,4 +1,4 @@
-"""What a node must know of other nodes: publishers of its inputs, nodes that wait for it, and acknowledgements."""
+"""The data that a node needs about others: publishers of its inputs, nodes that wait for it, acknowledgements."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ from .supervision import SystemClock, idle, left_early, supervise
 
 @dataclass
 class Outcome:
-    """What a run through processes left behind.
+    """The outcome of a run in processes.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Outcome:
     epoch : int
         Wall-clock ns of t = 0 (realtime), 0 in lockstep.
     error : str
-        Why the run broke, naming the node; empty when it did not.
+        Why the run failed, with the name of the node; empty when it did not.
     stopped : int
         Number of the signal that ended it before its time; 0 when none did.
     """

@@ -1,4 +1,4 @@
-"""What Fast DDS leaves in shared memory when a process is killed: 20 files and 2.4 MB for each."""
+"""Handle files that Fast DDS leaves in shared memory when a process is killed: 20 files and 2.4 MB for each."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
 
 
 def clear_ports(domain: int, folder: Path = FOLDER) -> None:
-    """Ensure that a node which starts in a domain hangs at no port whose maker was killed while he made it.
+    """Remove ports whose creator was killed while it created them, so that no new node of a domain hangs at them.
 
-    A maker needs some microseconds; he has `AGE`, and on a host where he waits for a processor as long as it takes this
-    process to look `LOOKS` times.
+    A creator needs some microseconds. It is given `AGE`, and on a host where it waits for a processor, as long as this
+    process takes to look `LOOKS` times.
 
     Parameters
     ----------

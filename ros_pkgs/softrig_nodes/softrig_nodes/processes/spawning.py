@@ -70,7 +70,7 @@ def node_parameters(
 
 
 class Started(NamedTuple):
-    """With what all processes of a run are started; `recorders` and `returns` as `node_parameters` takes them."""
+    """Start options of all processes of a run; for `recorders` and `returns` see `node_parameters`."""
 
     rig: Rig
     seed: int
@@ -150,12 +150,12 @@ def container_arguments(
     directory: Path,
     shared: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Write the parameter files of nodes that share a process and give the command line of their container.
+    """Write the parameter files of nodes that share a process, and return the command line of their container.
 
     Parameters
     ----------
     given : mapping
-        Parameters by node, as `node_parameters` gives them.
+        Parameters by node, as returned by `node_parameters`.
     shared : mapping of str to str, optional
         Remaps of all of them.
     """
@@ -169,7 +169,7 @@ def container_arguments(
 
 
 def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) -> list[str]:
-    """Write a node's parameter file and give the arguments that name it, the node and its remaps."""
+    """Write a node's parameter file, and return the arguments that name it, the node and its remaps."""
     file = parameter_file(member, parameters, directory)
     arguments = ["--ros-args", "-r", f"__node:={member.name}", "--params-file", str(file)]
     for old, new in member.remap.items():
@@ -178,12 +178,12 @@ def _ros_arguments(member: Member, parameters: dict[str, Any], directory: Path) 
 
 
 def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Path) -> Path:
-    """Write the parameters of a node as `--params-file` takes them.
+    """Write the parameters of a node to a file for `--params-file`.
 
     Parameters
     ----------
     parameters : mapping
-        As `node_parameters` gives them.
+        Parameters, as returned by `node_parameters`.
     """
     file = directory / f"{member.name}.params.yaml"
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]

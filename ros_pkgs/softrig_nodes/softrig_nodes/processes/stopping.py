@@ -35,7 +35,7 @@ def signal_of(error: KeyboardInterrupt) -> int:
 
 
 class Stopping:
-    """Whether a signal has come."""
+    """Records whether a signal has arrived."""
 
     number = 0
 

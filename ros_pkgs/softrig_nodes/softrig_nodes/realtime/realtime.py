@@ -40,7 +40,7 @@ END_GRACE = SECOND  # ns after the end of the run after which a node ends that s
 
 
 class Realtime(Link):
-    """What makes the ticks of a node ready: the wall clock, and for a law the messages that are due.
+    """Makes the ticks of a node ready: by the wall clock, and for a controller also by the messages that are due.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ class Realtime(Link):
         self.tick(schedule.tick(due), due, now)
 
     def tick(self, number: int, due: int, now: int) -> None:
-        """Move a plant, or let another node speak, at its newest tick: its number and time (ns from t = 0), now."""
+        """Advance a plant, or run another node, at its newest tick: its number and time (ns from t = 0), now."""
         node, end = self.node, self.node.schedule.end
         # A process that was stopped over the end of the run still answers its last tick.
         if end is not None and due > end:

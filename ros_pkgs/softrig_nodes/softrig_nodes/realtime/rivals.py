@@ -1,4 +1,4 @@
-"""Of several writers on a topic: whether one alone speaks, the others being silent for too long."""
+"""Detect whether only one of several writers on a topic still publishes, because the others are silent."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class Sporadic(Live):
         self.table.take(self, stamp, stamp, None, now)
 
     def complete(self, stamp: int) -> bool:
-        """Return whether the sender has spoken or was silent at what is due at the tick of a stamp."""
+        """Return whether it is known for the tick of a stamp that the sender published or was silent."""
         if not self.awaited and not self.expected:
             return True
         assert self.schedule is not None
@@ -91,7 +91,7 @@ class Acknowledgements(Sender):
         return self.node.state != "running"
 
     def read(self, data: bytes) -> tuple[int, Collection[str]]:
-        """Return the stamp and the ports that have spoken."""
+        """Return the stamp and the ports that published."""
         stamp, spoken = self._reader(data)
         self._table.believe(stamp)
         return stamp, spoken

@@ -20,13 +20,13 @@ NEVER = 2**63 - 1
 
 
 class Stand:
-    """What holds the clock of a node.
+    """Pauses and resumes the clock of a node.
 
     Parameters
     ----------
     node : Adapter
     goes_by : callable
-        Gets the clock that the node goes by from now on: a function that gives ns.
+        Gets the clock that the node uses from now on: a function that returns ns.
     """
 
     def __init__(self, node: Adapter, goes_by: Callable[[Callable[[], int]], object]) -> None:

@@ -43,7 +43,7 @@ class ContainedMiddleware(RosMiddleware):
         super().subscribe(topic, msgtype, _Exchanged(self._exchange, reader))
 
     def be_prompt(self, place: Place) -> None:
-        """The exchange takes what has come: its loop does not sleep."""
+        """Do nothing: the loop of the exchange does not sleep, so messages are processed promptly."""
 
     def post(self, call: Callable[[], object]) -> None:
         """Call a function when whatever is under way has returned."""
@@ -55,7 +55,7 @@ class ContainedMiddleware(RosMiddleware):
 
 
 class _Exchanged(Reader):
-    """Hands messages to their reader by the exchange of its container, which knows all writers."""
+    """Passes messages to their reader by the exchange of its container, which knows all writers."""
 
     def __init__(self, exchange: Exchange, reader: Reader) -> None:
         self._exchange, self._reader, self.numbered = exchange, reader, reader.numbered

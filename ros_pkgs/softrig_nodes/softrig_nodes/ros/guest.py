@@ -137,7 +137,7 @@ class Guest:
         return self._node.create_publisher(message_class(port.msgtype), self._topic(port), QOS)
 
     def _meet(self, limit: float) -> None:
-        """Wait until the other node is there whole, spins, and goes by the clock."""
+        """Wait until the third-party node has all its endpoints, spins, and uses the clock."""
         wanted: dict[str, Callable[[], int]] = {
             f"a subscription of {self._topic(p)}": self._publishers[p.name].get_subscription_count for p in self._inputs
         }
@@ -169,7 +169,7 @@ class Guest:
         return f"{writers[0].node_namespace.rstrip('/')}/{writers[0].node_name}" if writers else "UNKNOWN"
 
     def _settle(self, t: int) -> None:
-        """Wait until its executor has come through what it has got; take what it has published by then."""
+        """Wait until its executor has processed all messages that it received; take what it has published by then."""
         self._asked("use_sim_time", t)
         while any(self._spun() for _ in self._outputs):
             pass

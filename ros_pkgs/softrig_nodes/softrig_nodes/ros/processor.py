@@ -28,18 +28,18 @@ class Processor:
     Parameters
     ----------
     domain : int
-        The same number for nodes that are to be on the same processor.
+        Domain number; nodes with the same number share a processor.
     beside : bool
-        Whether this one is to be on any other.
+        Whether this process must run on any other processor.
     done : callable
-        Gives how many messages were worked on.
+        Returns the number of processed messages.
     clock : callable
-        Gives the processor time of this process, ns.
+        Returns the processor time of this process, ns.
 
     Attributes
     ----------
     number : int or None
-        Of the processor; None: any, or any other.
+        Number of the processor; None: any, or any other.
     """
 
     def __init__(

@@ -6,8 +6,8 @@ them a second time. With the property `fastdds.ignore_local_endpoints` the endpo
 with other processes only.
 
 Where shared memory has no room for a node, the profile has no transport by shared memory. Fast DDS falls back to UDP
-only if it cannot make a segment. If the room ends between a segment and its ports, the node's peers write to ports that
-do not exist and wait for ever; if it ends at a semaphore, the node is killed by SIGBUS.
+only if it cannot create a segment. If the room ends between a segment and its ports, the node's peers write to ports
+that do not exist and wait forever; if it ends at a semaphore, the node is killed by SIGBUS.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Turns knobs and presses buttons of a running rig from outside: for `softrig set`, and for a page in a browser.
+"""Set parameters and call buttons of a running rig from outside: for `softrig set`, and for a page in a browser.
 
-The page's process speaks JSON lines:
+The page's process exchanges JSON lines:
 
 in     {"id": 7, "node": "law", "set": {"k": 3.0}}        parameters of one node, all or none
 {"id": 8, "node": "plant", "call": "kick"}         a std_srvs/Trigger below the node

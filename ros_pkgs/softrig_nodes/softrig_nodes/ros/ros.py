@@ -104,7 +104,7 @@ SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Le
 
 
 class Credit:
-    """Wall-clock time that services may still take: a share of what passes, at most some in a row."""
+    """Wall-clock time that services may still use: a share of the elapsed time, with an upper limit."""
 
     SHARE, MOST = 0.2, 2.0  # s; a timeout of a rig is longer
 
@@ -258,10 +258,10 @@ class ServingNode(Node):  # type: ignore[misc]
         return service
 
     def _send_overdue(self) -> None:
-        """Send what waits now and then, from now on.
+        """Send waiting answers from time to time, from now on.
 
-        One timer for good: each new one, as each reset, makes the executor look at all timers once more, which it does
-        for ever where one of them is always due (see `_RosTimer`).
+        There is one permanent timer. Each new timer, like each reset, makes the executor check all timers again. If one
+        of them is always due, it does so forever (see `_RosTimer`).
         """
         if self._overdue is None:
             clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -345,7 +345,7 @@ class ServingNode(Node):  # type: ignore[misc]
 
 
 def plain(parameter: Parameter) -> Any:
-    """Return a value as the block's parameters take it: arrays of any kind as lists."""
+    """Return a value in the form of the block's parameters: arrays of any kind as lists."""
     value = parameter.value
     return value if value is None or isinstance(value, bool | int | float | str) else list(value)
 
@@ -653,7 +653,7 @@ class RosMiddleware(Middleware):
             log(logger, severity, text)
 
     def drain(self) -> None:
-        """Wait until every reader has the last messages, but not for ever: one may be held."""
+        """Wait for a limited time until every reader has the last messages: a reader may be paused."""
         until = time.monotonic() + LAST
         for publisher in self.node.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(0.0, until - time.monotonic())))

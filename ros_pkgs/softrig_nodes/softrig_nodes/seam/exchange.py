@@ -28,10 +28,10 @@ class ExchangeTimer:
     Attributes
     ----------
     due : int or None
-        When it fires next, ns, monotonic; None when it is cancelled.
+        Time at which it fires next, ns, monotonic; None when it is cancelled.
     moved : bool
-        Whether it has been moved since the exchange has entered it; it is entered only once a turn, when all that
-        waited has been handed over: most limits are off again by then.
+        Whether it was moved since the exchange entered it. It is entered only once a turn, when all waiting messages
+        have been passed on, because most time limits are cancelled again by then.
     """
 
     def __init__(self, moved: list[ExchangeTimer], ns: int, callback: Callable[[], None]) -> None:

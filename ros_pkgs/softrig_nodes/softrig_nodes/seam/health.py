@@ -1,4 +1,4 @@
-"""How a node is: its status file and the figures in it."""
+"""The health of a node: its status file and the figures in it."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def figures(held: Held) -> dict[str, Any]:
 def _exchange(new: Path, path: Path) -> None:
     """Replace a file by another atomically: readers that have it open continue to read the old one.
 
-    Over a file that exists a plain rename takes 0.2 to 8 ms on ext4, which then begins to write to the disk; to
-    exchange the names of the two takes 70 us with all that belongs to it. Not every system and file system can.
+    On ext4 a plain rename over an existing file takes 0.2 to 8 ms, because ext4 then starts to write to the disk. An
+    exchange of the two names takes 70 us in total. Not every system and file system supports it.
     """
     if _renameat2 is None or _renameat2(AT_FDCWD, os.fsencode(new), AT_FDCWD, os.fsencode(path), RENAME_EXCHANGE):
         new.replace(path)  # the first time there is nothing to exchange it with

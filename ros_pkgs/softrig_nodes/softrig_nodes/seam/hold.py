@@ -58,7 +58,7 @@ class Hold:
         return self._turn is not None and self._paced
 
     def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:
-        """Serve a node that owns the clock; `turn` has its ticks go on, or stay."""
+        """Serve a node that owns the clock; `turn` resumes or stops its ticks."""
         self._turn, self._middleware = turn, middleware
         if self.held:
             self._tell()

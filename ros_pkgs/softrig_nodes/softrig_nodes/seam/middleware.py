@@ -63,16 +63,15 @@ class Timer(Protocol):
 
 
 class Middleware(Protocol):
-    """What one node needs of the world.
+    """The interface of one node to its environment.
 
-    No method calls back before it returns: a message that is sent reaches its reader, be it in the same process, only
-    after whatever is under way in the reader's node has returned. That is what keeps a tick from running inside
-    another one.
+    No method calls back before it returns. A message reaches its reader, even in the same process, only after the
+    current call in the reader's node has returned. So no tick runs inside another one.
 
     Attributes
     ----------
     mute : bool
-        Whether what is published goes nowhere while the number of readers that `matched` has got is 0.
+        Whether published messages are dropped while the number of readers passed to `matched` is 0.
     prompt : bool
         Whether messages are taken in the thread that receives them (see `be_prompt`).
     processor : int or None
@@ -89,7 +88,7 @@ class Middleware(Protocol):
         """Return the full name of a topic, remapping applied."""
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Callable[[bytes], None]:
-        """Offer a topic and give the function that publishes; `matched` gets the number of readers at each change."""
+        """Offer a topic and return its publish function; `matched` gets the number of readers at each change."""
 
     def subscribe(self, topic: str, msgtype: str, reader: Reader) -> None:
         """Subscribe to a topic."""

@@ -22,21 +22,21 @@ SHORT_ONES = 20  # in a row, after which messages are worked on where they come 
 class Monitor:
     """Guards the state of one node.
 
-    As a context manager it is for the executor's thread alone, and not to be entered twice.
+    Only the executor's thread may use it as a context manager, and must not enter it twice.
 
     Parameters
     ----------
     wake : callable
-        Has the executor's thread call `serve` soon; called from any thread.
+        Makes the executor's thread call `serve` soon; called from any thread.
     clock : callable
-        Gives ns.
+        Returns ns.
 
     Attributes
     ----------
     done : int
-        Pieces of work that messages were.
+        Number of processed messages.
     closed : bool
-        Whether nothing that has come is worked on any more: it is over, or something was raised.
+        Whether messages are no longer processed, because the node has ended or an exception was raised.
     """
 
     def __init__(self, wake: Callable[[], object], clock: Callable[[], int] = time.perf_counter_ns) -> None:
@@ -55,7 +55,7 @@ class Monitor:
         Parameters
         ----------
         work : callable
-            Takes a message and does what follows from it. What it raises comes out of `serve`.
+            Takes a message and processes it. An exception in it is raised by `serve`.
         """
         came, lock = self._came, self._lock
         came.append(work)

@@ -47,7 +47,7 @@ class TickWriter:
         self._layouts: dict[tuple[str, ...], Layout] = {}
 
     def __call__(self, t: int, sent: Iterable[str]) -> bytes:
-        """Return the bytes that acknowledge tick `t` and name the sporadic ports that have spoken."""
+        """Return the bytes that acknowledge tick `t` and name the sporadic ports that published."""
         key = tuple(sent)
         if key not in self._layouts:
             self._layouts[key] = Layout(TICK, " ".join(key))
