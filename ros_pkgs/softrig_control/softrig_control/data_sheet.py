@@ -20,16 +20,16 @@ def check(
     given : mapping of str to float
         Values of a data sheet.
     asked : mapping of str to (str, str)
-        All that may be given: what it is, and its unit.
+        All permitted values: description and unit.
     needed : iterable of str or tuple of str
-        Names without which nothing can be made; of a tuple one is enough.
+        Required names; one name of a tuple is enough.
     same : iterable of (str, str)
-        Names of which only one may be given.
+        Pairs of names of which only one is permitted.
 
     Raises
     ------
     ValueError
-        Names the value and says what is expected.
+        The message names the value and what is expected.
     """
     for name, value in given.items():
         if name not in asked:

@@ -50,8 +50,8 @@ class Swinging(NamedTuple):
 def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, float]:
     """Process one sample; return the mean swing (peak to peak), 0 while there is no lasting one.
 
-    A loop that settles, near its reference or not, has swings that fall; one in a limit cycle has not, nor has one that
-    diverges. Each new reference begins anew.
+    In a loop that settles, near its reference or not, the swings decrease; in a limit cycle or a diverging loop they do
+    not. The count starts again with each new reference.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def switching(s: float, delta: float = 0.0) -> float:
-    """Sign of s, or its continuous stand-in.
+    """Return the sign of s, or its continuous approximation.
 
     Parameters
     ----------

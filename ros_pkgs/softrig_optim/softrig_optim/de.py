@@ -16,14 +16,14 @@ class DifferentialEvolution(Population):
     .. math::
         v_i = x_a + F (x_b - x_c)
 
-    with x_a random or the best, b and c random, all different and none of them i; F uniform in [f_min, f_max] for
-    each mutant. Each variable is taken from v_i with probability CR and one of them always; the trial replaces x_i
-    if it is not worse, at once, so that the next mutant may already use it.
+    with x_a random or the best, b and c random, all different and none of them i; F uniform in [f_min, f_max] for each
+    mutant. Each variable is taken from v_i with probability CR and one of them always; the trial replaces x_i
+    immediately if it is not worse, so that the next mutant may already use it.
 
     Parameters
     ----------
     variant : {"rand1", "best1"}
-        [1] does not say which it used. Both draw three others, so n_pop is at least 4.
+        [1] does not state which variant it used. Both draw three other candidates, so n_pop is at least 4.
     f_min, f_max, cr : float
         0.2, 0.8, 0.3 in [1]; CR has no effect on a single variable.
     **options

@@ -1,4 +1,4 @@
-"""What measurements tell of a characteristic on which the current never rises with the voltage."""
+"""Bounds from measurements of a characteristic on which the current never rises with the voltage."""
 
 from __future__ import annotations
 

@@ -28,9 +28,9 @@ class Matching(Protocol):
 
 
 class LoadLineSearch(Search):
-    """What the searches along a source's characteristic share: the load estimate and the final corrections.
+    """Base of the searches along a source's characteristic: the load estimate and the final corrections.
 
-    The sample told with each value is (voltage in V, current in A, ...), the value their product in W.
+    The sample passed with each value is (voltage in V, current in A, ...); the value is their product in W.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class LoadLineSearch(Search):
 
     @property
     def result(self) -> Point:
-        """The command that the newest load estimate gives for the best point."""
+        """The command for the best point, computed with the newest load estimate."""
         return super().result if self._final is None else (self._final,)
 
     @property

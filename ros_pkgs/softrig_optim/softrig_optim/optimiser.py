@@ -1,4 +1,4 @@
-"""Search of command channels over topics: send a candidate, wait, read the measured objective, tell the algorithm."""
+"""Search of command channels over topics: publish a candidate, wait, measure the objective, update the algorithm."""
 
 from __future__ import annotations
 
@@ -167,36 +167,39 @@ P = TypeVar("P", bound=SearchParams, default=SearchParams)
 
 
 class CommandSearch(Block[P], ABC):
-    """What the optimiser nodes share; a subclass says what is searched and what the objective is.
+    """Base of the optimiser nodes; a subclass defines the search variables and the objective.
 
-    A candidate is applied, the command moving at most `slew` a second; `hold_time` after it has arrived its value is
-    told and the next one applied. When the search has ended its result is held, and a new search starts
+    The command moves to each candidate by at most `slew` per second. `hold_time` after it has arrived, the measured
+    value is passed to the algorithm and the next candidate is applied. After a search its result is held. A new search
+    starts
 
-    - when the value at the end of `settle_time` differs by more than `restart_threshold` from what the search found:
-      the plant changed meanwhile (later where it still moves by a tenth of that in a `hold_time`);
-    - at once, until then, when the measurements prove a change of the plant by more than that (`characteristic`), or by
-      more than the gap of a proof; so that they do, a search whose plant has a characteristic looks back at its end:
-      the command passes once through its range;
-    - when two samples in a row, `hold_time` apart, differ so much from the value at the end of `settle_time`;
-    - at once when a look back meets a value larger than the search's by more than `restart_threshold`: the plant
-      changed, or the search missed it. After a search that a change began it looks back again, whenever as much time
-      has passed as from that search's start to the last look, at least `LOOK_AFTER` `hold_time`: what changed once may
-      do so again, and elsewhere, where the value held does not show it;
+    - if the value at the end of `settle_time` differs by more than `restart_threshold` from the result of the search:
+      the plant has changed in the meantime (checked later if the value still moves by a tenth of that per `hold_time`);
+    - immediately, before that time, if the measurements prove a change of the plant by more than
+      `restart_threshold` (`characteristic`) or by more than the gap of a proof. To make such measurements possible, a
+      search whose plant has a characteristic looks back at its end: the command sweeps once through its range;
+    - if two successive samples, `hold_time` apart, differ by that much from the value at the end of `settle_time`;
+    - immediately if a look back measures a value that exceeds the search's by more than `restart_threshold`: the
+      plant has changed, or the search missed that value. After a search that a change has started, the node looks back
+      repeatedly. The time to the next look is that from the search's start to the last look, at least `LOOK_AFTER`
+      times `hold_time`. A plant that changed once may change again, at commands where the held value does not show it;
     - `rescan_period` after the start of the last search.
 
-    What was found and lost so for the second time in a row, or broken off so for the fourth, is held nevertheless,
-    twice as long as it took; twice that the next time, and so on: where nothing is ever confirmed searches become rare.
+    A result that is lost in this way for the second time in a row is held nevertheless, for twice the duration of its
+    search. The same applies to a search that is broken off for the fourth time in a row. The time doubles with each
+    repetition, so searches become rare if no result is ever confirmed.
 
-    A search that meets no signal (`no_signal`) for `hold_time` stops, goes to the lower bounds, and starts anew when
-    the signal is back; a shorter gap has the candidate measured again. That needs no `restart_threshold`.
+    A search that has no signal (`no_signal`) for `hold_time` stops, applies the lower bounds, and starts again when the
+    signal returns. After a shorter gap the candidate is measured again. This does not require `restart_threshold`.
 
-    Until the first start without `autostart` the command is the lower bounds. A candidate with a bad measurement
-    among its samples is measured again. Bounds and algorithm are those of the search under way: fixed at the start.
+    Without `autostart`, the command is the lower bounds until the first start. A candidate with a bad measurement among
+    its samples is measured again. Bounds and algorithm are fixed when a search starts.
 
     The state output has the phase (0 stopped, 1 search, 2 hold), the iteration and evaluations of the newest search,
-    the number of new searches after the first, the best value and command so far, and the proven bound. That is of the
-    plant as it was while the search measured. It is 0 without a proof, and from when measurements prove that the plant
-    changed during the search, or the value held differs from what was found, by more than the gap that was proven.
+    the number of new searches after the first, the best value and command so far, and the proven bound. The bound
+    applies to the plant as it was during the search. It is 0 without a proof. It also becomes 0 when measurements prove
+    that the plant changed during the search by more than the proven gap, or when the held value differs from the result
+    by more than this gap.
     """
 
     @abstractmethod
@@ -392,7 +395,7 @@ class CommandSearch(Block[P], ABC):
         )
 
     def _breaks_off(self, x: State, t: int, sample: Point) -> tuple[State, bool]:
-        """See in a measurement that the plant changed since the search began; tell whether another one has begun."""
+        """Detect from a measurement that the plant changed since the search began; return also whether one started."""
         if x.curve is None:
             return x, False
         change, curve = x.curve.take(sample)

@@ -19,7 +19,7 @@ Moves = Generator[Sequence[Point], list[float], None]
 
 
 class Evaluation(NamedTuple):
-    """A candidate and the value that was told for it."""
+    """A candidate and its value."""
 
     x: Point
     value: float
@@ -41,7 +41,7 @@ class PopulationOptions(Options, total=False):
 
 
 class Search(ABC):
-    """A search over a box that asks for candidates and is told their values.
+    """A search over a box: `ask` returns a candidate, `tell` stores its value.
 
     Parameters
     ----------
@@ -60,17 +60,17 @@ class Search(ABC):
     ----------
     lower, upper : ndarray, shape (n,)
     history : list of Evaluation
-        Everything told so far, in order.
+        All evaluations so far, in order.
     best : Evaluation or None
         The best so far, the earliest of equals.
     iteration : int
         Iteration (generation) the pending candidates belong to; 0 is the initial one.
     settle : bool
-        Whether the pending candidate is to be measured in steady state; a sweep is measured on the fly.
+        Whether the pending candidate is to be measured in steady state; a sweep is measured in motion.
     watches : bool
-        Whether it uses what is measured on the way to the pending candidate, see `watch`.
+        Whether it uses measurements on the way to the pending candidate, see `watch`.
     remembers : bool
-        Whether what was told long ago still decides, so that it must be of the same objective.
+        Whether old values still affect the search, so that all values must be of the same objective.
 
     Raises
     ------
@@ -127,7 +127,7 @@ class Search(ABC):
 
     @property
     def pending(self) -> Sequence[Point]:
-        """Return all candidates that can be evaluated now, also in parallel; tell their values in this order."""
+        """Return all candidates that can be evaluated now, even in parallel; `tell` expects values in this order."""
         return () if self._done else self._generation[len(self._costs) :]
 
     @property
@@ -137,17 +137,17 @@ class Search(ABC):
 
     @property
     def evaluations(self) -> int:
-        """Number of values told."""
+        """Number of values received."""
         return len(self.history)
 
     @property
     def result(self) -> Point:
-        """Return what to apply when the search has ended: the best candidate.
+        """Return the candidate to apply after the search: the best one.
 
         Raises
         ------
         ValueError
-            Nothing was told yet.
+            No value was received yet.
         """
         if self.best is None:
             raise ValueError("no value was reported yet")
@@ -174,7 +174,7 @@ class Search(ABC):
         """See a measurement on the way to the pending candidate; only searches that can use a transient do."""
 
     def ask(self) -> Point:
-        """Return the next candidate, the same one until its value is told.
+        """Return the next candidate; the same one until its value is passed to `tell`.
 
         Raises
         ------
@@ -279,17 +279,17 @@ def points(x: Array) -> list[Point]:
 
 
 class Told:
-    """A search as a value, for the state of a block: how it was made, and what it has been told since.
+    """A search as an immutable value, for the state of a block: how it was created, and the values it received since.
 
-    The live search belongs to the newest value of its line. Asked of an older one, as after a rig has gone back,
-    another search is made and told again what that one knows.
+    The live search belongs to the newest value of its line. If an older value is used, as after a rig has gone back in
+    time, a new search is created and receives the older value's calls again.
 
     Parameters
     ----------
     make : callable
-        Gives the search; gets its random numbers.
+        Creates the search from its random generator.
     rng : numpy.random.Generator
-        As they begin; it is not drawn from.
+        The generator in its initial state; no numbers are drawn from it.
     said : sequence of (str, tuple)
         The calls of `Search.tell` and `Search.watch` so far.
     """
@@ -307,7 +307,7 @@ class Told:
 
     @property
     def now(self) -> Search:
-        """The search as it stands, to be read only."""
+        """The search in its present state, which the caller must not modify."""
         line = self._line
         # The shared live search has received more than this value knows, so this value builds its own.
         if len(line.said) != self._n:
@@ -341,15 +341,15 @@ class Told:
 
     @property
     def expected(self) -> float:
-        """See `Search`; NaN before anything was told."""
+        """See `Search`; NaN before the first value."""
         return math.nan if self.now.best is None else float(self.now.expected)
 
     def tell(self, value: float, sample: Sequence[float] = ()) -> Told:
-        """Return it as after `Search.tell`."""
+        """Return the value after a call of `Search.tell`."""
         return self._after("tell", (value, sample))
 
     def watch(self, sample: Sequence[float]) -> Told:
-        """Return it as after `Search.watch`."""
+        """Return the value after a call of `Search.watch`."""
         return self._after("watch", (sample,))
 
     def _after(self, method: str, values: tuple[Any, ...]) -> Told:
@@ -376,7 +376,7 @@ class Told:
 
 
 class ToldNow(NamedTuple):
-    """What native code may know of a search that was `Told` something; who tells it more does so in Python."""
+    """The view of a `Told` search that native code may read; new values are passed to the search in Python only."""
 
     number: int
     low: Point
@@ -396,7 +396,7 @@ _handed: WeakValueDictionary[int, Told] = WeakValueDictionary()
 
 
 class _Line:
-    """What the values of one search share: the live one, which knows all that was said."""
+    """State shared by the values of one search: all calls so far, and the live search that has received them."""
 
     def __init__(self, make: Any, rng: np.random.Generator, said: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
         # The generator is copied because a search draws from it, and a later line must begin from the same numbers.

@@ -41,16 +41,16 @@ LARGEST = 1000  # cases of a chunk
 
 
 class Workers:
-    """Processes of this machine, or a Dask cluster, that evaluate functions; they stay from batch to batch.
+    """Processes of this machine, or a Dask cluster, that evaluate functions and are reused from batch to batch.
 
-    What one has imported or compiled serves all that follow; when the block that they are used in ends with an
-    exception, so do they, whatever they work on. Where this process has a single thread they are forked from it when
-    the block begins, and share all that it has imported; else they are started anew with the first case.
+    A process keeps what it has imported or compiled for all later cases. If the ``with`` block ends with an exception,
+    the processes are terminated even while they work. If this process has a single thread, they are forked from it when
+    the block begins and share all its imports. Otherwise they are started fresh with the first case.
 
     Parameters
     ----------
     count : int, optional
-        Processes on this machine; all cores when absent, 1 stays in this process.
+        Number of processes on this machine; default: all cores. With 1, functions are evaluated in this process.
     scheduler : str
         Address of a Dask scheduler (``tcp://host:8786``); its workers need this package installed.
     """
@@ -86,18 +86,18 @@ class Workers:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     def stream(self, function: Callable[[C], R], cases: Iterable[C]) -> Iterator[tuple[int, R]]:
-        """Evaluate a function for every case and give each result with its case's number as soon as it is there.
+        """Evaluate a function for every case; yield each result with its case's number as soon as it is available.
 
-        Only a few chunks a worker are taken from `cases` ahead of time: as many cases together as take a quarter of a
-        second (on a cluster 5 s). A worker that is killed costs time, not results: the processes are made anew and what
-        was under way is done again, case by case.
+        Only a few chunks per worker are taken from `cases` in advance. A chunk has as many cases as take a quarter of a
+        second (on a cluster 5 s). If a worker is killed, no result is lost: the processes are created again, and the
+        unfinished cases are repeated one by one.
 
         Parameters
         ----------
         function : callable
             Importable by name, like everything in the cases and results; must depend on its case only.
         cases : iterable
-            May be as long as one likes.
+            May be of any length.
 
         Raises
         ------
@@ -295,7 +295,7 @@ def _own_imports() -> Iterator[None]:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent has gone, whatever killed it: nobody would ever give it another case."""
+    """End this worker when its parent process has ended for any reason, because it would never receive another case."""
     # Ctrl-C reaches the whole process group; the parent handles it and ends its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # A fork inherits the handler of its parent, which would not end this process.
@@ -346,7 +346,7 @@ def _check_peers(client: Any, scheduler: str) -> None:
     Raises
     ------
     ScenarioError
-        One cannot, or has others; says how they are started.
+        One cannot import it, or has other versions; the message explains how to start them.
     """
     how = "start it by `scripts/softrig python -m distributed.cli.dask_{kind}` of the same checkout and packages"
     try:

@@ -111,9 +111,10 @@ class State(NamedTuple):
 class DrivenRobot(Plant[P]):
     """Rigid robot, gears and armature circuits, fourth-order Runge-Kutta with the inputs held.
 
-    A subclass says which robot, from where and with which loads.
+    A subclass defines the robot, its initial state and its loads.
 
-    Payload, disturbances and limits may change while it runs: the state goes on. What it is built of may not.
+    Payload, disturbances and limits may change while it runs, and the state continues. Construction parameters may not
+    change.
     """
 
     STALE_PERIODS: ClassVar[int] = 20  # at 1 kHz a late wake-up of the controller's host is not yet a lost controller
@@ -345,10 +346,10 @@ def _equations(
 
 
 def _end_stops(robot: Any, x: ca.SX, plant: ca.SX, limits: Sequence[Joint]) -> ca.SX:
-    """State after impacts on the end stops, joint after joint, and again for those that an impact moves into one.
+    """Return the state after impacts on the end stops, joint by joint, repeated if an impact moves a joint into a stop.
 
-    Impacts are inelastic: an impulse along joint i, to which the robot yields as its mass matrix says, takes that
-    joint's speed; positions go back to the stop the same way, so that mimic joints stay together.
+    Impacts are inelastic: an impulse along joint i stops this joint, and the mass matrix determines the response of the
+    robot. Positions are returned to the stop in the same way, so that mimic joints stay consistent.
     """
     import casadi as ca
 

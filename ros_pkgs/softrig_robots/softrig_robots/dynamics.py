@@ -100,7 +100,7 @@ class RobotDynamics(Block[RobotDynamicsParams]):
         self._tool = frame_id(self._model, p.tool)
 
     def first(self) -> State:
-        """Report what the URDF has that has no effect, and stand at zero."""
+        """Return the zero state, and report parts of the URDF that have no effect."""
         for note in self._notes:
             self.report(Level.WARN, note, note)
         return State((0.0,) * self._model.nq)

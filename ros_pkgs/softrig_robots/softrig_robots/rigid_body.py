@@ -65,7 +65,7 @@ def check_robot(
     Raises
     ------
     ValueError
-        Says what is wrong with the URDF, or what it has instead.
+        The message describes the defect of the URDF, or what it has instead.
     """
     text = read_urdf(urdf)
     robot = read_robot(text, urdf)

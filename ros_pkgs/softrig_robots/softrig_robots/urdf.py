@@ -182,7 +182,8 @@ def read_urdf(source: str) -> str:
     Raises
     ------
     ValueError
-        There is no such file or package; says where it was looked for. Bytes that are not of the file's encoding.
+        There is no such file or package (the message lists the places searched), or bytes do not match the file's
+        encoding.
     """
     data = resource(source, "URDF file").read_bytes()
     declared = _ENCODING.match(data)

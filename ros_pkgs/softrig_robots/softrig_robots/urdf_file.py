@@ -149,8 +149,8 @@ def read_robot(urdf: str, where: str = "the URDF") -> Robot:
     Raises
     ------
     ValueError
-        Not XML, a tag or attribute that is unknown or refused, one that stands twice, something that is no number, a
-        link that cannot exist, or joints that do not make a tree.
+        The text is not XML; a tag or attribute is unknown, refused or occurs twice; a value is not a number; a link is
+        physically impossible; or the joints do not form a tree.
     """
     try:
         root = ElementTree.fromstring(urdf)
@@ -184,12 +184,12 @@ def _name(tag: str) -> str:
 
 
 def _names(root: ElementTree.Element) -> Iterator[str]:
-    """Yield the names that a file has, as the table writes them.
+    """Yield the names in a file, as the table writes them.
 
     Raises
     ------
     ValueError
-        An element that may stand once stands twice.
+        An element that may occur once occurs twice.
     """
     yield from (f"robot@{_name(key)}" for key in root.attrib)
     stack = [(element, _name(element.tag)) for element in root]

@@ -1,4 +1,4 @@
-"""All that a library was told since its begin: the state of one that hides its own."""
+"""All calls of a library since its start: the state of a library that hides its own state."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class CParams(BlockParams):
 
     @cached_property
     def described(self) -> Described | None:
-        """Return what its NODE.json says."""
+        """Return the contents of its NODE.json."""
         return described(resource(self.description, "description")) if self.description else None
 
     @cached_property
@@ -151,13 +151,13 @@ def _whole(flag: str) -> str:
 
 
 class Secret(NamedTuple):
-    """The state of a library that hides its own: all that it was told."""
+    """The state of a library that hides its own state: all its calls."""
 
     told: History
 
 
 class Process:
-    """The process of a library that hides state, and what it was told."""
+    """The process of a library that hides state, and the calls that it has received."""
 
     def __init__(self) -> None:
         self.apart: Apart | None = None
@@ -270,7 +270,7 @@ class _C(Block[CParams]):
         return Apart(self._built, self.p.methods, self._params, self.p.timeout)
 
     def _told(self, x: Any, method: str, t: int, values: Row) -> tuple[Any, Row]:
-        """Call the library in its process: one that hides state is brought to x first, by being told all again."""
+        """Call the library in its process; if it hides state, its calls are first repeated until its state is x."""
         process = self._process
         if process.apart is None or (self._hidden and not x.told.is_same(process.told)):
             process.apart, process.told = self._begun(), None

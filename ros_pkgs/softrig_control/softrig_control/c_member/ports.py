@@ -33,7 +33,7 @@ class Side(NamedTuple):
 
 
 class Described(NamedTuple):
-    """What a NODE.json says."""
+    """The contents of a NODE.json."""
 
     node: str
     period: float

@@ -157,7 +157,7 @@ def main() -> None:
 
 
 def _confine(folder: str) -> None:
-    """Keep the FMU from the network and from files, or say why not."""
+    """Block the FMU's access to network and files, or report why that is not possible."""
     if why := forbidden():
         tell("fmu", f"{folder} runs with all rights of this user: the system allows no namespaces ({why})")
         return

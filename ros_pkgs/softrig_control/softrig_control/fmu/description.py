@@ -1,4 +1,4 @@
-"""What an FMU says of itself in its modelDescription.xml, read by FMPy, with its units in ours."""
+"""Reader of an FMU's modelDescription.xml by FMPy, with units converted to those of the suite."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ KINDS3 = {name: name for name in ("Float64", "Float32", "Int8", "UInt8", "Int16"
 
 
 class Unfit(ValueError):
-    """An FMU that is none for us; the text says why."""
+    """The FMU is not supported; the text gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def unpacked(path: Path) -> Path:
 
 
 def _check_content(archive: zipfile.ZipFile) -> None:
-    """Refuse what would fill a disk or a stack; an entry that is longer than it says is cut there by zipfile."""
+    """Refuse contents that would fill a disk or a stack; zipfile truncates an entry longer than its stated size."""
     size = sum(entry.file_size for entry in archive.infolist())
     if size > LARGEST:
         raise ValueError(f"{size / 1e6:.0f} MB of content, expected at most {LARGEST / 1e6:.0f} MB")
@@ -309,7 +309,7 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
 
 
 def _declared(variable: Any, name: str, own: Mapping[str, Mapping[str, str]]) -> Any:
-    """Return an attribute of a variable as it stands, or of its declared type where it has none of its own."""
+    """Return an attribute of a variable unchanged, or that of its declared type if the variable has none."""
     found = own.get(variable.name, {}).get(name) or getattr(variable, name, None)
     return getattr(variable.declaredType, name, None) if found in (None, "") else found
 

@@ -41,7 +41,7 @@ class Plan(NamedTuple):
 
 
 class Refusal(RuntimeError):
-    """The FMU refused a call or asked to end; the text says which, and what the FMU said last."""
+    """The FMU refused a call or requested to end; the text names the call and has the FMU's last log message."""
 
 
 class Instance:
@@ -177,7 +177,7 @@ class Instance:
             raise Refusal(f"fmi3DoStep: {'asks to end the simulation' if ends else 'returned early'} at {last:.9g} s")
 
     def _ended(self) -> float | None:
-        """When an FMU of FMI 2.0 has ended its simulation, s; None where it has not, or does not say."""
+        """Time at which an FMU of FMI 2.0 has ended its simulation, s; None if it has not or does not report it."""
         try:
             return float(self._fmu.getRealStatus(LAST_TIME)) if self._fmu.getBooleanStatus(TERMINATED) else None
         except Exception:  # it need not know either question

@@ -17,7 +17,7 @@ _ENTRY = re.compile(
 
 
 class Place(NamedTuple):
-    """A variable and where its value stands: scale and offset make the port's value of the FMU's."""
+    """A variable and the position of its value in a port; scale and offset convert the FMU's value to the port's."""
 
     variable: Variable
     port: int

@@ -63,7 +63,7 @@ class FmuParams(BlockParams):
 
     @cached_property
     def unit(self) -> Description:
-        """Return what the FMU says of itself."""
+        """Return the FMU's model description."""
         return describe(self.fmu)
 
     @cached_property
@@ -99,7 +99,7 @@ def _values(
 
 
 class Told:
-    """A call of an FMU, and those before it: a chain that nobody changes."""
+    """A call of an FMU, linked to the calls before it: an immutable chain."""
 
     __slots__ = ("arguments", "before", "name")
 
@@ -253,12 +253,12 @@ class _Fmu(Block[FmuParams]):
         return f"{self.name or type(self).__name__}: the FMU {self.p.unit.path.name}"
 
     def save(self, x: State) -> tuple[State, bytes | None]:
-        """Return also what the FMU writes of its state; one that cannot is told again all that it was told.
+        """Return also the FMU's serialised state; an FMU without serialisation is restored by repeating all its calls.
 
         Raises
         ------
         RunError
-            It cannot, and runs in real time, where what it was told is not kept.
+            The FMU cannot serialise its state and runs in real time, where its calls are not stored.
         """
         if self.p.unit.serialises:
             return x, self._asked(x.k, self._running.call, "keep")
@@ -294,10 +294,10 @@ class FmuPlant(_Fmu, Plant[FmuParams]):
 
 
 class FmuLaw(_Fmu):
-    """An FMU as a law: it gets the inputs of t_k, makes the step from t_k on, and then says the answer of t_k.
+    """An FMU as a controller: it reads the inputs of t_k, makes the step from t_k on, and returns the output for t_k.
 
-    This is how a sampled law in an FMU works: its step is one sample. One with continuous states answers with what it
-    has at the end of the period.
+    A sampled controller in an FMU works in this way: its step is one sample. An FMU with continuous states returns its
+    outputs at the end of the period.
     """
 
     def update(self, x: State, t: int, **inputs: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:

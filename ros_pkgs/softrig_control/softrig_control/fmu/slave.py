@@ -36,7 +36,7 @@ def variable(topic: str, label: str) -> str:
 
 
 def unit_definitions(units: Iterable[str]) -> list[Element]:
-    """Return the element that says what units are; none where there are no units."""
+    """Return the element that defines the units, in a list that is empty if there are no units."""
     found = Element("UnitDefinitions")
     for unit in sorted(units):
         factor, parts = base(unit)
@@ -61,12 +61,12 @@ class _Shown(Link):
 
 
 class Node(Base):  # type: ignore[misc,unused-ignore]
-    """What ``node.json`` in the FMU's resources says: block, parameters, topics, seed.
+    """The contents of ``node.json`` in the FMU's resources: block, parameters, topics, seed.
 
     A step of the FMU is one period of the block, or a whole number of them with the inputs held. A plant's outputs are
-    those of the end of the step, a law's the answer of its (last) tick, at first the ports' safe values, or where it
-    has no inputs its first answer. Ticks are at times of the tool's clock, which may start later than at 0.
-    Inputs begin with what the scenario says first.
+    those at the end of the step. The outputs of a controller are those of its (last) tick. Before the first tick they
+    are the ports' safe values or, if it has no inputs, its first outputs. Ticks are at times of the tool's clock, which
+    may start later than at 0. Inputs begin with their first values in the scenario.
     """
 
     def __init__(self, **keywords: Any) -> None:
@@ -250,7 +250,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
 
 
 def content(member: Any, seed: int, start: dict[str, list[float]]) -> dict[str, Any]:
-    """Return what ``node.json`` says of a member of a rig, and of what its inputs begin with."""
+    """Return the contents of ``node.json`` for a node of a rig, with the initial values of its inputs."""
     return {
         "node": member.name,
         "package": member.package,

@@ -132,12 +132,12 @@ _PLACES = {
 
 
 def names(description: bytes) -> Iterator[str]:
-    """Yield the names that a description has, as the table writes them; without those that say nothing.
+    """Yield the names in a description, as the table writes them; names without information are left out.
 
     Raises
     ------
     xml.etree.ElementTree.ParseError
-        It is no XML.
+        The description is not XML.
     """
     root = ElementTree.fromstring(description)
     yield from (f"@{key}" for key in root.attrib if not key.startswith("{"))
@@ -156,7 +156,7 @@ def names(description: bytes) -> Iterator[str]:
 
 
 def attributes(description: bytes) -> dict[str, dict[str, str]]:
-    """Return the attributes of each variable's own type, by its name, as they stand.
+    """Return the unchanged attributes of each variable's own type, by the variable's name.
 
     FMPy 0.3 does not read `relativeQuantity` of a variable, nor the bounds of unsigned ones.
     """

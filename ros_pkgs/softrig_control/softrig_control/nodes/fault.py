@@ -159,20 +159,21 @@ class State(NamedTuple):
 class Fault(Block[FaultParams]):
     """Forwards messages, changed while the fault is active, or drops those that the fault loses.
 
-    Its output is sporadic: who reads it keeps the value it has, and `Block.age` tells how old that is, at a message
-    that is lost, late or silenced. What it says carries the stamp of the tick at which it says it. A reader that is
-    somebody else's node cannot be told of silence in lockstep: with `holds` it gets the last value again.
+    Its output is sporadic: when a message is lost, late or silenced, a reader keeps its last value, and `Block.age` is
+    the age of this value. A message carries the stamp of the tick at which it is published. In lockstep, silence cannot
+    be signalled to an external node; with `holds` such a reader receives the last value again.
 
     Notes
     -----
     ``drift`` grows from the moment the fault begins, ``stuck`` holds the value of that moment. The random numbers
-    depend on the rig's seed and the node's name; they are drawn for every message, so that neither `start` nor
-    `toggle` shifts them. A button (std_msgs/Bool) that becomes more than one half is pressed. Behind a link whose
-    stamps are times of acquisition a message is what has a new one, and keeps it.
+    depend on the rig's seed and the node's name; they are drawn for every message, so that neither `start` nor `toggle`
+    shifts them. A button (std_msgs/Bool) counts as pressed when its value rises above one half. After a link whose
+    stamps are acquisition times, only a sample with a new acquisition time counts as a message, and it keeps that time.
 
-    What may change while it runs (when, how much, how often, `active`) acts on the messages from then on: what is under
-    way arrives when it was to, and what has begun keeps its beginning. A changed `active` switches as `toggle` does,
-    and the button moves `active`: who sets it to false after somebody has pressed finds the fault off.
+    Live parameters (times, amounts, rates, `active`) act on all later messages. Messages under way still arrive at
+    their scheduled times, and an active fault keeps its start time. Changing `active` switches the fault in the same
+    way as `toggle`, and the button also changes `active`. So setting `active` to false after the button was pressed
+    leaves the fault off.
 
     A lost message is drawn independently, or in bursts after Gilbert and Elliott [1]_ where
     `burst_begins` > 0.
@@ -215,7 +216,7 @@ class Fault(Block[FaultParams]):
         self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
 
     def first(self) -> State:
-        """Switched as the parameters say, nothing under way."""
+        """Return the state with the switch set by the parameters and no message under way."""
         initial = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
         message = Sample(0, initial) if self.p.delayed else initial
         return State(self.p.active, stuck=initial, before=message, line=Line(len(initial)), said=message)

@@ -54,12 +54,13 @@ def linear(weights: Sequence[float], observations: int, actions: int) -> Act:
 
 
 def find(name: str) -> Callable[[Sequence[float], int, int], Act]:
-    """Find what makes a policy: `linear`, or the entry point of an installed package in the group `GROUP`.
+    """Find the factory of a policy: `linear`, or the entry point of an installed package in the group `GROUP`.
 
     Raises
     ------
     ParameterError
-        There is none; says which there are. Nothing that is not registered is imported: a scenario may be anybody's.
+        There is none; the message lists those that exist. Only registered code is imported, because a scenario may be
+        untrusted.
     """
     if name == "linear":
         return linear
@@ -96,7 +97,7 @@ def copied(act: Act) -> Act:
 
 
 class PolicyParams(BlockParams):
-    """The policy, its numbers, and the ports of the law in whose place it stands."""
+    """The policy, its numbers, and the ports of the controller that it replaces."""
 
     policy: str = param("linear", "`linear`, or the name of an entry point in the group softrig_policies")
     weights: tuple[float, ...] = param((0.0, 0.0), "what the policy has learned")
@@ -160,14 +161,14 @@ class State(NamedTuple):
 
 
 class Policy(Block[PolicyParams]):
-    """Answers each tick with what its policy says of the newest observation, within the bounds of the actions.
+    """Publishes at each tick the action of its policy for the newest observation, limited to the action bounds.
 
-    A value that has not come yet is observed as its port's safe one.
+    A value that has not arrived yet is observed as the safe value of its port.
     """
 
     @classmethod
     def ports(cls, params: PolicyParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Return those of the law that it stands for."""
+        """Return the ports of the controller that it replaces."""
         return params.come, params.go
 
     def setup(self) -> None:

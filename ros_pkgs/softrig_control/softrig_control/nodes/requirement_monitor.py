@@ -17,7 +17,7 @@ ENDLESS = 1e12  # stands for a margin of which nothing is known yet
 
 
 class RequirementMonitorParams(BlockParams):
-    """The formula, what its names stand for, and the topics that they are on."""
+    """The formula, the meaning of its names, and the topics of its signals."""
 
     formula: str = param("always x <= 1", "in signal temporal logic, over the names below", min_length=1)
     ports: str = param(

@@ -103,7 +103,7 @@ P = TypeVar("P", bound=GpcLawParams, default=GpcControllerParams)
 
 
 class State(NamedTuple):
-    """The law's past and what stands by it; values in the units of the signals."""
+    """The controller's past and the status beside it; values in the units of the signals."""
 
     law: GpcState
     w: float
@@ -123,18 +123,19 @@ class State(NamedTuple):
 
 
 class GpcController(Block[P]):
-    """Generalised predictive control; `Gpc` has the law, `qp` the programme with bounds.
+    """Generalised predictive control; `Gpc` has the control law, `qp` the quadratic programme with bounds.
 
-    The law starts from the first sample as if it had been there for ever, with `u_start` applied. ``NAME/health``
-    tells the state (0 following, 1 on a bound, 2 holding the last command, 3 tripped), how many bounds are active over
-    all moves, and how often the solver has failed.
+    The controller starts from the first sample as if the plant had rested there forever with `u_start` applied.
+    ``NAME/health`` has the state (0 following, 1 on a bound, 2 holding the last command, 3 tripped), the number of
+    active bounds over all moves, and the number of solver failures.
 
-    A programme without a solution holds the last command. Bad input, too; the third bad sample in a row, or a measured
-    value outside `trip_low`, `trip_high`, trips: `u_safe` from then on, for good. A loop that swings without end, as
-    under gains of another plant, is told as a warning.
+    If the programme has no solution or an input is bad, the last command is held. The third bad sample in a row, or a
+    measured value outside `trip_low`, `trip_high`, trips the controller: it publishes `u_safe` permanently. A loop that
+    oscillates without end, as with the gains of another plant, is reported as a warning.
 
-    Other weights and bounds change the next move and not the command that it starts from, so nothing jumps; another
-    `set_point` counts until a reference arrives. A trip stays one, with the `u_safe` that it tripped to.
+    Changed weights and bounds affect the next move but not the command that it starts from, so the command does not
+    jump. A changed `set_point` applies until a reference arrives. A trip is permanent, with the `u_safe` that applied
+    when it tripped.
     """
 
     @classmethod
@@ -198,7 +199,7 @@ class GpcController(Block[P]):
         return State(law, w, y, 0, failures, False, cycle), answer(law, state, active, failures)
 
     def _constrained(self, solver: MoveSolver, law: GpcState, w: float) -> tuple[GpcState, float, int]:
-        """Return the law after its move, what ``health`` says, and how many bounds are active."""
+        """Return the control law after its move, the state for ``health``, and the number of active bounds."""
         p = self.p
         moves, status = solver.solve(self.law.gradient(law, w), p.u_min - law.u, p.u_max - law.u)
         if moves is None or not all(map(math.isfinite, moves)):
@@ -240,5 +241,5 @@ class GpcController(Block[P]):
 
 
 def answer(law: GpcState, state: float, active: int, failures: int) -> Mapping[str, tuple[float, ...]]:
-    """Return what the node says."""
+    """Return the outputs of the node."""
     return {"command": (law.u,), "health": (state, float(active), float(failures))}

@@ -57,15 +57,15 @@ class GpcState(NamedTuple):
 
 
 class Gpc:
-    """Generalised predictive control of a CARIMA model; what it remembers is a `GpcState`.
+    """Generalised predictive control of a CARIMA model; its state is a `GpcState`.
 
     With the free response f_j = F_j y(t) + H_j Delta u(t-1) and a constant set point w, the moves that minimise
     |G U + f - w|^2 + lambda |U|^2 (paper eqs (22) to (28)) are::
 
         U = (G' G + lambda I)^-1 G' (w - f)
 
-    of which the first is made. Everything but y, w and the past moves is known beforehand, so G' (w - f) is
-    kept as three small matrices acting on them.
+    of which the first is applied. All terms except y, w and the past moves are known in advance, so G' (w - f) is
+    stored as three small matrices that act on them.
 
     Raises
     ------
@@ -74,8 +74,8 @@ class Gpc:
 
     Notes
     -----
-    The caller says what was really applied (`applied`): a clipped command enters the past moves as it was clipped,
-    which is the whole of the anti-windup.
+    The caller passes the command that was really applied (`applied`). A clipped command enters the past moves in
+    its clipped form; no further anti-windup is needed.
     """
 
     def __init__(self, model: Carima, tuning: Tuning) -> None:

@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 
 class Answer(NamedTuple):
-    """What the solver says.
+    """The result of the solver.
 
     Attributes
     ----------
     moves : tuple of float, or None
         U; None when there is no solution.
     status : str
-        ``optimal``, or the solver's own word for what went wrong.
+        ``optimal``, or the solver's own description of the failure.
     """
 
     moves: tuple[float, ...] | None

@@ -103,7 +103,7 @@ class State(NamedTuple):
 
 
 class FsfbController(Block[FsfbControllerParams]):
-    """u = -kv v - kp y + ki xi, xi' = r - y, on the state that the compensation makes of a late measurement.
+    """u = -kv v - kp y + ki xi, xi' = r - y, on the state that the compensation computes from a late measurement.
 
     none
         The late (v, y) as they are.
@@ -112,18 +112,19 @@ class FsfbController(Block[FsfbControllerParams]):
     predictor
         The present (v, y) by replaying the commands issued since the measurement through the exact sampled motor.
 
-    Feedback from the future, older than `max_age` or not finite, or a prediction for which not all commands are
-    known: 0 V, the integrator holds, and a report says so. The controller starts without a bump: set point and
-    integrator fit the first measured position. Other gains bring no bump either: the integrator takes up what they
-    would change of the command at the state of now (without an integrator it jumps). The motor that the predictor
-    knows, the delays and the largest age, which sizes its memory, are fixed at the start.
+    The command is 0 V and the integrator is held, with a report, if feedback is from the future, older than `max_age`
+    or not finite. The same applies if not all commands that the prediction needs are known. The controller starts
+    without a bump: set point and integrator are initialised from the first measured position. A live change of gains
+    causes no bump either: the integrator compensates the change of the command at the present state (without an
+    integrator the command jumps). The predictor's motor model, the delays and the largest age, which sizes its memory,
+    are fixed at the start.
 
     Notes
     -----
-    Love, Kriger, Tshemese-Mvandaba (2024). The paper gives no gains; the defaults have the poles -2.649278 and twice
-    -7.947834 1/s, solved for the published rise time of 0.966 s. ``axis/model`` carries the loop as designed
-    (`NominalAxis`), ``axis/controller_state`` what the law saw: set point, compensated position and velocity,
-    integrator, age of the feedback.
+    Love, Kriger, Tshemese-Mvandaba (2024). The paper gives no gains; the defaults have the poles -2.649278 and
+    twice -7.947834 1/s, solved for the published rise time of 0.966 s. ``axis/model`` carries the loop as designed
+    (`NominalAxis`). ``axis/controller_state`` has the variables of the control law: set point, compensated position and
+    velocity, integrator, age of the feedback.
     """
 
     INPUTS = (FEEDBACK, REFERENCE, FORWARD, REVERSE)

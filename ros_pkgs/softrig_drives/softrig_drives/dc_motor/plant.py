@@ -62,17 +62,17 @@ class State(NamedTuple):
 class DcMotorPlant(Plant[DcMotorPlantParams]):
     """Brushed DC motor with zero-order hold, stepped exactly; see `model.state_space` for the equations.
 
-    One period of the rig is: the sensors are read, the command of the same instant is applied, the motor moves.
+    In each period the sensors are read, then the command of the same instant is applied, then the motor moves.
 
     - encoder: count = floor(theta CPR/2 pi), w_k = (count_k - count_(k-1)) 2 pi/(CPR Ts), w_0 = 0
     - current: i rounded to `current_lsb`, clipped to `current_limit`
     - PWM and bridge: m = round((2^bits - 1) u/vmax), v = m/(2^bits - 1) (vmax - bridge_drop)
 
-    The rig publishes what its encoder and current sensor tell in ``motor/state``, and besides the true state and the
-    voltage that the bridge applied over the period that ends at t.
+    The plant publishes the readings of encoder and current sensor in ``motor/state``. It also publishes the true state
+    and the voltage that the bridge applied over the period that ends at t.
 
-    Supply and load may change while it runs, what the motor is made of may not; another load profile counts as if it
-    had been there from the start.
+    Supply and load may change while it runs; the constants of the motor may not. A changed load profile is evaluated as
+    if it had applied from the start.
     """
 
     DRAWN_BY = "softrig_drives.dc_motor.drawing:DcMotor"

@@ -44,7 +44,7 @@ class DcMotorUnoParams(SensorConstants, MotorConstants, BlockParams):
 
 
 class State(NamedTuple):
-    """Number of the tick, and what the simulator said at it."""
+    """Number of the tick, and the simulator's answer to it."""
 
     k: int = 0
     row: tuple[float, ...] = (0.0,) * 8
@@ -123,7 +123,7 @@ class DcMotorUno(Plant[DcMotorUnoParams]):
         raise RunError(f"{self.name}: the state of the simulated board cannot be saved")
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Return the motor's state, the firmware's view of it, and the voltage that the PWM register stands for."""
+        """Return the motor's state, the firmware's view of it, and the voltage set by the PWM register."""
         theta, w, i, applied, count, current, *_ = x.row
         return {"true_state": (theta, w, self.p.Kt * i), "sensors": (count, current), "applied": (applied,)}
 
@@ -159,7 +159,7 @@ def simulator_of(p: DcMotorUnoParams) -> Path:
     Raises
     ------
     ScenarioError
-        There is no compiler or no libsimavr; says what to install.
+        There is no compiler or no libsimavr; the message names what to install.
     """
     constants = {name: getattr(p, name) for name in ("R", "L", "J", "b", "Kt", "Ke", "counts_per_rev")}
     given = {f"{MOTOR_NODE}.{name}": value for name, value in constants.items()}

@@ -57,15 +57,16 @@ class State(NamedTuple):
 class DtcController(Block[DtcControllerParams]):
     """Flux and torque within hysteresis bands by choosing the inverter's voltage from a table.
 
-    At every period the flux estimate gives the sector, the two comparators say what flux and torque need, the table
-    names the vector. The applied voltage is reconstructed from the switches and the measured DC-link voltage.
+    In every period the sector follows from the flux estimate, and the two comparators determine the changes of flux and
+    torque. The table then selects the voltage vector. The applied voltage is reconstructed from the switches and the
+    measured DC-link voltage.
 
-    The table alone cannot start: with no torque asked for it names zero vectors only and the flux decays. So until
-    `magnetising_time` V1 builds up the flux, in turn with V0.
+    The table alone cannot start the drive: without a torque demand it selects zero vectors only, and the flux decays.
+    So until `magnetising_time` V1, alternating with V0, builds up the flux.
 
-    Other references, bands, tables and constants of the estimator act from the next period on: the estimated flux and
-    the levels of the comparators stay. The start sequence is over when one would change it, `delay_steps` sizes a
-    memory, and `estimator` the ports.
+    Changed references, bands, tables and estimator constants apply from the next period on; the estimated flux and the
+    comparator levels stay. Other parameters cannot change: the start sequence is over by then, `delay_steps` sizes a
+    memory, and `estimator` determines the ports.
     """
 
     INPUTS = (CURRENTS_MEAS, DC_LINK, TORQUE_REF)

@@ -51,11 +51,11 @@ class CurrentController(Block[CurrentControllerParams]):
         z_k   += (i*_k - i_k) Ts                                  unless the duty is clipped and the error drives it on
         off:     z_k = 0, u_k = -U_dc while i_k > zero_current, else 0
 
-    x is the position rounded to the sensor's step. A measurement or command that is refused gives 0 V for one period:
-    the phases freewheel.
+    x is the position rounded to the sensor's step. After a rejected measurement or command the voltage is 0 V for one
+    period: the phases freewheel.
 
-    Under another K_ic the integrals are rescaled so that K_ic z stays, and no voltage jumps (K_ic = 0 has no such z:
-    they begin anew). The rest acts at the next period.
+    When K_ic changes, the integrals are rescaled so that K_ic z stays the same and no voltage jumps. With K_ic = 0
+    there is no such z, so the integrals are reset. Other parameters act from the next period on.
     """
 
     INPUTS = (MOTION, PHASE_CURRENTS, FORCE_CMD)

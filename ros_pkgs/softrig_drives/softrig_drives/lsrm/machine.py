@@ -153,7 +153,7 @@ def advance(
     A flux linkage ends at zero in the step in which it gets there (asymmetric half bridge). Coulomb friction keeps its
     sign within a step; a translator whose speed changes sign stops, and sticks while the force is below the friction.
 
-    All in numbers, which native code keeps in registers: an array would be made anew at each call.
+    The state is a tuple of numbers, which native code keeps in registers; an array would be allocated at each call.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def advance(
     Returns
     -------
     tuple (6,)
-        The state then.
+        The state after the steps.
     """
     R, mass, damping = constants
     a, b, c, d, x, v = state

@@ -11,7 +11,7 @@ from .speed_control import SpeedControl, SpeedControlParams
 
 
 class LsrmPiParams(SpeedControlParams):
-    """The paper's gains and the scale that it does not tell."""
+    """The paper's gains, and the scale that the paper does not state."""
 
     K_F: float = param(
         80.0,

@@ -17,7 +17,7 @@ SAMPLES = 400  # of each ramp, to look for the largest force
 
 
 class ProfileGeneratorParams(Mechanics, BlockParams):
-    """Shape and times; mass, friction and F_max only tell whether the motor can follow."""
+    """Shape and times; mass, friction and F_max are only used to check whether the motor can follow."""
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=0.1)
     profile: Kind = param(
@@ -60,7 +60,7 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
         return ()
 
     def go_on(self, x: tuple[()], before: ProfileGeneratorParams) -> tuple[()]:
-        """Follow another profile, and tell what is wrong with it."""
+        """Switch to another profile, and report its faults."""
         self._judge()
         return x
 

@@ -65,9 +65,9 @@ def edge(
 ) -> tuple[int, float]:
     """Return the stage of a leg after its edge at `time`, and the time (s) of the next one.
 
-    A leg that is told to switch first turns off the switch that conducts. Until the other one turns on, `dead_time`
-    later, the current flows through a diode: with a positive current the leg stays low, so the rising edge is late and
-    the falling one is not; with a negative current it is the other way round.
+    On a switching command a leg first turns off the conducting switch. The other switch turns on `dead_time` later;
+    until then the current flows through a diode. With a positive current the leg stays low in this time, so the rising
+    edge is late and the falling edge is not. With a negative current it is the other way round.
     """
     if stage == OFF and current > 0.0 and dead_time > 0.0:
         return RISING, time + dead_time

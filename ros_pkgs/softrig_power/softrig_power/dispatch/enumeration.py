@@ -13,7 +13,7 @@ from .units import NARROW, Array, Units, infeasible
 
 
 class TooManyError(ValueError):
-    """More combinations than can be enumerated; the text says how many."""
+    """There are more combinations than can be enumerated; the text has their number."""
 
 
 class Levels(NamedTuple):

@@ -110,12 +110,12 @@ class State(NamedTuple):
 class DispatchSolver(Solver[DispatchParams]):
     """Economic dispatch on request.
 
-    A demand that has changed, other units or a press on `solve` ask for a dispatch. While one is worked on, the newest
-    request waits. A demand that no dispatch meets is told as an error and gets no set points: the last ones stay.
+    A changed demand, changed units or a press on `solve` requests a dispatch. While one is being computed, the newest
+    request waits. A demand that no dispatch can meet is reported as an error, and the last set points are held.
 
     Notes
     -----
-    ``dispatch/summary`` carries what a run repeats; times of the stages and how far the work is stand in /diagnostics.
+    ``dispatch/summary`` has only reproducible values; computation times and progress are in /diagnostics.
     """
 
     @classmethod
@@ -209,7 +209,7 @@ class DispatchSolver(Solver[DispatchParams]):
 
     @staticmethod
     def solve(request: Request, work: Work) -> Dispatch | str:
-        """Solve one demand by the method asked for; a text says why there is no dispatch."""
+        """Solve one demand by the requested method; return a text with the reason if there is no dispatch."""
         p, units, demand, start, conditions, drawn = request
         optimiser = Optimiser(units, nseg=p.nseg, tol=p.tol, mip_gap=p.mip_gap, time_limit=p.time_limit)
         try:

@@ -89,13 +89,13 @@ def _told(text: str) -> None:
 def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
     """Read the columns and rows of a table.
 
-    Separated by commas with decimal points, or by semicolons or tabs with decimal points or commas. Rows and columns
-    without any text are left out.
+    Fields are separated by commas with decimal points, or by semicolons or tabs with decimal points or commas. Empty
+    rows and columns are left out.
 
     Raises
     ------
     TableError
-        A row that is wider or narrower than the head, a column that stands twice or has no name.
+        A row is longer or shorter than the head, or a column occurs twice or has no name.
     """
     text = text_of(path.read_bytes())
     head = text.partition("\n")[0]

@@ -40,7 +40,7 @@ class MilpResult:
 
 
 class NoDispatch(RuntimeError):
-    """The solver ended without any dispatch; the text says how."""
+    """The solver ended without any dispatch; the text gives the reason."""
 
 
 def breakpoints(units: Units, nseg: int) -> list[Array]:

@@ -41,7 +41,7 @@ class Units:
     table : ndarray, shape (n, 7)
         p_min (MW), p_max (MW), a ($/MW^2 h), b ($/MWh), c ($/h), e ($/h), f (rad/MW).
     more : ndarray, shape (n, 4), optional
-        `MORE`: output now, ramps up and down to the next dispatch, most reserve, all MW; NaN where nothing is told.
+        `MORE`: present output, ramps up and down until the next dispatch, largest reserve, all MW; NaN if not given.
 
     Raises
     ------
@@ -58,7 +58,7 @@ class Units:
     more: Array | None = None
 
     def agreed(self) -> dict[str, object]:
-        """Return what the units and who dispatches them must have in common: limits and costs."""
+        """Return what the units and their dispatcher must have in common: limits and costs."""
         rows = zip(self.ids, self.table.tolist(), strict=True)
         return {"dispatch/units": self.ids} | {f"dispatch/unit {name}": tuple(row) for name, row in rows}
 
@@ -152,7 +152,7 @@ class Units:
 
     @property
     def now(self) -> Array:
-        """Outputs now, MW; NaN where the table does not tell."""
+        """Present outputs, MW; NaN if the table does not have them."""
         return self._more(0, np.nan)
 
     @property

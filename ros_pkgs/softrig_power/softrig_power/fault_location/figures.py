@@ -38,7 +38,7 @@ def location_status(signals: SignalMap, *, status: str) -> float:
 
 @figure("", reads=("location/0",))
 def locations(signals: SignalMap) -> float:
-    """Number of positions told."""
+    """Return the number of published positions."""
     return float(len(signals["location/0"][1]))
 
 

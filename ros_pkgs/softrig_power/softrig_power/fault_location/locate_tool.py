@@ -70,7 +70,7 @@ def _locate(arguments: Sequence[str]) -> int:
 def read(sources: Sequence[Path], channels: Sequence[str] = (), late: tuple[float, float] = (0.0, 0.0)) -> Record:
     """Read a record from a bag (its record, else its four streams) or from one or two COMTRADE files.
 
-    What the ends tell is `late` (s) by their clocks or filters, which is taken out.
+    The data of the ends are `late` (s) because of their clocks or filters; this delay is removed.
     """
     if len(sources) == 1 and sources[0].is_dir():
         recording = read_bag(sources[0])

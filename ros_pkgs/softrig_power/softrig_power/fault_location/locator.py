@@ -51,10 +51,10 @@ class State(NamedTuple):
 class FaultLocator(Block[FaultLocatorParams]):
     """Two-terminal fault locator in the time domain; see `equations`, `location.Locator` and `search`.
 
-    Answers once, at the end of the run, and whenever `locate` is pressed: ``verdict`` always, ``location`` and
-    ``objective`` only when there is a position. A tick that the node has refused (NaN) is silent and a gap of the
-    record, which is told and not located. Computation times go to the diagnostics; no number of a topic depends on
-    them.
+    Publishes at the end of the run and whenever `locate` is pressed: ``verdict`` always, ``location`` and ``objective``
+    only if there is a position. At a tick with a rejected input (NaN) the node is silent. The record then has a gap;
+    the node reports the gap and computes no location. Computation times are published in the diagnostics; no number on
+    a topic depends on them.
     """
 
     @classmethod

@@ -57,7 +57,7 @@ class LinePlantParams(RigParams, BlockParams):
 
 
 class LinePlant(Plant[LinePlantParams]):
-    """Source, 400 kV line with a fault, source; what the instruments of both ends tell.
+    """A 400 kV line with a fault between two sources; publishes the readings of the instruments at both ends.
 
     See `simulation.FaultedLine`. The samples at t_k are those of step k of the record; after `duration` the line runs
     on. Pressing `run` starts a new record with a new fault at the next sample.
@@ -108,7 +108,7 @@ class LinePlant(Plant[LinePlantParams]):
         return State(self._begin, 0, number, seed, Rows(self.p.samples, CHANNELS), pressed)
 
     def _row(self, k: int, seed: int, measured: Sequence[float]) -> tuple[float, ...]:
-        """Return what the instruments tell of a sample: its time, and their noise on it."""
+        """Return the instrument readings of a sample: its time, and the values with noise."""
         told = tuple([u + 0.0 for u in measured])
         if self.p.measurement.noise_snr_db is not None:
             normal, at = self._noise(seed), CHANNELS * k

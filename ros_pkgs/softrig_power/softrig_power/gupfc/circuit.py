@@ -145,7 +145,7 @@ def advance(
     tripped : bool
         Shunt converter disconnected, DC link frozen.
     rows : Rows
-        Are written; their number says how many steps.
+        Output rows, one per step; their number is the number of steps.
 
     Returns
     -------

@@ -38,7 +38,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The newest period at every step, of which the outputs are means, and its power. Nobody writes into it."""
+    """The newest period at every step, of which the outputs are means, and its power. It is read-only."""
 
     rows: Rows
     power: NDArray[np.float64]
@@ -175,7 +175,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         return State(network, commands, Seen(rows, power), x.steps + p.substeps, tripped)
 
     def _taken(self, x: State, k: int, command: tuple[float, ...], age: int | None) -> Command:
-        """Return the command of converter k, so many ns old, or what stands in for it."""
+        """Return the command of converter k, which is `age` ns old, or its replacement."""
         p, last = self.p, x.commands[k]
         amplitude, angle, omega = command
         # In real time no command may have arrived since the start.

@@ -6,7 +6,7 @@ from softrig_core import Port, command, scalars, vector3
 
 
 def measured(name: str) -> Port:
-    """Return the port of a measured space vector: x = alpha, y = beta, pu, as `measurement` says."""
+    """Return the port of a measured space vector: x = alpha, y = beta, pu, as defined in `measurement`."""
     return vector3(name, name, "alpha_beta", "pu")
 
 

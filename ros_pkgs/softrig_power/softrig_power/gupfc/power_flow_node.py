@@ -37,7 +37,7 @@ class State(NamedTuple):
 
 
 class PowerFlowParams(BlockParams):
-    """Network, and the references as long as nobody sends any."""
+    """Network, and the references that apply until the first message."""
 
     period: float = param(0.1, "how often requests are looked for", "s", ge=1e-3, le=10.0)
     network: NetworkParams = NetworkParams()
@@ -49,9 +49,9 @@ class PowerFlowNode(Block[PowerFlowParams]):
 
     ``power_flow/bus``: a row a bus (A, 1, 2, 3, 4, B) with magnitude (pu), angle (rad) and the P and Q (pu) that the
     device injects there. ``power_flow/device``: one value each of `DEVICE`. ``power_flow/result``: converged (1 or 0),
-    iterations, largest mismatch (pu). Of several operating points it is the one with the smallest series voltages;
-    /diagnostics tell how many there are. All are silent between answers; without a solution only the result speaks: a
-    diverged iteration has no voltages.
+    iterations, largest mismatch (pu). If there are several operating points, the one with the smallest series voltages
+    is published, and /diagnostics has their number. All topics are silent between solutions. Without a solution only
+    ``power_flow/result`` is published, because a diverged iteration has no voltages.
     """
 
     INPUTS = (

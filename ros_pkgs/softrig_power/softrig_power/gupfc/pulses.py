@@ -165,7 +165,7 @@ def distortion(sigma: float, highest: int = 0) -> float:
 
 
 def _mean_square(sigma: float) -> float:
-    """Mean of |S48|^2 over a turn: between its edges the vector stands still."""
+    """Return the mean of |S48|^2 over a turn; the vector is constant between its edges."""
     beta = 0.5 * (math.pi - sigma)
     corners = (beta, beta + sigma, beta + math.pi, beta + math.pi + sigma)
     edges = sorted({(lag + corner) % TURN for lag in _LAGS for corner in corners})

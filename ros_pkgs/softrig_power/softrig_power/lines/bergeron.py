@@ -31,7 +31,7 @@ LEAST_DELAY = 4
 
 
 class Lines(NamedTuple):
-    """Numbers of n sections for the compiled functions, arrays of shape (n,) unless said; made by `lines`."""
+    """Numbers of n sections for the compiled functions, arrays of shape (n,) unless stated; created by `lines`."""
 
     conductance: Array  # 1/Z'
     z_minus: Array  # Z''

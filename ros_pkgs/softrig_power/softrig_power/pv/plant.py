@@ -60,9 +60,9 @@ class State(NamedTuple):
 class PvPlant(Plant[PvPlantParams]):
     """Modules in series, each with a bypass diode, feed a resistive load through a buck-boost converter.
 
-    See `module.cell`, `string.characteristic` and `converter.Converter` for the equations. ``pv/port`` carries what the
-    sensors tell, the current positive when the string generates and the mean cell temperature; ``converter/state`` the
-    true state and the string's power. The state starts steady at the duty `d_min`.
+    See `module.cell`, `string.characteristic` and `converter.Converter` for the equations. ``pv/port`` has the sensor
+    readings (the current is positive when the string generates) and the mean cell temperature. ``converter/state`` has
+    the true state and the string's power. The initial state is steady at the duty `d_min`.
 
     Notes
     -----

@@ -62,7 +62,7 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
 
 @dataclass(frozen=True)
 class Record:
-    """What is measured on the way and moves nothing: no part of a linear view.
+    """Measurements that do not act on the plant, so they are excluded from its linearisation.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Record:
     figures : tuple
         As `FIGURES`.
     trace : tuple
-        Waveforms of the newest period; empty where nobody has asked for them.
+        Waveforms of the newest period; empty unless requested.
     """
 
     sums: Sums

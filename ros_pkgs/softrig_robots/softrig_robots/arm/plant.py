@@ -74,7 +74,7 @@ class ArmPlant(Plant[ArmPlantParams]):
         self._last = (p.period / p.substeps, *p.each("armature"), p.payload)
 
     def first(self) -> State:
-        """Begin where the parameters say."""
+        """Return the initial state from the parameters."""
         p = self.p
         return State(p.each("position"), p.each("velocity"), (0.0,) * self._n)
 

@@ -101,7 +101,7 @@ class VcsController(Block[VcsControllerParams]):
         return State(tuple(law.first() for law in self.laws))
 
     def go_on(self, x: State, before: VcsControllerParams) -> State:
-        """Continue with other gains; each law's docstring says how its state continues."""
+        """Continue with other gains; the docstring of each control law describes how its state continues."""
         return State(tuple(law.go_on(own) for law, own in zip(self.laws, x.laws, strict=True)))
 
     def update(

@@ -67,7 +67,7 @@ class ManipulatorParams(DrivenRobotParams):
         return self
 
     def _check_urdf(self) -> None:
-        """Refuse a robot that is another than the parameters say, or cannot be simulated with this step."""
+        """Refuse a robot that does not match the parameters or cannot be simulated with this step."""
         from ..rigid_body import check_robot, fastest_rubbing
         from ..urdf_file import read_robot
 

@@ -141,7 +141,7 @@ class VoltageController(Block[VoltageControllerParams]):
         return State(tuple(law.first() for law in self._laws))
 
     def go_on(self, x: State, before: VoltageControllerParams) -> State:
-        """Continue with other gains; each law's docstring says how its state continues. Warn as at the start."""
+        """Continue with other gains and warn as at the start; each control law's docstring describes its state."""
         self._check_stability()
         return x
 

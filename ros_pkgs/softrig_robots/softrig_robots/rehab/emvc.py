@@ -25,7 +25,7 @@ class EmvcGains(JointGains):
 
 
 class EmvcState(NamedTuple):
-    """What the model says of the voltage that was applied, psi (rad/s)."""
+    """The model's output for the applied voltage, psi (rad/s)."""
 
     psi: float = 0.0
 

@@ -55,7 +55,7 @@ class Drift(Params):
 
 
 class RehabParams(DrivenRobotParams):
-    """Published robot in experiment R1; what the paper does not print is said in the README."""
+    """Published robot in experiment R1; the README lists the values that the paper does not print."""
 
     v_max: float = param(24.0, "voltage limit V_max of each motor", "V", gt=0.0, live=True)
     # not live: what the stability of a law is told for, see `RehabPlant.agreed`
@@ -104,10 +104,11 @@ class RehabParams(DrivenRobotParams):
 
 
 class State(NamedTuple):
-    """As of `DrivenRobot`; then force at the foot (N) and voltages (V) of the period before, and what is watched.
+    """The state of `DrivenRobot`, the foot force (N) and voltages (V) of the previous period, and monitored events.
 
-    Which joints have been inside their range, whether the robot was stopped, when (ns) control began (by hand the plant
-    may long have stood alone), and when the period before did.
+    The monitored events are the joints that have been inside their range, and whether the robot was stopped. Two times
+    (ns) follow: when control began, and when the previous period began. If nodes are started by hand, the plant may
+    have run alone for long before control began.
     """
 
     q: Vector

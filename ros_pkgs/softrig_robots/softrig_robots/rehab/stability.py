@@ -48,7 +48,7 @@ class LinearRobot(Params):
         return self
 
     def agreed(self) -> dict[str, Any]:
-        """Return what a plant and who speaks of its stability must have in common."""
+        """Return what a plant and the nodes that judge its stability must have in common."""
         per_joint = {f"rehab/motors.{name}": values for name, values in self.motors.table(2).items()}
         segments = {f"rehab/segments.{name}": value for name, value in flatten(self.segments).items()}
         return {

@@ -210,7 +210,7 @@ class State(NamedTuple):
 
 
 class Tuner(Solver[TunerParams]):
-    """Tunes alpha_hat while nobody waits for it: candidate after candidate, the result so far after each.
+    """Tunes alpha_hat in the background; evaluates one candidate after another and publishes the best result so far.
 
     The result is generation, best alpha_hat (V s/rad) and its cost (deg^2); zeros before the
     first candidate that the robot endures.

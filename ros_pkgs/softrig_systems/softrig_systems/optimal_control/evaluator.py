@@ -1,4 +1,4 @@
-"""What a plan is worth: what the plant paid, where it ended, and whether what the plan says of itself is possible."""
+"""Evaluation of a plan: the plant's cost, its final error, and whether the plan's own cost is possible."""
 
 from __future__ import annotations
 

@@ -28,13 +28,13 @@ class ProblemParams(BlockParams):
         return self
 
     def plant_agreed(self) -> dict[str, Any]:
-        """Return what a plant and who judges what happens on it must have in common."""
+        """Return what a plant and the nodes that judge its behaviour must have in common."""
         problem = self.statement()
         own = {"ocp/problem": problem.name, "ocp/x0": tuple(problem.x0)}
         return own | ({"ocp/inertia": self.inertia} if problem.name == "spacecraft" else {})
 
     def task_agreed(self) -> dict[str, Any]:
-        """Return what who plans and who judges a plan must have in common."""
+        """Return what the planner and the nodes that judge a plan must have in common."""
         p = self.statement()
         return {"ocp/problem": p.name, "ocp/horizon": p.horizon, "ocp/x_end": p.x_end, "ocp/R": self.R}
 

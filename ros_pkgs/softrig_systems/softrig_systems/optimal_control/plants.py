@@ -50,8 +50,9 @@ P = TypeVar("P", bound=OcpPlantParams, default=OcpPlantParams)
 class OcpPlant(Plant[P]):
     """Any problem's equations, integrated by Runge-Kutta steps of order 4 with the command held.
 
-    The scalar and the two-state problem can escape in finite time: a state beyond 1000 is what no output may say, and
-    ends the run. Its state is the problem's, by its names; with velocities also the command `applied` until now.
+    The scalar and the two-state problem can escape in finite time: a state beyond 1000 exceeds the output limits and
+    ends the run. The state has the problem's variables by name; with velocities it also has the command `applied` until
+    now.
     """
 
     DRAWN_BY = "softrig_systems.optimal_control.drawing:OptimalControl"

@@ -119,7 +119,8 @@ def find(name: str) -> Problem:
     Raises
     ------
     ProblemError
-        There is none; says which there are. Nothing that is not registered is imported: a scenario may be anybody's.
+        There is none; the message lists those that exist. Only registered code is imported, because a scenario may be
+        untrusted.
     """
     if name in PROBLEMS:
         return PROBLEMS[name]

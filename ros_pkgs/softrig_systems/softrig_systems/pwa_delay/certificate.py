@@ -124,17 +124,17 @@ class State(NamedTuple):
 
 
 class CertificateNode(Solver[CertificateParams]):
-    """Certifies a delay bound, or searches the largest; what it publishes was checked from the matrices themselves.
+    """Certifies a delay bound, or searches the largest; published results are verified from the matrices themselves.
 
     ``certificate/verdict``: h, valid (1 or 0), the solver's margin t, the smallest eigenvalue of any inequality as a
     share of its largest, and the number of inequalities. ``certificate/matrices``: every unknown in the order of the
     problem, in the time t/h, filled up with zeros; names are in the diagnostics. A system to which the theorem does not
-    apply gets valid = 0, h = 0 and the reason as a warning, never a margin. /diagnostics say which delays it covers:
-    Theorem 1 all up to h; the criterion for constant delays, asked at one h, that h alone, and searched, the first
-    window of stable delays to its end.
+    apply gets valid = 0, h = 0 and the reason as a warning, never a margin. /diagnostics shows which delays are
+    covered. Theorem 1 covers all delays up to h. The criterion for constant delays covers that h alone if it is
+    evaluated at one h. In a search it covers the first window of stable delays to its end.
 
-    It is a certificate of what its parameters say; a rig whose plant or law has other values is refused by name. h of a
-    level is of pipe and hold of the law together.
+    The certificate applies to the node's parameters; a rig whose plant or controller has other values is refused, and
+    the error names the value. For a level, h includes the delay of the pipe and the hold of the controller.
     """
 
     @classmethod

@@ -48,9 +48,9 @@ class State(NamedTuple):
 class MarginSearch(Solver[MarginSearchParams]):
     """Bisects the growth rate of simulated trajectories over constant delays.
 
-    ``margin``: the margin, its bracket (s) and the growth rate there (1/s). It is the first in the bracket, as far as
-    its grid tells: an unstable window shorter than an eighth of it may be passed. A bracket without a change of sign is
-    a warning, and the margin 0.
+    ``margin``: the margin, its bracket (s) and the growth rate there (1/s). It is the first margin in the bracket that
+    the grid resolves: an unstable window shorter than an eighth of the bracket may be missed. A bracket without a
+    change of sign causes a warning, and the margin is 0.
     """
 
     INPUTS = (button("search", "search", held=True),)

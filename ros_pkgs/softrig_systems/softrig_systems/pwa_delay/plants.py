@@ -49,7 +49,7 @@ P = TypeVar("P", bound=DelayPlantParams, default=DelayPlantParams)
 class DelayPlant(Plant[P]):
     """A plant whose delay equation is stepped with located switches; a constant history is the start.
 
-    A delay beyond `max_delay` is clamped and told; a state beyond 1e6 is what no output may say, and ends the run.
+    A delay beyond `max_delay` is clamped and reported; a state beyond 1e6 exceeds the output limits and ends the run.
     """
 
     SHOWN = "state"  # the output that shows the state

@@ -60,7 +60,7 @@ def profile(kind: Kind, h: float, mu: float = 0.0, *, seed: int | Sequence[int] 
 
 @dataclass(frozen=True, eq=False)
 class Delay:
-    """The delay over time, drawn at the seed: it stands with what a block remembers, but is none of its numbers."""
+    """The delay over time, drawn with the seed: it is stored with a block's state but is not one of its numbers."""
 
     profile: Profile
     constants: Any = None  # what a native loop reads, the profile with it

@@ -86,8 +86,8 @@ def find_margin(
 ) -> Margin:
     """Find the first delay at which a growth rate changes from negative to positive.
 
-    Where it does so first is seen on a grid, for a stable delay says nothing of shorter ones; there by regula falsi
-    (Illinois).
+    A grid locates the first change of sign, because a stable delay does not imply that shorter delays are stable. Then
+    regula falsi (Illinois) refines it.
 
     Parameters
     ----------
@@ -98,12 +98,12 @@ def find_margin(
     width : float
         Absolute width of the bracket, or change of the estimate, at which it ends, s.
     grid : int
-        Parts of the bracket; an unstable window within one of them is passed.
+        Number of parts of the bracket; an unstable window inside one part is missed.
 
     Raises
     ------
     ValueError
-        It is not negative at `low`, or never positive.
+        The growth rate is not negative at `low`, or it is never positive.
     """
     found: dict[float, float] = {}
     at_low = at_high = -math.inf

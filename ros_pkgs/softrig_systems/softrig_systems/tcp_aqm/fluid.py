@@ -18,7 +18,7 @@ WINDOW, QUEUE, DROP, SERVED = 0, 1, 2, 3
 
 
 class Constants(NamedTuple):
-    """What the equations need: see `model.Bottleneck`; d is traffic that obeys nobody (packet/s)."""
+    """Constants of the equations, see `model.Bottleneck`; d is uncontrolled traffic (packet/s)."""
 
     N: float
     C: float

@@ -84,7 +84,7 @@ def sspd(m: Measured, g: Gains) -> Decision:
         u = (-k1 s - k2 sign(s) - lambda q' - Phi)/Psi
 
     With the exact model and without clipping e'' + (k1 + lambda) e' + k1 lambda e = -k2 sign(s): s reaches 0 in finite
-    time for k2 > 0 (eq. (29) says asymptotically), not under the delay of a network. The chatter of u is k2/|Psi|.
+    time for k2 > 0 (eq. (29) states asymptotically), but not with the delay of a network. The chatter of u is k2/|Psi|.
     """
     s = m.rate + g.lam * m.e
     return Decision((-g.k1 * s - g.k2 * sign(s, g.boundary) - g.lam * m.rate - m.phi) / m.psi, s)

@@ -16,7 +16,7 @@ class Bottleneck(Params):
     q_max: float = param(300.0, "room in the queue; what arrives beyond is lost", "packet", gt=0.0, le=1e6)
 
     def agreed(self) -> dict[str, Any]:
-        """Return what a network and who judges it must have in common."""
+        """Return what a network and the nodes that judge it must have in common."""
         return {f"tcp/{name}": getattr(self, name) for name in Bottleneck.model_fields}
 
 
@@ -67,7 +67,7 @@ def phi(w: float, R: float, N: float, C: float, *, printed: bool = False) -> flo
 def psi(w: float, R: float, w_R: float, R_R: float, N: float) -> float:
     """Return the gain of the drop probability on q'', Psi = -N w w_R/(2 R R_R) < 0 (packet/s^2).
 
-    The paper prints a difference, "-N - w/(2R) ...", eq. (17), where this product stands.
+    In place of this product the paper prints a difference, "-N - w/(2R) ...", eq. (17).
 
     Parameters
     ----------

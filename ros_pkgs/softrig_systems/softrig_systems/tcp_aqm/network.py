@@ -48,9 +48,9 @@ class NetworkParams(Bottleneck, BlockParams):
 
 
 class Net(NamedTuple):
-    """What the network is made of now: flows, capacity (packet/s), propagation (s), traffic of nobody (packet/s).
+    """Present network: flows, capacity (packet/s), propagation delay (s), uncontrolled traffic (packet/s).
 
-    Besides by how much the queue is measured too high (packets), and the events taken last.
+    It also has the offset of the queue measurement (packets), and the events applied last.
     """
 
     flows: int

@@ -62,9 +62,9 @@ class Inside(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What holds in a period: probability p, packets of nobody per second (evenly spaced), capacity C, room.
+    """Constants of a period: probability p, uncontrolled packets per second (evenly spaced), capacity C, buffer size.
 
-    Bounds of a window, and whether the queue drops instead of marking.
+    They also include the bounds of a window, and whether the queue drops packets instead of marking them.
     """
 
     p: float
@@ -77,12 +77,12 @@ class Rules(NamedTuple):
 
 
 class Traffic:
-    """All that is under way, a value: who goes on from it changes a copy.
+    """All packets under way, as an immutable value; the next state is computed on a copy.
 
     Parameters
     ----------
     inside : Inside
-        Nobody writes it from now on.
+        It must not be modified from then on.
     """
 
     __slots__ = ("inside",)

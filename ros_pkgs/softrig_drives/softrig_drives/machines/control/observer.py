@@ -50,7 +50,7 @@ class FluxObserver(Block[FluxObserverParams]):
         e      = psi_a x exp(j angle), over |psi_a|
         speed' = alpha_o^2 e,  angle' = speed + 2 alpha_o e
 
-    The induced voltage tells the angle, so at standstill there is nothing to observe: begin at a known angle.
+    The angle is observed from the induced voltage. At standstill there is none, so begin at a known angle.
 
     References
     ----------

@@ -16,7 +16,7 @@ PAPER = "paper"
 
 
 def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the line's data: of a file, those in `given` (``line.length`` and so on) before it.
+    """Return the line's data from a file; values in `given` (``line.length`` and so on) take precedence.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     ScenarioError
-        Something is not told, the file cannot be read, or has other names.
+        A value is missing, the file cannot be read, or it has unknown names.
     """
     names = list(LineParams.model_fields)
     told: dict[str, Any] = {}

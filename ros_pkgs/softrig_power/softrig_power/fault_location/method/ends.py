@@ -1,4 +1,4 @@
-"""Whether the two ends tell of one line: reversed transformers, exchanged phases, line data of another line."""
+"""Check that both ends belong to one line: reversed transformers, exchanged phases, data of another line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a fault begins, for records whose window nobody has told."""
+"""Detection of the fault inception, for records without a given window."""
 
 from __future__ import annotations
 

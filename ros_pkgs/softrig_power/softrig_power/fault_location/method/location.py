@@ -26,7 +26,7 @@ class Location:
     ----------
     status : Status
     x_km : float or None
-        Distance from S; None when there is no position to tell.
+        Distance from S; None if there is no position.
     f_min, f_max : float
         Smallest and largest objective on the line, V.
     mode : int
@@ -34,7 +34,7 @@ class Location:
     evaluations : int
         Of the objective.
     text : str
-        What the status means here.
+        Meaning of the status in this case.
     """
 
     status: Status
@@ -50,7 +50,7 @@ class Locator(Objective):
     """One record, located in any way; see `Objective`."""
 
     def choose(self) -> Location:
-        """Choose the mode with the largest F and say whether there is a fault; no position yet."""
+        """Choose the mode with the largest F and return whether there is a fault, without a position yet."""
         p, highest, lowest = self.p, np.max(self.curves, axis=1), np.min(self.curves, axis=1)
         excited = (highest >= p.f_threshold) & (highest >= p.f_ratio * lowest)
         mode = int(np.argmax(highest)) + 1 if p.mode == "auto" else int(p.mode)

@@ -109,7 +109,7 @@ class Objective:
 
     @cached_property
     def curves(self) -> Array:
-        """F on the grid for the three modes by the right equations, shape (3, n_grid): they tell whether and where."""
+        """F on the grid for the three modes by the correct equations, shape (3, n_grid), for fault location."""
         right = model(self.section)
         return np.array([self._f(right, self.grid, mode, (self.first, self.count)) for mode in (1, 2, 3)])
 

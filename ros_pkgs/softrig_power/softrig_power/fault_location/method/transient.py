@@ -50,7 +50,7 @@ def travelling_wave(work: Objective, mode: int) -> float:
 
 
 def _arrival(work: Objective, mode: int, row: int) -> int:
-    """First sample whose second difference stands out of those before; the fault is not in the first half of them."""
+    """Return the first sample with an outstanding second difference; the first half of the samples is the baseline."""
     bends = np.abs(np.diff(work.ends(mode)[row, : work.first + work.count], 2))
     quiet = float(bends[: work.first // 2].max())
     out = np.flatnonzero(bends > QUIET * quiet)

@@ -67,7 +67,7 @@ COMTRADE = FileFormat(
 
 
 class SettingsError(ValueError):
-    """A line of settings that cannot be used; the text says which."""
+    """A line of the settings cannot be used; the text names the line."""
 
 
 class Analog(NamedTuple):
@@ -88,7 +88,7 @@ class Analog(NamedTuple):
 
 @dataclass(frozen=True)
 class Settings:
-    """What a ``.cfg`` says.
+    """The contents of a ``.cfg``.
 
     Parameters
     ----------
@@ -97,21 +97,21 @@ class Settings:
     switches : int
         Status channels.
     frequency : float
-        Of the network, Hz; 0 when not told.
+        Of the network, Hz; 0 if not given.
     rates : tuple of (float, int)
         Sampling rate, Hz, and the last sample of it; a rate of 0 when the data have the times.
     start, trigger : int or None
-        ns since 1970 of the stamps as they stand; None without a date.
+        Stamps as written in the file, ns since 1970; None without a date.
     tick : float
         s; unit of the times of the data.
     form : str
         One of `FORMS`.
     zone : int or None
-        ns by which the stamps are ahead of UTC; None when not told.
+        ns by which the stamps are ahead of UTC; None if not given.
     clock : float or None
-        s; how far the clock may be off, by its own account, infinite when it says that it is not reliable.
+        Clock error bound stated in the file, s; infinite if the file marks the clock as unreliable.
     ignored : tuple of str
-        Fields with something in them that has no effect.
+        Fields whose contents have no effect.
     """
 
     revision: str
@@ -312,7 +312,7 @@ def sections(data: bytes) -> Iterator[tuple[str, str, bytes]]:
     Raises
     ------
     SettingsError
-        There is no section, or binary data are shorter than their head says.
+        There is no section, or binary data are shorter than stated in their head.
     """
     head = re.compile(
         rb"^[ \t]*---\s*file\s+type\s*:\s*([a-z]+)(?:[ \t]+([a-z0-9]+))?(?:\s*:\s*(\d+))?\s*---[ \t]*(?:\r\n|\n|\r|\Z)",

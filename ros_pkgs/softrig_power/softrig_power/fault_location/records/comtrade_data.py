@@ -17,12 +17,12 @@ _NO_STAMP = 0xFFFFFFFF
 
 
 class DataError(ValueError):
-    """Samples that cannot be used; the text says which."""
+    """Samples cannot be used; the text names them."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """What a ``.dat`` has.
+    """The contents of a ``.dat``.
 
     Parameters
     ----------
@@ -31,9 +31,9 @@ class Samples:
     stamps : ndarray, shape (rows,)
         Times in units of the file, NaN where missing.
     raw : ndarray, shape (rows, channels)
-        Analog values as they stand, NaN where missing.
+        Analog values as stored, NaN where missing.
     notes : tuple of str
-        What does not agree with the settings.
+        Differences from the settings.
     """
 
     n: Array
@@ -48,7 +48,7 @@ def read_samples(settings: Settings, data: bytes) -> Samples:
     Raises
     ------
     DataError
-        The settings tell of far more samples than there are bytes for, or a row has another number of fields.
+        The settings declare far more samples than there are bytes for, or a row has the wrong number of fields.
     """
     told = settings.rates[-1][1]
     words = -(-settings.switches // 16)
@@ -122,13 +122,13 @@ def _binary(settings: Settings, data: bytes, words: int) -> tuple[Array, Array, 
 def times(settings: Settings, samples: Samples) -> tuple[Array, list[str]]:
     """Return the time of each sample, s after the first one, and what does not agree.
 
-    A sample counts by its number, so that a missing one is a gap. Where there is a sampling rate it decides, as the
-    standard says, and the stamps of the data are compared with it.
+    A sample is identified by its number, so a missing sample is a gap. If there is a sampling rate, times follow from
+    it, as the standard requires, and the stamps of the data are compared with these times.
 
     Raises
     ------
     DataError
-        There is neither a rate nor a stamp, or a number that is no whole one.
+        There is neither a rate nor a stamp, or a sample number is not an integer.
     """
     n, stamps = samples.n, (samples.stamps - samples.stamps[:1]) * settings.tick
     if not np.isfinite(n).all() or (n != np.round(n)).any():

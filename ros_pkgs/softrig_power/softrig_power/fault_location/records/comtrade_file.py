@@ -29,12 +29,12 @@ FULL_SCALE = {"ascii": 99998, "binary": 32767}  # the largest raw numbers; ASCII
 
 
 class ComtradeFileError(ValueError):
-    """A file that cannot become a record; the text says what was expected."""
+    """A file cannot be converted to a record; the text states what was expected."""
 
 
 @dataclass(frozen=True)
 class Recorder:
-    """One file: its settings, its samples in the file's units, and what is to be said of it."""
+    """One file: its settings, its samples in the file's units, and remarks on it."""
 
     path: Path
     settings: Settings
@@ -56,7 +56,7 @@ def read_comtrade(
         Names of the twelve analog channels u_S, i_S, u_R, i_R of the phases a, b, c (six of each of two files);
         when empty they are found by their units (V, A) and phases.
     late : (float, float)
-        s by which what end S and end R tell is late, by a clock or an anti-alias filter; taken out.
+        Delay of the data of end S and end R, s, from a clock or an anti-alias filter; it is removed.
 
     Returns
     -------
@@ -66,9 +66,11 @@ def read_comtrade(
     Raises
     ------
     ComtradeFileError
-        Unreadable, or the channels are not told apart (lists those of the file), or both ends are the same record.
+        A file is unreadable, the channels cannot be identified (the message lists them), or both ends are the same
+        record.
     RecordError
-        The ends have no time in common, a gap, a missing value, a dead channel, clocks that are not good enough.
+        The ends have no time in common, or there is a gap, a missing value, a dead channel, or a clock with too large
+        an error.
     """
     if len(paths) not in (1, 2):
         raise ComtradeFileError(f"{len(paths)} files: expected one with both ends, or one of each end")

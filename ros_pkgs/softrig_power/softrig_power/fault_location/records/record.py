@@ -38,7 +38,7 @@ class Status(IntEnum):
 
 
 class RecordError(ValueError):
-    """A record that must not be located; `status` says which kind, the text what and where."""
+    """A record is unfit for fault location; `status` is the kind of defect, the text describes it and its place."""
 
     def __init__(self, status: Status, text: str) -> None:
         super().__init__(text)
@@ -58,11 +58,11 @@ class Record:
     samples : ndarray, shape (n, 12)
         Columns `CHANNELS`: u_S, i_S, u_R, i_R of the phases a, b, c in V and A, currents into the line.
     note : str
-        What was done to bring the ends together, for a person.
+        Description of how the data of the ends were combined.
     sync : float
-        s by which the clocks of the ends may be apart, by their own account; 0 when they do not say.
+        Largest difference of the ends' clocks as stated by the recorders, s; 0 if not stated.
     frequency : float
-        Of the network, Hz, by the recorders' account; 0 when they do not say.
+        Of the network as stated by the recorders, Hz; 0 if not stated.
     """
 
     start: float
@@ -102,7 +102,7 @@ class Record:
 
     @classmethod
     def from_ends(cls, t_s: Array, s: Array, t_r: Array, r: Array) -> Record:
-        """Join what the recorders of both ends saw.
+        """Join the recordings of both ends.
 
         Parameters
         ----------
@@ -114,13 +114,13 @@ class Record:
         Returns
         -------
         Record
-            At the times of the slower end, of S where both are equally fast; the other end is resampled when it is not
-            there at these times already, which the note says.
+            At the sample times of the end with the lower rate, or of S if both rates are equal. If the other end has no
+            samples at these times it is resampled, which the note states.
 
         Raises
         ------
         RecordError
-            Also when the ends have no time in common.
+            The ends have no time in common, or another defect was found.
         """
         rate_s, rate_r = (_rate(t, f"end {name}: ") for name, t in (("S", t_s), ("R", t_r)))
         begin, end = max(t_s[0], t_r[0]), min(t_s[-1], t_r[-1])
@@ -150,14 +150,14 @@ class Record:
         Parameters
         ----------
         signals : mapping
-            Gives (t, x) of ``line/s/voltage/x`` and so on.
+            Returns (t, x) of ``line/s/voltage/x`` and so on.
         late : (float, float)
-            s by which what end S and end R tell is late; taken out.
+            Delay of the data of end S and end R, s; it is removed.
 
         Raises
         ------
         RecordError
-            Also when one topic of an end is short of a message, which it names.
+            One topic of an end lacks a message (the text names the topic), or another defect was found.
         """
         found = {group: [signals[f"{topic}/{axis}"] for axis in "xyz"] for group, topic in TOPICS.items()}
         times = {group: axes[0][0] for group, axes in found.items()}

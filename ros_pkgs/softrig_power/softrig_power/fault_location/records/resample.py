@@ -13,7 +13,7 @@ HALF = 10.0  # periods of the slower rate, half the width of the kernel
 
 
 def reach(rate: float, to_rate: float) -> float:
-    """Return the time in s before the first and after the last sample in which there is nothing to tell."""
+    """Return the margin in s at both ends of a record in which resampled values are not reliable."""
     return HALF / min(rate, to_rate)
 
 

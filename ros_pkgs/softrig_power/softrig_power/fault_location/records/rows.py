@@ -11,20 +11,20 @@ Row = tuple[float, ...]
 
 
 class Rows:
-    """The newest samples, a value: one more makes another, and the one before stays what it was.
+    """The newest samples as an immutable value: adding a sample returns a new value and leaves the old one unchanged.
 
     Parameters
     ----------
     most : int
-        How many are kept.
+        Number of samples to keep.
     width : int
-        Numbers of a row.
+        Numbers per row.
 
     Notes
     -----
-    A sample more costs one place in a list that several share: who adds to the newest of them writes behind it, who
-    adds to an older one gets a list of his own. A list that native code has filled is made of its table when it is
-    needed, which is rarely: most often native code goes on with the table.
+    Adding a sample appends one item to a list that several values share. Adding to the newest value appends to
+    this list; adding to an older value copies the list first. If native code has filled a table, the list is created
+    from the table only on demand. This is rare, because native code usually continues with the table.
     """
 
     __slots__ = ("_count", "_list", "_table", "most", "width")

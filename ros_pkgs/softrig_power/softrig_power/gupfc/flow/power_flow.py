@@ -99,13 +99,13 @@ class PowerFlow:
     """Newton's method on the 18 equations of network and device.
 
     Unknowns are magnitude and angle of the six bus voltages, real and imaginary part of V12 and V34, P_sh and Q_sh;
-    equations the power balance of each bus (12), the two flows (4), V1 = V_ref and P_sh + P12 + P34 = 0. The
-    injections are functions of the voltages in each step: taken as constants, a flat start leads to another root
-    (V1 = 1.0199).
+    equations the power balance of each bus (12), the two flows (4), V1 = V_ref and P_sh + P12 + P34 = 0. The injections
+    are functions of the voltages in each step: if they are treated as constants, a flat start leads to another root (V1
+    = 1.0199).
 
-    A flat start misses one reachable point in twelve: it diverges, or ends where V3 is 0 and the balance of that bus
-    says nothing, or at another root. So its answer counts only where it is the operating point with the smallest
-    series voltages; else Newton starts from that one, in the closed form of `roots`.
+    A flat start fails for one reachable point in twelve. It diverges, or it ends at another root, or where V3 is 0 and
+    the balance of that bus carries no information. So its result is used only if it is the operating point with the
+    smallest series voltages. Otherwise Newton's method starts from that point, known in closed form from `roots`.
 
     Parameters
     ----------

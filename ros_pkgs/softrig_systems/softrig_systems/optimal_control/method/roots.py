@@ -1,9 +1,9 @@
-r"""Which of several roots: polynomials of low order have more than one alpha that meets the end conditions.
+r"""Selection among several roots: polynomials of low order have more than one alpha that meets the end conditions.
 
-All of them are extremals of the truncated series, and neither the nearest one nor the one of the least series cost need
-be of the problem: the series of a low order says little about what happens. What happens is told by the plant: each
-root's control is played to the true equations, and the root taken that costs least there, where a missed end costs what
-its costate says, :math:`|\lambda(T)|^T |x(T) - x_T|`.
+All of them are extremals of the truncated series. Neither the nearest root nor the root of least series cost need be an
+extremal of the problem, because a series of low order is a poor approximation. So each root's control is applied to the
+true equations, and the root of least cost there is chosen. The cost of a missed end follows from its costate,
+:math:`|\lambda(T)|^T |x(T) - x_T|`.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ def starts(alpha: Array) -> list[Array]:
 def distinct(
     alpha: Array, found: Array, error: float, accurate: float, newton: Callable[[Array], tuple[Array, float]]
 ) -> list[Array]:
-    """Return all real roots that are found, `found` first if it is one.
+    """Return all real roots found, with `found` first if it is a root.
 
     Parameters
     ----------
     alpha : ndarray
-        Root of the order before, which says how large costates are.
+        Root of the previous order, which gives the magnitude of the costates.
     found, error : ndarray, float
-        What Newton's method made of it.
+        Result of Newton's method from this root, and its error.
     accurate : float
         Largest error of a root.
     newton : callable
@@ -82,7 +82,7 @@ def best(
     z_of: Callable[[Array], tuple[Array, Array]],
     cost: Callable[[Array, Array], float],
 ) -> list[Root]:
-    """Order roots by what the plant pays, the best first.
+    """Order roots by the cost of the plant, the best first.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def best(
     z_of : callable
         An alpha to the series of states and costates, and of the controls.
     cost : callable
-        Both to the cost along them; tells between those under which the plant escapes.
+        Both series to the cost along them; it also orders roots under which the plant escapes.
     """
     judged = []
     for alpha in roots:

@@ -121,7 +121,7 @@ def _power(add: object, base: int, exponent: float) -> int:
 
 @jit
 def play(tape: Tape, z: Array, work: Array, k: int) -> None:
-    """Carry out the tape for coefficient k; those below k stand in `work`, one row a place, those of z up to k in z."""
+    """Execute the tape for coefficient k; `work` has the coefficients below k, one row per place, z those up to k."""
     code, left, right = tape.code, tape.left, tape.right
     for i in range(code.shape[0]):
         op, a, b = code[i], left[i], right[i]
@@ -167,7 +167,7 @@ def expand(tape: Tape, z: Array, more: Array, T: float) -> None:
     more : ndarray, (outputs - n_z, order + 1)
         Changed in place.
     T : float
-        Length of the time that s = 0 to 1 stands for, s.
+        Length of the time interval that s = 0 to 1 represents, s.
     """
     n, columns = z.shape
     work = np.zeros((tape.code.shape[0], columns))

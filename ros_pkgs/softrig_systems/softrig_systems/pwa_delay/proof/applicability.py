@@ -1,4 +1,4 @@
-"""Whether the theorems say anything about a system: equilibrium at the origin, and no sliding on a face."""
+"""Check that the theorems apply to a system: equilibrium at the origin, and no sliding on a face."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROUNDING = 1e-9  # of the sizes of its terms, a sum that is zero but for roundin
 
 
 class NotApplicable(ValueError):
-    """The theorem says nothing of this system; the text names the reason, cell and face."""
+    """The theorem does not apply to this system; the text names the reason, cell and face."""
 
 
 def require_equilibrium(system: PwaSystem) -> PwaSystem:

@@ -12,14 +12,14 @@ In the time in which the delay is 1, with the Legendre polynomials P_k::
     Sym(eta' L eta') + (x, x')' Q (x, x') - (x_d, x_d')' Q (x_d, x_d') + x'' R x'
         - sum_{k=0}^N (2 k + 1) zeta_k' R zeta_k + [E_i Ed_i]' U_i [E_i Ed_i] < 0      on the null space of the dynamics
 
-All of Q stands in the second: Omega_k and zeta_k are the Legendre coefficients of x and x', and Bessel's inequality
-holds for both together. Q11 over Omega_k alone is no bound from below where Q12 is not 0.
+The second inequality contains all of Q: Omega_k and zeta_k are the Legendre coefficients of x and x', and Bessel's
+inequality holds for both together. Q11 over Omega_k alone is not a lower bound if Q12 is not 0.
 
-A certificate at one delay says nothing of shorter ones. In the time t/h a shorter delay d makes the slope d/h of what
-it is: the third is quadratic in d/h and convex (Q22 > 0, R > 0), so that matrices which meet it at two delays meet it
-at every one between; the second does not know the delay. From no delay at all (`shortest` 0) time cannot be measured in
-delays. There V has d Omega_k in place of Omega_k and d R in place of R, the third is convex in d again, and the second
-is asked for without Q.
+A certificate at one delay does not cover shorter delays. In the time t/h a shorter delay d multiplies the slope by d/h.
+The third inequality is quadratic and convex in d/h (Q22 > 0, R > 0), so matrices that meet it at two delays meet it at
+every delay between them. The second inequality does not depend on the delay. If the range begins at zero delay
+(`shortest` 0), time cannot be scaled by the delay. Then V has d Omega_k in place of Omega_k and d R in place of R. The
+third inequality is again convex in d, and the second one is required without Q.
 """
 
 from __future__ import annotations

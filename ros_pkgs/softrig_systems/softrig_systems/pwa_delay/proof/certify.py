@@ -122,24 +122,24 @@ def certified_margin(
 ) -> Certificate | None:
     """Look for the largest delay bound with a certificate.
 
-    Theorem 1 is bisected. The criterion for constant delays is walked up, each step a certificate for every delay of
-    the step, so that no window of unstable delays is passed: the end of the first window is found, though a later one
-    may be stable again.
+    For Theorem 1 the bound is bisected. For constant delays the bound is increased in steps. Each step is certified for
+    every delay in it, so no window of unstable delays is missed. The search finds the end of the first stable window; a
+    later window may be stable again.
 
     Parameters
     ----------
     low, high : float
-        Bracket, s; found by itself where it is 0 or does not hold.
+        Bracket, s; it is determined automatically if it is 0 or not valid.
     width : float
-        Relative width at which it ends.
+        Relative width at which the search ends.
     tell : callable, optional
         Called with each certificate tried.
 
     Returns
     -------
     Certificate or None
-        The last valid one. Its `shortest` is 0; where there is no certificate down to no delay but one at `low`, it is
-        `low`. None when there is none even at a delay of 1e-6 of the system's fastest time.
+        The last valid certificate. Its `shortest` is 0, or `low` if there is a certificate at `low` but none down to
+        zero delay. None if there is no certificate even at a delay of 1e-6 of the system's fastest time.
     """
 
     def ask(h: float, shortest: float | None = None) -> Certificate:

@@ -41,7 +41,7 @@ class Inequality(NamedTuple):
 
 
 class Unknown(NamedTuple):
-    """Where an unknown stands in the vector of all, its shape, whether it is symmetric and entrywise >= 0."""
+    """An unknown: its position in the vector of all unknowns, its shape, whether it is symmetric and entrywise >= 0."""
 
     start: int
     shape: tuple[int, int]
