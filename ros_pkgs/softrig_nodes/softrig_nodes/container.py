@@ -109,7 +109,7 @@ class Container:
         return False
 
     def _broke(self, error: Exception) -> None:
-        """An error ends the run in the name of the node whose code was running."""
+        """End the run with an error of the node whose code was running."""
         adapter = next((a for a in self.adapters if a.middleware.name == self.exchange.culprit()), None)
         if adapter is None:
             raise error

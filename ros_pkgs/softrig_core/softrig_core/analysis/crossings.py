@@ -84,7 +84,7 @@ def phase_crossings(response: Response, omega: Array, L: NDArray[np.complex128])
 
 
 def _roots(function: Callable[[Array], Array], omega: Array, values: Array) -> Array:
-    """Halve all intervals at whose ends a function has different signs, at the same time."""
+    """Find roots by bisection of all intervals with different signs at their ends, in parallel."""
     k = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
     low, high, below = omega[k], omega[k + 1], np.signbit(values[k])
     for _ in range(60 if k.size else 0):

@@ -1,4 +1,4 @@
-"""A rig as an environment of the Gymnasium library: an agent in the place of a law."""
+"""A rig as an environment of the Gymnasium library: an agent replaces a controller."""
 
 from __future__ import annotations
 
@@ -308,16 +308,16 @@ class RigEnv(gym.Env[Array, Array]):
         return agent
 
     def scenario(self, policy: str, weights: Sequence[float], name: str = "") -> Scenario:
-        """Return the scenario with a trained policy as the node in the law's place.
+        """Return the scenario with a trained policy as the node in the controller's place.
 
         Parameters
         ----------
         policy : str
             ``linear``, or the name of an entry point ``module:callable`` in the group softrig_policies.
         weights : sequence of float
-            What it has learned.
+            Learned weights of the policy.
         name : str
-            Of the scenario; default: its own.
+            Name of the new scenario; default: that of the old one.
         """
         learned = {"policy": policy, "weights": [float(w) for w in weights]}
         entry = self._entry.model_copy(update={"parameters": {**self._entry.parameters, **learned}})
@@ -325,7 +325,7 @@ class RigEnv(gym.Env[Array, Array]):
         return found.model_copy(update={"name": name} if name else {})
 
     def _with(self, entry: NodeEntry, terminate: Sequence[str]) -> Rig:
-        """Return the rig with another node in the law's place, and requirements that end a run."""
+        """Return the rig with another node in the controller's place, and requirements that end a run."""
         scenario = self._whole.scenario
         for name in terminate:
             if name not in scenario.requirements:
@@ -345,7 +345,7 @@ class RigEnv(gym.Env[Array, Array]):
         return [float(a) for a in action]
 
     def _go_on(self) -> str | bool:
-        """Run up to the agent's next tick; return whether it was the last, or why the rig broke."""
+        """Run up to the agent's next tick; return whether it was the last, or why the rig failed."""
         assert self._ticks is not None
         try:
             for t in self._ticks:
@@ -377,7 +377,7 @@ def _law(rig: Rig, name: str) -> Member:
 
 
 def _without(law: Member, value: Any) -> Any:
-    """Copy plain data with the numbers of a law in place of references to its parameters."""
+    """Copy plain data, with the values of a controller's parameters in place of references to them."""
     if isinstance(value, str):
         reference = rf"(?<!\$)\${re.escape(law.name)}\.([\w.]+)"
         if whole := re.fullmatch(reference, value):

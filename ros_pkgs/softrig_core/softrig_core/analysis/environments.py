@@ -41,7 +41,7 @@ class Columns(Now):
         self.first: dict[str, int] = {}
 
     def __getitem__(self, name: str) -> Any:
-        """Return the newest values of a signal, NaN where nothing has come yet, or a shared number."""
+        """Return the newest values of a signal, NaN where it has none yet, or a shared number."""
         if name in self._shared[0]:
             return self._shared[0][name]
         topic, k = self._known[self.whole(name)]
@@ -251,7 +251,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._k[j] = self._plan.clock.tick(env.clock.t)
 
     def _fitted(self, j: int) -> bool:
-        """Return whether the text is for an instance whose episode has begun; returns that its random numbers."""
+        """Return whether the text fits an instance whose episode has begun; if so, store its random numbers."""
         assert self._text is not None
         program, blocks = self._text.program, [s.block for s in self.envs[j].steps.values()]
         self._fits[j] = not program.differs(blocks) and program.constants(blocks) == self._constants

@@ -502,7 +502,7 @@ def linear_along(
     what, overrides
         See `rig_of`.
     periods : int
-        Of the whole rig.
+        Number of periods of the whole rig.
     at, inputs, outputs, seed
         See `linear_view`.
 
@@ -511,7 +511,7 @@ def linear_along(
     ScenarioError
         As `linear_view`, or less than one period.
     RunError
-        The rig broke, what it remembers cannot be put back, or there are too many states.
+        The rig failed, its state cannot be restored, or there are too many states.
     """
     if periods < 1:
         raise ScenarioError(f"a view along {periods} periods: expected at least 1")
@@ -715,7 +715,7 @@ class Differences:
         )  # fmt: skip
 
     def _no_loop(self) -> str:
-        """Describe why nothing small that is added at the link comes back there."""
+        """Describe why a small change at the link does not return to it."""
         m, link = self.map, self.link
         member, port, _ = m.places[link]
         readers = {
@@ -836,7 +836,7 @@ class Differences:
             yield 0.5 * (up - down), 0.5 * (heard_up - heard_down)
 
     def _variation(self, kept: list[int], A: Array, C: Array, judged: NDArray[np.bool_]) -> tuple[float, list[float]]:
-        """Hold the linear rig against the rig, moved off both ways in all states at once; judge some of them."""
+        """Compare the linear rig with the rig, with all states offset together both ways; judge some states."""
         if not len(kept):
             return 0.0, [0.0] * len(C)
         off, sizes = self._off(kept), self._sizes(kept)

@@ -69,7 +69,7 @@ class OperatingPoint:
 
     @property
     def stable(self) -> bool:
-        """Return whether a run that begins near it comes to it."""
+        """Return whether a run that begins near it converges to it."""
         return self.slowest < 1.0
 
 
@@ -197,7 +197,7 @@ def _move(m: StateMap, kept: list[int]) -> Array:
 
 
 def _least_squares(A: Array, move: Array, sizes: Array) -> Array:
-    """Solve (I - A) step = move with each state in its size, the shortest step that comes nearest."""
+    """Return the shortest least-squares solution of (I - A) step = move, with each state scaled by its size."""
     # I - A is singular where a state may rest anywhere, so the shortest step is taken instead of a solution.
     scaled = (np.eye(len(A)) - A) * sizes[None, :] / sizes[:, None]
     result: Array = np.linalg.lstsq(scaled, move / sizes, rcond=1e-11)[0] * sizes

@@ -112,7 +112,7 @@ class AdsLine(RemoteLine):
         raise RunError(self._why or f"no answer of {self.port} within {PATIENCE * self.timeout:g} s{lost}")
 
     def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
-        """Write a request once, and return the answer if it comes within `wait` s."""
+        """Write a request once, and return the answer if it arrives within `wait` s."""
         end = self._clock() + wait
         self._opened.patient = False
         if not self.joined:

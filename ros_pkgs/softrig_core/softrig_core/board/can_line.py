@@ -108,9 +108,9 @@ class CanLine(RemoteLine):
         raise RunError(self._why or f"no answer to a tick at {self.port} within {PATIENCE * self.timeout:g} s{lost}")
 
     def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
-        """Send the inputs of the next tick once, and return the answer if it comes within `wait` s.
+        """Send the inputs of the next tick once, and return the answer if it arrives within `wait` s.
 
-        Of a node that echoes no number this is the newest.
+        If the node echoes no number, the newest answer is returned.
         """
         end = self._clock() + wait
         self._opened.patient = False
@@ -210,7 +210,7 @@ class CanLine(RemoteLine):
             self._take(message)
 
     def _received(self, wait: float) -> Any:
-        """Return the next frame if one comes; a line of an adapter that python-can cannot read counts as damaged."""
+        """Return the next frame if one arrives; an adapter's line that python-can cannot read counts as damaged."""
         import can
 
         try:

@@ -90,7 +90,7 @@ class Splitter:
         self._rest = b""
 
     def take(self, data: bytes) -> list[bytes]:
-        """Return what came whole between two zeros; empty pieces are left out."""
+        """Return the complete pieces between two zeros; empty ones are left out."""
         *whole, self._rest = (self._rest + data).split(b"\0")
         self._rest = self._rest[-LONGEST:]
         return [piece for piece in whole if piece]

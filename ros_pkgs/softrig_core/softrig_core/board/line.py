@@ -243,7 +243,7 @@ class Line:
     # real time ----------------------------------------------------------------------------------------------------
 
     def try_ask(self, kind: Kind, values: bytes, wait: float) -> bytes | None:
-        """Send a request once, and return the answer's values if it comes within `wait` s; never wait for longer."""
+        """Send a request once, and return the answer's values if it arrives within `wait` s; never wait for longer."""
         end = self._clock() + wait
         self._opened.patient = False
         if not self._there() and not self._open():
@@ -395,7 +395,7 @@ class Line:
             self._tried = self._clock()
 
     def _await(self, number: int, end: float) -> Frame | None:
-        """Return the answer to a request if it comes until a time."""
+        """Return the answer to a request if it arrives before a time."""
         while True:
             for k, frame in enumerate(self._inbox):
                 if frame.number == number:

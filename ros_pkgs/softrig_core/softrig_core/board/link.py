@@ -96,7 +96,7 @@ class Linked(Elsewhere):
         return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.told() or 'all answered'}"}
 
     def void(self, x: LinkState) -> str:
-        """Return why a run in real time is not judged: no answer came, or none in the timeout before its end."""
+        """Return why a run in real time is not judged: no answer arrived, or none in the timeout before its end."""
         if not self.realtime or not self._lines:
             return ""
         line = self._lines[0]
@@ -200,11 +200,11 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
     Parameters
     ----------
     block : type of Block
-        What the firmware was made from.
+        Block that the firmware was generated from.
     params : BlockParams
-        Of the node; those that the build has compiled in must be the same.
+        Parameters of the node; those that are compiled into the build must be the same.
     where : str
-        For errors.
+        Place of the entry, for errors.
 
     Raises
     ------

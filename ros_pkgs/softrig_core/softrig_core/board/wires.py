@@ -67,7 +67,7 @@ class FileWire:
                     raise OSError("the port accepts no bytes") from None
 
     def read(self, wait: float) -> bytes:
-        """Return what has come; see `Wire`."""
+        """Return the bytes that have arrived; see `Wire`."""
         if not self._poll.poll(max(wait, 0.0) * 1e3):
             return b""
         try:

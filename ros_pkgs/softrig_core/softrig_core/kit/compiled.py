@@ -144,7 +144,7 @@ class Compiled:
 
     @property
     def sizes(self) -> tuple[list[int], list[int], int, int, int, int]:
-        """Numbers of each input and output, then the places that a call wants: arg, res, iw, w."""
+        """Return the sizes of each input and output, then the work space that a call needs: arg, res, iw, w."""
         f = self._function
         inputs, outputs = [f.nnz_in(k) for k in range(f.n_in())], [f.nnz_out(k) for k in range(f.n_out())]
         return inputs, outputs, f.sz_arg(), f.sz_res(), f.sz_iw(), f.sz_w()

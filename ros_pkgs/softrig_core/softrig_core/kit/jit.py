@@ -1,11 +1,11 @@
 """Branching and delay loops as native code: numba with a cache, the plain function without it, the same bits.
 
-What a `jit` function may use is what both sides compute alike (measured over 20,000 random arguments each):
-``+ - * / // %``, comparisons, ``min``, ``max``, ``abs``, ``round``, ``int`` and the functions of `math` save ``pow``,
-``hypot``, ``gamma`` and ``lgamma``. Not alike, and therefore refused when the function is declared: ``**`` and
-``math.pow`` (native code turns constant powers into products: one result in four of ``x**3`` differs; write ``x * x``
-or `power`), numpy's own elementary functions (``np.exp``: one in twenty), sums and products of whole arrays (another
-order of additions).
+A `jit` function may use operations with the same result on both sides (measured over 20,000 random arguments each):
+``+ - * / // %``, comparisons, ``min``, ``max``, ``abs``, ``round``, ``int`` and the functions of `math` except
+``pow``, ``hypot``, ``gamma`` and ``lgamma``. Operations with different results are refused when the function is
+declared: ``**`` and ``math.pow`` (native code turns constant powers into products: one result in four of ``x**3``
+differs; write ``x * x`` or `power`), numpy's own elementary functions (``np.exp``: one in twenty), sums and products of
+whole arrays (another order of additions).
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class Jit:
 
     @property
     def direct(self) -> Callable[..., Any]:
-        """Return what a call comes to, from the first one on; before it the object itself."""
+        """Return the function that a call runs, from the first call on; before it the object itself."""
         return self if self._run == self._first else self._run
 
     def _first(self, *arguments: Any) -> Any:

@@ -53,7 +53,7 @@ TAME = 0.5  # functions of numbers are defined here
 
 
 class Calls(Expressions):
-    """Reads calls, and lists whose parts are gone through; see `Ways`."""
+    """Reads calls, and lists that are iterated over; see `Ways`."""
 
     def listed(self, node: ast.expr) -> list[Value] | None:
         """Return the values that a loop iterates over if their number is fixed; None otherwise."""

@@ -235,12 +235,12 @@ class Engine:
         return self.native.given_up > PATIENCE and self.native.ticks < SELDOM * self.native.given_up
 
     def _decided(self, k: int) -> bool:
-        """Return whether a member wants a tick to be Python's."""
+        """Return whether a member requires a tick to run in Python."""
         t = self._time(k)
         return any(self._plan.due(s.schedule, k) and s.block.decides(s.x, t) for s in self._core.deciding)  # type: ignore[attr-defined]
 
     def _next_change(self, k: int) -> int:
-        """Return the first tick, from k on, by whose time parameters are to change."""
+        """Return the first tick, from k on, at whose time parameters must have changed."""
         at = min(s.change_at for s in self.steps)
         if at == math.inf:
             return 1 << 62
@@ -329,7 +329,7 @@ class Engine:
         return reached
 
     def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
-        """Continue where a node wants a tick in Python; everything is published at the end in one batch."""
+        """Continue at ticks that a node requires in Python; everything is published at the end in one batch."""
         at, fit, core = first, self._fit, self._core
         assert fit is not None
 

@@ -299,7 +299,7 @@ class Expressions(Ways):
         raise self.unknown("arithmetic of tuples", node)
 
     def test(self, node: ast.expr) -> bool | str:
-        """Read an expression of which only the truth is asked for; see `truth`."""
+        """Read an expression of which only the truth is needed; see `truth`."""
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             found = self.test(node.operand)
             if isinstance(found, bool):

@@ -129,7 +129,7 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
 
 
 def refuse(kinds: tuple[Any, ...], reason: str) -> None:
-    """Keep why there is no text of a kind, for the rigs to come."""
+    """Store the reason why a kind has no text, for later rigs."""
     _refused[kinds] = reason
 
 

@@ -32,9 +32,9 @@ class Reports:
     Attributes
     ----------
     size : int
-        Of the table; its first number counts all reports.
+        Size of the table; its first number counts all reports.
     worded : bool
-        Whether their texts are wanted. Without them every report can be counted, also one whose text is made elsewhere.
+        Whether their texts are needed. Without them every report can be counted, even if its text is made elsewhere.
     """
 
     places: list[Place] = field(default_factory=list)

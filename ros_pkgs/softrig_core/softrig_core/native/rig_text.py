@@ -43,16 +43,16 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     steps : sequence of Step
         Plants first, then the others, each after those that it reads; each has answered a tick.
     recorded : sequence of Step
-        Those whose answers are written into tables.
+        Steps whose answers are written into tables.
     typed : bool
         Whether a state keeps its type and a table its shape, as numba needs it; else tables are lists of rows.
     reports : bool
-        Whether ticks in which something is reported are answered, too.
+        Whether ticks with reports also run natively.
 
     Raises
     ------
     NotNative
-        What of them native code does not know.
+        Part of the members is not supported by native code.
     """
     turns = Turns(steps, recorded, typed)
     program, kept = turns.program, turns.kept

@@ -50,7 +50,7 @@ class Holding:
 
     @property
     def form(self) -> Any:
-        """Return what a text is for: whether something has come, and of which types."""
+        """Return the part of a text's key for this link: whether a message has arrived, and its types."""
         return form(self.value), self.fill.told() is None
 
 

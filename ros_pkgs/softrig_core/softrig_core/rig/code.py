@@ -21,7 +21,7 @@ _BUILT = {"__pycache__", ".pyc", ".so", ".nbi", ".nbc"}  # made from the sources
 
 
 def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) -> dict[str, str]:
-    """Return the fingerprint of each package whose code decides what some blocks do.
+    """Return the fingerprint of each package whose code affects some blocks.
 
     Parameters
     ----------

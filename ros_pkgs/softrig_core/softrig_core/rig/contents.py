@@ -97,14 +97,14 @@ class Look:
         self.due = min(self._left.values(), default=math.inf)
 
     def check(self, t: float = math.inf) -> None:
-        """Compare the blocks that have answered two ticks at t (ns), by default, after a run, all that are left.
+        """Compare the blocks that have answered two ticks at t (ns); by default, after a run, all remaining ones.
 
         A block whose parameters were changed in the meantime has other constants and is left out.
 
         Raises
         ------
         Impure
-            A tick has changed what a block holds beside x; names node and attribute.
+            A tick has changed what a block holds besides x; the error names node and attribute.
         """
         for name, (block, params, begun) in self._begun.items():
             if (self._thorough and t == math.inf) or self._left.get(name, math.inf) <= t:

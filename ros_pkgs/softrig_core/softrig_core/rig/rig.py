@@ -111,11 +111,11 @@ class Rig(Members):
         Parameters
         ----------
         blocks : mapping of node name to Block
-            Their classes and parameters are taken; the objects themselves stay as they are.
+            Only their classes and parameters are used; the objects themselves are not changed.
         duration : float
-            In s.
+            Duration of a run, s.
         remap : mapping, optional
-            By node name: its topic to the topic that it is to have.
+            By node name: its topic to the new topic.
         **keys
             Further keys of `Scenario`: ``figures``, ``expect``, ``plots``, ``seed``, ``title``.
 

@@ -211,7 +211,7 @@ class _RowKeeper(_ToSink):
 
 
 class _Keeper(_ToSink):
-    """Records a step some of whose outputs are silent at times, or late."""
+    """Records a step with sporadic or delayed outputs."""
 
     def __init__(self, step: Step, sink: Sink, ports: Sequence[Port], layouts: Mapping[int, Layout]) -> None:
         super().__init__(step, sink)

@@ -33,19 +33,19 @@ _pure: set[Any] = set()
 def check_pure(rig: Rig, seed: int | None = None) -> None:
     """Run the first ticks of a rig, and compute each answer twice from the same state and inputs.
 
-    What a block keeps outside of x shows there: a module's variable, one of a closure, a list, a static variable of a
-    library. A class, with the files that decide what it does, is looked at once a process. Rigs with a solver, whose
-    ticks are work of another process, are left out.
+    This detects state that a block stores outside of x: a variable of a module or a closure, a list, a static variable
+    of a library. A class, with the files that define its behaviour, is checked once a process. Rigs with a solver,
+    whose ticks are work of another process, are left out.
 
     Parameters
     ----------
     seed : int, optional
-        Of the rig; the scenario's when absent.
+        Seed of the rig; the scenario's when absent.
 
     Raises
     ------
     Impure
-        Two answers differ; names node, output, time and both values.
+        Two answers differ; the error names node, output, time and both values.
     ScenarioError
         A node of the rig is external.
     """

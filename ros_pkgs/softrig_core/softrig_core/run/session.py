@@ -49,9 +49,9 @@ class Session:
     recording : Recording
         All messages up to here.
     steps : dict of str to Step
-        The members as they are now.
+        The current steps of the members.
     error : str
-        Why it broke; empty while it has not.
+        Why the run failed; empty while it has not.
 
     Raises
     ------
@@ -116,12 +116,12 @@ class Session:
 
     @property
     def over(self) -> bool:
-        """Return whether there is nothing more to come: the last tick is answered, or a block failed."""
+        """Return whether the run has ended: the last tick is answered, or a block failed."""
         return bool(self.error) or self._k > self.ticks
 
     @property
     def run(self) -> Run:
-        """Return what the run is up to here; what comes later is not in it."""
+        """Return the run up to the current time; later ticks are not added to it."""
         at = self._loop.plan.clock.time(self._k)
         return Run(self.rig, self.seed, self.recording.before(at), error=self.error, blocks=dict(self.steps))
 
@@ -195,7 +195,7 @@ class Session:
         Raises
         ------
         ScenarioError
-            The run has not come so far.
+            The run has not reached that time.
         """
         k = self._past(t)
         return {
@@ -248,7 +248,7 @@ class Session:
         return other
 
     def _past(self, t: float) -> int:
-        """Return the first tick that is not before t, which the run has come to."""
+        """Return the first tick that is not before t; the run must have reached t."""
         k = self._tick(t)
         if k > min(self._k, self.ticks):
             raise ScenarioError(f"t = {t:.9g} s: expected a time that the run has come to, at most {self.t:.9g} s")

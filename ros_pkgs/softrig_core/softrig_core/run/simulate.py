@@ -67,10 +67,9 @@ class Run:
     kernels : mapping of str to str
         After a run in process: those of numpy that this process has, see `softrig_core.bits.kernels`.
     strict : bool
-        Whether a run that was changed is judged by all that is expected, also where that is published for the machine
-        as it was.
+        Whether a changed run is judged by all expectations, including those published for the unchanged machine.
     changed : str
-        What else was changed of the scenario as it is written, in words.
+        Description of other changes to the scenario as it is written.
     branched : list of dict
         Times at which the run was rewound: ``at_s``, ``from_s``, and ``left``, where the abandoned branch is stored.
     """
@@ -94,7 +93,7 @@ class Run:
 
     @property
     def stopped_at(self) -> str:
-        """Describe how far a run came that was interrupted; empty if it was not."""
+        """Describe the time that an interrupted run reached; empty if it was not interrupted."""
         if not self.stopped:
             return ""
         return f"stopped by {signal.Signals(self.stopped).name} at t = {self.reached_s:.9g} s"
@@ -148,7 +147,7 @@ class Run:
         return [c.model_copy(update={"holds": None}) for c in found] if open_ else found
 
     def __repr__(self) -> str:
-        """Describe what it was, how far it came and how its figures did."""
+        """Describe the run, the time that it reached and the results of its figures."""
         end = self.error or self.stopped_at or f"{self.reached_s:g} s in {self.wall_s:.3g} s"
         judged = [r for r in self.results if r.judged] if not self.error else []
         passed = f", {sum(r.passed for r in judged)} of {len(judged)} figures pass" if judged else ""
@@ -235,14 +234,14 @@ class Run:
         Returns
         -------
         Run
-            Whole, from t = 0: before `at` its messages are those of this run.
+            The complete run from t = 0: before `at` its messages are those of this run.
 
         Raises
         ------
         ScenarioError
-            This run did not come so far, or a parameter may not change while running.
+            This run did not reach `at`, or a parameter may not change while running.
         RunError
-            The new run broke, or was another one before `at`: names the topic and the time.
+            The new run failed, or differs from this one before `at`: the error names the topic and the time.
 
         Examples
         --------

@@ -1,8 +1,8 @@
 """Reports a block whose code does not return, and lets Ctrl-C end the process then.
 
 Python handles a signal between two of its own instructions, so a loop in native code of this process cannot be
-interrupted. A thread looks at the stacks once a second: a tick costs nothing. The signal itself reaches it through a
-pipe, which Python's handler in C writes to.
+interrupted. A thread checks the stacks once a second, at no cost for the ticks. It receives the signal through a pipe,
+which Python's handler in C writes to.
 """
 
 from __future__ import annotations

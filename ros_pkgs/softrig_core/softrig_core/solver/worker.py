@@ -91,7 +91,7 @@ class Worker:
         return 0.0 if self.since is None else time.monotonic() - self.since
 
     def warm(self) -> None:
-        """Start the process, so that its imports are done when the first request comes."""
+        """Start the process, so that its imports are done when the first request arrives."""
         if self._process is not None and self._process.alive():
             return
         process = self._process = _Process.of(*self._call)
@@ -231,7 +231,7 @@ class _Process:
             self.idle.pop(0).kill()
 
     def kill(self) -> None:
-        """End it, wherever it is; one that came by a fork is the parent's."""
+        """Kill the process at any point; a worker copied by a fork leaves the process to the parent."""
         if self._started_by != os.getpid():
             _of_parents.append(self)
             return

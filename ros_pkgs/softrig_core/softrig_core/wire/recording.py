@@ -97,7 +97,7 @@ class ShardWriter:
             self.flush()
 
     def note(self, t: int, data: bytes) -> None:
-        """Append a change of parameters, in the file at once: it must not be lost with the process."""
+        """Append a change of parameters and flush it to the file: it must not be lost with the process."""
         self.add(self._note, t, data)
         self.flush()
 
@@ -191,7 +191,7 @@ class Topic:
         return () if any(c.layout.form != known[0].layout.form for c in known) else known
 
     def columns(self) -> Columns | Stored | None:
-        """Return all messages as numbers; None when some came as bytes or may have been changed."""
+        """Return all messages as numbers; None if some were added as bytes or may have been changed."""
         known = self.parts()
         if len(known) > 1:
             times, values = (
@@ -295,7 +295,7 @@ class Recording:
         return add
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
-        """Return what appends many such rows, after all that came before them."""
+        """Return a callable that appends many such rows after all existing messages."""
         topics = [(self._order[number], layout) for number, layout in layouts.items()]
 
         def add(times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
@@ -342,7 +342,7 @@ class Recording:
             yield ranks[np.argsort(np.concatenate(ticks), kind="stable")]
 
     def messages(self) -> Iterator[tuple[int, Topic, bytes]]:
-        """Yield all messages by time; equal times in topic order, those of a topic as they came."""
+        """Yield all messages by time; equal times in topic order, messages of one topic in their order."""
         streams = [(topic, topic.stream()) for topic in self._order]
         for ranks in self.order():
             for rank in ranks.tolist():
@@ -452,12 +452,12 @@ class Recording:
 
 
 class ShardTail:
-    """A shard that is still being written: what has come since the last look.
+    """A reader of a shard that is still being written: it reads the messages that are new since the last call.
 
     Parameters
     ----------
     path : Path
-        It need not be there yet.
+        Path of the shard, which need not exist yet.
     """
 
     LIMIT = 1 << 22  # bytes of one look

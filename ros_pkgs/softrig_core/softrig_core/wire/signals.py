@@ -39,12 +39,12 @@ Recent = dict[tuple[Stored, int], Array]  # columns that were read last, the new
 
 
 class _OnDisk(Mapping[str, Array]):
-    """The columns of a topic by label, each read from the disk when it is asked for.
+    """The columns of a topic by label, each read from the disk on demand.
 
     Parameters
     ----------
     recent : dict
-        Of all topics together: columns of a long run are large.
+        Cache shared by all topics, because columns of a long run are large.
     """
 
     def __init__(self, stored: Stored, labels: Sequence[str], flags: Sequence[bool], recent: Recent) -> None:
@@ -104,7 +104,7 @@ def topic_of(name: str, topics: Iterable[str]) -> str:
 
 
 class Signals(Mapping[str, Signal]):
-    """Signals by name ``topic/channel/field``, decoded when first asked for; the field may be left out if there is one.
+    """Signals by name ``topic/channel/field``, decoded on demand; the field may be left out if there is only one.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class Signals(Mapping[str, Signal]):
         self._named: dict[str, Table] = {}
 
     def known_as(self, also: Mapping[str, Mapping[str, str]]) -> Self:
-        """Return channels the names of a rig's ports; to be called before a table is asked for.
+        """Rename channels to the names of a rig's ports; must be called before a table is read.
 
         Parameters
         ----------

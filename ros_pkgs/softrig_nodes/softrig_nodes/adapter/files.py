@@ -39,7 +39,7 @@ def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
     Parameters
     ----------
     name : str
-        Of the node that comes back; its record is ``NAME.shard.died``.
+        Name of the restarted node; its record is ``NAME.shard.died``.
     peers : iterable of str
         Nodes that it reads, or that read it.
     """

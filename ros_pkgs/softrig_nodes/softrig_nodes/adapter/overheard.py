@@ -150,7 +150,7 @@ class OverheardTopics:
     def subscribe(self, then: Callable[[], object]) -> None:
         """Subscribe to the topics that are no inputs; `then` is called after each message of any.
 
-        This comes before the inputs: an external node may begin when these are matched.
+        This must be done before the inputs are offered: an external node may begin when those are matched.
         """
         self._then = then
         for topic, row in self._rows.items():
@@ -173,7 +173,7 @@ class OverheardTopics:
             row.used = False
 
     def absent(self) -> list[str]:
-        """Describe the topics whose publisher is still waited for at the start."""
+        """Describe the topics of publishers for which the node still waits at the start."""
         lacking = [row.port.topic for row in self._rows.values() if not row.publishers and not row.heard]
         if lacking and self._waits("start"):
             return [f"no publisher on {topic} yet (of an external node)" for topic in lacking]
@@ -183,7 +183,7 @@ class OverheardTopics:
         return []
 
     def complete(self) -> bool:
-        """Return whether the node may leave: the last messages have come, or no more is waited for."""
+        """Return whether the node may leave: the last messages have arrived, or the wait for them has ended."""
         return all(row.complete for row in self._rows.values()) or not self._waits("end")
 
     def _waits(self, what: str) -> bool:

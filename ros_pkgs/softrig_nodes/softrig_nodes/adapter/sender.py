@@ -73,7 +73,7 @@ class Sender(Input):
         raise NotImplementedError
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
-        """A good message has come."""
+        """Process a valid message."""
         raise NotImplementedError
 
     # what the kinds of rows have in common -------------------------------------------------------------------------
@@ -85,7 +85,7 @@ class Sender(Input):
         return Sample(stamp - self.node.epoch, values) if self.port.delayed else values
 
     def record(self, t: int, data: bytes) -> None:
-        """Record a message, at the time `t` (ns) from which it counts, if it comes from outside the rig."""
+        """Record a message from outside the rig, at the time `t` (ns) at which it takes effect."""
         node = self.node
         if self._number is not None and node.record.sink is not None:
             node.record.sink.add(self._number, t, data)

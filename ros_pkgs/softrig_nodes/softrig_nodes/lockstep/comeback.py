@@ -118,7 +118,7 @@ class _Heard:
 
 
 class _Returning(Link):
-    """Has a node read what is recorded in place of what comes."""
+    """Passes recorded messages to a node in place of arriving ones."""
 
     def __init__(self, step: Step, lacks: Callable[[int], bool]) -> None:
         super().__init__(step)

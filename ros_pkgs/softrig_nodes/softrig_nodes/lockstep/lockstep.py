@@ -201,7 +201,7 @@ class Lockstep(Link):
     # ticks -----------------------------------------------------------------------------------------------------
 
     def lacks(self, t: int) -> bool:
-        """Return whether something that tick `t` needs has not come."""
+        """Return whether a message that tick `t` needs has not arrived."""
         senders = self.senders
         if senders.rows and t != self._awaited:
             self.await_tick(t)

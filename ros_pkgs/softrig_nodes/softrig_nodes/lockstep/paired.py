@@ -1,4 +1,4 @@
-"""The table of senders in lockstep: what the tick under way needs of each, and whether it has come."""
+"""The table of senders in lockstep: the message that the current tick needs of each, and whether it has arrived."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class PairedSenders:
         self.heard = 0
 
     def row(self, port: Port) -> Sender:
-        """Create the row of an input: paired with the ticks of its sender, or the newest value that comes."""
+        """Create the row of an input: paired with the ticks of its sender, or holding the newest value."""
         node, name = self.node, port.name
         link = node.links.inputs.get(name)
         # Nothing tells whether such a publisher will publish at a tick, so no tick can wait for it.
@@ -122,7 +122,7 @@ class PairedSenders:
 
 
 class Newest(Sender):
-    """An input whose newest value counts, at whatever tick it comes."""
+    """An input of which the newest value is used, at whatever tick it arrives."""
 
     def spoilt(self, data: bytes) -> None:
         """The next answer would have used it."""
@@ -195,7 +195,7 @@ class Paired(Sender):
     # what a tick needs ---------------------------------------------------------------------------------------------
 
     def lacks(self, t: int) -> bool:
-        """Set what tick `t` of ours needs; whether that has not come."""
+        """Set the message that our tick `t` needs; return whether it has not arrived."""
         if t < self._holds:
             return False  # a slower sender: its last message still holds
         want = t if t <= self._alike else self.wanted(t)
@@ -363,7 +363,7 @@ class Counted(Paired):
         self._told = max(self._told, reached)
 
     def count(self, received: int, announced: Iterable[int]) -> None:
-        """Continue after a number of used messages; messages of some announced ticks are still to come."""
+        """Continue after a number of used messages; messages of the announced ticks will still arrive."""
         self.received = received
         self._announced.extend(announced)
 
@@ -407,7 +407,7 @@ class Counted(Paired):
             super().told(position, spoke)
 
     def _serve(self) -> None:
-        """Bring together messages that have come and the ticks at which they were sent."""
+        """Assign the messages that have arrived to the ticks at which they were sent."""
         while self._queue and self._announced:
             (stamp, values, data), position = self._queue.popleft(), self._announced.popleft()
             if values is None:
@@ -438,7 +438,7 @@ class Pace(Paired):
     """A sender whose messages carry only its ticks: /clock."""
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
-        """Its sender has come to a tick of its own."""
+        """Process the report that the sender has reached one of its ticks."""
         self.table.heard += 1
         if stamp == self.want and not self.have:
             self.used = self.reached = stamp
@@ -447,7 +447,7 @@ class Pace(Paired):
             self.reached = stamp
 
     def spoilt(self, data: bytes) -> None:
-        """Another one follows, or the run ends for want of it."""
+        """Ignore an invalid message: another one follows, or the run ends without it."""
 
 
 class Behind(Pace):

@@ -52,7 +52,7 @@ class Turns:
             self.ticks, self.tell_native = ticks_of(members, alone=alone)
 
     def begin(self) -> None:
-        """Count a node whose peers are there; with the last one the ticks begin."""
+        """Count a node whose peers are present; with the last one the ticks begin."""
         self._lacking -= 1
         if not self._lacking:
             for node in self._nodes:

@@ -1,4 +1,4 @@
-"""Nodes that were killed and are started again, so many times; see `node.lockstep.comeback` for how they come back."""
+"""Start killed nodes again, up to a limit; see `node.lockstep.comeback` for how they restore their state."""
 
 from __future__ import annotations
 

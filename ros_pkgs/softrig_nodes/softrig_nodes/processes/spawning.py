@@ -88,7 +88,7 @@ def start(run: Started, group: list[Member], *, again: bool = False) -> list[Chi
     Parameters
     ----------
     again : bool
-        It has died, and comes back.
+        Whether it died and is started again.
     """
     rig, seed, directory, options, record, variables, recorders, returns = run
     log = directory / f"{'+'.join(m.name for m in group)[:200]}.log"
@@ -138,7 +138,7 @@ def start(run: Started, group: list[Member], *, again: bool = False) -> list[Chi
 
 
 def _keep_record(stem: Path) -> None:
-    """Keep the record of a node that died; of one that died while it came back, the longer one that it had before."""
+    """Keep the record of a node that died; if it died during a restart, keep the longer record of before."""
     shard, before = stem.with_suffix(".shard"), stem.with_suffix(DIED)
     if shard.exists() and (not before.exists() or before.stat().st_size < shard.stat().st_size):
         shard.replace(before)

@@ -132,7 +132,7 @@ class SystemClock:
 
 
 def idle(states: Mapping[str, Mapping[str, Any]]) -> str:
-    """Report that a run has ended in order without one tick: in real time it may be over at once by its clocks."""
+    """Report that a run has ended regularly without a tick: in real time its end may have passed at the start."""
     if any(state.get("ticks") for state in states.values()):
         return ""
     return "all nodes have ended, and none of them has answered a tick"
@@ -153,7 +153,7 @@ def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
 
 
 def _asleep(children: list[Child]) -> str:
-    """Name the nodes whose processes are held; empty without any."""
+    """Name the nodes whose processes are stopped; empty if there are none."""
     names = ", ".join(c.member.name for c in children if is_held(c))
     return f"node {names}: its process is stopped (SIGSTOP); it was waited for until the timeout" if names else ""
 

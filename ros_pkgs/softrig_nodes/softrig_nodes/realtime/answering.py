@@ -1,4 +1,4 @@
-"""When a law in real time answers: once all that is due at a tick has come, or some time after the first of it."""
+"""Decide when a controller in real time runs: when all due messages have arrived, or some time after the first."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from .live import KEPT, Live, LiveSenders
 
 
 class Answering:
-    """The ticks of a law that have begun.
+    """The ticks of a controller that have begun.
 
     Parameters
     ----------
     table : LiveSenders
     answer : callable
-        Gets the time of the tick that is to be answered now, ns from t = 0.
+        Called with the time of the tick that must run now, ns from t = 0.
     """
 
     def __init__(self, table: LiveSenders, answer: Callable[[int], object]) -> None:
@@ -41,7 +41,7 @@ class Answering:
         self._deadline.cancel()
 
     def take(self, row: Live, stamp: int, due: int, value: object, now: int) -> None:
-        """A good message of the tick that `due` belongs to has come."""
+        """Process a valid message of the tick that `due` belongs to."""
         if row.awaited:
             if due >= self._following:
                 self._begin(due)
@@ -77,7 +77,7 @@ class Answering:
             self._answer_complete()
 
     def _answer_complete(self) -> None:
-        """Answer pending ticks, oldest first, as long as all that is due has come."""
+        """Run pending ticks, oldest first, as long as all their due messages have arrived."""
         node, awaited, pending = self._node, self.awaited, self._pending
         if len(pending) > 1:
             self._drop()
@@ -108,7 +108,7 @@ class Answering:
             self._deadline.cancel()
 
     def _drop(self) -> None:
-        """Forget ticks that are older than the window, or than what is kept: the law is far behind."""
+        """Drop ticks that are older than the window or than the stored messages: the controller is far behind."""
         # A tick whose messages have dropped out of a full row can no longer be answered with the right ones.
         kept = [f.recent[0][0] for f in self._required if len(f.recent) == KEPT and not f.by_arrival]
         oldest, before = max([self._table.clock() - self._table.window, *kept]), self.dropped

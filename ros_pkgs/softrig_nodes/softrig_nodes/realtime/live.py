@@ -82,7 +82,7 @@ class LiveSenders:
             self.unrecorded = [entry for entry in self.unrecorded if entry[0] > stamp]
 
     def record_rest(self, stamp: int) -> None:
-        """Record what came after the last tick, whose stamp is given, for no tick of ours."""
+        """Record messages that arrived after the last tick, whose stamp is given."""
         for due in sorted({max(due, stamp) for due, _, _ in self.unrecorded}):
             self.record(due)
 
@@ -213,7 +213,7 @@ class Live(Sender):
             table.excuse(self, stamp or table.grid_time(now), now)
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
-        """Keep it by its stamp; one that comes after a newer one, or twice, is left out: the newest stamp counts."""
+        """Store a message by its stamp; ignore one that arrives after a newer one, or twice."""
         if not (self.port.stamped or self.in_order(stamp)):
             return
         now = self.table.clock()
@@ -259,7 +259,7 @@ class Live(Sender):
         """Ignore the sender's report whether it published at a tick; this kind of row does not wait for it."""
 
     def _begin(self, stamp: int) -> None:
-        """By hand a law's t = 0 is the tick of the first message."""
+        """Set t = 0 of a controller that was started by hand to the tick of its first message."""
         node = self.node
         if not node.epoch and not node.is_plant:
             node.epoch = node.schedule.held(stamp)

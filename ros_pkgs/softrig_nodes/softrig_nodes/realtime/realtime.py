@@ -94,7 +94,7 @@ class Realtime(Link):
         self._fed = [f for f in self.senders.rows if f.local]
 
     def _by_itself(self) -> Callable[[], object]:
-        """Answer when what is due has come, or go by a timer; returns what begins that."""
+        """Run ticks when the due messages have arrived, or by a timer; return the callable that starts this."""
         node, senders = self.node, self.senders
         if not node.is_plant and any(f.awaited for f in senders.rows):
             self._answering = answering = Answering(senders, self._answer)

@@ -60,7 +60,7 @@ class Sporadic(Live):
         return True
 
     def take(self, stamp: int) -> object:
-        """Return the newest value up to a tick; what has been sent for it and has not come is waited for no more."""
+        """Return the newest value up to a tick; end the wait for messages that were sent for it but did not arrive."""
         while self._sent and self._sent[0] <= stamp:
             self._sent.popleft()
         return super().take(stamp)

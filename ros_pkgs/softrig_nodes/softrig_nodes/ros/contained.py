@@ -17,9 +17,9 @@ class ContainedMiddleware(RosMiddleware):
     Parameters
     ----------
     node : rclpy.node.Node
-        Of a participant that does not match its own endpoints with each other (`profile.exclusive`).
+        Node of a participant that does not match its own endpoints with each other (`profile.exclusive`).
     exchange : Exchange
-        That of the container.
+        Exchange of the container.
     """
 
     def __init__(self, node: Node, exchange: Exchange) -> None:

@@ -31,7 +31,7 @@ PATIENCE = 10.0  # s: for a node to be there, and again for it to answer
 
 
 class Remote:
-    """Clients of the services that have been asked for.
+    """Clients of the services that have been requested.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Remote:
     answer : callable
         Gets the id of a request, whether it was done (None: no answer), and the reason if it was not.
     patience : float
-        How long to wait for a node, s.
+        Timeout of the wait for a node, s.
     """
 
     def __init__(

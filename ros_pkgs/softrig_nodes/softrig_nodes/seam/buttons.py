@@ -1,4 +1,4 @@
-"""Push buttons that a service presses: one tick down, at least one up, however fast the calls come."""
+"""Push buttons that a service presses: one tick down and at least one up, at any rate of calls."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Hold:
 
     @property
     def has_pace(self) -> bool:
-        """Return whether this node has one: that of the clock, in lockstep, begun."""
+        """Return whether this node has a pace: it has the clock, runs in lockstep and has begun."""
         return self._turn is not None and self._paced
 
     def begin(self, middleware: Middleware, turn: Callable[[], object]) -> None:

@@ -96,17 +96,17 @@ class Middleware(Protocol):
     def be_prompt(self, place: Place) -> None:
         """Process messages of the present subscriptions where they arrive, if possible; for ticks of some us.
 
-        They come one at a time, and never while anything else calls the node.
+        They are processed one at a time, and never during another call of the node.
 
         Parameters
         ----------
         place : {"together", "beside", "anywhere"}
-            Where the node works: with the one other that waits for it, and for which it waits; not where such two are;
-            or where there is room.
+            Processor of the node: "together", the one of its single partner, where each waits for the other; "beside",
+            any on which no such pair works; "anywhere", any with room.
         """
 
     def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
-        """Offer a topic all of whose messages have one layout."""
+        """Offer a topic with one layout for all messages."""
         publish, encode = self.publisher(topic, layout.msgtype, matched), layout.encode
         return lambda mark, values: publish(encode(mark, values))
 

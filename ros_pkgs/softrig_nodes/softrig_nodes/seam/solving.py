@@ -25,9 +25,9 @@ class Solving(Link):
     Parameters
     ----------
     step : Step
-        Of the solver: its x holds the requests that a tick has begun.
+        Step of the solver: its x holds the requests that a tick has begun.
     resume : callable
-        Called when the answer that was waited for is there.
+        Called when the awaited answer is available.
     """
 
     def __init__(self, middleware: Middleware, step: Step, resume: Callable[[], object]) -> None:

@@ -36,7 +36,7 @@ def needed(schedule: Schedule, clock: Schedule, t: int) -> int:
 
 
 def _together(schedule: Schedule) -> int:
-    """Return how many of its ticks a follower acknowledges at once."""
+    """Return how many of its ticks a follower acknowledges together."""
     return max(1, LAG // schedule.every)
 
 
