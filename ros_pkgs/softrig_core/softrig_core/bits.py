@@ -1,8 +1,8 @@
-"""What a machine decides about the last digits: numpy's and OpenBLAS's choice by CPU, the C library's functions.
+"""Dependence of the last digits on the machine: CPU kernels of numpy and OpenBLAS, functions of the C library.
 
-`pin` takes the choice away before numpy is loaded, in processes that softrig starts: the command line, nodes, workers.
-In any other the user's choice stays, and a run says which kernels it had. What decides the numbers of a run uses
-neither BLAS nor numpy's functions of arrays (doc/bits.md); checks and figures may.
+`pin` fixes the kernels before numpy is loaded, in processes that softrig starts: the command line, nodes, workers. In
+any other process the user's choice stays, and a run records the kernels that it used. Code that determines the numbers
+of a run uses neither BLAS nor numpy's array functions (doc/bits.md); checks and figures may use them.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ def cpu_has_avx512(cpuinfo: str = "/proc/cpuinfo") -> bool:
 
 
 def pin(environ: MutableMapping[str, str] = os.environ, *, wider: bool | None = None) -> None:
-    """Choose the kernels of AVX2 where the CPU has wider ones, for this process and those that it starts.
+    """Select the AVX2 kernels if the CPU has wider ones, for this process and those that it starts.
 
-    What is set already stays. Where numpy is loaded already, its own choice stays, too, which `kernels` tells.
+    Variables that are already set stay. If numpy is already loaded, its own choice also stays; `kernels` reports it.
 
     Parameters
     ----------
     environ : mapping
     wider : bool, optional
-        Whether the CPU has AVX-512; found out when absent.
+        Whether the CPU has AVX-512; detected by default.
     """
     if not (cpu_has_avx512() if wider is None else wider):
         return
@@ -94,11 +94,11 @@ def simd_level() -> str:
 
 @cache
 def math_digest() -> str:
-    """Return a digest of the functions that decide numbers: the bits of their results at `ARGUMENTS` arguments each.
+    """Return a digest of the functions that determine numbers: the bits of their results at `ARGUMENTS` arguments each.
 
-    They are those that plants, laws and searches call (`FUNCTIONS`; a test finds them in the sources), and the products
-    and quotients of complex numbers, which a compiler may fuse. The name of a library does not tell: Debian changed
-    functions within glibc 2.36, and glibc chooses by CPU (FMA).
+    These are the functions that plants, controllers and searches call (`FUNCTIONS`; a test finds them in the sources).
+    Products and quotients of complex numbers are included, because a compiler may fuse them. The version of a library
+    is not sufficient: Debian changed functions within glibc 2.36, and glibc selects functions by CPU (FMA).
     """
     import cmath
     import hashlib

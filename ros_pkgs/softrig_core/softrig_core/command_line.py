@@ -1,4 +1,4 @@
-"""What all command lines share: every mistake is one line that says what was expected."""
+"""Common parts of all command lines: every mistake is reported in one line that states what was expected."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Number:
 
 
 def named(text: str, option: str, form: str) -> tuple[str, str]:
-    """Split what an option gives, ``NAME=...``; a ScenarioError says the form that is expected."""
+    """Split the value of an option, ``NAME=...``; raise a ScenarioError with the expected form."""
     name, _, given = (part.strip() for part in text.partition("="))
     if not (name and given):
         raise ScenarioError(f"{option} {text!r}: expected NAME={form}")
@@ -98,7 +98,7 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-\.?\d")  # of Python 3.14; before it -1e-3 is an option
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
-        """Parse, or say what the word may become that somebody is typing."""
+        """Parse the arguments, or print completions of the word that the user is typing."""
         if "_ARGCOMPLETE" in os.environ:
             import argcomplete
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 class ScenarioError(ValueError):
-    """Bad input: the text says what was wrong, where, and what was expected (exit status 2)."""
+    """Bad input: the text states what was wrong, where, and what was expected (exit status 2)."""
 
 
 class RunError(RuntimeError):

@@ -1,4 +1,4 @@
-"""Packages that few users need: a checkout adds one when it is first asked for, and says so in one line."""
+"""Packages that few users need: a checkout installs one on first use and reports it in one line."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ EXTRAS = {
 
 
 def need(package: str, what: str) -> None:
-    """See to it that a package can be imported.
+    """Install a package if it cannot be imported.
 
     Parameters
     ----------
     package : str
         One of `EXTRAS`.
     what : str
-        What needs it, as the error says it.
+        The feature that needs it, as named in the error.
 
     Raises
     ------
     ScenarioError
-        It is not there and could not be added; says how to get it.
+        The package is missing and could not be installed; the message explains how to install it.
     """
     extra = EXTRAS[package]
     if _there(package):

@@ -39,14 +39,14 @@ def guarded(work: Callable[[], int]) -> int:
     Parameters
     ----------
     work : callable
-        Gives 0 for done, 1 for done with another result than was asked for.
+        Returns 0 if done, 1 if done with another result than requested.
 
     Returns
     -------
     int
-        That of `work`, but 1 in place of 0 after `incomplete`; 2 bad input, 3 it broke, 4 an error of softrig itself
-        (its traceback is in a file), 128 and the number of the signal that stopped it, 141 nobody reads the output any
-        more.
+        The status of `work`, but 1 in place of 0 after `incomplete`; 2: bad input; 3: the run failed; 4: an error of
+        softrig itself (its traceback is in a file); 128 plus the number of the signal that stopped it; 141: the reader
+        of the output has closed it.
     """
     global _incomplete
     secure_streams()
@@ -90,7 +90,7 @@ def guarded(work: Callable[[], int]) -> int:
 
 
 def stopped_by(error: KeyboardInterrupt) -> str:
-    """Return in a line which signal has come, and what its notes say: what is missing because of it, how to make it."""
+    """Return one line with the signal received and its notes: what is missing because of it, and how to create it."""
     notes = getattr(error, "__notes__", ())
     number = int(getattr(error, "number", signal.SIGINT))
     return f"stopped by {signal.Signals(number).name}: {'; '.join(notes)}" if notes else "stopped"
@@ -110,12 +110,12 @@ def _wrong(error: Exception) -> int:
 
 
 def need_ros() -> None:
-    """See to it that ROS 2 is there, for what is to run over topics.
+    """Check that ROS 2 is installed, which everything over topics needs.
 
     Raises
     ------
     ScenarioError
-        It is not; says what can be done without.
+        It is not installed; the message lists what works without it.
     """
     if importlib.util.find_spec("rclpy") is None:
         raise ScenarioError(WITHOUT_ROS)
@@ -123,7 +123,7 @@ def need_ros() -> None:
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """Print nothing on the standard output, and no progress; what goes wrong is said all the same."""
+    """Suppress the standard output and the progress within the block; errors are still reported."""
     global _quiet
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
         _quiet = True
@@ -134,7 +134,7 @@ def quietly() -> Iterator[None]:
 
 
 def is_quiet() -> bool:
-    """Return whether nobody wants to read of progress (`quietly`)."""
+    """Return whether progress is suppressed (`quietly`)."""
     return _quiet
 
 
@@ -159,7 +159,7 @@ def incomplete(what: object) -> None:
 
 
 def tell(who: str, what: object) -> None:
-    """Print one line in somebody's name; nobody may be there any more to read it."""
+    """Print one line prefixed with a name; a closed output is ignored."""
     text = plain(" ".join(str(what).split()))
     with suppress(OSError, ValueError):
         print(f"{who}: {text if len(text) <= LINE else text[:LINE] + ' ...'}", file=sys.stderr, flush=True)
@@ -177,14 +177,15 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def plain(text: str) -> str:
-    """Show the control characters of a text that somebody else wrote: a terminal would obey them."""
+    """Escape the control characters of a foreign text, because a terminal would execute them."""
     return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
 
 
 def secure_streams() -> None:
-    """Open the standard streams that are closed, and let no character that an encoding lacks end the program.
+    """Open closed standard streams, and prevent a character missing in the encoding from ending the program.
 
-    A file that is opened while a standard stream is closed gets its number: what somebody prints then stands in it.
+    A file that is opened while a standard stream is closed gets the stream's number, so printed text would be written
+    into the file.
     """
     for number in range(3):
         try:

@@ -16,11 +16,11 @@ AT_ONCE = 3  # times that a person has to ask for the end of a node that does no
 
 
 class Interrupt:
-    """Handler of SIGINT in place of Python's own, which raises KeyboardInterrupt wherever the program stands.
+    """Handler of SIGINT in place of Python's own, which raises KeyboardInterrupt at any point of the program.
 
-    Until rclpy listens to signals itself it ends the process: what is being imported could swallow an exception, and
-    the node would wait for its peers. From then on rclpy's handler, which is called first, shuts the context down, and
-    whoever spins sees that; raised in a callback, an exception would come out of the executor with its stack.
+    Until rclpy handles signals itself, this handler ends the process: an import could swallow an exception, and the
+    node would wait for its peers. From then on rclpy's handler is called first and shuts the context down, which the
+    spinning code detects. An exception raised in a callback would leave the executor with a stack trace.
     """
 
     def __init__(self) -> None:
@@ -42,9 +42,9 @@ class Interrupt:
 
     @contextmanager
     def leaving(self, leave: Callable[[], object]) -> Iterator[None]:
-        """Within the block it calls what ends the process: for work that may take long and that nobody has seen yet.
+        """Call `leave`, which ends the process, on SIGINT within the block: for long work without visible results yet.
 
-        An exception would not do: a compiler's callbacks swallow it.
+        An exception is not sufficient, because a compiler's callbacks swallow it.
         """
         self._leave = leave
         try:
@@ -67,10 +67,10 @@ interrupt = Interrupt()
 
 
 def quiet_imports() -> None:
-    """End without a word when told to while an executable of a package imports what it needs: most of a node's start.
+    """Install a handler that ends the process silently on SIGINT during imports, which are most of a node's start.
 
-    Nothing has been done yet, and launch calls the stack of an import that was interrupted a process that has died.
-    Afterwards, and in every other program, Python's own handler answers.
+    Nothing has been done yet at that time, and launch would report the stack trace of an interrupted import as a
+    crashed process. Afterwards, and in every other program, Python's own handler is used.
     """
     if _is_pythons_own():
         signal.signal(signal.SIGINT, _while_importing)

@@ -10,12 +10,12 @@ from pathlib import Path
 
 
 def check() -> None:
-    """See to it that pydantic is there in its second version; Debian 12 and Ubuntu 24.04 bring the first.
+    """Check that version 2 of pydantic is installed; Debian 12 and Ubuntu 24.04 have version 1.
 
     Raises
     ------
     ImportError
-        It is not; says what to do.
+        It is not installed; the message explains what to do.
     """
     spec = importlib.util.find_spec("pydantic")
     folder = Path(spec.origin).parent if spec is not None and spec.origin else None

@@ -1,4 +1,4 @@
-"""Who runs blocks as nodes: another package, found by its entry points, because this one works without ROS."""
+"""Lookup of the package that runs blocks as nodes, by its entry points, because this package works without ROS."""
 
 from __future__ import annotations
 

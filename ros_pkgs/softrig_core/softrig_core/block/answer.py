@@ -83,7 +83,7 @@ def flat(rows: Any) -> tuple[float, ...]:
 
 
 def usual(values: tuple[Any, ...], bound: float) -> bool:
-    """Return whether values are floats the sum of whose squares is not above a bound; told fast."""
+    """Return whether all values are floats and their sum of squares is at most a bound; a fast check."""
     try:
         size = sum_of_products(values, values)
         return type(size) is float and size <= bound
@@ -95,7 +95,7 @@ Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, t
 
 
 def places(outputs: Sequence[Port]) -> list[Where]:
-    """Return where each output stands in all that a step publishes at a tick (`part`)."""
+    """Return the position of each output in the numbers that a step publishes at a tick (see `part`)."""
     at = [0, *accumulate(p.width for p in outputs)]
     stamp = [0, *accumulate(p.delayed for p in outputs)]
     flag = [*accumulate((p.sporadic for p in outputs), initial=at[-1])]

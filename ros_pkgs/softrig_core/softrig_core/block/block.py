@@ -34,10 +34,11 @@ _RUNNERS = frozenset({"ages", "unanswered", "realtime", "_seed", "_Block__first"
 
 
 def _check_writer(block: Block, name: str, writer: FrameType) -> None:
-    """Ensure that no method of a block writes an attribute of it in a tick.
+    """Refuse a method of a block that writes an attribute of the block in a tick.
 
-    Who runs the block writes from outside; the outermost method of the block on the stack decides, so `setup` may call
-    others. Walking the stack takes microseconds, and nobody comes here in a tick who is not refused.
+    The code that runs the block writes from outside. The outermost method of the block on the stack decides, so `setup`
+    may call other methods. Walking the stack takes microseconds. This does not slow down a tick, because every write in
+    a tick is refused anyway.
 
     Raises
     ------
@@ -79,28 +80,29 @@ def note(reports: Reports, level: Level | None, key: str, text: str) -> None:
 class Block(Generic[P]):
     """A controller, reference, observer, delay or other block with `update`.
 
-    What it remembers is one value, x: an immutable named tuple with the names of the paper, made by `first`, handed to
-    its methods and given back by them. Who runs the block holds x (`softrig_core.block.held`); the block itself is
-    constants: outside of `setup`, `change` and `reset` its methods may not write an attribute, which is a RunError with
-    file and line. Whatever follows from x is computed from x.
+    The state of a block is one value, x: an immutable named tuple with the names of the paper. `first` creates it; the
+    other methods receive it and return it. The code that runs the block stores x (`softrig_core.block.held`). The block
+    itself has constants only: outside of `setup`, `change` and `reset` its methods must not write an attribute, which
+    raises a RunError with file and line. Everything that follows from x is computed from x.
 
-    ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as type of ``self.p``. A base of
-    several blocks leaves it open, ``class Law(Block[P])``; by itself it has the default of `P`, or what binds it.
+    ``class Lag(Block[LagParams])`` has parameters of that type, as `Params` and as the type of ``self.p``. A base class
+    of several blocks leaves the type open, ``class Law(Block[P])``; used by itself, it has the default or the bound of
+    `P`.
 
     Parameters
     ----------
     params : BlockParams, optional
-        Validated parameters; the published values when absent.
+        Validated parameters; default: the published values.
     name : str
         Name of the node; together with the seed it fixes the random numbers.
     **values
-        Instead of `params`: single parameters by name.
+        Single parameters by name, in place of `params`.
 
     Raises
     ------
     softrig_core.block.params.ParameterError
-        A parameter is unknown or out of bounds, or the block cannot be set up with them; names those that differ from
-        the published ones.
+        A parameter is unknown or out of bounds, or the block cannot be set up with the parameters; the message names
+        those that differ from the published values.
     """
 
     Params: ClassVar[type[BlockParams]] = BlockParams
@@ -184,10 +186,11 @@ class Block(Generic[P]):
 
     @classmethod
     def agreed(cls, params: Any) -> Mapping[str, Any]:
-        """Return what must be equal in all nodes of a rig that name it: quantity (``tank/k_high``) to value.
+        """Return values that all nodes of a rig that name them must share: quantity (``tank/k_high``) to value.
 
-        For a plant, for those that judge it (figures, monitors, certificates, proofs), and for what they say of a law.
-        What a law assumes of its plant is its own: it may be wrong, that is an experiment.
+        This applies to a plant, to the nodes that judge it (figures, monitors, certificates, proofs), and to what they
+        assume about a controller. The assumptions of a controller about its plant are its own: they may differ from the
+        plant, as an experiment.
         """
         return {}
 
@@ -195,14 +198,14 @@ class Block(Generic[P]):
         """Compute what depends on the parameters only; called once. Import heavy libraries here."""
 
     def first(self) -> Any:
-        """Return the state before the first tick; a block that remembers nothing has none.
+        """Return the state before the first tick; a block without memory has no state.
 
-        What is odd about the parameters is reported here, and in `go_on`: who holds the block gets it.
+        Unusual parameters are reported here and in `go_on`; the holder of the block receives the report.
         """
         return ()
 
     def take_first(self) -> Any:
-        """Return the state before the first tick, for who holds the block from now on: what `first` gives."""
+        """Return the state before the first tick, as `first` does, for the code that holds the block from now on."""
         found, self.__first = self.__first, None
         if found is None:
             self.events.clear()
@@ -213,23 +216,23 @@ class Block(Generic[P]):
     def go_on(self, x: Any, before: P) -> Any:
         """Return the state with which it goes on after live parameters have changed, between two ticks.
 
-        `p` and what `setup` makes are those of now. By default the state stays as it is. A block whose state means
-        something else under other parameters overrides it and says in its docstring what happens to that state: where
-        the field expects it, the output does not jump.
+        `p` and the constants from `setup` are the new ones. By default the state is unchanged. A block whose state
+        depends on the parameters overrides this method and describes in its docstring what happens to the state. If
+        practice in the field expects it, the output must not jump.
 
         Parameters
         ----------
         x : named tuple
         before : BlockParams
-            The parameters until now; only those declared ``live=True`` differ.
+            The previous parameters; only those declared ``live=True`` differ.
         """
         return x
 
     def save(self, x: Any) -> Any:
-        """Return what `load` makes x of again, as often as wanted; x itself, unless part of it is opaque.
+        """Return a value from which `load` restores x any number of times; x itself, unless part of it is opaque.
 
-        What cannot be a value (a solver, an FMU, a policy) stands in x as the object that it is; its block says here
-        how it is kept.
+        Something that cannot be an immutable value (a solver, an FMU, a policy) is in x as an object; its block defines
+        here how that object is stored.
         """
         return x
 
@@ -291,7 +294,7 @@ class Block(Generic[P]):
 
     @property
     def reports(self) -> Reports:
-        """Return what a block that nobody holds has reported, by key; what one that is held has, see `Held.reports`."""
+        """Return the reports by key of a block without a holder; for a held block see `Held.reports`."""
         result: Reports = {}
         for level, key, text, _ in self.events:
             note(result, level, key, text)
@@ -311,7 +314,7 @@ class Block(Generic[P]):
 
     @classmethod
     def speaks_at_end(cls) -> bool:
-        """Return whether the block has a tick at the end time of a run: plants, observers and who has a last word."""
+        """Return whether the block has a tick at the end time of a run: plants, observers, and blocks with `finish`."""
         return issubclass(cls, (Plant, Observer)) or cls.finishes()
 
     def health(self, *x: Any) -> Mapping[str, str]:
@@ -349,9 +352,9 @@ class Block(Generic[P]):
         raise NotImplementedError
 
     def finish(self, *x_t: Any, **inputs: Any) -> Any:
-        """Answer the last tick not after the end of a run, in place of `update`: what is said of a whole record.
+        """Return the outputs of the run's last tick, in place of `update`, for results over the whole record.
 
-        A block that overrides it sees the last outputs of the plants and the commands of the tick before.
+        A block that overrides it receives the last outputs of the plants, and the commands of the previous tick.
         """
         raise NotImplementedError
 

@@ -77,7 +77,7 @@ class Decoder:
         return message.mark, values
 
     def number(self, data: bytes) -> int:
-        """Return the number that a refused array says of itself; -1 when there is none or it cannot be read."""
+        """Return the sequence number of a rejected array; -1 if there is none or it cannot be read."""
         try:
             return self._parse(data).mark
         except Refused:
@@ -178,7 +178,7 @@ def selection(source: Port, sink: Port) -> Pick | None:
 
 
 def readable_stamp(data: bytes) -> int | None:
-    """Return the stamp (ns) of a message that is refused, where it stands at the begin; None when it cannot be read.
+    """Return the stamp (ns) at the beginning of a rejected message; None if it cannot be read.
 
     Parameters
     ----------

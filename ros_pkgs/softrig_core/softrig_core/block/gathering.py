@@ -38,16 +38,16 @@ class Batched(Protocol):
     in_batches: bool
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
-        """Return the state after all that its ticks have seen since the last call.
+        """Return the state after all messages that its ticks have received since the last call.
 
         Parameters
         ----------
         x : named tuple
         t : int
-            Its newest tick, ns.
+            The newest tick, ns.
         messages : mapping of str to sequence of (int, tuple of float)
-            By input: stamp in ns and values of each message that its ticks have seen, the oldest first; inputs that
-            nobody fills are missing. A tuple, or `Heard`.
+            By input: stamp in ns and values of each message that its ticks have received, the oldest first. Inputs
+            without a publisher are missing. A tuple, or `Heard`.
         """
 
 
@@ -57,7 +57,7 @@ def takes_batches(block: Block) -> bool:
 
 
 class _Seen:
-    """What has come on one input."""
+    """The messages received on one input."""
 
     def __init__(self, port: Port) -> None:
         self.name, self._size = port.name, port.size
@@ -72,7 +72,7 @@ class _Seen:
 
 
 class Gathering(Link):
-    """Puts together what the ticks of an observer have seen.
+    """Collects the messages that the ticks of an observer have received.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A block and what it remembers now: who runs a block holds its state, the block has none."""
+"""A block with its present state: the code that runs a block holds the state; the block itself has none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Steered(Protocol):
     """A block one of whose parameters something in the run moves, such as the button of a fault."""
 
     def params(self, x: Any) -> BlockParams:
-        """Return the parameters as they stand; `p` has those that were given."""
+        """Return the present parameters; `p` has the initial ones."""
 
 
 class Kept(NamedTuple):
@@ -37,16 +37,16 @@ class Held:
     Parameters
     ----------
     block : Block
-        At its seed; its state is its first one.
+        A seeded block in its initial state.
 
     Attributes
     ----------
     x : named tuple
-        What it remembers.
+        The state of the block.
     reports : dict of str to (Level, str, int)
-        What it has reported in ticks that were kept, by key: level, newest text, how often.
+        Reports from ticks that were kept, by key: level, newest text, count.
     anew : set of str
-        Keys of reports to be logged once more.
+        Keys of reports to be logged again.
     """
 
     # all that changes besides x and the parameters: the only list of it
@@ -63,7 +63,7 @@ class Held:
 
     @property
     def params(self) -> BlockParams:
-        """The block's parameters as they stand."""
+        """The block's present parameters."""
         return self.block.params(self.x) if isinstance(self.block, Steered) else self.block.p
 
     def tell(self) -> None:
@@ -73,9 +73,9 @@ class Held:
         self.drop()
 
     def note(self, level: Level | None, key: str, text: str, anew: bool = False) -> None:
-        """Store a report: logged when its key is new or it is marked `anew`, always counted.
+        """Store and count a report; it is logged if its key is new or `anew` is set.
 
-        One without a level withdraws what was reported under its key.
+        A report without a level withdraws the earlier report under its key.
         """
         note(self.reports, level, key, text)
         if anew:

@@ -44,11 +44,11 @@ class Link:
         return link
 
     def lacks(self, t: int) -> bool:
-        """Return whether something that tick `t` needs has not come; what has come is in the values of the step."""
+        """Return whether a message that tick `t` needs is missing; the step's values contain the arrived messages."""
         return self.inner is not None and self.inner.lacks(t)
 
     def respond(self, x: Any, t: int, **inputs: Any) -> Any:
-        """Ask the block for its answer to a tick; who overrides it may ask otherwise, or change what is answered."""
+        """Return the block's answer to a tick; an override may call the block differently or change the answer."""
         return (self.step.ask if self.inner is None else self.inner.respond)(x, t, **inputs)
 
     def settle(self) -> None:

@@ -1,7 +1,7 @@
-"""What a tick is, in all placements: `doc/tick.md` shows these functions as they stand here.
+"""Definition of a tick in all placements: `doc/tick.md` shows the source of these functions.
 
-`say` and `move` answer a member's first tick. `bound.py` writes their text with the names of the member in it, which
-takes half of the time: that answers those that follow.
+`say` and `move` answer a node's first tick. For all later ticks `bound.py` generates the same code with the node's
+names in it, which runs in half the time.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def say(step: Step, t: int) -> None:
 
 
 def move(step: Step, t: int, values: Mapping[str, Any] | None = None) -> None:
-    """Move a plant on from a tick over one period, with what its inputs hold or with other values.
+    """Advance a plant from a tick over one period, with the held inputs or with other values.
 
     Raises
     ------

@@ -23,7 +23,7 @@ LONGEST = 64  # values that native code writes out one by one
 
 
 class Refused(ValueError):
-    """A message that must not reach a block; the text says what was wrong and what was expected."""
+    """A message was rejected before it reached a block; the text states the fault and what was expected."""
 
 
 class Sample(NamedTuple):
@@ -53,7 +53,7 @@ class Port:
     Parameters
     ----------
     name : str
-        Keyword under which the block gets or gives the values.
+        Keyword under which the block receives or returns the values.
     topic : str
         Relative topic name.
     msgtype : str
@@ -63,31 +63,31 @@ class Port:
     fields : tuple of str
         Which number fields of the message are used.
     units : tuple of str
-        One unit a value, held against that of the other end where a rig is wired: "1" is a pure number, an empty one is
-        not known and fits any (of a block that hands on whatever comes).
+        One unit per value, compared with that of the other end when a rig is wired. "1" is a pure number. An empty unit
+        is unknown and matches any unit (used by a block that forwards any message).
     frame_id : str
-        header.frame_id, ``world`` where none is given; an input with a frame refuses any other.
+        header.frame_id, by default ``world``; an input with a frame rejects any other frame.
     held : bool
-        Input only: optional, newest value, None until the first; for people and outside nodes.
+        Input only: optional, newest value, None until the first message; for people and external nodes.
     delayed : bool
-        Carries `Sample` with an acquisition time of its own and is paired by order instead of by stamp.
+        Messages are `Sample` with an acquisition time of their own, and are paired by order instead of by stamp.
     sporadic : bool
-        Output: the block may stay silent at a tick (the port left out of its answer, or None) and readers know it
-        without waiting. An input keeps its newest value, whose `Block.age` is 0 at a tick at which something came.
+        Output: the block may be silent at a tick (the port is missing in its answer, or None); readers are informed and
+        do not wait. An input keeps its newest value, whose `Block.age` is 0 at a tick at which a message arrived.
     partial : bool
         Input only: a message may carry a subset of the channels; the others keep their value, at first `safe`.
     dims : Dims
-        Labels and sizes of the dimensions of a Float64MultiArray; the last one changes fastest. A held input also takes
-        one that says no dimensions and has as many values.
+        Labels and sizes of the dimensions of a Float64MultiArray; the last one changes fastest. A held input also
+        accepts a message without dimensions that has the same number of values.
     also : tuple of str
-        Input only: names of the channels, in their order, by which an outside node may call them all.
+        Input only: alternative names of all channels, in their order, that an external node may use.
     unchecked : bool
-        Output of a fault: may say what no reader takes, NaN or beyond limits; each refuses it for itself.
+        Output of a fault: it may publish invalid values (NaN or beyond limits), which each reader rejects itself.
     safe : tuple of float
-        Value in the absence of a valid one: a plant's input under its watchdog, a controller's output when
-        its measurement is bad. Default zeros.
+        Value used if there is no valid one: a plant's input under its watchdog, a controller's output when its
+        measurement is bad. Default: zeros.
     limits : tuple of float
-        Plausible magnitude of each value in its unit, beyond which an input refuses a message. Default by unit.
+        Plausible magnitude of each value in its unit, beyond which an input rejects a message. Default by unit.
     """
 
     name: str
@@ -145,7 +145,7 @@ class Port:
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Name of each value below the topic, e.g. ``shaft/velocity``; ``x`` or ``data`` where one word says it."""
+        """Name of each value below the topic, e.g. ``shaft/velocity``; ``x`` or ``data`` where one word is enough."""
         sizes = self.type.sizes
         counts = {name: sizes[name] or len(self.channels) for name in self.fields}
         return self.type.labels(counts, self.channels if self.type.named else (), self.dims)
@@ -189,7 +189,7 @@ class Port:
 
     @property
     def frame(self) -> str:
-        """Return what its messages say as header.frame_id; empty of a type that has none."""
+        """Return the header.frame_id of its messages; empty for a type without one."""
         return (self.frame_id or WORLD) if self.type.framed else ""
 
     def layout(self) -> Layout:
@@ -359,14 +359,14 @@ def array(name: str, topic: str, dims: Mapping[str, int], units: str | Sequence[
 
 
 def number(name: str, topic: str, unit: str, **options: object) -> Port:
-    """A set point or other single number from a person or an outside node (std_msgs/Float64).
+    """Create a port for a set point or other single number from a person or an external node (std_msgs/Float64).
 
     Parameters
     ----------
     name, topic, **options
         As in `joint_state`.
     unit : str
-        Of the number; the message says none.
+        Of the number; the message has no unit.
     """
     return Port(name, topic, types.NUMBER.name, (), ("data",), (unit,), **options)  # type: ignore[arg-type]
 

@@ -91,15 +91,15 @@ def scene_of(block_class: type, params: Any) -> Scene | None:
 
 
 def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[Port]) -> list[Pose]:
-    """Return the frames that do not move and that a block knows: of its bodies, its drawings, and what it says.
+    """Return the fixed frames that a block knows: of its bodies, its drawings and its outputs.
 
-    Those of drawings and of quantities without a place (abc, alpha_beta, dq) are the world's own. A force is told in
-    the frame of a body, which whoever moves that body knows.
+    Frames of drawings and of quantities without a position (abc, alpha_beta, dq) coincide with the world frame. A force
+    is published in the frame of a body, which the block that moves this body publishes.
 
     Parameters
     ----------
     markers, outputs : iterable of Marker, of Port
-        Its own; as is `scene`.
+        Those of the block, like `scene`.
     """
     bodies = [] if scene is None else [at_origin(scene.base), *scene.fixed()]
     known = {WORLD, *(pose.child for pose in bodies)}

@@ -66,11 +66,11 @@ class Schedule:
     period : float, str or Fraction
         Period in s; see `rational`.
     clock : float, str or Fraction, optional
-        Period of the clock of the rig, of which `period` is a whole multiple; the block's own when absent.
+        Period of the rig's clock; `period` is an integer multiple of it. Default: the block's own period.
     duration : float, optional
-        Length of the run in s: it ends at the last tick of the clock not after it. None or 0: endless.
+        Length of the run in s; the run ends at the last tick of the clock that is not after it. None or 0: endless.
     at_end : bool
-        Whether the block also speaks at the end time: plants do, and blocks with a last look (observers, `finish`).
+        Whether the block also has a tick at the end time, as plants, observers and blocks with `finish` do.
 
     Attributes
     ----------
@@ -81,17 +81,17 @@ class Schedule:
     ticks : int or None
         Number of the clock's last tick.
     end : int or None
-        Time of it in ns.
+        Time of the clock's last tick in ns.
     last : int or None
-        The block's own last tick, ns: the last one not after the end, or before it for who does not speak there.
+        The block's own last tick, ns: the last one not after the end, or before the end without `at_end`.
     time : callable
         Tick number to time in ns.
     tick : callable
         Stamp in ns to the number of the tick to which it is nearest.
     held : callable
-        Time in ns to that of the block's newest tick: what a link from it holds.
+        Time in ns to the time of the block's newest tick: the stamp of the value that a link from it holds.
     next : callable
-        Time in ns to that of the first tick after it.
+        Time in ns to the time of the first later tick.
 
     Raises
     ------

@@ -24,7 +24,7 @@ from .schedule import Schedule
 
 
 class Step(Held):
-    """One member at its ticks: its block, what that remembers, and what its inputs hold.
+    """One node at its ticks: its block, the block's state, and the values of its inputs.
 
     Parameters
     ----------
@@ -37,40 +37,44 @@ class Step(Held):
     Attributes
     ----------
     values : dict of str to value
-        What each input holds: the keywords of the block's methods. Who brings a message writes it here.
+        Value held by each input, by the keyword of the block's methods. The code that delivers a message writes it
+        here.
     stamps : dict of str to callable
-        By input: gives the stamp of the newest message, ns, None before the first; missing: nothing ever comes.
+        By input: a function that returns the stamp of the newest message, ns, or None before the first. An input
+        without publisher is missing.
     changes : tuple of Change
-        Those that have not taken effect.
+        Changes that have not taken effect yet.
     bad : bool
-        Whether something was refused that the next answer would have used.
+        Whether a message was rejected that the next answer would have used.
     t : int
-        The tick under way, or the newest that is over, ns.
+        The tick under way, or the newest completed one, ns.
     readers, doubters : list of Fill
-        What its outputs fill in this process, in order; those whose readers check what they get, as a fault publishes
-        what may be bad.
+        Inputs in this process that its outputs fill, in order. `doubters` are the inputs that check what they receive,
+        because a fault may publish bad values.
     fed : dict of str to Fill
-        By input, what fills it in this process.
+        By input, the output in this process that fills it.
     plain : bool
-        Whether every output says something at each tick, at its stamp.
+        Whether every output publishes at each tick, with the stamp of the tick.
     numbers : tuple of float
-        Of one that is plain: all that the newest answer says.
+        For a plain step: all numbers of the newest answer.
     say : callable
-        Gets t, ns: answers that tick, hands the answer to the readers here, and sends it. A RunError whose `node` is
-        the name of this step: the block failed, or gave what may not leave it. Made with the first tick (`bound.py`):
-        what is read and written must be wired by then; made again when it gets another link.
+        Called with t, ns: answers that tick, passes the answer to the readers in this process, and publishes it. A
+        RunError whose `node` is the name of this step means that the block failed or returned an invalid value. The
+        function is generated at the first tick (`bound.py`), so all inputs and outputs must be wired by then. It is
+        generated again when the step gets another link.
     advance : callable
-        Gets t, ns, and by choice the values of the inputs: moves a plant from t over one period, or a RunError.
+        Called with t, ns, and optionally the values of the inputs: advances a plant from t over one period, or raises a
+        RunError.
     counts : dict of str to int
-        By output: arrays that it has published, which are numbered.
+        By output: the number of arrays published; arrays are numbered.
     begun : int or None
-        Of a solver whose ticks are in two halves: the tick that has begun and is perhaps not answered, ns.
+        For a solver whose ticks have two halves: the tick that has begun and may still be unanswered, ns.
     link : Link or None
-        What joins it to what is elsewhere; None: nothing does.
+        The connection to nodes outside this process; None if there is none.
     waits : Link or None
-        The link that can lack something, which the loop asks; None: nothing can.
+        The link that the loop asks for missing messages; None if no message can be missing.
     native : (int, str)
-        How many of its ticks native code answered, and why Python answered the others.
+        Number of ticks answered by native code, and why Python answered the others.
     """
 
     TABLES = (*Held.TABLES, "values", "counts")
@@ -162,7 +166,7 @@ class Step(Held):
     # what a tick is -----------------------------------------------------------------------------------------------
 
     def make(self) -> None:
-        """Generate `say` and `advance` now, since all is wired: in real time the first tick has no time for it."""
+        """Generate `say` and `advance` once all is wired, because in real time the first tick has no time for it."""
         self.say = sayer(self)
         if self.plant:
             self.advance = mover(self)
@@ -217,7 +221,7 @@ class Step(Held):
         return age if age > 0 else 0
 
     def held(self) -> Mapping[str, Any]:
-        """Return what was said last, at first the safe values; silence on sporadic ports."""
+        """Return the newest outputs, initially the safe values; sporadic ports are left out."""
         said = self.said or (None,) * len(self.outputs)
         return {
             p.name: row or (Sample(self.t, p.safe) if p.delayed else p.safe)
@@ -230,7 +234,7 @@ class Step(Held):
         return next((row for p, row in zip(self.outputs, self.said, strict=False) if p.name == name), None)
 
     def refused(self, t: int) -> Any:
-        """Answer a tick of which something was refused."""
+        """Answer a tick for which a message was rejected."""
         self.bad = False
         x, own = self.block.refused(self.x, t)
         return x, self.held() if own is None else own
@@ -277,7 +281,7 @@ class Step(Held):
         return (self.block.update if last is None or t < last else self.block.finish)(x, t, **inputs)
 
     def checked(self, found: Any) -> Rows:
-        """Return what each output says, checked."""
+        """Return the checked values of each output."""
         rows = tuple([admit(found, port, self.name, self.t) for port in self.outputs])
         if self.plain and rows:
             self.numbers = flat(rows)

@@ -24,12 +24,12 @@ class Tables:
         self._steps = tuple(steps)
 
     def keep(self) -> Moment:
-        """Return what they hold now.
+        """Return a copy of the present contents.
 
         Raises
         ------
         RunError
-            What a block is made of cannot be kept; names it and says why.
+            The state of a block cannot be stored; the message names the block and the reason.
         """
         result: dict[str, Kept] = {}
         for step in self._steps:
@@ -47,7 +47,7 @@ class Tables:
         Raises
         ------
         RunError
-            A block could not go back; names it and says why.
+            A block could not be restored; the message names the block and the reason.
         """
         for step in self._steps:
             kept = moment[step.name]

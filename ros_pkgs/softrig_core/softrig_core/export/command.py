@@ -72,7 +72,7 @@ def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False
     folder : Path
         The files go here.
     rows : int
-        Most ticks of the scenario's run that become golden rows.
+        Largest number of ticks of the scenario's run that become golden rows.
     single : bool
         ``real_t`` is float.
 
@@ -80,7 +80,7 @@ def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False
     -------
     Exported
     dict of str to str
-        Nodes that were left out, since nobody reads them and they have no C, and why.
+        Nodes without readers that were left out because they have no C, and why.
 
     Raises
     ------

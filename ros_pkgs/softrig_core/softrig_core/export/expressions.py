@@ -80,7 +80,7 @@ class Expressions(Base):
         return self.of_python(self.outer(node.id, node), node)
 
     def outer(self, name: str, node: ast.AST) -> Any:
-        """Return what stands under a name outside of the function."""
+        """Return the value of a name outside of the function."""
         if isinstance(self.function, str):
             if name in self.unit.texts:
                 return name
@@ -190,7 +190,7 @@ class Expressions(Base):
         return table
 
     def _looked_up(self, base: Value, parts: Sequence[Value], index: Value, node: ast.AST) -> Value:
-        """Return the part of a tuple that a number tells."""
+        """Return the part of a tuple that an integer index selects."""
         first = parts[0].kind if parts else None
         for part in parts:
             first = united(first, part.kind)

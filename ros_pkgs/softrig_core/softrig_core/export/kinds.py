@@ -117,10 +117,10 @@ def one_line(text: str) -> str:
 
 
 def remark(text: str) -> str:
-    """Return a text as it may stand in a comment of C or structured text: nothing in it ends the comment.
+    """Return a text that is safe inside a comment of C or structured text: nothing in it ends the comment.
 
-    Texts are a user's, or of somebody whose package a user runs: what ends a comment would make code of the rest. Three
-    signs that C reads as another one (``??/``) are taken apart, too.
+    Texts come from a user or from a foreign package, and after the end of a comment the rest would be code. Trigraphs,
+    three characters that C reads as another one (``??/``), are also separated.
     """
     return re.sub(r"\?(?=\?)|\*(?=[/)])|[/(](?=\*)", r"\g<0> ", one_line(text)).rstrip("\\ ")
 
@@ -206,7 +206,7 @@ def leaves(kind: Kind, path: str = "") -> list[tuple[str, Table]]:
 
 
 def roomy(kind: Kind, rooms: Mapping[tuple[Any, ...], int], path: str = "") -> Kind:
-    """Return a type whose arrays have room for as many rows as `rooms` says, by `room_of`."""
+    """Return a type whose arrays have the capacity (rows) given in `rooms`, with keys from `room_of`."""
     if isinstance(kind, Table):
         return Table(kind.item, (rooms[room_of(path, kind)], *kind.shape[1:])) if kind.shape else kind
     if isinstance(kind, Tuple):
@@ -216,5 +216,5 @@ def roomy(kind: Kind, rooms: Mapping[tuple[Any, ...], int], path: str = "") -> K
 
 
 def room_of(path: str, table: Table) -> tuple[Any, ...]:
-    """Return what arrays of states have in common that share their room: path, type, and columns."""
+    """Return the key shared by arrays of states that have the same capacity: path, type and columns."""
     return path, table.item, table.shape[1:]

@@ -94,13 +94,13 @@ def law_of(
         Inputs whose age is 0 at each tick.
     inputs, outputs : sequence of Port
     calls : sequence of Call
-        Of a run: the forms that occur in them get a text each. A state that has settled tells its types better than
-        the first one, so the newest call of each form is the sample.
+        Calls of a run; each form that occurs in them gets a text. The newest call of each form is the sample, because a
+        settled state shows its types better than the first one.
 
     Raises
     ------
     NotNative
-        What of the block cannot be translated, and its line.
+        Part of the block cannot be translated; the message has the construct and its line.
     """
     ages: dict[tuple[int, str], int | str | None] = {(0, name): 0 for name in punctual}
     program = Program([block, block], Writer, ages, [(0, p) for p in outputs if p.sporadic], inferred=True)

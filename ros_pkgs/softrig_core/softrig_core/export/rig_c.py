@@ -49,12 +49,12 @@ def rig_files(rig: Rig, most: int, *, single: bool = False) -> tuple[Exported, d
     -------
     Exported
     dict of str to str
-        Members that were left out, which nobody reads: why they have no C.
+        Nodes without readers that were left out, and why they have no C.
 
     Raises
     ------
     ScenarioError
-        A member that others read has no C.
+        A node that others read has no C.
     """
     check_here(rig)
     left: dict[str, str] = {}
@@ -85,7 +85,7 @@ def _left_out(left: dict[str, str], member: Member) -> Iterator[None]:
 
 
 def _check_read(rig: Rig, left: Mapping[str, str]) -> None:
-    """Ensure that a member without C is no plant, and that nobody with C reads it."""
+    """Refuse a plant without C, and a node without C that a node with C reads."""
     for member in rig.members:
         for link in member.links.values():
             if member.name not in left and link.source.name in left:

@@ -138,7 +138,7 @@ class _Printer:
     # names and types ----------------------------------------------------------------------------------------------
 
     def word(self, c: str) -> str:
-        """Return the name in structured text, where case does not count and underscores stand alone."""
+        """Return the name in structured text, which ignores case and does not allow double underscores."""
         if c not in self.known:
             plain = re.sub(r"_+", "_", c).strip("_") or "x"
             found, k = plain, 2
@@ -322,7 +322,7 @@ class _Printer:
         self.lines.append("    " * (self.depth + 1) + line)
 
     def block(self, node: Any) -> None:
-        """Print what stands between braces."""
+        """Print the statements between braces."""
         self.depth += 1
         items = node.block_items or () if isinstance(node, c_ast.Compound) else (node,)
         at = len(self.lines)

@@ -178,7 +178,7 @@ def _by_place(function: Any, names: list[str]) -> Any:
 
 
 def _line(line: str, out: list[str], depth: int, own: set[str], name: str) -> int:
-    """Translate one line; return how deep the next one stands."""
+    """Translate one line; return the indentation depth of the next one."""
     pad = "    " * depth
     if found := re.fullmatch(r"(IF|ELSIF) (.*) THEN", line):
         pad = pad if found[1] == "IF" else pad[4:]

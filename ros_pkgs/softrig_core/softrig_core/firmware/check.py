@@ -117,7 +117,7 @@ def _line(port: str, build: Build) -> Line:
 
 
 def _longest(line: Line, board: str) -> int:
-    """Return the longest step: simavr's program counts it, a Cortex-M says it with its next hello."""
+    """Return the longest step: simavr's program counts it, a Cortex-M reports it in its next hello message."""
     if board == "arduino":
         assert isinstance(line.wire, Simulated)
         return int(line.wire.told().get("cycles", 0))
@@ -269,12 +269,12 @@ _WORD = 4
 
 
 def _stack(tool: str, elf: str, scratch: Path, address: int) -> int:
-    """Return the deepest stack from `main` on: what the compiler says of each function, along the calls in the code.
+    """Return the deepest stack from `main` on: the sum of the compiler's stack sizes along the calls in the code.
 
     Parameters
     ----------
     address : int
-        Bytes that a call itself takes.
+        Bytes used by a call itself.
     """
     usage: dict[str, int] = {}
     for file in scratch.glob("*.su"):

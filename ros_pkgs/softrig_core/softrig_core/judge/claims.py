@@ -1,4 +1,4 @@
-"""What a paper says of a figure, and whether the measurement bears it out."""
+"""Claims of a paper about figures, and their check against the measurement."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class Claim(Entry):
         return ", ".join(parts)
 
     def holds(self, agrees: bool) -> bool:
-        """Return whether the verdict fits: all but refuted need agreement; not_checkable says nothing."""
+        """Return whether the verdict is right: all but refuted require agreement; not_checkable is always right."""
         return self.verdict == "not_checkable" or agrees == (self.verdict != "refuted")
 
     def references(self) -> list[str]:

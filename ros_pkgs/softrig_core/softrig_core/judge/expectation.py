@@ -49,17 +49,17 @@ class Expectation(Entry):
         return bool(self.text) or not any((self.expected, self.tolerance, self.at_most, self.at_least))
 
     def resolved(self, value: Callable[[str], Any]) -> Expectation:
-        """Return it with the numbers that its references stand for; one without references as it is.
+        """Return the expectation with its references replaced by numbers; unchanged if it has none.
 
         Parameters
         ----------
         value : callable
-            Gives what a reference stands for, without its dollar sign.
+            Returns the value of a reference, given without its dollar sign.
 
         Raises
         ------
         ScenarioError
-            A reference that nothing stands for, no number, an empty range.
+            A reference is unknown, a value is not a number, or the range is empty.
         """
         return _following(self.text, lambda part: number(part, value)) if self.text else self
 
@@ -69,7 +69,7 @@ class Expectation(Entry):
         Raises
         ------
         ScenarioError
-            It follows the machine, and what the machine says is not known yet.
+            The expectation depends on parameters of the machine that are not known yet.
         """
         if self.text and (self.expected, self.at_most, self.at_least) == (None, None, None):
             raise ScenarioError(f"{self.text!r} takes numbers from nodes: expected the expectation of a rig")
@@ -97,12 +97,12 @@ def parse(given: Any) -> Any:
     """Read an expectation as scenario files write it.
 
     ``0.694 +- 0.0069``, ``0.694 +- 1 %``, ``44`` (exactly), ``at most 0.02``, ``at least 3``, ``between 80 and 81.1``.
-    Any of these numbers may be arithmetic over what nodes say: ``at most 1.03 * $motor.current``.
+    Any of these numbers may be arithmetic over parameters of nodes: ``at most 1.03 * $motor.current``.
 
     Raises
     ------
     ValueError
-        Another form, a tolerance above a quarter of the value, an empty range.
+        The text has another form, the tolerance is above a quarter of the value, or the range is empty.
     """
     if isinstance(given, Expectation | dict):
         return given

@@ -23,14 +23,14 @@ _FORM = "expected numbers, $node.parameter, $name, + - * / ** ( ), abs, min, max
 
 
 def number(text: str, value: Callable[[str], Any]) -> float:
-    """Compute what a piece of arithmetic comes to.
+    """Compute the value of an arithmetic expression.
 
     Parameters
     ----------
     text : str
         Such as ``0.96 * $dtc_controller.flux_ref``; ``^`` is a power, as in formulas.
     value : callable
-        Gives what a reference stands for, without its dollar sign: ``dtc_controller.flux_ref``.
+        Returns the value of a reference, given without its dollar sign: ``dtc_controller.flux_ref``.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def number(text: str, value: Callable[[str], Any]) -> float:
     Raises
     ------
     ScenarioError
-        It is no arithmetic, a reference is no number, or the result is none; names the text.
+        The text is not arithmetic, a reference is not a number, or the result is not finite; the message has the text.
     """
     known: dict[str, float] = {}
 

@@ -1,7 +1,7 @@
-"""Formulas of signal temporal logic: read, and checked against what a rig has.
+"""Formulas of signal temporal logic: parsed, and checked against the names in a rig.
 
-The grammar is that of `sentil`. What is ours: words for conditions (a bare name, ``rising(x)``, ``falling(x)``,
-``changed(x)``), whole nanoseconds in place of seconds, units, and what a formula says of a record (`robustness`).
+The grammar is that of `sentil`. softrig adds words for conditions (a bare name, ``rising(x)``, ``falling(x)``,
+``changed(x)``), whole nanoseconds in place of seconds, units, and the evaluation over a record (`robustness`).
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
         Such as ``always (fault -> eventually[0, 0.05] abs(current) < 0.1)``, times in s: numbers, or arithmetic over
         names of numbers.
     known : mapping
-        What its names stand for: a number, or None for a signal. References are names here (`with_names`).
+        Values of its names: a number, or None for a signal. References count as names (`with_names`).
 
     Returns
     -------
@@ -122,7 +122,7 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
     Raises
     ------
     ScenarioError
-        It does not parse, or a name is unknown: with the nearest one.
+        The formula cannot be parsed, or a name is unknown (the message suggests the nearest one).
     """
     tree, conditions = _read(given, tuple(known.items()))
     return tree, dict(conditions)
@@ -206,7 +206,7 @@ def _timed(given: str, known: Mapping[str, float | None]) -> str:
 
 
 def _check_arithmetic(tree: Tree) -> None:
-    """Refuse functions of the wrong number of arguments, and numbers that are none whatever the signals say."""
+    """Refuse functions with the wrong number of arguments, and constants that are not finite for any signals."""
     for kind, body in nodes(tree):
         if kind == "Call":
             name, given = body
@@ -294,7 +294,7 @@ def _ns(seconds: float) -> float:
 
 
 def nodes(tree: Tree) -> list[tuple[str, Any]]:
-    """Return every operator, function, variable and number of a formula with what stands under it, from the root on."""
+    """Return every operator, function, variable and number of a formula with its operands, from the root on."""
     result: list[tuple[str, Any]] = []
     # A stack in place of recursion: a study asks this of every run.
     stack: list[tuple[str, Any]] = [("", tree)]

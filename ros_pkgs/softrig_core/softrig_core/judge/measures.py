@@ -76,22 +76,22 @@ def figure(
     possible: tuple[float, float] = (-math.inf, math.inf),
     follows: bool = False,
 ) -> Callable[[_F], _F]:
-    """Describe what a figure function gives, so that a scenario is judged before its run.
+    """Declare the result of a figure function, so that a scenario can be checked before its run.
 
     Parameters
     ----------
     unit : str
-        Unit of the figure; ``{signal}`` stands for that of its argument `signal`.
+        Unit of the figure; ``{signal}`` is replaced by the unit of its argument `signal`.
     reads : sequence of str
-        Signals that it reads besides those that its arguments name; ``*`` stands for any characters.
+        Signals that it reads in addition to those that its arguments name; ``*`` matches any characters.
     agreed : mapping of str to str
-        Arguments that are what a node of the rig says by `Block.agreed`: name to quantity (``tank/k_high``). A scenario
-        leaves them out; one that gives another value is refused.
+        Arguments whose value a node of the rig declares in `Block.agreed`: name to quantity (``tank/k_high``). A
+        scenario leaves them out; a scenario with another value is refused.
     possible : (float, float)
-        What lies outside cannot be (an efficiency above 100 %): such a result is an error and never passes.
+        Range of possible values. A result outside (an efficiency above 100 %) is an error and never passes.
     follows : bool
-        Whether it is measured against the machine itself (a share of what the module can give, whether a fault was
-        found): what is expected of it holds for a changed machine, too.
+        Whether the figure is relative to the machine itself (a share of the module's available power, whether a fault
+        was found), so that its expectation also applies to a changed machine.
     """
 
     def declare(function: _F) -> _F:
@@ -443,16 +443,17 @@ def window(
 
 
 def shared(signals: SignalMap, key: Hashable, make: Callable[[], _T]) -> _T:
-    """Return what several figures of one run begin with; it is computed once where the signals have room for it.
+    """Return an intermediate result that several figures of one run share; it is cached if the signals allow it.
 
     Parameters
     ----------
     signals : mapping
-        Those of a run keep results in their attribute `shared`; of others it is computed at each call.
+        Signals of a run cache results in their attribute `shared`; for other signals the result is computed at each
+        call.
     key : hashable
-        What is computed, with all arguments that it depends on.
+        Identifies the result, with all arguments that it depends on.
     make : callable
-        Computes a tuple of arrays; nobody changes them.
+        Computes a tuple of arrays, which callers must not modify.
     """
     store: dict[Hashable, Any] | None = getattr(signals, "shared", None)
     if store is None:

@@ -20,14 +20,15 @@ class Requirement(Entry):
     Parameters
     ----------
     formula : str
-        Over the scenario's shared names, ``$node.parameter`` and figures, times in s:
-        ``always[1.1, 3] abs(speed - set_point) <= 0.02 * set_point``.
+        A formula over the scenario's shared names, ``$node.parameter`` and figures, times in s: ``always[1.1, 3]
+        abs(speed - set_point) <= 0.02 * set_point``.
     where : str
-        Where the paper or sheet says so.
+        Place of the requirement in the paper or data sheet.
     scale : dict of str to float
-        By unit, what counts as one: for formulas that compare several units. The margin is then a pure number.
+        By unit, the value that counts as one, for formulas that compare several units. The margin is then a pure
+        number.
     live : bool
-        Whether a node ``requirement_NAME`` watches it while the rig runs.
+        Whether a node ``requirement_NAME`` monitors it while the rig runs.
     ends : bool
         Whether that node ends the run when it is violated; implies `live`.
     """

@@ -26,21 +26,21 @@ class NotJudged(ValueError):
 
 
 class Margin(NamedTuple):
-    """What a formula says of a record.
+    """Result of a formula over a record.
 
     Parameters
     ----------
     value : float
-        Robustness: how far from violated; negative when violated; infinite when only conditions decide. Where it is
-        not known in full, the bound that decides.
+        Robustness: the distance from violation; negative if violated; infinite if only conditions decide. If it is only
+        known within bounds, the decisive bound.
     at : float
         Instant, s, of the comparison that decides it.
     violated : tuple of (float, float)
-        Where what must always hold does not, s; of a formula that is no ``always``, the deciding instant.
+        Intervals in which an ``always`` formula does not hold, s; for other formulas, the deciding instant.
     bounds : tuple of (float, float)
-        Least and greatest that it may be; equal where it is known.
+        Least and greatest possible value; equal if the value is known.
     open_from : float
-        Instant, s, from which on the record does not decide all that is asked; infinite where it does.
+        Instant, s, from which on the record does not decide the whole formula; infinite if it decides all of it.
     """
 
     value: float
@@ -140,12 +140,12 @@ class Record:
         self._found: dict[int, tuple[Tree, Array]] = {}
 
     def margin(self, tree: Tree) -> Margin:
-        """Measure a formula at the first instant.
+        """Evaluate a formula at the first instant.
 
         Raises
         ------
         NotJudged
-            It may hold or not: says what is undefined, or where the record ends.
+            The record does not decide the formula; the message names what is undefined, or where the record ends.
         """
         found = self._at(tree, 0)
         least, greatest = float(found[0, 0]), float(found[1, 1])
@@ -301,7 +301,7 @@ class Record:
             yield kind, body
 
     def _open_from(self, tree: Tree) -> float:
-        """First instant, ns, at which what stands under an operator without end may hold or not."""
+        """Return the first instant, ns, at which the operand of an unbounded operator is undecided."""
         result = INF
         for kind, body in self._outermost(tree):
             if kind in FUTURE and limits(body)[1] == INF:

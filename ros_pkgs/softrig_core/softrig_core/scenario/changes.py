@@ -58,7 +58,7 @@ def script(where: str, entries: Sequence[ChangeEntry], members: Iterable[Changin
     Raises
     ------
     ScenarioError
-        No such node, a node of somebody else, or values that `softrig_core.block.change.permit` refuses.
+        There is no such node, the node is external, or `softrig_core.block.change.permit` refuses the values.
     """
     known = {m.name: m for m in members}
     first = {m.name: m.params for m in known.values()}

@@ -40,7 +40,7 @@ class FaultEntry(BaseModel):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Return what it says beside the link."""
+        """Return the entries of the fault other than the link."""
         return {WORDS.get(name, name): value for name, value in (self.model_extra or {}).items()}
 
 
@@ -58,11 +58,11 @@ def insert(
     where : str
         Name of the scenario, for errors.
     faults : mapping of str to FaultEntry
-        By the name of the node that each becomes.
+        By the name of the node that implements the fault.
     nodes : mapping of str to mapping
         Package, executable, parameters, remap and external of each node.
     ports, params : mapping
-        Of each node; topics of ports as remapped in `nodes`.
+        Of each node; the topics of ports are remapped as in `nodes`.
 
     Returns
     -------
@@ -72,7 +72,8 @@ def insert(
     Raises
     ------
     ScenarioError
-        Names the fault: no such link or reader, a name that is taken, a parameter that the link says.
+        There is no such link or reader, a name is taken, or a parameter is set by the link; the message names the
+        fault.
     """
     result = {name: {**entry, "remap": dict(entry["remap"])} for name, entry in nodes.items()}
     sources = {port.topic: (name, port) for name, (_, outputs) in ports.items() for port in outputs}

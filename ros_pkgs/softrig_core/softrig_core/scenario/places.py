@@ -1,4 +1,4 @@
-"""Where in a scenario file, its variant or what it extends a key stands: for messages alone."""
+"""Location of a key in a scenario file, its variant or the scenario that it extends; only used in messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ports as the text of a parameter, for nodes whose topics their scenario tells."""
+"""Ports as the text of a parameter, for nodes whose topics are set by their scenario."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _TUPLES = ("channels", "fields", "units", "limits", "safe")
 
 
 def reader(port: Port, name: str, held: bool = False) -> Port:
-    """Return the input that takes all that an output says."""
+    """Return an input that accepts every message of an output."""
     return replace(port, name=name, held=held, sporadic=False, partial=False, also=(), unchecked=False, safe=())
 
 
@@ -28,7 +28,7 @@ def ports_of(text: str) -> tuple[Port, ...]:
     Raises
     ------
     ValueError
-        The text is no JSON, or not of ports; says what was expected.
+        The text is not JSON or does not describe ports; the message states what was expected.
     """
     try:
         given: list[dict[str, Any]] = json.loads(text)

@@ -19,19 +19,20 @@ _PARAMETER = re.compile(r"\$([A-Za-z_]\w*)\.([\w.]+)")
 def fill(value: Any, shared: Mapping[str, Any]) -> Any:
     """Copy plain data with every string ``$name`` (keys of mappings too) replaced by its shared value.
 
-    Strings ``$node.parameter`` stay, they are for `fill_parameters`; ``$$`` stands for a dollar sign.
+    Strings ``$node.parameter`` are left for `fill_parameters`; ``$$`` is a literal dollar sign.
 
     Parameters
     ----------
     value : any
-        Mappings, lists and scalars as YAML gives them; also changes laid over a reference (`Over`).
+        Mappings, lists and scalars as parsed from YAML; also changes that override parts of a reference (`Over`).
     shared : mapping
         Shared values by name.
 
     Raises
     ------
     ScenarioError
-        No such shared value, one that refers to itself, more than `NODES` values or deeper than `DEEPEST`.
+        There is no such shared value, one refers to itself, or there are more than `NODES` values or more than
+        `DEEPEST` levels.
     """
     made, depth = 1, 0
 
@@ -139,14 +140,14 @@ def pick(values: Mapping[str, Any], name: str) -> Any:
 
 
 def parameter_of(where: str, nodes: Mapping[str, Any], params: Callable[[str], Any], node: str, name: str) -> Any:
-    """Return what ``$node.parameter`` stands for, `params` giving the parameters of one of the nodes.
+    """Return the value of ``$node.parameter``; `params` returns the parameters of a node.
 
-    It may also name what is `derived` from them.
+    The name may also be a value that is `derived` from the parameters.
 
     Raises
     ------
     ScenarioError
-        No such node or parameter; begins with `where`.
+        There is no such node or parameter; the message begins with `where`.
     """
     if node not in nodes:
         raise ScenarioError(f"{where}${node}.{name}: the nodes are {', '.join(nodes)}")

@@ -72,14 +72,15 @@ class FigureEntry(Entry):
     function : str
         Name of a registered figure function; the figure's own name when absent.
     arguments : dict
-        Its arguments; ``$node.parameter`` stands for a parameter of the rig, and may stand in arithmetic:
+        Its arguments; ``$node.parameter`` is the value of a parameter of the rig and may be used in arithmetic:
         ``$load.times.1 + 0.5``.
     unit : str
-        Unit of the figure; that of the function and its signal when absent.
+        Unit of the figure; default: that of the function and its signal.
     since : str
-        A signal from whose newest step on it is measured: `start` and `end` count from there, `final` is the signal's
-        value after it, `initial` what is measured then, unless `final` is given. With several, a comma and a blank
-        between: from the newest step of any of them on, and `final` must be given. Empty: the whole run.
+        A signal; the figure is measured from its newest step on. `start` and `end` count from this step. Unless `final`
+        is given, `final` is the signal's value after the step and `initial` is the measured value at the step. Several
+        signals are separated by a comma and a blank: the figure is measured from the newest step of any of them, and
+        `final` must be given. Empty: the whole run.
     """
 
     function: str = ""
@@ -94,15 +95,15 @@ class PlotEntry(Entry):
     Parameters
     ----------
     signals : dict of str to str
-        Signal name to label (empty: the signal's own name). Over time also ``one - other``: a signal less the newest
-        value of another.
+        Signal name to label (empty: the signal's own name). In plots over time also ``one - other``: a signal minus the
+        newest value of another.
     unit : str
-        Of the y axis; when empty, that of the ports, with one row a unit.
+        Of the y axis; if empty, that of the ports, with one row per unit.
     quantity : str
-        Title of the y axis, before its unit; when empty, what the unit stands for.
+        Title of the y axis, before its unit; if empty, the quantity that the unit measures.
     x : str
-        Instead of time, the label below each signal's own topic that gives the x axis: ``x`` draws ``flux/y``
-        against ``flux/x``, ``voltage/position`` a power against the voltage of the same topic.
+        Label of the signal on the x axis, below each signal's own topic, in place of time: ``x`` draws ``flux/y``
+        against ``flux/x``; ``voltage/position`` draws a power against the voltage of the same topic.
     window : (float, float)
         First and last time (s) shown; None: the whole run.
     """
@@ -125,29 +126,29 @@ class Scenario(Entry):
     Parameters
     ----------
     source : str
-        Where it comes from: paper, table, figure.
+        Origin: paper, table, figure.
     cites : list of str
         Keys of entries in ``references.bib``, beside the scenario files.
     faults : dict of str to FaultEntry
-        What goes wrong on links, by the name of the node that does it.
+        Faults on links, by the name of the node that implements the fault.
     changes : list of ChangeEntry
         Parameters that change while it runs.
     figures : dict of str to FigureEntry
-        What is measured, by name.
+        Figures to measure, by name.
     expect : dict of str to Expectation
-        What figures are expected to be.
+        Expected values of figures.
     claims : dict of str to Claim
-        What the paper says of figures.
+        Claims of the paper about figures.
     requirements : dict of str to Requirement
-        What must hold in a run, as formulas of temporal logic over shared names.
+        Requirements on a run, as formulas of temporal logic over shared names.
     containers : list of lists of str
-        Nodes that share a process when the rig runs in containers; when empty, all do.
+        Nodes that share a process when the rig runs in containers; if empty, all nodes share one.
     record : str
-        ``signals``, or ``all``: the bag has descriptions, diagnostics and figures of observers, too.
+        ``signals``, or ``all``: the bag also has descriptions, diagnostics and figures of observers.
     trips : list of str
-        Nodes whose protection is expected to switch something off for good.
+        Nodes whose protection is expected to trip permanently.
     shared : dict
-        Values that other entries name as ``$name``; for the record, they are filled in already.
+        Values that other entries reference as ``$name``. They are already filled in and only stored as information.
     """
 
     name: str
@@ -178,7 +179,7 @@ class Scenario(Entry):
 
     @property
     def changed_from(self) -> Mapping[str, Any]:
-        """Return what was changed of it since it was written, by key, to what that was; None where it was not said."""
+        """Return the keys changed since the file was written, each with its original value; None if it was not set."""
         return self._changed_from
 
     def changing(self, before: Mapping[str, Any]) -> Scenario:
@@ -241,7 +242,7 @@ class Scenario(Entry):
         return new.written_in(None if overrides else self._file).changing(before)
 
     def having(self, **keys: Any) -> Scenario:
-        """Return the scenario with other values of some keys, checked; a ScenarioError says what does not fit."""
+        """Return the scenario with other values of some keys, checked; a ScenarioError names an invalid value."""
         try:
             return Scenario.model_validate({**dict(self), **keys}).changing(self._changed_from)
         except ValidationError as error:
@@ -362,7 +363,7 @@ def _before(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
 
 
 def _at(entry: Any, name: str) -> Any:
-    """Return what is written under a dotted name, which may stand for mappings in each other."""
+    """Return the entry under a dotted name, whose parts may be keys of nested mappings."""
     if not isinstance(entry, Mapping):
         return None
     if name in entry:

@@ -126,12 +126,12 @@ def names(path: Path) -> Iterator[str]:
 
 
 def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Apply `extends` and the variant that the name asks for; the file's own data stays as it is.
+    """Apply `extends` and the variant that the name selects; the file's own data is not modified.
 
     Raises
     ------
     ScenarioError
-        Extends itself or nobody.
+        The scenario extends itself or an unknown scenario.
     """
     if len(seen) >= PARENTS:
         raise ScenarioError(

@@ -47,32 +47,35 @@ STEP = ("final", "initial")  # of these, those of a step
 
 
 class Result(BaseModel):
-    """A figure of a run: what was measured, what it should be, and whether it is.
+    """A figure of a run: the measured value, the expected value, and the verdict.
 
     Parameters
     ----------
     value : float, optional
-        None when it could not be computed or is not finite; `error` then says why: ``never`` for what does not happen.
+        None if it could not be computed or is not finite; `error` then has the reason: ``never`` for an event that does
+        not happen.
     published : float, optional
-        What the paper says, from the claim about this figure.
+        Value in the paper, from the claim about this figure.
     expected, tolerance, at_most, at_least : float, optional
-        The expectation; none of them: for information.
+        The expectation; if none is set, the figure is for information.
     at_s : float, optional
         Of a requirement: the instant that decides its margin, s.
     violated_s : tuple of (float, float)
         Of a requirement: intervals in which it does not hold, s.
     open_from_s : float, optional
-        Of a requirement: the instant from which on the run's end leaves a part of it open, s; what is decided counts.
+        Of a requirement: the instant from which on a part of it is undecided at the run's end, s; the decided part is
+        judged.
     published_for : str
-        Of a run that was changed, where what is expected is a number for the machine as it was: what that machine had.
-        It is not judged then.
+        Of a changed run whose expectation is a number for the unchanged machine: the parameters of that machine. The
+        figure is then not judged.
     follows : bool
-        Whether what is expected of it follows the machine: it is taken from the nodes, or measured against them.
+        Whether the expectation depends on the machine: it is computed from the nodes' parameters, or the figure is
+        relative to them.
     settled : bool
-        Of a run under way: whether the verdict stays as it is, whatever comes.
+        Of a run under way: whether the verdict is final.
     passed : bool
-        Written as ``pass``. A figure for information passes, whatever it is, unless it is impossible; so does one that
-        is not judged.
+        Written as ``pass``. A figure for information passes unless its value is impossible; so does a figure that is
+        not judged.
     """
 
     model_config = ConfigDict(frozen=True, populate_by_name=True)
@@ -137,7 +140,7 @@ class Figure:
         return [*given, *reads, *(f"{one}/{name}" for one in given for name in reads), *self.since.split(", ")]
 
     def __call__(self, signals: SignalMap) -> float:
-        """Measure; an ImpossibleError where the function says that the result cannot be."""
+        """Measure the figure; raise an ImpossibleError if the result is outside the possible range."""
         value = float(self.function(signals, **self.at(signals).arguments))
         low, high = getattr(self.function, "possible", (-math.inf, math.inf))
         if value < low - ROUNDING * max(1.0, abs(low)) or value > high + ROUNDING * max(1.0, abs(high)):
@@ -145,12 +148,12 @@ class Figure:
         return self.scale * value
 
     def at(self, signals: SignalMap) -> Figure:
-        """Return the figure of the newest step of `since`, with what that step says among its arguments.
+        """Return the figure for the newest step of `since`, with the values of that step among its arguments.
 
         Raises
         ------
         ValueError
-            There was no step yet, or nothing to measure at it.
+            There was no step yet, or there is nothing to measure at it.
         """
         given = dict(self.arguments)
         if {str} & {type(given.get(name)) for name in STEP}:
@@ -249,12 +252,12 @@ def told(rig: Members) -> dict[str, str]:
 
 
 def figures_in(text: str) -> list[Figure]:
-    """Read what `told` wrote.
+    """Read the figures that `told` has written.
 
     Raises
     ------
     ValueError
-        The text is no JSON, or not of figures; says what was expected.
+        The text is not JSON or does not describe figures; the message states what was expected.
     """
     try:
         return [Figure(**about | {"function": find(about["function"])}) for about in json.loads(text)]
@@ -267,18 +270,18 @@ def evaluate(
 ) -> list[Result]:
     """Measure the figures of a rig's scenario and judge them.
 
-    A figure that cannot be computed has value None and the reason; it passes only if nothing is expected of it.
+    A figure that cannot be computed has the value None and the reason; it passes only if it has no expectation.
 
     Parameters
     ----------
     rig : Rig
-        Its scenario says what is measured and expected.
+        Its scenario defines the figures and the expectations.
     signals : Signals
         Of a run of this rig.
     figures : sequence of Figure, optional
-        What `figures_of` gives of it, where that is known.
+        Result of `figures_of` for the rig, if it is known already.
     under_way : bool
-        Whether more of the run will come: `Result.settled` is set.
+        Whether the run continues: `Result.settled` is then set.
     """
     published = {c.figure or k: c.published for k, c in rig.scenario.claims.items() if c.published is not None}
     results = []

@@ -17,18 +17,18 @@ Figures = Mapping[str, float]
 
 
 class Finding(BaseModel):
-    """A claim and what the measurement says of it.
+    """A claim and its check against the measurement.
 
     Parameters
     ----------
     scenario, key : str
-        Where the claim stands.
+        Scenario and key of the claim.
     text, where, reason : str
-        What the paper says, where, and why the verdict is what it is.
+        Text of the claim, its place in the paper, and the reason of the verdict.
     asked : str
-        What agrees with it: the number with its tolerance, or what it is compared with.
+        Values that agree with the claim: the number with its tolerance, or what it is compared with.
     measured : float, optional
-        None when the claim cannot be checked or the figure is not finite; `measured_text` is for people.
+        None if the claim cannot be checked or the figure is not finite; `measured_text` is for people.
     verdict : str
     holds : bool, optional
         Whether the verdict fits the measurement; None when nothing was measured for it here.

@@ -59,11 +59,11 @@ class Measured(Protocol):
 
 @dataclass(frozen=True)
 class Judge:
-    """A requirement of a rig: its formula read, its names found, its margin's unit known.
+    """A requirement bound to a rig: the parsed formula, its signals, and the unit of its margin.
 
-    Called with signals it gives the margin, as a figure function does; `ticker` is a signal that goes to a run's end.
-    `figures` are those whose value the formula names, `timed` those that its times are counted from (`again` reads it
-    with them); `follows` says that no bound of it is a number of its own.
+    Called with signals it returns the margin, like a figure function. `ticker` is a signal that lasts to the end of a
+    run. `figures` are those whose value the formula uses. `timed` are the figures from which its times are counted;
+    `again` parses the formula with their values. `follows` means that no bound of the formula is a fixed number.
     """
 
     tree: Tree
@@ -79,7 +79,7 @@ class Judge:
     again: Callable[[Mapping[str, float]], Tree] | None = None
 
     def __call__(self, signals: SignalMap) -> float:
-        """Measure the margin; a ValueError says why it cannot be judged."""
+        """Compute the margin; raise a ValueError with the reason if it cannot be judged."""
         return self.margin(signals).value
 
     def settled(self, signals: SignalMap) -> bool:
@@ -236,7 +236,7 @@ def _named(name: str, rig: Members, requirement: Requirement, *given: Any) -> Ju
 
 
 def _of_nodes(rig: Members, requirement: Requirement) -> dict[str, float]:
-    """Return what the references of a formula stand for, by their names in it."""
+    """Return the values of a formula's references, by their names in the formula."""
     result = {}
     for reference in references(requirement.formula):
         node, _, parameter = reference.partition(".")

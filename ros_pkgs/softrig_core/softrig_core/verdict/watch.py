@@ -41,21 +41,21 @@ _new = tuple.__new__  # of a named tuple: in half the time
 
 
 def row_of(size: int) -> struct.Struct:
-    """Return what packs the stamp and so many values of a message."""
+    """Return the struct that packs the stamp and `size` values of a message."""
     return struct.Struct(f"<q{size}d")
 
 
 @cache
 def _rows(size: int) -> np.dtype[np.void]:
-    """Return how a message of so many values stands in many of them."""
+    """Return the array type of messages with `size` values."""
     return np.dtype([("stamp", "<i8"), ("values", "<f8", (size,))])
 
 
 class Kept(NamedTuple):
     """Messages of one topic in the window as bytes: stamp in ns (int64) and values (float64), message after message.
 
-    Bytes are a value that takes the room of its numbers and that no search for reference cycles looks at; tuples took
-    five times as much, and a loop of 20 kHz did nothing else after ten seconds.
+    Bytes are immutable, take only the memory of their numbers, and are not visited by the garbage collector. Tuples
+    took five times the memory, and after ten seconds garbage collection took all the time of a 20 kHz loop.
     """
 
     blocks: tuple[bytes, ...] = ()
@@ -154,13 +154,13 @@ class Window(NamedTuple):
 
 
 class Watch(Observer[W]):
-    """An observer that keeps what it saw in a window and measures it with figure functions when it is asked.
+    """An observer that stores the messages of a window and evaluates figure functions on them on request.
 
-    Subclasses say `figures`; signals are named ``topic/channel/field`` with the port's own topic, whatever it is
-    remapped to. Each message counts once, at its own stamp: a slower input is not repeated, and at the end of a run,
-    where plants speak once more, a command of the tick before is not paired with them.
+    Subclasses define `figures`. Signals are named ``topic/channel/field`` with the port's original topic, before any
+    remapping. Each message counts once, at its own stamp, so a slower input is not repeated. At the end of a run plants
+    publish once more; the command of the previous tick is not paired with these messages.
 
-    One that remembers more has a state of its own with a field `seen`, at first `nothing`, which `keep` carries on.
+    A subclass with more state defines a state type with a field `seen`, initially `nothing`, which `keep` updates.
     """
 
     def setup(self) -> None:
