@@ -49,7 +49,7 @@ class _Watched(Link):
         self._said, self._topics = said, [p.topic for p in step.outputs]
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Keep an answer."""
+        """Store an answer."""
         for topic, row in zip(self._topics, rows, strict=True):
             if row is not None:
                 self._said[topic] = row

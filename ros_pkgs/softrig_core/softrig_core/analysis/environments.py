@@ -203,7 +203,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         return observation
 
     def _after(self, j: int) -> None:
-        """Keep what an instance remembers after a tick."""
+        """Store the state of an instance after a tick."""
         steps = list(self.envs[j].steps.values())
         self._before[j] = None if self.reason else [(s.x, s.numbers) for s in steps]
 

@@ -106,7 +106,7 @@ class _Probe(Link):
         _, self._port, self._k = place
 
     def respond(self, x: Any, t: int, **inputs: Any) -> Any:
-        """Answer with another value in its place."""
+        """Return the answer with one value replaced."""
         if self.step.plant:
             return self._changed(super().respond(x, t))
         x, found = super().respond(x, t, **inputs)

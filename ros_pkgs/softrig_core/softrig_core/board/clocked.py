@@ -17,23 +17,23 @@ from .elsewhere import Elsewhere, LinkState
 
 
 class ClockEntry(Entry):
-    """How a node of somebody else answers: by its own timer, or once for each message.
+    """The entry of a third-party node that answers by its own timer, or once for each message.
 
     Parameters
     ----------
     answers : {"clock"}
-        One message an output and period, without the stamp of what it answers.
+        The node publishes one message an output and period, without the stamp of the message that it answers.
     first : float, optional
-        Time of its first message, s: of a timer one period (by default), of a node that answers each message 0.
+        Time of its first message, s: one period for a timer (the default), 0 for a node that answers each message.
     reads : list of str, optional
-        The topics that it subscribes, in the order in which they are handed over at each tick: a node that answers a
-        message gets that one last. All of the executable when absent.
+        The topics that it subscribes to, in the order in which their messages are sent to it at each tick. The message
+        that triggers the answer must be the last. All topics of the executable when absent.
     publishes : list of str, optional
-        The topics that it publishes; all of the executable when absent.
+        The topics that it publishes; all topics of the executable when absent.
     timeout : float
-        Wall-clock time in s after which a message that does not come ends the run.
+        Wall-clock time in s after which a missing message ends the run.
     start_timeout : float
-        The same for the start of the node.
+        Wall-clock time in s after which a missing node ends the run at the start.
     """
 
     answers: Literal["clock"]

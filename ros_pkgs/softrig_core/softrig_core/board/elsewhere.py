@@ -22,7 +22,7 @@ class Elsewhere(Block):
         return LinkState()
 
     def go_on(self, x: LinkState, before: Any) -> LinkState:
-        """Keep the state: changed parameters are sent to where it is, or are not of this process."""
+        """Return the state unchanged: changed parameters are sent to its place, or do not belong to this process."""
         return x
 
     def params(self, x: LinkState) -> Any:

@@ -269,7 +269,7 @@ class Line:
     # joining ------------------------------------------------------------------------------------------------------
 
     def _join(self, end: float) -> None:
-        """Repeat hello, reset and parameters until a time; the board answers each."""
+        """Send hello, reset and parameters, each repeatedly until the board answers or a time has passed."""
         while not self.joined and self._there():
             now = self._clock()
             if self._greeted is not None:

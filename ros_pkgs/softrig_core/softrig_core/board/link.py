@@ -1,4 +1,4 @@
-"""A block whose ticks a board answers, in the place of the block that the board's firmware was made from."""
+"""A block whose ticks are answered by a board; it replaces the block that the firmware was generated from."""
 
 from __future__ import annotations
 

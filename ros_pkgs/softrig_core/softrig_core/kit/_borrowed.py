@@ -30,7 +30,7 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
         FunctionPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        """Judge a typed function; nothing of it is changed."""
+        """Decide whether a typed function needs reference counts; the function itself is not changed."""
         if not state.func_ir.is_generator and not any(self._counted(state, made) for made in self._made(state)):
             state.targetctx = state.targetctx.subtarget(enable_nrt=False)
             # The context of before would still count; without it numba refuses what allocates after all.

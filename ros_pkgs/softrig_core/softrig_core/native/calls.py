@@ -473,7 +473,7 @@ class Calls(Expressions):
         return self._got(table, given, node)
 
     def _got(self, table: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
-        """Look up what may not be there."""
+        """Look up a key that may be missing."""
         if not self.program.inferred:
             return self._looked_up(table, given[0], node)
         return self._looked_up(table, given[0], node, given[1] if len(given) > 1 else NONE)

@@ -98,7 +98,7 @@ class Engine:
         self._forms: list[Any] = []  # of the members when the text was looked for last
 
     def run(self, first: int = 0) -> Iterator[int | None]:
-        """Answer all ticks of a run that has an end; then the steps know what of them was native.
+        """Run all ticks of a run that has an end; then store in the steps which part of them was native.
 
         Parameters
         ----------

@@ -45,7 +45,7 @@ class Holding:
 
     @property
     def stamp(self) -> int:
-        """Of what the reader has, ns: its age counts from there."""
+        """Return the stamp of the value that the reader holds, ns; its age counts from there."""
         return self.value.stamp if isinstance(self.value, Sample) else self.fill.told() or 0
 
     @property
@@ -170,7 +170,7 @@ class Turns:
         return self._due(k, [self._state(k, value)])
 
     def act(self, k: int, said: Sequence[str]) -> list[str]:
-        """Write the code of a node whose outputs are given."""
+        """Write the code of a node with given outputs."""
         return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
 
     def decided(self, state: str) -> list[str]:

@@ -201,7 +201,7 @@ class Ways:
         raise self.unknown("something whose length is not fixed", node)
 
     def assign(self, target: ast.expr, value: Value, apart: bool = False) -> None:
-        """Bind a value to a name or to names; `apart`: to names of a list, which are not those around it."""
+        """Bind a value to a name or to names; `apart`: to names of a list, which are separate from those around it."""
         if isinstance(target, ast.Name):
             self.env[target.id] = self._held(value) if apart else self._bound(f"v_{target.id}", value)
         elif isinstance(target, (ast.Tuple, ast.List)):

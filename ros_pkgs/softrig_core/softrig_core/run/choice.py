@@ -106,7 +106,7 @@ def cost(steps: Sequence[Step]) -> float | None:
 
 
 def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
-    """Answer the first ticks one by one; return how many they were, and what one costs, s of this thread."""
+    """Run the first ticks one by one; return their number and the cost of one, s of this thread."""
     count, took, spent = 0, [], 0.0
     began = time.thread_time()
     for t in loop.run():

@@ -58,7 +58,7 @@ class Figures(Watch[FiguresParams]):
 
     @classmethod
     def ports(cls, params: FiguresParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Listens only."""
+        """Return the ports; the node only subscribes."""
         return params.inputs(), ()
 
     def setup(self) -> None:
@@ -67,7 +67,7 @@ class Figures(Watch[FiguresParams]):
         self._figures = figures_in(self.p.given()["figures"])
 
     def figures(self, x: Any) -> Iterable[Figure]:
-        """Those of the scenario."""
+        """Return the figures of the scenario."""
         return self._figures
 
 

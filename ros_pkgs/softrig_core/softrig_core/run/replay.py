@@ -55,7 +55,7 @@ class _Fed(Link):
         self._inputs = inputs
 
     def lacks(self, t: int) -> bool:
-        """Bring what is recorded for a tick."""
+        """Pass the messages recorded for a tick to the step."""
         for item in self._inputs:
             item.bring(t)
         return False

@@ -126,7 +126,7 @@ class Session:
         return Run(self.rig, self.seed, self.recording.before(at), error=self.error, blocks=dict(self.steps))
 
     def step(self, ticks: int = 1) -> None:
-        """Answer so many ticks, fewer if the run is over before.
+        """Run a number of ticks, fewer if the run ends before.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Session:
         self._answer(min(self._k + ticks, self.ticks + 1))
 
     def go(self, t: float | None = None) -> None:
-        """Answer all ticks before t (s), by default all that there are; see `step`."""
+        """Run all ticks before t (s), by default all that remain; see `step`."""
         self._answer(self.ticks + 1 if t is None else self._tick(t))
 
     def _answer(self, until: int) -> None:
@@ -277,7 +277,7 @@ class Session:
         self._answer(k)
 
     def _keep(self) -> None:
-        """Keep the state before the next tick; of many, those of fewer ticks."""
+        """Store the state before the next tick; if there are many, thin out the stored states."""
         if self._why:
             return
         try:

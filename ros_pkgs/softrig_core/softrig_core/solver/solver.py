@@ -187,7 +187,7 @@ class Solver(Block[S]):
         return x.jobs.active is not None or x.jobs.waiting is not None
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
-        """Answer one tick; waits for a result that is due, unless the loop runs against the wall clock."""
+        """Run one tick; wait for a result that is due, unless the loop runs in real time."""
         return self._finish(self.begin(x, t, **inputs), t)
 
     def refused(self, x: Any, t: int) -> tuple[Any, Values | None]:

@@ -222,7 +222,7 @@ class _Process:
             _send(self._process.stdin, content)
 
     def leave(self) -> None:
-        """Its owner is gone: it waits for another one, if it has nothing to do."""
+        """Release the process of a worker: keep it for another worker if it is idle, else kill it."""
         if self.busy or not self.alive():
             self.kill()
             return

@@ -53,7 +53,7 @@ class Message:
 
     @property
     def mark(self) -> int:
-        """Stamp in ns; of an array its number; -1 of what has neither."""
+        """Return the stamp in ns, or for an array its number; -1 if there is neither."""
         mark = self.number if self.stamp is None else self.stamp
         return -1 if mark is None else mark
 

@@ -69,7 +69,7 @@ class Drive(Protocol):
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
 
     def last_came(self) -> None:
-        """Leave if this was all that a node waits for after its last tick."""
+        """Leave if the node waited only for this message after its last tick."""
 
     def busy(self) -> bool:
         """Return whether peers that wait for this node are to be patient."""

@@ -87,7 +87,7 @@ class Departure(Reader):
                 self._node.middleware.post(lambda other=other: other.receive(data))  # type: ignore[misc]
 
     def receive(self, data: bytes) -> None:
-        """Receive what the starter publishes, or as the starter what the others do."""
+        """Receive a message of the starter, or on the starter a message of another node."""
         (self._hear_ready if self.is_starter else self._hear_start)(data)
 
     def _hear_ready(self, data: bytes) -> None:

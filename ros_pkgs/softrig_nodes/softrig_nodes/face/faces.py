@@ -113,7 +113,7 @@ class Faces:
 
 
 def _offer_simulation(node: ServingNode, adapter: Adapter) -> None:
-    """Offer what other simulators answer; a run does not fail for a package that it could do without."""
+    """Offer the services of other simulators; a run does not fail if an optional package is missing."""
     from . import simulation  # imports actions, which nothing else here has
 
     try:

@@ -157,7 +157,7 @@ class Comeback:
         self._free = [_Heard(row, files, outside=True) for row in free]
 
     def go(self, ticks: Iterator[int | None]) -> None:
-        """Answer all ticks for which everything is there; then the node waits for what it lacks, as any other."""
+        """Run all ticks whose messages are recorded; then the node waits for missing ones like any other."""
         drive, node = self._drive, self._node
         step = node.step
         # Changes that people made while the node ran are only in its own record.

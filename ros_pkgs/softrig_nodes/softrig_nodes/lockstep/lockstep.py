@@ -304,7 +304,7 @@ class Lockstep(Link):
         return {"native": self.step.native}
 
     def statistics(self) -> dict[str, Any]:
-        """Wall-clock time of a plant's ticks: all in s, each in ms; once they are over, for sorting them takes time."""
+        """Return the wall-clock time of a plant's ticks: all in s, each in ms; only after the run (sorting is slow)."""
         if self.node.state == "running":
             return {}
         return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations, self._longest)

@@ -129,7 +129,7 @@ class Newest(Sender):
         self.node.step.bad = True
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
-        """Hold it."""
+        """Hold the value of a message."""
         if not (self.port.stamped or self.in_order(stamp)):
             return
         node = self.node
@@ -464,7 +464,7 @@ class Behind(Pace):
         return needed(self.schedule, self.node.schedule, t)
 
     def came(self, stamp: int, found: Any, data: bytes) -> None:
-        """It has answered a tick, and those before."""
+        """Process the acknowledgement of a tick and all before it."""
         self.table.heard += 1
         self.reached = max(self.reached, stamp)
         if not self.have and stamp >= self.want:

@@ -12,7 +12,7 @@ from softrig_core.solver.solver import Solver
 
 
 def links(rig: Rig, member: Member) -> Links:
-    """Work out what a node must know of its peers."""
+    """Determine what a node must know about its peers."""
     paired = {
         port: InputLink(
             period=_seconds(link.source),

@@ -99,7 +99,7 @@ def _stuck(children: Sequence[Child]) -> set[str]:
 
 
 def _to_start(epoch: int, most: float) -> float:
-    """Seconds to the start at an instant of the wall clock, ns; the system's clock may have been set since."""
+    """Return the seconds to a start at wall-clock time `epoch`, ns; limited, since the clock may have been set."""
     return min(max(0.0, epoch / 1e9 - time.time()), most)
 
 
@@ -115,13 +115,13 @@ class SystemClock:
         self._back = 0.0
 
     def look(self) -> None:
-        """See how far ahead of the steady one it is, and by how much it was set back at most, s."""
+        """Update the lead over the monotonic clock, and the largest amount by which the clock was set back, s."""
         now = self._ahead()
         self._most = max(self._most, now)
         self._back = max(self._back, self._most - now)
 
     def set_back(self) -> str:
-        """Report that it was, or nothing."""
+        """Describe that it was set back; empty if it was not."""
         self.look()
         what = f"; the system's clock was set back by {self._back:.0f} s meanwhile, and Fast DDS waits by it"
         return what if self._back > 1.0 else ""

@@ -72,7 +72,7 @@ class Answering:
             self._pending.append(stamp)
 
     def act(self) -> None:
-        """Answer what is complete, set the limit for the rest."""
+        """Run complete ticks, and set the time limit of the others."""
         if self._pending:
             self._answer_complete()
 

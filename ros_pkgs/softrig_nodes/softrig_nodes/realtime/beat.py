@@ -40,7 +40,7 @@ class Beat:
             drive.follow(self._begin)
 
     def _begin(self) -> None:
-        """Beat when all nodes run."""
+        """Start the timer when all nodes run."""
         if all(d.node.state == "running" for d in self._drives):
             self._timer.again(SOON)
 

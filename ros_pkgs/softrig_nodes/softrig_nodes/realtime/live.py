@@ -192,7 +192,7 @@ class Live(Sender):
         return self.publishers > 1 and (self.local or not self._rivals.alone)
 
     def deaf(self) -> bool:
-        """Return whether no message counts: not before the start, and of two publishers neither is believed."""
+        """Return whether messages are ignored: before the start, and while two publishers conflict."""
         return self._refuses() or self.node.state != "running"
 
     def read(self, data: bytes) -> tuple[int, Any]:
@@ -203,7 +203,7 @@ class Live(Sender):
         return stamp, values
 
     def spoilt(self, data: bytes) -> None:
-        """It counts as that of its tick, which the block then answers by `Block.refused`."""
+        """Use a rejected message for its tick, which the block then answers by `Block.refused`."""
         table, now = self.table, self.table.clock()
         if self.node.is_plant:
             return
@@ -285,7 +285,7 @@ class Live(Sender):
         self.table.take(self, stamp, due, value, now)
 
     def excuse(self, stamp: int, now: int) -> None:
-        """Note a refused message: its tick need not wait for another."""
+        """Store the stamp of a rejected message: its tick need not wait for another."""
         self.stamp = stamp if self.stamp is None else max(stamp, self.stamp)
         self.arrived = now
         self.fresh = True
@@ -370,7 +370,7 @@ class Live(Sender):
             self.node.step.note(Level.WARN, f"recovered {self.port.topic}", f"{what} back")
 
     def on_matched(self) -> None:
-        """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
+        """Reject both of two publishers on one input until one of them has left or has been silent for long."""
         self._rivals.change()
         if not self.port.held and self._refuses():
             # The newest value may come from either publisher, and neither is believed.

@@ -89,7 +89,7 @@ class Realtime(Link):
         self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
 
     def follow(self, begun: Callable[[], object]) -> None:
-        """Follow the ticks of a `Beat`, which sees when it runs: its inputs are filled, it waits for no message."""
+        """Follow the ticks of a `Beat`: it fills the inputs and triggers the ticks; the node waits for no message."""
         self._begun = begun
         self._fed = [f for f in self.senders.rows if f.local]
 
@@ -194,7 +194,7 @@ class Realtime(Link):
 
     @property
     def incomplete(self) -> int:
-        """Ticks that were answered without all that was due."""
+        """Return the number of ticks that ran without all due messages."""
         return 0 if self._answering is None else self._answering.incomplete
 
     def _go_by(self, clock: Callable[[], int]) -> None:
@@ -212,7 +212,7 @@ class Realtime(Link):
         return self.senders.row(port, Sporadic if link is not None and link.told else Live)
 
     def on_matched(self, item: Input) -> None:
-        """Two publishers on one input: neither is believed until one of them has gone, or has been silent for long."""
+        """Reject both of two publishers on one input until one of them has left or has been silent for long."""
         assert isinstance(item, Live)
         item.on_matched()
         self._rivals = [f for f in self._fed if f.outside]
@@ -249,7 +249,7 @@ class Realtime(Link):
         node.record.change(node.epoch + t, node.middleware.name, values)
 
     def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
-        """Receive the outputs of a node of this process at a tick: all of them, before any makes this one answer."""
+        """Receive the outputs of a node of this process at a tick: all of them before this node runs because of one."""
         if self.node.state != "running":
             return
         now = self.clock()
@@ -401,7 +401,7 @@ class Realtime(Link):
         return figures
 
     def native(self) -> dict[str, Any]:
-        """Native code answers none of its ticks."""
+        """Return an empty status: no tick runs natively in real time."""
         return {}
 
     def statistics(self) -> dict[str, Any]:

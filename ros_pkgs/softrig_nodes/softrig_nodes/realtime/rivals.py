@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class Rivals:
-    """Several writers on one topic, told apart by how each numbers its messages, without a gap.
+    """Distinguishes several writers on one topic by the consecutive numbers of each writer's messages.
 
     A killed writer stays matched until its lease is over. Until then neither its messages nor those of its replacement
     are accepted. If the numbers of all messages are consecutive, they come from one writer. A message of another one
@@ -20,7 +20,7 @@ class Rivals:
         self.change()
 
     def change(self) -> None:
-        """Others write now."""
+        """Restart the detection, because the set of writers has changed."""
         self.alone = self._several = False
         self._last: int | None = None
         self._since = 0

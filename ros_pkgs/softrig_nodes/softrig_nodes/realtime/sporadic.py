@@ -87,7 +87,7 @@ class Acknowledgements(Sender):
         self._table, self._rows, self._reader = table, rows, TickReader()
 
     def deaf(self) -> bool:
-        """Before the start and after the end nothing counts."""
+        """Return whether acknowledgements are ignored, as before the start and after the end."""
         return self.node.state != "running"
 
     def read(self, data: bytes) -> tuple[int, Collection[str]]:
@@ -97,7 +97,7 @@ class Acknowledgements(Sender):
         return stamp, spoken
 
     def spoilt(self, data: bytes) -> None:
-        """Another one follows."""
+        """Ignore an invalid acknowledgement: another one follows."""
 
     def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
         """Notify the rows."""

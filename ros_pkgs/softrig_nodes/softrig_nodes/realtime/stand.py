@@ -36,7 +36,7 @@ class Stand:
         self._say: Callable[[Sequence[str]], object]
 
     def follow(self, ns: int) -> None:
-        """Follow the clock of the rig, which is ahead of this host's by so much."""
+        """Follow the clock of the rig, which is ahead of this host's by `ns`."""
         host = self._own
         self._own = lambda: host() + ns
         self._go_by(self._own)

@@ -59,11 +59,11 @@ class Processor:
 
     @property
     def number(self) -> int | None:
-        """The one on which the process is."""
+        """Return the number of the processor on which the process runs."""
         return self._now[0] if len(self._now) == 1 < len(self._allowed) else None
 
     def step(self) -> None:
-        """See what the time of the last messages was; to be called some times a second."""
+        """Choose the processor by the processor time of the last messages; must be called some times a second."""
         now, before = (self._done(), self._clock()), self._before
         messages, used = now[0] - before[0], now[1] - before[1]
         if not before[0]:  # what the start took is no message's

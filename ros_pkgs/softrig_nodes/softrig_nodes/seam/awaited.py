@@ -48,7 +48,7 @@ class Awaited(Reader):
         middleware.subscribe(RECORDER, TICK, self)
 
     def receive(self, data: bytes) -> None:
-        """Note what a recorder leaves out."""
+        """Store the topics that a recorder leaves out."""
         try:
             self._left_out |= self._read(data)[1]
         except Refused as error:

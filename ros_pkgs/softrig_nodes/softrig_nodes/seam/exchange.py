@@ -113,7 +113,7 @@ class Exchange:
             publish(data)
 
     def serve(self, until: int, awake: int = 0) -> int:
-        """Fire timers and hand over messages until nothing is due for `awake` ns or `until` has passed.
+        """Fire timers and pass messages on until nothing is due for `awake` ns or `until` has passed.
 
         Parameters
         ----------

@@ -82,14 +82,14 @@ class Hold:
         return True
 
     def _look(self) -> None:
-        """Try again what waits for the wall clock."""
+        """Try the tick again that waits for the wall clock."""
         if self.waits:
             self.waits = False
             assert self._turn is not None
             self._turn()
 
     def _tell(self) -> None:
-        """Let the other nodes wait while the rig is paused."""
+        """Publish while the rig is paused or waits, so that the other nodes do not time out."""
         if self._tells or not self._paced:
             return
         self._tells = True

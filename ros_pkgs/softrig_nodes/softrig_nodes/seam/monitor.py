@@ -117,7 +117,7 @@ class Monitor:
             self._wake()
 
     def close(self, patience: float) -> bool:
-        """Work on nothing any more; whether what was under way has returned within `patience` s."""
+        """Stop processing messages; return whether the current call has returned within `patience` s."""
         self.closed = True
         if not self._lock.acquire(timeout=patience):
             return False
