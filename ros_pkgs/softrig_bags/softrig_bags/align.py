@@ -292,7 +292,7 @@ def _rms(values: Array) -> float:
 
 
 def _shift(a: tuple[Array, Array], b: tuple[Array, Array], span: tuple[float, float]) -> tuple[float, float]:
-    """By how much b comes late, and the rms deviation once that is taken back."""
+    """The delay of b, and the rms deviation after the delay is removed."""
     length = span[1] - span[0]
     reach = REACH * length
     times = np.linspace(span[0] + reach, span[1] - reach, min(GRID, 4 * max(a[0].size, b[0].size)))

@@ -1,6 +1,6 @@
 """Compare two bags topic by topic, messages paired by stamp, numbers within tolerances or bit for bit.
 
-Both are read at once and in blocks: what has found its partner is forgotten, so that memory does not grow with bags.
+Both bags are read in parallel and in blocks; paired messages are dropped, so memory does not grow with the bags.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def compare(
     a, b : Signals, Path or str
         Bags by their path, from `softrig_bags.read.signals`, or made of a recording in memory.
     default : Tolerance
-        Of every number that no pattern covers; exact if not given.
+        Tolerance of every number that no pattern covers; default: exact.
     tolerances : mapping of str to Tolerance
         By pattern (``plant/*``, ``*/velocity``) of the signal name ``topic/channel/field``; the first matching pattern
         applies.

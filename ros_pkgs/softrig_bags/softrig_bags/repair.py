@@ -60,7 +60,7 @@ class Repair:
     bag : Path or None
         The new bag; None when nothing was wrong.
     files : list of FileReport
-        What each file gave.
+        Messages recovered from each file.
     original : Path, optional
         Where the old bag is now.
     differing : list of str

@@ -88,7 +88,7 @@ class Tape(Block[TapeParams]):
             self._rows[port.name] = list(self._read(Port(**{n: _tuples(v) for n, v in json.loads(text).items()})))
 
     def _read(self, port: Port) -> Iterable[tuple[int, Any]]:
-        """Return (ns from t = 0, values) of each message that a port takes."""
+        """Return (ns from t = 0, values) of each message that a port accepts."""
         recording, epoch = _loaded(self.p.bag)
         topic = recording.topics[port.topic]
         decode = Decoder(port)

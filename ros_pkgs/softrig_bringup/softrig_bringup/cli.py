@@ -174,7 +174,7 @@ def _judging(arguments: list[str]) -> list[str]:
 
 
 def _check_verb(word: str) -> None:
-    """Refuse what is the name of something in the place of a verb; name the verb that takes it."""
+    """Refuse a scenario or other name in the place of a verb; the message names the verb that accepts it."""
     from difflib import get_close_matches
     from pathlib import Path
 

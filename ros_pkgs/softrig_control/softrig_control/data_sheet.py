@@ -76,7 +76,7 @@ def plausible(name: str, value: float, unit: str, lower: float, upper: float, wh
 
 
 def head(given: Given, asked: Asked, assumed: Sequence[str], what: str) -> str:
-    """Return the comment at the begin of a scenario: what was given, and what was assumed."""
+    """Return the comment at the beginning of a scenario: given and assumed values."""
     said = [
         f"#   {name} = {value:g} {asked[name][1]}".rstrip() + f": {asked[name][0]}" for name, value in given.items()
     ]

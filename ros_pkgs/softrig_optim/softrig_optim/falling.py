@@ -64,7 +64,7 @@ class FallingCurve:
         return change * change - 1.0, FallingCurve(n, v, i, below, above)
 
     def native(self) -> FallingRows:
-        """Return it as native code takes it."""
+        """Convert it to its form for native code."""
         counts = np.array([len(self.v), len(self.below), len(self.above)])
         last, corners = np.zeros((self.n, 2)), np.zeros((2, 2 * max(counts[1:]) + ROOM, 3))
         last[: counts[0]] = np.array([self.v, self.i]).T
@@ -98,7 +98,7 @@ def _kept(corners: tuple[Corner, ...], x: float, y: float) -> tuple[Corner, ...]
 
 
 class FallingRows(NamedTuple):
-    """A `FallingCurve` in native code, which goes on in place: numbers of measurements and corners, and they."""
+    """A `FallingCurve` in native code, which is updated in place: the measurements and corners, and their numbers."""
 
     counts: NDArray[np.int64]
     last: NDArray[np.float64]

@@ -121,7 +121,8 @@ class CertifiedSearch(LoadLineSearch):
     eps : float
         Relative gap to prove.
     n_iter : int
-        Splits after which it gives up the proof: noise, or a source that changes, may contradict itself.
+        Number of splits after which it abandons the proof: data with noise, or of a changing source, may be
+        inconsistent.
     transients : bool
         Use every measurement on the way from one command to the next as well, not only the last: half the time.
     **options

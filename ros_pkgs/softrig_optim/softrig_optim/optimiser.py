@@ -304,7 +304,7 @@ class CommandSearch(Block[P], ABC):
     # the search ------------------------------------------------------------------------------------------------
 
     def _begin(self, x: State | None, t: int, look: int = LATER) -> State:
-        """Start a new search; `look` at once after it for another change where one has shown."""
+        """Start a new search; with `look`, look back immediately after it for another change."""
         told = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
         search = told.now
         # An infinite gap means that this search proves nothing, so there is no bound to withdraw.
@@ -321,7 +321,7 @@ class CommandSearch(Block[P], ABC):
         )._replace(unconfirmed=x.unconfirmed, look=look)
 
     def _gone(self, x: State, t: int) -> State:
-        """Measure the candidate again; after a while give up the search."""
+        """Measure the candidate again; after a while abort the search."""
         x = self._discard(x, t)
         # The time counts from the first candidate without a signal; a shorter gap only repeats the measurement.
         dark = t if x.dark == NEVER else x.dark

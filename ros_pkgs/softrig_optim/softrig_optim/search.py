@@ -26,7 +26,7 @@ class Evaluation(NamedTuple):
 
 
 class Options(TypedDict, total=False):
-    """What every search takes beside its own parameters."""
+    """Options of every search in addition to its own parameters."""
 
     maximise: bool
     budget: int | None
@@ -34,7 +34,7 @@ class Options(TypedDict, total=False):
 
 
 class PopulationOptions(Options, total=False):
-    """What every search with a population takes beside its own parameters."""
+    """Options of every search with a population in addition to its own parameters."""
 
     n_pop: int
     n_iter: int
@@ -360,7 +360,7 @@ class Told:
         return told
 
     def native(self) -> ToldNow:
-        """Return it as native code takes it, which only reads it."""
+        """Convert it to its read-only form for native code."""
         _handed[id(self)] = self
         return ToldNow(id(self), self.low, self.high, self.settle, self.watches, self.gap, self.expected)
 
@@ -387,7 +387,7 @@ class ToldNow(NamedTuple):
     expected: float
 
     def python(self) -> Told:
-        """Return it as Python has it."""
+        """Return the `Told` search of this view."""
         return _handed[self.number]
 
 

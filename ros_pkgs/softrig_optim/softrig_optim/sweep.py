@@ -219,7 +219,7 @@ class Workers:
 
 
 def _each(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R], float]:
-    """Evaluate a function for the cases of a chunk, in a worker; returns the results and how long they took, s."""
+    """Evaluate a function for the cases of a chunk, in a worker; return the results and the time used, s."""
     started = time.perf_counter()
     return [function(case) for case in cases], time.perf_counter() - started
 

@@ -42,7 +42,7 @@ class StorageFile(Protocol):
         """Create safe against a crash what was written so far."""
 
     def discard(self) -> int:
-        """Drop what is not flushed and give the number of messages lost."""
+        """Drop messages that are not flushed, and return their number."""
 
     def close(self, metadata: str) -> None:
         """Flush, write metadata and index, close."""

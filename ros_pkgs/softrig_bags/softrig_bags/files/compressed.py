@@ -56,7 +56,7 @@ def expanded(path: Path, scratch: Path) -> Iterator[tuple[Path, list[str]]]:
 
 
 class Expanded:
-    """A file that is compressed whole, as a copy that is not; `close` takes it away.
+    """An uncompressed copy of a file that is compressed as a whole; `close` deletes the copy.
 
     Raises
     ------

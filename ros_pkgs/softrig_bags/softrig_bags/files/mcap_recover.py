@@ -23,7 +23,7 @@ _CHUNK_CODE = 0x06
 
 
 def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
-    """Return the records in a chunk's content up to the first that is not whole, and the bytes they take."""
+    """Return the records in a chunk's content up to the first incomplete one, and the number of their bytes."""
     file, good = BytesIO(content), 0
     records: list[McapRecord] = []
     # A chunk has no footer, so its end raises; the other errors come of damage that no checksum covers.

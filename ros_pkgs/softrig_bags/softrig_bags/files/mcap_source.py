@@ -306,7 +306,7 @@ def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) ->
     at : int
         Where the first record begins.
     stop : int
-        Where the buffer is to end; a record that goes beyond it is left out.
+        Upper end of the buffer; a record that extends beyond it is left out.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What every storage file of a bag gives: its topics, what it claims to hold, and its messages in blocks by time."""
+"""Interface of a bag's storage file: its topics, its stated counts, and its messages in blocks by time."""
 
 from __future__ import annotations
 

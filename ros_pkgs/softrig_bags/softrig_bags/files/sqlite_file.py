@@ -113,7 +113,7 @@ class Sqlite3File:
         self._db.execute("INSERT INTO metadata (metadata_version, metadata) VALUES (9, ?)", (text,))
 
     def discard(self) -> int:
-        """Drop what is waiting (after a failed write); give the number of messages in it."""
+        """Drop the waiting messages (after a failed write); return their number."""
         lost = len(self._pending)
         self._pending, self._pending_size = [], 0
         return lost

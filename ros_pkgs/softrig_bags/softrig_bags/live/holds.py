@@ -1,4 +1,4 @@
-"""Times in which the process of a tool was held: then publishers may have taken it for dead."""
+"""Detection of times in which a tool's process was suspended: publishers may then have dropped it."""
 
 from __future__ import annotations
 

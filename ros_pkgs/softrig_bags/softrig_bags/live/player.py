@@ -65,7 +65,7 @@ class Publishers:
         self.refused: Counter[str] = Counter()  # messages by topic
 
     def send(self, i: int, data: bytes) -> bool:
-        """Publish a message of a topic; return whether the middleware took its bytes, which may be damaged."""
+        """Publish a message of a topic; return whether the middleware accepted its bytes, which may be damaged."""
         try:
             self.publish[i](data)
         except RCLError:
@@ -351,7 +351,7 @@ class LockstepPlayer:
         self.sent = 0
 
     def run(self) -> Recording:
-        """Wait for the node, play all ticks, give its answers; their times are the ticks.
+        """Wait for the node, play all ticks, and return its answers; their times are the ticks.
 
         Raises
         ------

@@ -102,7 +102,7 @@ class Recorder:
         return "; ".join([*counted, *uncounted]) or "none lost"
 
     def run(self) -> None:
-        """Record until a signal comes, then take what has arrived and close the bag.
+        """Record until a signal is received, then store the messages that have arrived, and close the bag.
 
         Raises
         ------

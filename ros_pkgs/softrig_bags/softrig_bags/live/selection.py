@@ -33,7 +33,7 @@ class Selection:
 
     @classmethod
     def of(cls, names: Sequence[str], regex: str = "", exclude: str = "", namespace: str = "") -> Selection:
-        """Create a selection of what the command line gives; names without a leading slash are of the namespace.
+        """Create a selection from the command line; names without a leading slash are in the namespace.
 
         Raises
         ------

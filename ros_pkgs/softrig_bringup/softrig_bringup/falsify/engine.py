@@ -151,7 +151,7 @@ def falsify(
     Parameters
     ----------
     prepared : Prepared
-        What `prepare` gave of it.
+        Result of `prepare` for it.
     out : Path
         Gets ``falsification.json`` and ``rows.jsonl``; the runs that an earlier call left there are not run again.
     workers, scheduler

@@ -1,4 +1,4 @@
-"""Over what a search goes: parameters, numbers of faults, and profiles laid on signals, as one unit cube."""
+"""Search space: parameters, numbers of faults, and profiles added to signals, as one unit cube."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Space:
     nominal : tuple
         Of each: its value in the scenario as it is; None for profiles.
     whole : tuple of bool
-        Of each: whether it takes whole numbers only.
+        For each: whether it accepts integers only.
     """
 
     scenario: Scenario

@@ -30,7 +30,7 @@ class Replaced(NamedTuple):
     package : str
         Has the class that is extended.
     change : str
-        A parameter to change first, as ``--set`` takes it.
+        A parameter to change first, in the form of ``--set``.
     others : tuple of str
         Other nodes of the scenario that could be replaced.
     """
@@ -110,7 +110,7 @@ def _written(expected: Expectation) -> Any:
 
 
 def _change(member: Member) -> str:
-    """Return a parameter to change first, with a value near its own, as ``--set`` takes it."""
+    """Return a parameter to change first, with a value near its present one, in the form of ``--set``."""
     values = flatten(member.params)
     numbers = [d for d in declarations(type(member.params)) if isinstance(values[d.name], float) and values[d.name]]
     chosen = min(numbers, key=lambda d: (not d.live, d.name.endswith("period")))

@@ -1,4 +1,4 @@
-"""A recorded run that goes on otherwise from a time: ``--from RUN@T --set ...``."""
+"""Continuation of a recorded run with changes from a time on: ``--from RUN@T --set ...``."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def check_names(draft: Draft, given: Iterable[str]) -> None:
     draft : Draft
         The scenario.
     given : iterable of str
-        Names as options give them: ``node.parameter``, or a shared value.
+        Names from options: ``node.parameter``, or a shared value.
 
     Raises
     ------

@@ -59,7 +59,7 @@ _BOOL = {
 
 
 class Unfit(NamedTuple):
-    """A value that rcl reads and no node takes: refused where it is for a node of the rig."""
+    """A value that rcl reads but no node accepts: refused if it is for a node of the rig."""
 
     reason: str
 
@@ -67,7 +67,7 @@ class Unfit(NamedTuple):
 def params_of(
     file: Path, nodes: Iterable[str], namespace: str = "", has: Callable[[str, str], bool] = lambda node, name: True
 ) -> dict[str, Any]:
-    """Return the parameters of a file as `load_scenario` takes changes: by ``node.parameter``.
+    """Return the parameters of a file in the form of `load_scenario`'s changes: by ``node.parameter``.
 
     Those that every ROS node has are left out, and so are ``run.*``, which the rig sets.
 
@@ -80,7 +80,7 @@ def params_of(
     namespace : str
         In which the nodes run.
     has : callable
-        Whether a node has a parameter: asked of what a wildcard gives to several nodes.
+        Returns whether a node has a parameter; called for values that a wildcard assigns to several nodes.
 
     Raises
     ------

@@ -133,7 +133,7 @@ def _mode(word: str) -> str:
 
 
 class Again(argparse.ArgumentParser):
-    """Reads a command that was given before, by whatever version: raises ArgumentError where it does not fit.
+    """Parses a stored command of any version; raises ArgumentError if it does not match.
 
     Of words that it does not know `exit_on_error` would end the process all the same before Python 3.12.
     """
@@ -177,7 +177,7 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
 
 
 def _has(node: NodeEntry, parameter: str) -> bool:
-    """Return whether a node declares a parameter; so it is taken to when its block is not known here."""
+    """Return whether a node declares a parameter; True if its block is not known here."""
     from softrig_core.block.params import declarations
     from softrig_core.rig.installed import load_block
 

@@ -212,7 +212,7 @@ def _check_list(path: Path) -> None:
 
 
 def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, place: Path) -> str:
-    """Write one file; give its SHA-256."""
+    """Write one file; return its SHA-256."""
     place.parent.mkdir(parents=True, exist_ok=True)
     digest = hashlib.sha256()
     # zipfile reads what the entry declares and no more, so the sum of sizes that was checked holds.

@@ -136,7 +136,7 @@ def _curve(run: Overlay, name: str, window: tuple[float, float] | None) -> Curve
 
 
 def _common(curves: Sequence[Curve], label: str) -> Curve | None:
-    """Return a reference that is the same in all runs, as far as each of them goes."""
+    """Return a reference that is the same in all runs, over the length of each run."""
     if not curves:
         return None
     longest = max(curves, key=lambda c: len(c.x))

@@ -182,7 +182,7 @@ class _Writer:
         return _rows_of(entries, ncols)[1] + bool(title)
 
     def _scale(self, axes: Axes, name: str, length: float) -> Scale:
-        """Choose ticks for a length in pixels, or print those that were given."""
+        """Choose ticks for a length in pixels, or format the given ticks."""
         axis: Axis = axes.x if name == "x" else axes.y
         low, high = axis.limits()
         given = axes.ticks[name]

@@ -94,7 +94,7 @@ def doubts(directory: Path) -> tuple[str, ...]:
 
 
 def differing(said: Any, measured: Sequence[Result]) -> list[str]:
-    """Describe which figures a metrics.json has otherwise than a bag gives them."""
+    """Describe figures that differ between a metrics.json and the computation from its bag."""
     there = {m.get("name"): m for m in said if isinstance(m, Mapping)} if isinstance(said, list) else {}
     found = []
     for result in measured:

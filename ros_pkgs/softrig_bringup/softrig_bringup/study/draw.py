@@ -29,7 +29,7 @@ class Case(NamedTuple):
 
 
 def drafts_of(study: Study) -> dict[str, Draft]:
-    """Read the scenarios of a study, by the names that it gives them."""
+    """Read the scenarios of a study, by their names in the study."""
     names = [study.scenario, *(str(own["scenario"]) for own in study.cases.values() if "scenario" in own)]
     return {name: read_draft(name) for name in dict.fromkeys(names)}
 
@@ -45,7 +45,7 @@ def cases(study: Study, drafts: Mapping[str, Draft] | None = None) -> Iterator[C
     Parameters
     ----------
     drafts : mapping, optional
-        What `drafts_of` gave; read when absent.
+        Result of `drafts_of`; read from the files by default.
     """
     # A study that is too large is refused before its draws fill the memory.
     count(study)

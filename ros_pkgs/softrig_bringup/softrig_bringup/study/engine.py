@@ -105,7 +105,7 @@ def check_seeds(study: Study, drafts: Mapping[str, Draft]) -> None:
     Raises
     ------
     ScenarioError
-        Two seeds of each case give the same bytes.
+        Two seeds of each case produce the same bytes.
     """
     if len(study.seeds or ()) < 2:
         return

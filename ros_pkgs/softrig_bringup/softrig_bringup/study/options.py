@@ -149,7 +149,7 @@ def _slug(name: str) -> str:
 
 
 def _drawn(name: str, text: str) -> dict[str, Any]:
-    """Read a range, or values of which one is taken, as a distribution."""
+    """Read a range, or a list of values to choose from, as a distribution."""
     if "," in text:
         if ".." in text and "[" not in text:
             raise ScenarioError(f"{name}={text}: expected LOW..HIGH with decimal points, or one of A,B,C")

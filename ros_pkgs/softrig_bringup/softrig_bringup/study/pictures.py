@@ -219,7 +219,7 @@ def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[s
 
 
 def _map_of(ax: Axes, rows: Sequence[Row], varied: Sequence[str], name: str, scale: Mapping[str, Any]) -> Cells:
-    """Draw the map of one case, what has no value as crosses; give what a bar of colours is made of."""
+    """Draw the map of one case, missing values as crosses; return the data of its colour bar."""
     placed = [row for row in rows if all(p in row["overrides"] for p in varied)]
     sure = [row["figures"].get(name) is not None for row in placed]
     x, y = (np.array([row["overrides"][p] for row in placed], float) for p in varied)

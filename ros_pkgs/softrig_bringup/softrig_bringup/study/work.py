@@ -62,7 +62,7 @@ def trial(
 
 
 def run(work: Work, thorough: bool = False) -> dict[str, Any]:
-    """Run one case in this process and give its row; a run that broke gives a row with its error.
+    """Run one case in this process and return its row; the row of a failed run has its error.
 
     Where margins are wanted, so does one whose parameters do not fit each other.
 
@@ -105,7 +105,7 @@ def run(work: Work, thorough: bool = False) -> dict[str, Any]:
 
 
 def repeated(name: str, work: Work, row: Mapping[str, Any]) -> None:
-    """Run a case twice more, in this process, and compare these runs, and what they give with the row of a worker.
+    """Run a case twice more in this process; compare both runs, and their results with the row of a worker.
 
     `check_pure` sees what the first ticks keep outside of x, and each run what is left in the variables of a block's
     own modules; this sees what matters later and is kept elsewhere, such as in a library.
@@ -129,7 +129,7 @@ def repeated(name: str, work: Work, row: Mapping[str, Any]) -> None:
 
 
 def repeating(work: Work) -> dict[str, Any]:
-    """Run a case twice and give its row: what a search goes by.
+    """Run a case twice and return its row, which a search uses.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def _parting(work: Work) -> str:
 
 
 def recorded(work: Work, seed: int) -> Mapping[str, Any]:
-    """Run a case with a seed and give what it recorded, by topic."""
+    """Run a case with a seed and return its recording by topic."""
     scenario, overrides = work.scenario or work.case.scenario, work.case.overrides
     return simulate(scenario, seed=seed, duration=work.duration, overrides=overrides, runs=work.runs).recording.topics
 

@@ -44,7 +44,7 @@ def list_signals(scenario: str) -> int:
 
 
 def list_parameters(scenario: str) -> int:
-    """Print the parameters of a scenario's nodes: name as --set takes it, value, unit, bounds, live, what it is."""
+    """Print the parameters of a scenario's nodes: name as in --set, value, unit, bounds, live, description."""
     for member in rig_of(scenario).members:
         values = flatten(member.params)
         for d in declarations(type(member.params)):

@@ -1,4 +1,4 @@
-"""Tables on a terminal of any width: no number and no word is broken; what does not fit beside goes below."""
+"""Tables on a terminal of any width: no number or word is broken; columns that do not fit are moved below."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ class Golden:
         """Run the scenario again and compare; return the comparison and a description of the agreement.
 
         If conditions differ from those in which the bag was made, every byte may still be equal; the description then
-        says so.
+        states it.
         """
         new = self.rerun()
         found = self.compare(new)
@@ -313,7 +313,7 @@ def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
 
 
 def create(folder: Path, scenario: str, duration: float | None = None, seed: int = 0) -> Golden:
-    """Create the recipe of a new golden bag; it lasts as long as the scenario when no duration is given."""
+    """Create the recipe of a new golden bag; the default duration is that of the scenario."""
     file = folder / "golden.yaml"
     duration = load_scenario(scenario).duration if duration is None else duration
     recipe = _recipe(file, {"scenario": scenario, "duration": duration, "seed": seed})

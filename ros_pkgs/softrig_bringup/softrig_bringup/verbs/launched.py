@@ -54,7 +54,7 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
 
 
 def strange(words: Sequence[str]) -> str:
-    """Describe which of the words of a `ros2 launch` of our file is no argument of it; launch itself takes any.
+    """Describe which word of a `ros2 launch` command is not an argument of our file; launch itself accepts any word.
 
     Empty when none is, or when the file is included by another one, whose arguments they may be.
     """

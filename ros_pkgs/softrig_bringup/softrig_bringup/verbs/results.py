@@ -48,7 +48,7 @@ class Measured(NamedTuple):
 
 
 def measure(work: tuple[str, Path | None]) -> Measured:
-    """Run a scenario in this process and measure its figures, or give what was kept of such a run.
+    """Run a scenario in this process and measure its figures, or return the stored result of such a run.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
     Parameters
     ----------
     systems : sequence of str
-        Names of systems as scenarios give them, or beginnings of scenario names.
+        Names of systems as in scenarios, or beginnings of scenario names.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from softrig_nodes.ros.remote import set_parameters
 
 
 def set_values(options: argparse.Namespace) -> int:
-    """Set parameters of running nodes, node by node; gives the exit status: 1 when a node refuses."""
+    """Set parameters of running nodes, node by node; return the exit status: 1 if a node refuses."""
     wanted = _by_node(options.values)
     if options.domain is not None:
         os.environ["ROS_DOMAIN_ID"] = str(options.domain)

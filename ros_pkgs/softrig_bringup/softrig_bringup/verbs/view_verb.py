@@ -16,7 +16,7 @@ from . import run_verb
 
 
 def view(options: argparse.Namespace) -> int:
-    """Show what is named; gives the exit status."""
+    """Show the named run or scenario; return the exit status."""
     path = Path(options.scenario)
     if options.scenario and (path.is_dir() or plain(path).suffix in SUFFIXES or is_pack(path)):
         return _recorded(path, options.address, options.namespace)

@@ -23,7 +23,7 @@ RESTARTS = 3  # of a page that breaks
 class Beside:
     """The process of the pages of one run (`view.serve`); it only reads what the nodes write.
 
-    A page that breaks is started again at its address; after the last time the run is let go, and goes on without.
+    A page process that crashes is restarted at its address; after the last attempt the run continues without a page.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class Knob:
     ----------
     node, name, unit, doc : str
     value : Any
-        The newest that the node has taken.
+        The newest value that the node has accepted.
     kind : type
     bounds : (float, float)
         As declared; infinite where nothing was.

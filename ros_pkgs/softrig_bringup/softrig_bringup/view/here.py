@@ -1,4 +1,4 @@
-"""A rig in the process of its page: a `Session` that goes on at a pace, is held, stepped, tuned, and goes back."""
+"""A rig in the process of its page: a `Session` that is paced, paused, stepped, tuned and taken back in time."""
 
 from __future__ import annotations
 

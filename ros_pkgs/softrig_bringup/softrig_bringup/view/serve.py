@@ -60,7 +60,7 @@ class Watched(BaseModel):
     how : str
         Mode and place, in words.
     pace : float
-        Simulated by wall-clock time at the beginning; 0: as fast as it goes.
+        Initial ratio of simulated to wall-clock time; 0: as fast as possible.
     address : str
         ``host:port``; port 0: a free one.
     token : str

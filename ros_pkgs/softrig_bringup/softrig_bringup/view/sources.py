@@ -1,4 +1,4 @@
-"""Where a page gets its numbers from: the files that the nodes of a run write while it goes on, or a bag."""
+"""Data source of a page: the files that the nodes of a run write while it is under way, or a bag."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ _EMPTY = Table(np.empty(0), np.empty(0), {})
 
 
 class Pane(Mapping[str, Signal]):
-    """Signals within a window of time, as pictures and figures take them.
+    """Signals within a time window, in the form that pictures and figures use.
 
     Parameters
     ----------

@@ -128,7 +128,7 @@ class Apart:
     Parameters
     ----------
     seconds : float
-        Wall-clock time after which a call is given up and the process killed.
+        Wall-clock time after which a call is aborted and the process killed.
 
     Raises
     ------
@@ -176,7 +176,7 @@ class Apart:
         return struct.unpack(f"{count}d", found)
 
     def _wait(self, what: int) -> None:
-        """Wait until the process takes or has bytes."""
+        """Wait until the process is ready to receive bytes or has sent some."""
         poll = select.poll()  # `select` takes no descriptors beyond 1,024
         poll.register(self._writing if what == select.POLLOUT else self._reading, what)
         if not poll.poll(self._seconds * 1e3):

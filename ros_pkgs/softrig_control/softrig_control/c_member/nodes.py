@@ -253,7 +253,7 @@ class _C(Block[CParams]):
     # a tick in this process ---------------------------------------------------------------------------------------
 
     def _next(self, found: Row) -> Any:
-        """Return the state of what a call gave."""
+        """Return the state in the result of a call."""
         return self._state(*(int(found[1 + k]) if w else found[1 + k] for k, w in enumerate(self._wholes)))
 
     def _values(self, inputs: Mapping[str, Any]) -> Row:
@@ -261,7 +261,7 @@ class _C(Block[CParams]):
         return tuple(_value(inputs[name], i) for name, i in self._reads)
 
     def _answer(self, found: Row, at: int) -> dict[str, Row]:
-        """Return the outputs of what a call gave, NODE_out beginning at a place."""
+        """Return the outputs in the result of a call; `at` is the start of NODE_out."""
         return {name: tuple(found[at + k] for k in places) for name, places in self._says}
 
     # a tick in another process ------------------------------------------------------------------------------------

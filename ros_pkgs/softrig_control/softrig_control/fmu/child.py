@@ -31,7 +31,7 @@ class Isolated:
     Parameters
     ----------
     seconds : float
-        Wall-clock time after which a call is given up and the process killed.
+        Wall-clock time after which a call is aborted and the process killed.
     confined : bool
         Whether it loses the network and everything that it may write, where the system allows that.
 

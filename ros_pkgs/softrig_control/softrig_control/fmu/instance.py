@@ -72,7 +72,7 @@ class Instance:
         return self._told(self._begin)
 
     def advance(self, start: float, end: float, values: Numbers) -> Numbers:
-        """Set the inputs, go from `start` to `end` (s) with them held, and give the outputs."""
+        """Set the inputs, simulate from `start` to `end` (s) with the inputs held, and return the outputs."""
         return self._told(self._advance, start, end, values)
 
     def tune(self, values: Sequence[tuple[str, int, tuple[Any, ...]]]) -> None:
@@ -226,7 +226,7 @@ class Instance:
         self._discrete()
 
     def _discrete(self) -> None:
-        """Settle the discrete states of an event; then time goes on."""
+        """Settle the discrete states of an event, then return to continuous time."""
         update = self._fmu.updateDiscreteStates if self._three else self._fmu.newDiscreteStates
         for _ in range(EVENTS):
             more, ends, _, _, defined, at = update()

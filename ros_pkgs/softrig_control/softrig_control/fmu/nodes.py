@@ -126,7 +126,7 @@ class State(NamedTuple):
 
 
 class Running:
-    """The FMU of a block, which goes on over live changes."""
+    """The FMU of a block, which continues across live changes."""
 
     def __init__(self) -> None:
         self._fmu: Any = None
@@ -205,7 +205,7 @@ class _Fmu(Block[FmuParams]):
         return State(0, self._checked(0, found), told)
 
     def go_on(self, x: State, before: FmuParams) -> State:
-        """Set the parameters that differ between two steps; the state of the FMU goes on."""
+        """Set changed parameters between two steps; the state of the FMU continues."""
         was = dict(start_values(before.unit, before.values))
         given = dict(start_values(self.p.unit, self.p.values))
         other = {v.reference for v, value in given.items() if value != was[v]}

@@ -195,7 +195,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._start = start_time
 
     def exit_initialization_mode(self) -> None:
-        """Set the block up with the parameters and the start time that the tool has given.
+        """Set the block up with the tool's parameters and start time.
 
         Raises
         ------

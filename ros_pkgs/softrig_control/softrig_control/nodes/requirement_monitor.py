@@ -83,8 +83,8 @@ class State(NamedTuple):
 class RequirementMonitor(Block[RequirementMonitorParams]):
     """Publishes bounds on the margin of a requirement at each tick, valid for any continuation of the run.
 
-    The upper bound falls as the run goes on: below zero the requirement is violated, and nothing can mend it. `decided`
-    is 1 once nothing that comes can change it. Signals are held; what has not come yet compares as false.
+    The upper bound decreases during the run: once it is below zero the requirement is finally violated. `decided` is 1
+    once nothing that comes can change it. Signals are held; what has not come yet compares as false.
     """
 
     @classmethod

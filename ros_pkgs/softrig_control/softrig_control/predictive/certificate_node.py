@@ -71,7 +71,7 @@ class CertificateNode(Block[CertificateParams]):
         return State()
 
     def update(self, x: State, t: int, *, certify: tuple[float, ...] | None) -> tuple[State, Mapping[str, Any]]:
-        """Answer when the button goes down."""
+        """Publish the result when the button is pressed."""
         down = certify is not None and certify[0] != 0.0
         pressed = not x.asked or (down and not x.down)
         return State(True, down), self._answer() if pressed else {}

@@ -87,7 +87,7 @@ class FaultLocator(Block[FaultLocatorParams]):
     def update(
         self, x: State, t: int, *, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]
     ) -> tuple[State, Answer]:
-        """Process a sample or a record; answer when the button goes down."""
+        """Process a sample or a record; publish a result when the button is pressed."""
         pressed = locate is not None and locate[0] != 0.0
         down = pressed and not x.pressed
         x = self._take(x, t, inputs, pressed)

@@ -73,7 +73,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
 
     J_plant integrates the running cost over each period from the measured state with the command held. A first plan
     whose own cost lies below the least cost by more than a millionth, or whose residual is too large, is no optimum:
-    `infeasible` is 1 and a WARN says so.
+    `infeasible` is 1 and a WARN reports it.
     """
 
     @classmethod
