@@ -126,7 +126,7 @@ class Ears:
     active every third of this time. A process that opens the port between a judgement and the reader's next activity
     cannot know whether the reader is alive. It waits for a third of the time as well and sends nothing in the
     meantime. One of six late nodes received nothing for 6.7 s, and its peers, whose lease is shorter, dropped it. So
-    a process that watches its ports marks them, and they are not judged.
+    a process that checks its ports writes the time of the check into them, and Fast DDS does not judge them.
     """
 
     # s, of which a pause between two looks, where the host has no time for this process, counts as one at most: Fast

@@ -13,7 +13,8 @@ class Rivals:
     Attributes
     ----------
     alone : bool
-        Whether one writer has published alone for long enough to be accepted; false for good once two were received.
+        Whether one writer has published alone for long enough to be accepted. Once messages of two writers were
+        received, it stays false until `change`.
     """
 
     def __init__(self) -> None:
