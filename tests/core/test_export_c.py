@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from softrig_core.export.kinds import REAL, Table
 from softrig_core.export.reader import Reader
 from softrig_core.export.unit import Unit
 from softrig_core.native.value import NotNative
+from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
 
@@ -265,6 +267,28 @@ def test_a_state_goes_on_under_other_gains_as_in_python(tmp_path):
     source.write_text(re.sub(r"(?<=s->x\.f0 = )r;(?=[^}]*}[^}]*}[^}]*known)", "x;", text, count=1))
     assert source.read_text() != text
     assert replayed(tmp_path, done.name).differing > 10  # the voltage jumps
+
+
+class Remembered(NamedTuple):
+    last: float = 0.0
+
+
+class Differing(DcMotorSmc):
+    """A law whose own state lacks what the inherited `go_on` replaces."""
+
+    def first(self):
+        return Remembered()
+
+    def update(self, x, t, **inputs):
+        w = inputs["state"][0]
+        return Remembered(w), {"command": (self.p.k_per_ref * (x.last - w),), "surface": (0.0,)}
+
+
+def test_a_parameter_whose_change_python_refuses_is_compiled_in(tmp_path):
+    rig = rig_of("dc_motor_smc_b2", classes={"dc_motor_smc": Differing})
+    done = export_c(rig, "dc_motor_smc", tmp_path, rows=50, drawn=30)
+    assert not done.settable
+    assert replayed(tmp_path, done.name).same
 
 
 @pytest.fixture(scope="module")

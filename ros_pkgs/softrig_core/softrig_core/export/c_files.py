@@ -966,10 +966,17 @@ def _settable(
             np.array_equal(np.asarray(follow(p, [block, block])), np.asarray(follow(p, [other, block])))
             for p in law.program.arrays
         )
-        stays = all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
-        if moved and repeated and tables and stays and other.first() == first:
+        if moved and repeated and tables and _stay(other, block, states) and other.first() == first:
             result[name] = moved
     return result
+
+
+def _stay(other: Block, block: Block, states: Sequence[Any]) -> bool:
+    """Return whether a block with another parameter takes states over as they are."""
+    try:
+        return all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
+    except Exception:  # whatever a user's code raises: a run cannot take that parameter over either
+        return False
 
 
 def _moved(block: Block, known: Mapping[str, Any], name: str) -> tuple[Block | None, Any]:
