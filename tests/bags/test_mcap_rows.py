@@ -62,7 +62,6 @@ def written(folder, recording, by_blocks, **options):
 @pytest.mark.parametrize("options", [{}, {"compression": "zstd"}, {"storage": "sqlite3"}])
 def test_blocks_and_messages_give_the_same_bytes(tmp_path, monkeypatch, seed, chunk, options):
     monkeypatch.setattr(McapFile, "CHUNK_BYTES", chunk)
-    monkeypatch.setattr("softrig_bags.files.mcap_rows._BATCH", 251)  # several parts
     assert written(tmp_path / "a", mixed(seed), True, **options) == written(
         tmp_path / "b", mixed(seed), False, **options
     )

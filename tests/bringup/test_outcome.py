@@ -102,7 +102,7 @@ def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
         def rows(self, works):
             asked.append(works)
             return [
-                {"figures": margins, "overrides": {"gain.k": 2.5}, "error": "gone" * (k > 0)}
+                {"number": k, "figures": margins, "overrides": {"gain.k": 2.5}, "error": "gone" * (k > 0)}
                 for k, _ in enumerate(works)
             ]
 
@@ -114,6 +114,7 @@ def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
         "Batch": Rows, "Log": lambda *given: given, "search": searched, "trial": lambda *given, **more: given,
         "run": lambda work: {"figures": {"small": 1.0}}, "_violates": lambda case, names: asked.append(names) or True,
         "shrink": lambda space, changes, violates, budget: (violates("case") and ("small", changes), budget),
+        "is_suspect": lambda rig: False,
     }.items():  # fmt: skip
         monkeypatch.setattr(engine, name, what)
     prepared = engine.Prepared(space, ("low", "last"), {"low": 4.0, "last": 0.5}, {"words": 1})

@@ -7,6 +7,7 @@ from functools import cache, partial
 from multiprocessing import get_context
 
 import pytest
+from by_hand import Listening
 from conftest import differences, few, in_process, make_scenario
 from simulated import Discovery, SimulatedNode, SimulatedRig, SimulatedTimer, World, some
 from simulated_outside import SimulatedOutside
@@ -177,7 +178,7 @@ class SimulatedRecorder:
         for end in list(self.node._seen(self.node.world.writers)):
             if end.topic not in (self.skipped, RECORDER) and end.topic not in self.read:
                 found = self.read[end.topic] = []
-                subscribe = partial(self.node.subscribe, end.topic, end.msgtype, found.append, lambda count: None)
+                subscribe = partial(self.node.subscribe, end.topic, end.msgtype, Listening(found.append))
                 self.node.world.at(self.node.world.now + self.rng.randrange(3_000 * MS), subscribe, self.node)
 
 

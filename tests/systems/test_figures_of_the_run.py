@@ -75,6 +75,7 @@ NUMBERS = {  # that stand in figure functions; no node has any of them
     1.2: "way over distance, beyond which a motion has gone there and back",
     6.0: "devices of a bridge",
     100.0: "%",
+    4194304: "bytes, above which a result is not shared",
     1000.0: "m in a km",
 }
 

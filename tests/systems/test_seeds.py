@@ -76,6 +76,8 @@ def test_there_are_no_other_random_numbers():
     found = {}
     for path in root.glob("*/softrig_*/**/*.py"):
         text = path.read_text(encoding="utf-8")
+        if path.parent.name == "rig" and path.stem in ("contents", "outside"):
+            continue  # they look at the generators of others, and draw nothing
         assert not re.search(r"^import random|np\.random\.(?!default_rng|Generator)", text, re.M), path
         if count := len(re.findall(r"default_rng\(|\bRandom\(", text)):
             found[str(path.relative_to(root)).partition("/")[2]] = count

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Scenario, ScenarioError, load_scenario
-from softrig_core.board.entry import SIMULATORS
+from softrig_core.board import SIMULATORS
 from softrig_core.extras import EXTRAS
 from softrig_core.judge import registry
 from softrig_core.kit.resource import prefixes

@@ -21,7 +21,7 @@ import yaml
 from softrig_bags.write import retell
 from softrig_core import Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.params import flatten
-from softrig_core.board.entry import SIMULATORS
+from softrig_core.board import SIMULATORS
 from softrig_core.guard import naming, say
 from softrig_core.judge import registry
 from softrig_core.rig.code import fingerprints

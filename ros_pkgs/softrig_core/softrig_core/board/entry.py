@@ -12,8 +12,8 @@ from pydantic import Field, field_validator
 
 from ..entry import Entry
 from ..errors import ScenarioError
+from . import SIMULATORS
 
-SIMULATORS = ("simavr", "qemu", "program")
 CAN, ADS = "can:", "ads:"
 LONGEST = 1 << 20  # bytes of a file that describes a node
 

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 from ..errors import ScenarioError
 from ..extras import need
-from .entry import SIMULATORS
+from . import SIMULATORS
 from .simavr import simavr_program
 
 CHUNK = 4096

@@ -11,7 +11,7 @@ from os.path import exists, isfile, samefile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..board.entry import SIMULATORS
+from ..board import SIMULATORS
 from ..errors import ScenarioError, closest
 from ..kit.resource import prefixes
 from ..renamed import report
