@@ -64,7 +64,7 @@ def pair(text: str) -> str:
 
 
 def _half(value: object) -> bool:
-    """Return whether an option that takes ``NAME=VALUE`` was given a name alone, as `--set a = 2` does."""
+    """Return whether an option of the form ``NAME=VALUE`` got a name alone, as in `--set a = 2`."""
     return isinstance(value, list) and any(isinstance(text, str) and not text.partition("=")[2] for text in value)
 
 
@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
     Parameters
     ----------
     meant : mapping of str to str
-        Words that people take for a subcommand, and the command that they mean.
+        Words that users mistake for a subcommand, and the command that they mean.
     surplus : str
         What a second word in the place of the only positional one asks for.
     """
@@ -113,7 +113,7 @@ class Parser(argparse.ArgumentParser):
         return found, rest
 
     def _unexpected(self, found: argparse.Namespace, word: str) -> str:
-        """Describe a word that no option takes, and what it may have been meant for."""
+        """Describe a word that no option accepts, and what it may have been meant for."""
         from difflib import get_close_matches
 
         pairs = [a for a in self._actions if a.option_strings and "NAME=" in str(a.metavar)]

@@ -17,14 +17,14 @@ BEHIND = 0.25  # s by which a run may be late and still catch up; what is beyond
 
 
 class Pace:
-    """How far a run may go at a pace, by the wall clock; a person may stop it, or take another pace, at any moment.
+    """Limit of a run's time at a pace, by the wall clock; a user may pause it or change the pace at any moment.
 
     Whatever they do, the part of a tick that has been waited for stays, so that the run never gets ahead by it.
 
     Parameters
     ----------
     pace : float
-        Simulated time by wall-clock time; 0: as fast as it goes.
+        Ratio of simulated to wall-clock time; 0: as fast as possible.
     """
 
     def __init__(self, pace: float) -> None:

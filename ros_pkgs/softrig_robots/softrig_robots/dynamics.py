@@ -16,7 +16,7 @@ Vector = tuple[float, ...]
 
 
 class RobotDynamicsParams(BlockParams):
-    """Which robot; the 3-link arm when nothing is given."""
+    """The robot; by default the 3-link arm."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
     urdf: str = param("package://softrig_robots/urdf/manipulator.urdf", "file or package:// URI of the robot")

@@ -1,4 +1,4 @@
-"""Reading URDF: the table of its tags and attributes, and the joints and links that softrig takes from it."""
+"""Reader of URDF: the table of its tags and attributes, and the joints and links that softrig reads from it."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class Joint(NamedTuple):
 
 @dataclass(frozen=True)
 class Robot:
-    """What softrig takes from a URDF beside the masses and frames, which pinocchio reads.
+    """Data that softrig reads from a URDF in addition to the masses and frames, which pinocchio reads.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     Parameters
     ----------
     found : mapping
-        What the block gave, port name to values; anything else is refused.
+        Result of the block, port name to values; anything else is refused.
     node : str
         For the error.
     t : int

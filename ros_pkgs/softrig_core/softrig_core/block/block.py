@@ -214,7 +214,7 @@ class Block(Generic[P]):
         return found[0]
 
     def go_on(self, x: Any, before: P) -> Any:
-        """Return the state with which it goes on after live parameters have changed, between two ticks.
+        """Return the state with which the block continues after live parameters have changed, between two ticks.
 
         `p` and the constants from `setup` are the new ones. By default the state is unchanged. A block whose state
         depends on the parameters overrides this method and describes in its docstring what happens to the state. If
@@ -237,7 +237,7 @@ class Block(Generic[P]):
         return x
 
     def load(self, saved: Any) -> Any:
-        """Return the x that `save` was given."""
+        """Return the x that was passed to `save`."""
         return saved
 
     @final
@@ -391,7 +391,7 @@ class Plant(Block[P]):
 
 
 class Observer(Block[P]):
-    """A block that only watches; `status` gives its figures, which the node publishes as a DiagnosticArray.
+    """A block that only observes; `status` returns its figures, which the node publishes as a DiagnosticArray.
 
     An observer also sees the last plant outputs, at the end time of a run.
     """

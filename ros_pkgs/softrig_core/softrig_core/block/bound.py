@@ -156,7 +156,7 @@ def _move_text(inputs: tuple[str, ...], ends: bool) -> str:
 
 
 def _inputs(names: Iterable[str]) -> str:
-    """Write the keywords of a call; a name that is no word of Python goes in as a text."""
+    """Write the keywords of a call; a name that is not a Python identifier is passed as a string."""
     return "".join(
         f", {name}=values[{name!r}]"
         if name.isidentifier() and not iskeyword(name)

@@ -1,4 +1,4 @@
-"""Changes of parameters while a block runs: checked as at the start, all or none, taken between two ticks."""
+"""Changes of parameters while a block runs: checked as at the start, applied all or none, between two ticks."""
 
 from __future__ import annotations
 

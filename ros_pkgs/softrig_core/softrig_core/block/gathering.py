@@ -1,7 +1,7 @@
-"""The ticks of an observer that only listens, many in one batch: taken in one by one they cost the others theirs.
+"""Batched ticks of an observer without outputs: processed one by one, they would slow down the other nodes.
 
-To take in eight topics tick by tick is half the work of a loop of 20 kHz. What these topics brought in a hundredth of a
-second is taken in as one batch in a fifth of that time, with the same result (`Batched.at_once`).
+Processing eight topics tick by tick is half the work of a 20 kHz loop. Processing their messages of a hundredth of a
+second as one batch takes a fifth of that time, with the same result (`Batched.at_once`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NOTHING: Mapping[str, Any] = {}
 
 @runtime_checkable
 class Batched(Protocol):
-    """An observer that takes in what many ticks have seen as one batch, with the state that its `update` would return.
+    """An observer that processes the messages of many ticks as one batch, with the same state as from its `update`.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Batched(Protocol):
 
 
 def takes_batches(block: Block) -> bool:
-    """Return whether a block takes in the messages of many ticks as one batch."""
+    """Return whether a block processes the messages of many ticks as one batch."""
     return isinstance(block, Batched) and block.in_batches
 
 
@@ -79,7 +79,7 @@ class Gathering(Link):
     step : Step
         Of an observer without outputs that takes messages at once; its inputs are being wired.
     ticks : int
-        So many are taken in together.
+        Number of messages processed together.
     """
 
     READS = False

@@ -20,7 +20,7 @@ class Steered(Protocol):
 
 
 class Kept(NamedTuple):
-    """All that decides how a block goes on: references, where nothing of it is opaque."""
+    """Everything that determines a block's future: references, if no part of it is opaque."""
 
     params: BlockParams
     x: Any

@@ -21,12 +21,12 @@ YOUNG = 200_000  # new objects between two searches for reference cycles: what a
 
 
 def say(step: Step, t: int) -> None:
-    """Answer a tick: a plant shows its outputs, another one takes its inputs and answers.
+    """Answer a tick: a plant publishes its outputs, any other block reads its inputs and answers.
 
     Raises
     ------
     RunError
-        The block failed, or gave what may not leave it; its `node` is the name of the step.
+        The block failed or returned an invalid value; `node` of the error is the name of the step.
     """
     step.t = t
     try:
@@ -89,7 +89,7 @@ class Loop:
         Raises
         ------
         RunError
-            A block failed, or gave what may not leave it.
+            A block failed or returned an invalid value.
         """
         plan = self.plan
         ends = math.inf if plan.ticks is None else plan.ticks - self._again  # from here on not all that are due go on

@@ -131,7 +131,7 @@ def check_steps(period: float, step: float, name: str) -> None:
     Raises
     ------
     ValueError
-        More than `STEPS`: one tick would take for ever.
+        There are more than `STEPS` steps: one tick would take forever.
     """
     if period > STEPS * step:
         raise ValueError(
@@ -224,7 +224,7 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
     Raises
     ------
     ParameterError
-        One line: which parameter, what was given, what is allowed.
+        One line with the parameter, the given value and the allowed values.
     """
     nested: dict[str, Any] = {}
     for name, value in values.items():

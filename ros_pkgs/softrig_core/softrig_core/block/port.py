@@ -177,7 +177,7 @@ class Port:
 
     @property
     def initial(self) -> tuple[float, ...] | Sample | None:
-        """Return what an input gives before its first message: None when held, else the safe value."""
+        """Return the value of an input before its first message: None if held, else the safe value."""
         if self.held:
             return None
         return Sample(0, self.safe) if self.delayed else self.safe

@@ -180,7 +180,7 @@ class Step(Held):
         self.advance = mover(self)
 
     def asked(self, t: int) -> Any:
-        """Return what the block remembers and answers at a tick; changes of parameters that are due take effect."""
+        """Return the block's state and answer at a tick; due parameter changes take effect."""
         if t >= self.change_at:
             self._change(t)
         if self.bad:
@@ -205,7 +205,7 @@ class Step(Held):
             self.link.send(t, rows, self.numbers)
 
     def status(self) -> Mapping[str, tuple[float, str]]:
-        """Return the figures of an observer that has taken in all that it has seen; see `Observer.status`."""
+        """Return the figures of an observer after it has processed all its messages; see `Observer.status`."""
         if self.link is not None:
             self.link.settle()
         return super().status()

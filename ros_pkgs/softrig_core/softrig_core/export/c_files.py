@@ -475,7 +475,7 @@ class _Files:
         return "\n".join(lines)
 
     def _set(self) -> list[str]:
-        """Write what takes other parameters, and moves the state on as Python does."""
+        """Write the function that sets other parameters and adapts the state as Python does."""
         lines = []
         for k in self.held:
             if self.slots[k][0] == 1:
@@ -558,7 +558,7 @@ class _Files:
         return lines
 
     def _published(self, row: Value, stamps: Value) -> list[str]:
-        """Write what takes the numbers of an answer, each finite and within the limit of its port."""
+        """Write the function that stores the numbers of an answer, each finite and within the limit of its port."""
         assert isinstance(row.kind, Tuple)
         assert isinstance(stamps.kind, Tuple)
         names, stamped = iter(row.kind.names), iter(stamps.kind.names)
@@ -582,7 +582,7 @@ class _Files:
         return lines
 
     def _taken(self, state: Value) -> list[str]:
-        """Write what takes the state over, in the form that it has now."""
+        """Write the function that stores the state in its present form."""
         if state.kind in self.forms:
             k = self.forms.index(state.kind)
             return [f"s->x.f{k} = {state.c};", *([f"s->form = {k}u;"] if len(self.forms) > 1 else []), *self._kept(k)]
@@ -980,7 +980,7 @@ def _stay(other: Block, block: Block, states: Sequence[Any]) -> bool:
 
 
 def _moved(block: Block, known: Mapping[str, Any], name: str) -> tuple[Block | None, Any]:
-    """Return a block with one parameter moved within its bounds, and its value; None where no other value is taken."""
+    """Return a block with one parameter moved within its bounds, and its value; None if no other value is accepted."""
     value = known[name]
     for factor in SHIFTS:
         other = type(value)(value * factor) if value else type(value)(factor)

@@ -128,7 +128,7 @@ class Calls(Expressions):
         return Value(ABSENT, "0")
 
     def called(self, called: Any, given: list[Value], node: ast.AST) -> Value:
-        """Return what a call gives."""
+        """Return the result of a call."""
         if isinstance(called, str):
             return self._function(called, given, node, True)
         if isinstance(called, Jit):

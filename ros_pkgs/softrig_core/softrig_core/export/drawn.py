@@ -1,4 +1,4 @@
-"""Drawn inputs: what a block answers to numbers that no run gives it, by Python, as further golden rows."""
+"""Random inputs: Python's answers of a block to inputs that do not occur in a run, as further golden rows."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Raised:
 
 @dataclass(frozen=True)
 class Drawn(Call):
-    """A call with inputs that no run gave."""
+    """A call with inputs that did not occur in a run."""
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def bounded_by_numbers(given: str, known: Mapping[str, float | None], units: Map
     ----------
     given : str
     known : mapping
-        As `read` takes it.
+        As in `read`.
     units : mapping
         Of the names that are no numbers.
     """

@@ -1,4 +1,4 @@
-"""Figure functions: figures of merit of a recording; a scenario names them and gives their arguments.
+"""Figure functions: figures of merit of a recording; a scenario names them and sets their arguments.
 
 Every function is called as ``f(signals, **arguments)`` and gives a float. `signals` maps a name
 ``topic/channel/field`` to (t, x): `softrig_core.wire.signals.Signals`, or a plain dict of array pairs.

@@ -114,7 +114,7 @@ class Record:
     samples : mapping of str to array, shape (n,)
         Numbers.
     truths : mapping of str to array, shape (n,), optional
-        Of conditions, as `truth` gives them.
+        Of conditions, as returned by `truth`.
     late : mapping of str to array of bool, shape (n,), optional
         Where a variable has not come yet: what compares it is false there.
     after : float

@@ -24,7 +24,7 @@ class ChangeEntry(Entry):
     Parameters
     ----------
     at : float
-        In s. Each node takes its own at its first tick that is not earlier.
+        In s. Each node applies its changes at its first tick that is not earlier.
     set : dict
         ``node.parameter`` to value; of a fault, ``fault.active``. ``$node.parameter`` is what a parameter is at first.
     """

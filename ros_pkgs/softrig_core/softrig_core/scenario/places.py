@@ -87,7 +87,7 @@ def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str
 
 
 def _keys(model: type[BaseModel] | None, above: Sequence[Any]) -> list[str]:
-    """Return the keys that a model takes below others."""
+    """Return the keys that a model accepts below others."""
     for key in above:
         if model is not None and key in model.model_fields:
             model = next(_models(model.model_fields[key].annotation), None)

@@ -346,7 +346,7 @@ def read_draft(name: str) -> Draft:
 
 
 def _before(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is written of each key that is to be given another value; None where nothing is."""
+    """Return the written value of each key that is to be changed; None if the key is not set."""
     result = {}
     for key, value in overrides.items():
         node, _, parameter = key.partition(".")

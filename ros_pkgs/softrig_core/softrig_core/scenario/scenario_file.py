@@ -68,7 +68,7 @@ def locate(name: str) -> tuple[str, Path]:
     Raises
     ------
     ScenarioError
-        There is none of that name; gives the closest.
+        There is none of that name; the message names the closest.
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml") and isfile(path):

@@ -208,7 +208,7 @@ def _computed(argument: Any, rig: Members) -> Any:
 def _unit(
     function: Function, arguments: Mapping[str, Any], units: Mapping[str, str], wanted: str | None
 ) -> tuple[str, float]:
-    """Unit of a figure, and the number that turns what the function gives into it."""
+    """Return the unit of a figure, and the factor from the function's result to this unit."""
     declared: str | None = getattr(function, "unit", None)
     if declared is None:
         return wanted or "", 1.0

@@ -195,7 +195,7 @@ class Watch(Observer[W]):
         return Window(tuple(kept.taken_at_once(messages.get(name, ()), t, self._reach) for name, kept in seen))
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
-        """Create a figure, in the unit that its function and its signal give it."""
+        """Create a figure, in the unit of its function and its signal."""
         unit = compose(getattr(function, "unit", ""), self._units.get(arguments.get("signal", ""), ""))
         return Figure(name, function, arguments, unit, 1.0)
 
@@ -227,7 +227,7 @@ def left_behind(since: str, signals: Seen, forgot: Container[str]) -> bool:
 
 
 class Seen(Mapping[str, Signal]):
-    """What a `Watch` keeps, as the signals that figure functions take."""
+    """The stored messages of a `Watch`, as signals for figure functions."""
 
     def __init__(self, ports: Mapping[str, Port], seen: Mapping[str, Kept]) -> None:
         self._ports = {port.topic: (port, seen[name]) for name, port in ports.items()}

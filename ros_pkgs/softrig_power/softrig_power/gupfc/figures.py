@@ -72,7 +72,7 @@ def power_balance(
     start: float | None = None,
     end: float | None = None,
 ) -> float:
-    """Sum of the active powers that the three converters deliver, pu: what the DC link gives or, negative, takes.
+    """Return the sum of the converters' active powers, pu: positive if the DC link delivers energy.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class DeviceParams(BlockParams):
 
     @property
     def pulse(self) -> int:
-        """Waveform as the compiled functions take it."""
+        """Waveform in the form for the compiled functions."""
         return PULSE if self.waveform == "pulse" else 0
 
 

@@ -45,7 +45,7 @@ class Seen:
 
 
 class State(NamedTuple):
-    """Waves, voltages and currents (never written in place); commands; steps taken; whether the link has tripped."""
+    """Waves, voltages and currents (never written in place); commands; number of steps; whether the DC link tripped."""
 
     network: Network
     commands: tuple[Command, Command, Command]

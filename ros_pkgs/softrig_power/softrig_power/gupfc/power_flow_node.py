@@ -98,7 +98,7 @@ class PowerFlowNode(Block[PowerFlowParams]):
         return State(asked, pressed, found.sizes), answer
 
     def health(self, x: State) -> Mapping[str, str]:
-        """Describe how many operating points there are, and which one was taken."""
+        """Describe how many operating points there are, and which one was selected."""
         if not x.sizes:
             return {}
         taken, *others = x.sizes

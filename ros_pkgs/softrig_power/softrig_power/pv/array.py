@@ -31,7 +31,7 @@ class ArrayParams(Params):
         return {"pv/module": self.module.model_dump(), "pv/conditions": self.irradiance + self.temperature}
 
     def sources(self) -> Newest[tuple[float, ...], Characteristic]:
-        """Return what gives the characteristic under the values of pv/environment."""
+        """Return the function that computes the characteristic under the values of pv/environment."""
         return Newest(lambda environment: characteristic(self.module, *split(environment)))
 
     @model_validator(mode="after")
@@ -62,7 +62,7 @@ def split(environment: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[floa
 
 
 def possible(block: Block, environment: tuple[float, ...]) -> bool:
-    """Return whether a block may take these values of pv/environment; it reports why not."""
+    """Return whether a block may use these values of pv/environment; if not, the block reports the reason."""
     irradiance, temperature = split(environment)
     bright = all(IRRADIANCE[0] <= value <= IRRADIANCE[1] for value in irradiance)
     if bright and all(TEMPERATURE[0] <= value <= TEMPERATURE[1] for value in temperature):

@@ -72,7 +72,7 @@ class Sums:
         return tuple(moving.tolist()), Sums(sums.tobytes()), tuple(found.tolist()), tuple(trace.ravel().tolist())
 
     def native(self) -> SumsRows:
-        """Return them as native code takes them."""
+        """Convert the sums to their form for native code."""
         sums = opened(self.kept)
         return SumsRows(sums, np.zeros_like(sums), np.zeros(len(FIGURES)), NO_TRACE.copy())
 

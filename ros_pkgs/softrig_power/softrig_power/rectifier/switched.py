@@ -118,7 +118,7 @@ def advance(
 
 @jit
 def settle(sums: Array, t: float, x: Array, p: tuple[Circuit, Period]) -> None:
-    """Add what the newest instant still has to give."""
+    """Add the remaining contribution of the newest instant."""
     if sums[PLAIN, PENDING] > 0.0:
         seen(sums, t, sums[PLAIN, PENDING], x, p)
     sums[PLAIN, PENDING] = 0.0

@@ -57,7 +57,7 @@ class Adsmc:
     T : float
         Sampling period, s.
     v_max : float
-        Voltage limit; the limited value is what the integration goes on from.
+        Voltage limit; the integration continues from the limited value.
     """
 
     def __init__(self, g: Any, *, printed_mu1: bool, adapt_at_limit: bool, T: float, v_max: float) -> None:

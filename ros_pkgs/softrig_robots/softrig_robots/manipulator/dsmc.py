@@ -55,7 +55,7 @@ class Dsmc:
     T : float
         Sampling period, s.
     v_max : float
-        Voltage limit; the limited value is what the integration goes on from.
+        Voltage limit; the integration continues from the limited value.
     """
 
     def __init__(self, g: Any, *, printed_mu1: bool, T: float, v_max: float) -> None:

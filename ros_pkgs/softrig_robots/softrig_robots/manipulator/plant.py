@@ -1,4 +1,4 @@
-"""The electrically driven 3-link arm, or any arm given as URDF.
+"""The electrically driven 3-link arm, or any arm described by a URDF.
 
 Equations (1)-(3) of the paper; the disturbance d is a voltage drop in front of the armature.
 """
@@ -98,7 +98,7 @@ class ManipulatorParams(DrivenRobotParams):
         Raises
         ------
         ValueError
-            A mimic joint is given another value.
+            The value of a mimic joint contradicts its constraint.
         """
         given: Vector = getattr(self, name)
         values = list(spread(name, given, len(self.joints)))

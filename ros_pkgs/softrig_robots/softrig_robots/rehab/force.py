@@ -1,4 +1,4 @@
-"""The patient's force as blocks take it in."""
+"""The patient's force as an input of blocks."""
 
 from __future__ import annotations
 

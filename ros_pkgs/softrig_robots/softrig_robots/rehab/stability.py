@@ -80,7 +80,7 @@ def alpha_hat_limit(
     delayed : bool
         Voltages take effect one period late.
     applied : bool
-        With a delay: the law goes on from the voltage that the motor got, not from the one it sent.
+        With a delay: the control law continues from the voltage applied to the motor, not from the one it published.
     robot : LinearRobot
         The published one when absent.
 

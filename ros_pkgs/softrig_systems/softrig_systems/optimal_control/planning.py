@@ -36,7 +36,7 @@ class Request(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """What it gives back."""
+    """The result of planning."""
 
     values: tuple[float, ...]
     """The plan as on its topic."""

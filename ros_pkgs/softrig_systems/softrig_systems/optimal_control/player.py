@@ -65,7 +65,7 @@ class OcpPlayer(Block[PlayerParams]):
     """Holds u(t_k + dt/2) of the newest plan for a period; zero before the first plan and after the horizon.
 
     A plan that is not to be trusted, that is over before it comes, or that does not begin at the measured state is
-    refused with ERROR: the plan before goes on. A state that is refused changes nothing: the plan goes on.
+    rejected with ERROR, and the previous plan continues. A rejected state has no effect: the plan continues.
     """
 
     @classmethod

@@ -160,7 +160,7 @@ class CertificateNode(Solver[CertificateParams]):
     def request(
         self, x: State, t: int, *, certify: tuple[float, ...] | None = None
     ) -> tuple[State, CertificateParams | None]:
-        """Ask at the start and when the button goes down."""
+        """Request a certificate at the start and when the button is pressed."""
         down = certify is not None and certify[0] != 0.0
         wanted = (down and not x.down) or (self.p.at_start and not x.asked)
         return State(down, True, x.jobs), self.p if wanted else None

@@ -68,7 +68,7 @@ class MarginSearch(Solver[MarginSearchParams]):
     def request(
         self, x: State, t: int, *, search: tuple[float, ...] | None = None
     ) -> tuple[State, MarginSearchParams | None]:
-        """Ask at the start and when the button goes down."""
+        """Request a search at the start and when the button is pressed."""
         down = search is not None and search[0] != 0.0
         wanted = (down and not x.down) or (self.p.at_start and not x.asked)
         return State(down, True, x.jobs), self.p if wanted else None

@@ -199,7 +199,7 @@ class TankPlant(DelayPlant[TankPlantParams]):
         return ("x",)
 
     def begin(self) -> tuple[float, ...]:
-        """The level, and what the law gives for it."""
+        """The level, and the output of the control law for it."""
         p, x = self.p, self.p.x0
         return x, x * (p.k_low if x < p.switch else -p.k_high)
 

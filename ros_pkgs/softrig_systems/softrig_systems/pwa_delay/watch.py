@@ -87,7 +87,7 @@ class Watch:
         return Watch(self.fixed)
 
     def native(self) -> WatchRows:
-        """Return it as native code takes it."""
+        """Convert it to its form for native code."""
         new = self._copy()
         return WatchRows(new.fixed, new.rows, new.slopes, new.values, new.counts)
 

@@ -154,7 +154,7 @@ class AqmController(Block[AqmControllerParams]):
         return State(integral, q_d, e, past, 0, said), said.values()
 
     def refused(self, x: State, t: int) -> Answer:
-        """Hold the last command; after 50 ticks give 0."""
+        """Hold the last command; after 50 ticks publish 0."""
         return self._hold(x)
 
     def _hold(self, x: State) -> Answer:

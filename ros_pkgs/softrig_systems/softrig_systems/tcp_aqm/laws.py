@@ -1,4 +1,4 @@
-"""Queue laws: each gives the drop probability, before clipping, from what the controller measures.
+"""Queue control laws: each computes the drop probability, before clipping, from the controller's measurements.
 
 Notation of all: e = q - q_d; q' = N w/R - C, not clipped at an empty or full queue; Phi and Psi as in `model`, so that
 q'' = Phi + Psi u.

@@ -103,7 +103,7 @@ class Network(Plant[P]):
         self._change = -1 if p.disturbance == "none" else round(p.disturbance_time / self._h)
 
     def first(self) -> Any:
-        """Begin with the given window and queue, which have been so for ever."""
+        """Return a state in which the given window and queue have always been constant."""
         p = self.p
         x = self.begin(Net(p.N, p.C, p.tau_p))
         return self._disturbed(x) if self._change == 0 else x

@@ -118,7 +118,7 @@ def _load(path: Path) -> Recorder:
 
 
 def _outside(channels: Sequence[Analog], raw: Array) -> list[str]:
-    """Describe which channels have samples outside of the range that their line gives; none where it gives no range."""
+    """Describe the channels with samples outside of the range in their line of the settings, if it has a range."""
     notes = []
     for k, c in enumerate(channels):
         count = int(np.count_nonzero((raw[:, k] < c.low) | (raw[:, k] > c.high)))

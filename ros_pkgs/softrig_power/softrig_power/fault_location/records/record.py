@@ -198,7 +198,7 @@ def _off(end: str, t_x: Array, rate: float, t: Array, to_rate: float) -> str:
 
 
 def _rate(t: Array, where: str = "") -> float:
-    """Sampling rate of equidistant times, to 1 mHz, so that equal records give equal numbers however they came."""
+    """Sampling rate of equidistant times, to 1 mHz, so that equal records produce equal numbers from any source."""
     if len(t) < 2:
         raise RecordError(Status.TOO_SHORT, f"{where}a record of {len(t)} samples")
     if not np.isfinite(t).all():

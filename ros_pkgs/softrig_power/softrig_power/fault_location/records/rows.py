@@ -1,4 +1,4 @@
-"""The samples of a record while it grows, as a value, and as native code takes them."""
+"""The samples of a growing record: as an immutable value, and in the form for native code."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Rows:
         self._list, self._table = [], None
 
     def put(self, row: Row) -> Rows:
-        """Return them with one more; the oldest goes where there are too many."""
+        """Return the samples with one more; the oldest is dropped if there are too many."""
         rows = self._rows()
         if self._count != len(rows) or self._count >= 2 * self.most:
             rows = self.newest()
@@ -50,7 +50,7 @@ class Rows:
         return self._rows()[max(0, self._count - self.most) : self._count]
 
     def native(self) -> RowsRing:
-        """Return them as native code takes them."""
+        """Convert the samples to their form for native code."""
         rows = np.array(self.newest(), dtype=np.float64) if self._table is None else self._table
         ring = np.zeros(self.most * self.width)
         ring[: rows.size] = rows.ravel()
