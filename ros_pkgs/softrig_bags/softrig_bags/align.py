@@ -35,7 +35,7 @@ GAIN = 0.99
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far signal b is from its reference a where both are known.
+    """Deviation of signal b from its reference a at times at which both are known.
 
     Parameters
     ----------

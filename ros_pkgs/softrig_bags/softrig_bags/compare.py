@@ -44,7 +44,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Difference:
-    """Where two bags first disagree: stamp in ns, topic, field and both values."""
+    """The first disagreement of two bags: stamp in ns, topic, field and both values."""
 
     stamp: int
     topic: str
@@ -58,7 +58,7 @@ class Difference:
 
 @dataclass
 class TopicComparison:
-    """What was found on one topic.
+    """Result of the comparison for one topic.
 
     Parameters
     ----------

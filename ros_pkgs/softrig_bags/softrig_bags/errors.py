@@ -1,4 +1,4 @@
-"""What can be wrong with a bag."""
+"""Errors about bags."""
 
 from softrig_core import ScenarioError
 

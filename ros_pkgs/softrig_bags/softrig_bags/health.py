@@ -1,4 +1,4 @@
-"""What an external recorder would have beside a run's signals: descriptions, node health, figures of observers.
+"""Further contents of an externally recorded bag: descriptions, node health, figures of observers.
 
 They are the final values that the nodes reported, so equal runs still produce equal bags. A bag uses a rig's own names,
 without the namespace in which it was launched. `hardware_id`, which distinguishes rigs while they run, is empty.

@@ -1,4 +1,4 @@
-"""What is in a bag, as text."""
+"""Summary of a bag's contents as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where messages to be compared come from: a bag on the disk, or a recording in memory, both in blocks."""
+"""Sources of messages to compare: a bag on disk, or a recording in memory, both in blocks."""
 
 from __future__ import annotations
 

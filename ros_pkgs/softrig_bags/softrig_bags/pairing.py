@@ -1,4 +1,4 @@
-"""Which message of one bag belongs to which of another: equal stamps, and those in their order."""
+"""Pairing of the messages of two bags: by equal stamps, and equal stamps by order."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Piece(NamedTuple):
 
 @dataclass
 class Left:
-    """What of a topic has not become numbers, and why.
+    """Parts of a topic that were not converted to numbers, and why.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Whether a loop swings for good: turning points of the measured signal that do not come nearer to each other."""
+"""Detection of a limit cycle: turning points of the measured signal that do not approach each other."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NONE, NEVER = (0.0,) * SWINGS, (0,) * SWINGS
 
 
 class Swinging(NamedTuple):
-    """What is remembered of the measured signal of a loop, in its unit; times in samples."""
+    """State of the detector, in the unit of the measured signal; times in samples."""
 
     reference: float = 0.0
     turn: float = 0.0

@@ -1,4 +1,4 @@
-"""What surrounds every command: streams that can be relied on, one line and an exit status for every failure."""
+"""Wrapper of every command: safe standard streams, and one line and an exit status for every failure."""
 
 from __future__ import annotations
 

@@ -34,13 +34,13 @@ LONGEST = 2e18
 
 
 class Phase:
-    """What the block is doing."""
+    """The phase of the block."""
 
     STOPPED, SEARCH, HOLD = range(3)
 
 
 class SearchParams(AlgorithmParams, BlockParams):
-    """How a search is run against a plant."""
+    """Parameters of a search on a plant."""
 
     period: float = param(0.001, "sampling period of the measurement", "s", gt=0.0, le=100.0)
     hold_time: float = param(0.04, "how long a candidate is applied before its value counts", "s", gt=0.0, live=True)
@@ -75,7 +75,7 @@ class SearchParams(AlgorithmParams, BlockParams):
 
 
 class State(NamedTuple):
-    """What a search over topics remembers from tick to tick; times in ns, `NEVER` where there is none."""
+    """State of a search over topics; times in ns, `NEVER` if there is none."""
 
     search: Told
     phase: int
@@ -520,7 +520,7 @@ def _mean(x: State) -> float:
 
 
 class OptimiserParams(SearchParams):
-    """What to search and what to optimise."""
+    """The search variables and the objective."""
 
     algorithm: Algorithm = param("pso", "name of the algorithm")
     channels: tuple[str, ...] = param(("command",), "names of the command channels", min_length=1)

@@ -60,7 +60,7 @@ class Motors(Params):
 
 
 class DrivenRobotParams(BlockParams):
-    """What every voltage-driven robot has."""
+    """Parameters of every voltage-driven robot."""
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     substeps: int = param(2, "Runge-Kutta steps per period", ge=1, le=100)

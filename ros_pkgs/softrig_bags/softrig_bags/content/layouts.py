@@ -61,7 +61,7 @@ class Leaf(NamedTuple):
 
 @dataclass
 class Template:
-    """What messages of one shape have in common.
+    """Common structure of messages of one shape.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a bag must know of a topic: type, definition, type hash and the QoS its publishers offered."""
+"""Metadata of a topic in a bag: type, definition, type hash and the QoS that its publishers offered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What rosbag2 compresses on top of a storage format: whole files (mode file), single messages (mode message)."""
+"""Compression by rosbag2 on top of a storage format: whole files (mode file), single messages (mode message)."""
 
 from __future__ import annotations
 

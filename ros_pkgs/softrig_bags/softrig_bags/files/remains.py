@@ -18,7 +18,7 @@ SHARD, DIED = ".shard", ".shard.died"
 
 @dataclass
 class Remains:
-    """What can be read in one place.
+    """Readable files in one place.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What recorder and player share of ROS: one node, an executor that ends on a signal, QoS profiles."""
+"""ROS parts shared by recorder and player: one node, an executor that ends on a signal, QoS profiles."""
 
 from __future__ import annotations
 

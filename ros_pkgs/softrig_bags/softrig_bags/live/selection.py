@@ -1,4 +1,4 @@
-"""Which topics are meant: names, regular expressions, hidden ones."""
+"""Selection of topics by names, regular expressions and hidden names."""
 
 from __future__ import annotations
 

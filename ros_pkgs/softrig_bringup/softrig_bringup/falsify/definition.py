@@ -1,4 +1,4 @@
-"""What a falsification is: validated data from ``config/studies/NAME.falsify.yaml`` or from the command line."""
+"""Definition of a falsification: validated data from ``config/studies/NAME.falsify.yaml`` or the command line."""
 
 from __future__ import annotations
 

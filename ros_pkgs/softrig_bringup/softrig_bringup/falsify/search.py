@@ -26,7 +26,7 @@ WORST = 1e300
 
 @dataclass
 class Found:
-    """What a search has seen so far.
+    """Results of a search so far.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ MANY = 12  # values of a port that are named
 
 
 class Replaced(NamedTuple):
-    """What a package in place of a controller is made from.
+    """Data for a package that replaces a controller.
 
     Parameters
     ----------

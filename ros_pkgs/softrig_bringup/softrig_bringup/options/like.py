@@ -48,7 +48,7 @@ LATE = {
 
 @dataclass(frozen=True)
 class Recalled:
-    """What is known of a run.
+    """Stored data of a run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What of a pack is code: packages, FMUs, C members and boards, listed by true names before anything of it runs."""
+"""Code in a pack: packages, FMUs, C members and boards, listed by their true names before any of it runs."""
 
 from __future__ import annotations
 

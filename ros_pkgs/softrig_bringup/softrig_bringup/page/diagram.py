@@ -101,7 +101,7 @@ def _width(wiring: Wiring, node: str) -> float:
 
 @dataclass(frozen=True)
 class _Routes:
-    """Where boxes, lanes and tracks are."""
+    """Positions of boxes, lanes and tracks."""
 
     boxes: Mapping[str, Box]
     channels: Sequence[float]

@@ -1,4 +1,4 @@
-"""What is expected of a signal, as marks in its picture: bands and levels, instants on the time axis."""
+"""Expectations of a signal as marks in its picture: bands and levels, instants on the time axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How pictures look: colours, sizes, units and axis titles as they are printed."""
+"""Style of pictures: colours, sizes, units and printed axis titles."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MANY = 8  # more curves than this in one axes get a colour scale instead of a le
 
 
 class Paper(NamedTuple):
-    """What a publisher asks of a picture.
+    """Requirements of a publisher for a picture.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ class _Status(BaseModel):
 
 
 class _Changed(BaseModel):
-    """What changed while it ran: from which tick on, of which node."""
+    """A change while the run was under way: from which tick on, of which node."""
 
     at_s: float
     node: str
@@ -43,7 +43,7 @@ class Origin(BaseModel):
 
 
 class RunRecord(BaseModel):
-    """What the pages need of ``metrics.json``."""
+    """The entries of ``metrics.json`` that the pages use."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -120,7 +120,7 @@ def draw_missing(directory: Path, into: Path) -> list[Path]:
 
 
 class Look(NamedTuple):
-    """How pictures are to look: letters in points, width in inches, of publishers the letters' kind."""
+    """Look of pictures: font size in points, width in inches, and the font family for publishers."""
 
     title: bool
     font: float | None

@@ -1,4 +1,4 @@
-"""What a study is: validated data from a YAML file in ``config/studies`` or from the command line."""
+"""Definition of a study: validated data from a YAML file in ``config/studies`` or from the command line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Bound = float | list[float]
 
 
 class Distribution(Entry):
-    """How one parameter is drawn; exactly one of the keys. Bounds may be lists: one for each element of a vector."""
+    """Distribution of one parameter; exactly one of the keys. Bounds may be lists with one item per vector element."""
 
     uniform: tuple[Bound, Bound] | None = None
     log_uniform: tuple[Bound, Bound] | None = None

@@ -39,7 +39,7 @@ class Line(NamedTuple):
 
 
 class Share(NamedTuple):
-    """How often a requirement holds, of the runs that it judges; one that broke or does not decide it does not."""
+    """Share of judged runs in which a requirement holds; failed or undecided runs count as not holding."""
 
     group: str
     requirement: str

@@ -1,4 +1,4 @@
-"""What names of scenarios, nodes, parameters and executables may become on a command line; argcomplete asks."""
+"""Completion of names of scenarios, nodes, parameters and executables on a command line, for argcomplete."""
 
 from __future__ import annotations
 

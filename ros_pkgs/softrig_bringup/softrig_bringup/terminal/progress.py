@@ -1,4 +1,4 @@
-"""How far a run is: a bar on a terminal and in a notebook, elsewhere a line now and then."""
+"""Progress of a run: a bar on a terminal and in a notebook, occasional lines elsewhere."""
 
 from __future__ import annotations
 

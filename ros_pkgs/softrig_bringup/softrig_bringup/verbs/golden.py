@@ -40,7 +40,7 @@ OURS = re.compile(r"softrig_(core|control|optim|drives|power|robots|systems)\.")
 
 
 class Allowed(Entry):
-    """How far a number may be off: ``max(absolute, relative |golden|)``."""
+    """Tolerance of a number: ``max(absolute, relative |golden|)``."""
 
     absolute: float = Field(1e-9, ge=0)
     relative: float = Field(1e-9, ge=0)

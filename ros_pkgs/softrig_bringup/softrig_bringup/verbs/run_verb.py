@@ -162,7 +162,7 @@ def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
 
 
 class _Kept(NamedTuple):
-    """What a run has brought: content of metrics.json, whether it repeats another and what of it."""
+    """Results of a run: content of metrics.json, whether it repeats another run, and the description of that."""
 
     content: Mapping[str, Any]
     same: bool

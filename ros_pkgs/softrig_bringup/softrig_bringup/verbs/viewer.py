@@ -17,7 +17,7 @@ ROOTED = ("clock", "tf", "tf_static")  # topics whose names are absolute
 
 @dataclass(frozen=True)
 class Process:
-    """What is to be started.
+    """The program to start.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What people do to a running rig from a page: knobs, buttons, pause, step and pace; all pages share one of these."""
+"""Control of a running rig from pages: knobs, buttons, pause, step and pace; all pages share one instance."""
 
 from __future__ import annotations
 

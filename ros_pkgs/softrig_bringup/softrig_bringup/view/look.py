@@ -1,4 +1,4 @@
-"""How the page looks, in light and in dark: colours of pictures, styles, the frame of the page."""
+"""Look of the page, light and dark: colours of pictures, styles, the frame of the page."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ SHARE = 10.0  # figures take at most one part in so many of the time
 
 
 class Watched(BaseModel):
-    """What the process of a page must know of the run beside it.
+    """Data that the process of a page needs about the run beside it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a page keeps of a run that goes on: all of it while it is short, the extremes of what is old when it is long."""
+"""Data that a page stores of a run under way: everything while it is short, later only extremes of old data."""
 
 from __future__ import annotations
 

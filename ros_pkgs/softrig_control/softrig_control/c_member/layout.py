@@ -1,4 +1,4 @@
-"""What the structs of a header hold, as the compiler lays them out: read from its debug information."""
+"""Members of a header's structs, as the compiler lays them out: read from its debug information."""
 
 from __future__ import annotations
 

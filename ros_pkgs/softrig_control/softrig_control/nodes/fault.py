@@ -123,7 +123,7 @@ class FaultParams(LinkParams):
 
 
 class State(NamedTuple):
-    """What the fault remembers of the link; times in ns."""
+    """State of the fault; times in ns."""
 
     on: bool
     """Whether it is switched on."""

@@ -96,7 +96,7 @@ class LinkParams(BlockParams):
 
 
 class State(NamedTuple):
-    """What came in a tick ago."""
+    """The message of the previous tick."""
 
     held: tuple[float, ...]
 

@@ -1,4 +1,4 @@
-"""What a block may send: the check of every placement before a value leaves it."""
+"""Check of a block's outputs, made in every placement before a value is published."""
 
 from __future__ import annotations
 

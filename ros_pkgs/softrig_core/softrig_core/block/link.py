@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Link:
-    """What joins a step to what is elsewhere; this one leaves all to the link that the step had before.
+    """Connection of a step to nodes outside the process; this base class delegates to the step's previous link.
 
     Parameters
     ----------

@@ -141,7 +141,7 @@ def check_steps(period: float, step: float, name: str) -> None:
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a ROS parameter declaration needs to know about one field."""
+    """Data of one field for its ROS parameter declaration."""
 
     name: str
     default: Any

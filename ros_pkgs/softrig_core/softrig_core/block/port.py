@@ -27,7 +27,7 @@ class Refused(ValueError):
 
 
 class Sample(NamedTuple):
-    """What a `delayed` port carries: the acquisition time in ns and the values."""
+    """A message of a `delayed` port: the acquisition time in ns and the values."""
 
     stamp: int
     data: tuple[float, ...]

@@ -41,7 +41,7 @@ class Marker:
 
 
 class Pose(NamedTuple):
-    """Where a frame is in its parent's: position in m, rotation as unit quaternion (x, y, z, w)."""
+    """Pose of a frame in its parent frame: position in m, rotation as unit quaternion (x, y, z, w)."""
 
     parent: str
     child: str

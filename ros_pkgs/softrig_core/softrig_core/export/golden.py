@@ -1,4 +1,4 @@
-"""What a node was asked and answered in a run, call by call: the reference of its C code."""
+"""Inputs and answers of a node in a run, call by call: the reference for its C code."""
 
 from __future__ import annotations
 

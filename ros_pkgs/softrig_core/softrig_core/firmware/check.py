@@ -36,7 +36,7 @@ RUN, DRAWN = 300, 200  # rows of the run, and of drawn inputs
 
 @dataclass(frozen=True)
 class Checked:
-    """What a simulated board did.
+    """Result of a simulated board.
 
     Attributes
     ----------

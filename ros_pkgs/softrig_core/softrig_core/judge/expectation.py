@@ -1,4 +1,4 @@
-"""What a figure is expected to be: a value with a tolerance, or bounds."""
+"""Expectation of a figure: a value with a tolerance, or bounds."""
 
 from __future__ import annotations
 

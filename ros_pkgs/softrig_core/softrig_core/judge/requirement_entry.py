@@ -15,7 +15,7 @@ from .formula import horizon, named, read, timing, with_names
 
 
 class Requirement(Entry):
-    """What must hold in a run.
+    """A requirement on a run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far a formula is from being violated on a record, as far as that is known.
+"""Robustness: the distance of a formula from violation on a record, as far as it is known.
 
 Two things may be unknown: what comes after the record, and what arithmetic does not define (NaN, a division by zero).
 So a value is four numbers: the least and the greatest over what may come, each the least and the greatest over what is

@@ -15,7 +15,7 @@ State = dict[str, list[int]]  # by path: time of change in ns, size
 
 
 class Listed(NamedTuple):
-    """What a list of scenarios shows of one."""
+    """Entry of a scenario in a list of scenarios."""
 
     name: str
     system: str

@@ -1,4 +1,4 @@
-"""Where scenario files are, what they inherit, and which variants they hold."""
+"""Scenario files: their locations, inheritance and variants."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ class DcMotorSmcParams(SurfaceParams):
 
 
 class State(NamedTuple):
-    """What the law remembers.
+    """State of the control law.
 
     Reference (rad/s) and its size that scales K, 0 until there is one other than zero; of the difference of speeds the
     speed of the tick before (rad/s, None before the first) and w' (rad/s^2).

@@ -1,4 +1,4 @@
-"""What the motor's speed controllers share: ports, set point, checks."""
+"""Base of the motor's speed controllers: ports, set point, checks."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from softrig_core import Params, param
 
 
 class EstimatorParams(Params):
-    """What the controller believes of the machine."""
+    """The controller's assumptions about the machine."""
 
     R_s_hat: float = param(3.7, "stator resistance of the estimator", "ohm", gt=0.0, live=True)
     pole_pairs: int = param(2, "pole pairs p", ge=1, le=100)

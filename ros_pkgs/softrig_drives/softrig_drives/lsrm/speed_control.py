@@ -1,4 +1,4 @@
-"""What the three speed controllers share."""
+"""Base of the three speed controllers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a machine turns: one mass or two, friction, load."""
+"""Mechanics of a machine: one mass or two, friction, load."""
 
 from __future__ import annotations
 

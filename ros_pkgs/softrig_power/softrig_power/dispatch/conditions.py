@@ -1,4 +1,4 @@
-"""What a dispatch must meet beside limits and demand: losses of the network, ramps of the units, reserve."""
+"""Further conditions of a dispatch besides limits and demand: network losses, ramps of the units, reserve."""
 
 from __future__ import annotations
 

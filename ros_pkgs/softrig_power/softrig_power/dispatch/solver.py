@@ -78,7 +78,7 @@ class DispatchParams(SolverParams):
 
 
 class Request(NamedTuple):
-    """What the working process gets."""
+    """Input of the worker process."""
 
     p: DispatchParams
     units: Units
@@ -89,7 +89,7 @@ class Request(NamedTuple):
 
 
 class State(NamedTuple):
-    """What is remembered from tick to tick."""
+    """State from tick to tick."""
 
     units: Units
     """Those of now."""

@@ -15,7 +15,7 @@ from .units import Array, Units, balanced, cost_of
 
 @dataclass(frozen=True)
 class MilpResult:
-    """What stage 1 found.
+    """Result of stage 1.
 
     Parameters
     ----------

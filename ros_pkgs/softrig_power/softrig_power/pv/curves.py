@@ -22,7 +22,7 @@ class PvCurvesParams(ArrayParams, BlockParams):
 
 
 class State(NamedTuple):
-    """What is remembered from tick to tick."""
+    """State from tick to tick."""
 
     conditions: tuple[float, ...]
     """Irradiance (W/m^2) and temperature (deg C) of each module."""

@@ -39,7 +39,7 @@ class PvPlantParams(ArrayParams, BlockParams):
 
 
 class State(NamedTuple):
-    """What is remembered from tick to tick."""
+    """State from tick to tick."""
 
     v: float
     """Voltage of the input capacitor, V."""

@@ -197,7 +197,7 @@ class TunerParams(SolverParams):
 
 
 class State(NamedTuple):
-    """What is remembered from tick to tick."""
+    """State from tick to tick."""
 
     pressed: bool = False
     """Whether the trigger is."""

@@ -26,7 +26,7 @@ class PlannerParams(SolverParams, ProblemParams):
 
 
 class Request(NamedTuple):
-    """What the working process gets."""
+    """Input of the worker process."""
 
     p: Any
     x: tuple[float, ...]
@@ -59,7 +59,7 @@ P = TypeVar("P", bound=PlannerParams, default=PlannerParams)
 
 
 class State(NamedTuple):
-    """What is remembered from tick to tick."""
+    """State from tick to tick."""
 
     begin: int | None = None
     """When the first state came, ns."""

@@ -79,7 +79,7 @@ class CriterionParams(SystemParams):
 
 
 class CertificateParams(CriterionParams, SolverParams):
-    """What is asked."""
+    """The request to the worker."""
 
     h: float = param(0.0, "delay bound; 0: the largest that can be certified", "s", ge=0.0, le=1e6)
     low: float = param(0.0, "where the search begins; 0: found by itself", "s", ge=0.0, le=1e6)
@@ -105,14 +105,14 @@ class CertificateParams(CriterionParams, SolverParams):
 
 
 class Answer(NamedTuple):
-    """What comes back from the work: certificate or None, and why not."""
+    """Result of the worker: a certificate, or None with the reason."""
 
     certificate: Certificate | None
     reason: str
 
 
 class State(NamedTuple):
-    """What is remembered from tick to tick."""
+    """State from tick to tick."""
 
     down: bool = False
     """Whether the button is."""

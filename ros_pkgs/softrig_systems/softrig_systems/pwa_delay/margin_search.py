@@ -34,7 +34,7 @@ class MarginSearchParams(SystemParams, SolverParams):
 
 
 class State(NamedTuple):
-    """What is remembered from tick to tick."""
+    """State from tick to tick."""
 
     down: bool = False
     """Whether the button is."""

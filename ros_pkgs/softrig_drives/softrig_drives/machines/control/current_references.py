@@ -1,4 +1,4 @@
-"""Which currents make a torque: least current (MTPA), and within the voltage by field weakening up to MTPV."""
+"""Currents for a torque: least current (MTPA), and field weakening up to MTPV within the voltage limit."""
 
 from __future__ import annotations
 

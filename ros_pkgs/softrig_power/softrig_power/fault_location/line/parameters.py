@@ -82,7 +82,7 @@ class SourceParams(Params):
 
 
 class FaultParams(Params):
-    """What fails, where and when."""
+    """The fault: its kind, place and time."""
 
     type: FaultType = param("AG", "faulted phases, with G connected to ground; none: no fault")
     x_km: float = param(50.0, "distance of the fault from bus S", "km", gt=0.0, le=3000.0)

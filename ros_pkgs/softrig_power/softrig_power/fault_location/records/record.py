@@ -23,7 +23,7 @@ EXACT = 1e-3
 
 
 class Status(IntEnum):
-    """What became of a location."""
+    """Outcome of a fault location."""
 
     OK = 0
     AT_TERMINAL = 1

@@ -69,7 +69,7 @@ class Eigenvalues(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What the solver gives: its word, the margin t, the unknowns, and how long it took (s)."""
+    """Result of the solver: its status, the margin t, the unknowns, and the computation time (s)."""
 
     status: str
     t: float
