@@ -169,6 +169,7 @@ def test_an_unknown_system_is_refused(folder, capsys):
     assert "`results` is `check --claims` now; the old form works until softrig 0.4" in capsys.readouterr().err
     for words, said in (
         (["check"], "check: expected scenarios (names or files), --claims or --golden"),
+        (["check", "--claims", "mine.yaml"], "expected a system; `check mine.yaml` judges a file's claims"),
         (["check", "lag", "--studies"], "--studies belongs to `check` of --claims"),
         (["check", "--claims", "--with", "lag"], "--with belongs to `check` of --golden"),
         (["check", "--golden", "--marks", "m.csv"], "--marks belongs to `check` of scenarios"),

@@ -54,9 +54,11 @@ def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
     """RO-Crate 1.1: a descriptor of the root, which has a name, a description, a date, a licence and its parts."""
     assert main(["pack", "s", "--out", "a.softrig.zip"]) == 0
     assert main(["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "r"]) == 0
-    authors = ["--author", "Ann Example 0000-0002-1825-0097", "--author", "Bo Example"]
+    authors = ["--author", "Ann Example 0000-0002-1825-0097", *["--author", "Bo Example"] * 2]
     whose = [*authors, "--publisher", "Zenodo https://zenodo.org", "--license", "CC-BY-4.0"]
     assert main(["pack", "r", "--out", "r.softrig.zip", "--published", "2026-11-28", *whose]) == 0
+    assert main(["run", "--like", "a.softrig.zip"]) == 2
+    assert "holds a study, expected a run; `softrig study --like a.softrig.zip`" in capsys.readouterr().err
     for words, said in (
         (["--published", "28.11.2026"], "expected a date as 2026-11-28"),
         (["--author", "0000-0002-1825-0097"], "expected a name, as"),

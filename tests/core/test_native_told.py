@@ -1435,6 +1435,13 @@ def native_or_why(body: str, **given: Any) -> str:
     return ""
 
 
+@pytest.mark.parametrize(("body", "of"), [("a.pop() * 2.0", [0.5, 1.5]), ("next(a)", iter([0.5]))])
+def test_a_call_that_changes_its_object_is_not_made_while_code_is_written(body: str, of: Any) -> None:
+    """It would be made once for all ticks, beside those of Python."""
+    assert "which changes an object outside of the state" in native_or_why(body, a=Static(of))
+    assert list(of) == ([0.5] if body == "next(a)" else [0.5, 1.5])
+
+
 @pytest.mark.parametrize(
     ("body", "made_of", "why"),
     [

@@ -27,7 +27,7 @@ from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import Topic
 
 from ..pack.cargo import check_scenario
-from ..pack.packed import METRICS, SCENARIO, Digest, about, is_pack, need_packages, opened
+from ..pack.packed import METRICS, SCENARIO, STUDY, Digest, about, is_pack, need_packages, opened
 
 #: Of the versions of a run, what decides its bits, the likeliest first.
 DECIDE = ("math", "casadi", "pin", "daqp", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")
@@ -140,6 +140,8 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
 def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
     """Recall a run from a pack."""
     folder = opened(path)
+    if (folder / STUDY).is_dir():
+        raise ScenarioError(f"{path}: holds a study, expected a run; `softrig study --like {path}` repeats it")
     said = about(folder)
     need_packages(path, [*said.packages, *said.code])
     try:

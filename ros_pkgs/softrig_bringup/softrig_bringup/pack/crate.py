@@ -61,7 +61,8 @@ def crate(
         "name": "not stated",
         "description": "ask the person who gave you this file",
     }
-    people = [*publication.authors, *([publication.publisher] if publication.publisher else [])]
+    authors = list({author["@id"]: author for author in publication.authors}.values())  # each entity once
+    people = [*authors, *([publication.publisher] if publication.publisher else [])]
     root: dict[str, Any] = {
         "@id": "./",
         "@type": "Dataset",
@@ -72,8 +73,8 @@ def crate(
         "hasPart": [{"@id": part["@id"]} for part in parts],
         "mentions": {"@id": "#made"},
     }
-    if publication.authors:
-        root["author"] = _one_or_all([{"@id": author["@id"]} for author in publication.authors])
+    if authors:
+        root["author"] = _one_or_all([{"@id": author["@id"]} for author in authors])
     if publication.publisher:
         root["publisher"] = {"@id": publication.publisher["@id"]}
     tool = {

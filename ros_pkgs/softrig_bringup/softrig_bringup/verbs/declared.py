@@ -319,7 +319,10 @@ def _judge(verb: Verb) -> None:
         "judge many scenarios, for continuous integration: what they expect, the claims of papers, golden bags",
     )
     check.add_argument(
-        "scenarios", nargs="*", metavar="SCENARIO", help="names or files; with --claims names of systems, too"
+        "scenarios",
+        nargs="*",
+        metavar="SCENARIO",
+        help="names or files; with --claims systems or shipped scenarios",
     )
     kinds = check.add_mutually_exclusive_group()
     kinds.add_argument(

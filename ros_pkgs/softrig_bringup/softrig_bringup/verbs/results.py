@@ -120,6 +120,8 @@ def claiming(systems: Sequence[str] = ()) -> list[Scenario]:
     scenarios = [load_scenario(name) for name in list_scenarios()]
     for system in systems:
         if not any(_belongs(s, system) for s in scenarios):
+            if Path(system).suffix in (".yaml", ".yml"):
+                raise ScenarioError(f"--claims {system}: expected a system; `check {system}` judges a file's claims")
             known = sorted({s.system for s in scenarios})
             raise ScenarioError(f"no system {system!r}; there are {', '.join(known)}")
     return [s for s in scenarios if s.claims and (not systems or any(_belongs(s, system) for system in systems))]

@@ -52,6 +52,18 @@ from .words import TEXTS, word
 TAME = 0.5  # functions of numbers are defined here
 
 
+#: Methods of objects that can change which leave them as they are; other methods are not evaluated at translation.
+READING: dict[type, str] = {
+    list: "index count copy",
+    dict: "get keys values items copy",
+    types.MappingProxyType: "get keys values items copy",
+    set: "copy union intersection difference issubset issuperset isdisjoint",
+    np.ndarray: "sum mean min max argmin argmax any all copy item tolist dot astype reshape ravel flatten transpose "
+    "cumsum prod round searchsorted trace nonzero",
+}
+FIXED = (types.ModuleType, type, str, bytes, int, float, complex, tuple, frozenset, range, np.generic)  # cannot change
+
+
 class Calls(Expressions):
     """Reads calls, and lists that are iterated over; see `Ways`."""
 
@@ -531,6 +543,8 @@ class Calls(Expressions):
             return Static(isinstance(sample_of(given[0]), sample_of(given[1])))
         if called is getattr and isinstance(given[0], Static) and isinstance(given[1], Static):
             return self.attribute(given[0], given[1].value, node)
+        if _changes(called):
+            raise self.unknown(f"{called.__name__}, which changes an object outside of the state", node)
         fixed = [v for v in given if isinstance(v, Static)]
         if len(fixed) == len(given) and not any(v.path is not None and is_number_slot(v.value) for v in fixed):
             try:
@@ -597,3 +611,12 @@ def _numbers(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     return value
+
+
+def _changes(called: Any) -> bool:
+    """Return whether a call may change the object that it belongs to: such a call must not be evaluated here."""
+    owner = getattr(called, "__self__", None)
+    if called is next or owner is None or isinstance(owner, FIXED):
+        return called is next
+    reading = next((READING[kind] for kind in type(owner).__mro__ if kind in READING), "")
+    return called.__name__ not in reading.split()
