@@ -185,8 +185,7 @@ def suite_of(outcome: dict[str, Any]) -> Suite:
 
 
 def _measured(result: Result) -> str:
-    value = result.error or f"{result.value:.10g}"
-    return f"{value} {result.unit}".rstrip()
+    return result.error or f"{result.value:.10g} {result.unit}".rstrip()
 
 
 def _missed(result: Result) -> str:

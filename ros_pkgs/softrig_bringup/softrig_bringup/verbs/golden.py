@@ -307,7 +307,9 @@ def load(folder: Path, **changes: Any) -> Golden:
 def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
     file = folder / "golden.yaml"
     if not file.is_file():
-        raise ScenarioError(f"{folder} has no golden.yaml; give the folder of golden bags by --bags DIR")
+        raise ScenarioError(
+            f"{folder} has no golden.yaml; `softrig golden {folder.name}` records one, --bags DIR names another folder"
+        )
     content = read_yaml(file.read_text(errors="replace"), str(file))
     return _recipe(file, content | changes if isinstance(content, dict) else content)
 
