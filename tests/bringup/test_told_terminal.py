@@ -438,7 +438,7 @@ def test_what_check_says_of_a_run_is_a_case_a_figure_and_a_claim():
         "rise_time: 0.6069512 s",
         "cost: 15459.5 / 15459.5, expected ≤ 15459",
         "late: no sample after 2 s / no sample after 2 s, expected ≤ 1",
-        "settles: never s / never, expected ≤ 1 s",
+        "settles: never / never, expected ≤ 1 s",
         "margin: -0.5 V / -0.5 V, expected ≥ 0 V; violated from 0.5 to 1 s, at 1.5 s",
         "always: 0.125",
         "claim a: 2 / the verdict reproduced does not hold: measured 2, 1 ± 0.1",
