@@ -64,7 +64,7 @@ def _expectations(options: argparse.Namespace) -> int:
             raise ScenarioError(f"{path}: there is no folder {path.absolute().parent}")
     if options.against:  # the one that judges all
         figures_of(rig_of(load_scenario(options.against)))
-    works = [Judged(_called(name), name, options.against or "") for name in options.scenarios]
+    works = [Judged(_called(name), name, options.against) for name in options.scenarios]
     outcomes = sweep(judge, works, title="check", workers=options.workers)
     suites = [suite_of(outcome) for outcome in outcomes]
     for suite, outcome in zip(suites, outcomes, strict=True):
@@ -82,7 +82,7 @@ def _expectations(options: argparse.Namespace) -> int:
     if options.marks is not None:
         replace(options.marks, _marks(suites))
     if options.html is not None:
-        write_page(options.html, "check", checked(suites, outcomes, options.against or ""))
+        write_page(options.html, "check", checked(suites, outcomes, options.against))
     if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
         of = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
         say(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")

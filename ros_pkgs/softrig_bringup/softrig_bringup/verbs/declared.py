@@ -331,6 +331,7 @@ def _judge(verb: Verb) -> None:
     kinds.add_argument("--golden", action="store_true", help="golden bags, see `golden` (all where none is named)")
     check.add_argument(
         "--against",
+        default="",
         metavar="FILE",
         help="what is measured and expected is that of this scenario, whatever the others say; names what else differs",
     )

@@ -615,8 +615,10 @@ def _numbers(value: Any) -> Any:
 
 def _changes(called: Any) -> bool:
     """Return whether a call may change the object that it belongs to: such a call must not be evaluated here."""
+    if called is next:
+        return True
     owner = getattr(called, "__self__", None)
-    if called is next or owner is None or isinstance(owner, FIXED):
-        return called is next
+    if owner is None or isinstance(owner, FIXED):
+        return False
     reading = next((READING[kind] for kind in type(owner).__mro__ if kind in READING), "")
     return called.__name__ not in reading.split()
