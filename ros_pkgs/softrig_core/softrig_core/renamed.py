@@ -10,24 +10,32 @@ import sys
 import warnings
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint, EntryPoints
 
 GROUP = "softrig_former"
 END = "0.4"  # the first version without the names that went in 0.2
 _REPORTED: set[tuple[str, str]] = set()
 
 
-def former(package: str) -> Mapping[str, str]:
-    """Return the old names of a package's executables and figures, each with its new one; empty for no package."""
-    return _former(package, tuple(sys.path))  # a pack may bring more
-
-
 @lru_cache(maxsize=256)
-def _former(package: str, _: tuple[str, ...]) -> Mapping[str, str]:
+def _points(package: str, _: tuple[str, ...]) -> EntryPoints:
     import importlib.metadata  # a part of each start that few need
 
+    return importlib.metadata.distribution(package).entry_points
+
+
+def _scripts(package: str) -> EntryPoints:
+    return _points(package, tuple(sys.path)).select(group="console_scripts")  # a pack may bring more
+
+
+def former(package: str) -> Mapping[str, str]:
+    """Return the old names of a package's executables and figures, each with its new one; empty for no package."""
     try:
-        points = importlib.metadata.distribution(package).entry_points.select(group=GROUP)
-    except (importlib.metadata.PackageNotFoundError, ValueError):  # a ValueError for an empty name
+        points = _points(package, tuple(sys.path)).select(group=GROUP)
+    except (ModuleNotFoundError, ValueError):  # not installed; a ValueError for an empty name
         return {}
     return {point.name: point.value for point in points}
 
@@ -40,10 +48,22 @@ def executables(package: str) -> list[str]:
     importlib.metadata.PackageNotFoundError
         It is not installed.
     """
-    import importlib.metadata
+    return sorted(_scripts(package).names - former(package).keys())
 
-    points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
-    return sorted(points.names - former(package).keys())
+
+def executable_of(package: str, name: str) -> EntryPoint | None:
+    """Return the entry point of an executable, under a former name, too; None if the package has none of this name.
+
+    Raises
+    ------
+    importlib.metadata.PackageNotFoundError
+        The package is not installed.
+    """
+    points = _scripts(package)
+    if name in points.names:
+        return points[name]
+    _points.cache_clear()  # the next attempt finds it if the package is installed again in the meantime
+    return None
 
 
 def current(package: str, name: str) -> str:

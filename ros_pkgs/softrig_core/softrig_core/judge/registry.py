@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..errors import ScenarioError, closest
-from ..renamed import former, report
+from ..renamed import GROUP as FORMER, report
 from . import measures
 from .measures import Function
 
@@ -27,14 +27,17 @@ def _installed(_: tuple[str, ...]) -> dict[str, importlib.metadata.EntryPoint]:
 
 def registered() -> list[str]:
     """Names of all figure functions that are installed."""
-    new = (name for name, point in _points().items() if name not in former(_package(point)))
+    new = (name for name, point in _points().items() if name not in _former(point))
     return sorted({*measures.__all__, *new})
 
 
 @lru_cache(maxsize=1024)
-def _package(point: importlib.metadata.EntryPoint) -> str:
-    # A distribution parses its metadata each time it is asked for its name.
-    return point.dist.name if point.dist is not None else ""
+def _former(point: importlib.metadata.EntryPoint) -> frozenset[str]:
+    """Return the former names in the distribution of a figure function, without the name of the distribution.
+
+    Reading that name parses the metadata by the module `email`, whose import takes as long as a short run.
+    """
+    return frozenset(point.dist.entry_points.select(group=FORMER).names if point.dist is not None else ())
 
 
 def find(name: str) -> Function:
@@ -53,7 +56,8 @@ def find(name: str) -> Function:
             f"no figure function {name!r} is registered{closest(name, registered())}; "
             f"a package registers its own in the group {GROUP}"
         )
-    report(_package(point), name)
+    if name in _former(point):
+        report(point.dist.name, name)  # type: ignore[union-attr]
     try:
         function: Any = point.load()
     except (ImportError, AttributeError) as error:

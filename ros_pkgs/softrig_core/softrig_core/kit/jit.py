@@ -237,7 +237,42 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
             yield from _codes(constant)
 
 
+def _operators(code: types.CodeType) -> set[int]:
+    # A code consists of pairs of bytes, operation and argument; unused places between them are 0.
+    return {which for word, which in zip(code.co_code[::2], code.co_code[1::2], strict=True) if word == BINARY_OP}
+
+
+BINARY_OP = dis.opmap["BINARY_OP"]
+REFUSED_OPERATORS = _operators(compile("a ** b; a @ b; a **= b; a @= b", "", "exec"))
+
+
+def _is_clean(code: types.CodeType, function: Callable[..., Any]) -> bool:
+    """Return whether no operator and no name of a code can be refused, wherever in the code they are.
+
+    This needs no decoding of the instructions, which takes a fifth of a short run with all that it imports.
+    """
+    words = {*code.co_names, *code.co_freevars, *code.co_cellvars}
+    if words & REFUSED.keys() or _operators(code) & REFUSED_OPERATORS:
+        return False
+    found = [_named(function, word) for word in words]
+    for owner in [one for one in found if isinstance(one, types.ModuleType)]:
+        inside = {word: getattr(owner, word) for word in words if hasattr(owner, word)}
+        if owner.__name__ == "numpy" and not NUMPY.issuperset(inside):
+            return False
+        if any(isinstance(one, types.ModuleType) for one in inside.values()):
+            return False
+        found += inside.values()
+    try:
+        for one in found:
+            _check_call(function, one)
+    except ValueError:
+        return False
+    return True
+
+
 def _check(code: types.CodeType, function: Callable[..., Any]) -> None:
+    if _is_clean(code, function):
+        return
     owner: Any = None  # the module whose attribute is taken next
     for step in dis.get_instructions(code):
         word, found = step.argval, None

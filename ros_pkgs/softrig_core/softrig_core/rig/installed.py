@@ -10,7 +10,7 @@ from typing import Any
 
 from ..block.block import Block
 from ..errors import ScenarioError, closest, describe
-from ..renamed import executables
+from ..renamed import executable_of, executables
 
 _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
 
@@ -24,13 +24,13 @@ def load_main(package: str, executable: str) -> Any:
         Its module cannot be imported; the error contains the reason and the place.
     """
     try:
-        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+        point = executable_of(package, executable)
     except importlib.metadata.PackageNotFoundError:
         return None
-    if executable not in points.names:
+    if point is None:
         return None
     try:
-        return points[executable].load()
+        return point.load()
     except MemoryError:
         raise
     except (Exception, SystemExit) as error:
@@ -62,12 +62,12 @@ def load_block(package: str, executable: str) -> type[Block]:
 @lru_cache(maxsize=1024)
 def _found(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
     try:
-        points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+        point = executable_of(package, executable)
     except importlib.metadata.PackageNotFoundError:
         near = closest(package, (d.name for d in importlib.metadata.distributions()))
         raise ScenarioError(f"package {package!r} is not installed in this environment{near}") from None
-    names = executables(package)
-    if executable not in points.names:
+    if point is None:
+        names = executables(package)
         raise ScenarioError(
             f"package {package} has no executable {executable!r}{closest(executable, names)}; it has {', '.join(names)}"
         )
