@@ -189,6 +189,17 @@ def test_the_saturated_machine_is_its_published_formula():
         assert (l_dd, l_dq, l_qd, l_qq) == pytest.approx(slopes, abs=1e-6)
 
 
+def test_currents_beyond_the_flux_tables_are_reported():
+    axis = (-2.0, 0.0, 2.0)
+    tables = {"table_i_d": axis, "table_i_q": axis[1:], "table_psi_d": [0.04 * d for d in axis for _ in axis[1:]],
+              "table_psi_q": [0.05 * q for _ in axis for q in axis[1:]]}  # fmt: skip
+    for duty, beyond in (((0.5, 0.5, 0.5), False), ((0.9, 0.1, 0.1), True), ((0.1, 0.9, 0.9), True)):
+        block = plant(**tables, R_s=1.0, psi_f=0.0)
+        for k in range(5):
+            block.advance(k * 100_000, duty=duty, load_torque=None)
+        assert ("beyond_tables" in block.reports) is beyond
+
+
 @pytest.mark.parametrize(
     ("values", "text"),
     [
@@ -198,7 +209,7 @@ def test_the_saturated_machine_is_its_published_formula():
         ({"table_i_d": (0.0, 1.0), "table_i_q": (0.0, 1.0), "table_psi_d": (0.0,) * 4, "table_psi_q": (0.0,) * 4},
          "without a fold"),
         ({"T_static": 0.1, "T_coulomb": 0.2}, "at least T_coulomb"),
-        ({"T_coulomb": 10.0, "w_stick": 1e-4}, "a larger w_stick"),
+        ({"T_coulomb": 10.0, "w_stick": 1e-4}, "friction, w_stick and J: as fast as"),
         ({"load_times": (0.0, 1e-5), "load_torques": (0.0, 1.0)}, "at least a period"),
         ({"load_torques": (0.0, 1.0)}, "2 values for 1 times"),
         ({"dead_time": 9e-5}, "less than half the period"),

@@ -49,7 +49,7 @@ def drawn(kinds, most, draws):
 
 
 def test_all_shipped_machines_are_here():
-    assert (len(SYNCHRONOUS), len(INDUCTION), len(BRUSHLESS)) == (6, 4, 4)
+    assert (len(SYNCHRONOUS), len(INDUCTION), len(BRUSHLESS)) == (7, 4, 4)
 
 
 @pytest.mark.parametrize(("name", "seed"), drawn(SYNCHRONOUS, 3, 6))
@@ -87,6 +87,36 @@ def test_a_current_step_is_followed_at_any_bandwidth_and_speed(name, seed):
     wanted = np.zeros((len(times), 2))
     wanted[:, axis] = 1.0 - np.exp(-alpha * times)
     assert np.abs(np.array(rows) / step - wanted).max() < 0.015
+
+
+@pytest.mark.parametrize(
+    ("pairs", "rpm", "R", "L", "psi", "period"),
+    [
+        (20, 9000.0, 0.1, 5e-5, 0.003, 1e-4),  # a drone's motor at a slow period
+        (1, 1e5, 0.05, 2e-5, 0.001, 1e-4),
+        (3, -3000.0, 2.0, 1e-4, 0.1, 1e-4),  # its currents are faster than the period
+    ],
+)
+def test_currents_of_a_fast_machine_are_exponentials_whatever_the_substeps(pairs, rpm, R, L, psi, period):
+    """Exact solution at constant speed: L i' = u - R i - j w psi exp(j w t), u held for each period."""
+    omega, U = rpm * math.pi / 30.0, 24.0
+    w = pairs * omega
+    given = {"R_s": R, "L_d": L, "L_q": L, "psi_f": psi, "pole_pairs": pairs, "U_dc": U, "trip_current": 1e6}
+    block = ByHand(
+        PmsmPlant(PmsmPlantParams(**given, period=period, substeps=1, w_0=omega, J=1e6, delay=0, trip_voltage=1e4))
+    )
+    emf = -1j * w * psi / L / (1j * w + R / L)
+    i, errors, largest = 0j, [], 0.0
+    for k in range(100):
+        duty = [0.5 + 0.3 * math.cos(w * k * period + 0.5 - THIRD * j) for j in range(3)]
+        u = U * 2.0 / 3.0 * sum(d * np.exp(1j * THIRD * j) for j, d in enumerate(duty))
+        begin, end = (u / R + emf * np.exp(1j * w * t * period) for t in (k, k + 1))
+        i = (i - begin) * math.exp(-R / L * period) + end
+        block.advance(round(k * period * NS), duty=tuple(duty), load_torque=None)
+        a, b, c = block.outputs(0)["currents"]
+        errors.append(abs(complex(a, (b - c) / 3**0.5) - i))
+        largest = max(largest, abs(i))
+    assert max(errors) < 1e-5 * largest
 
 
 @pytest.mark.parametrize(("name", "seed"), drawn(INDUCTION, 2, 6))

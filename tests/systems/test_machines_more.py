@@ -16,6 +16,7 @@ from softrig_drives.machines.control.six_step import STEPS, SixStepController, S
 from softrig_drives.machines.induction_plant import InductionPlant, InductionPlantParams
 from softrig_drives.machines.rated.pmsm import pmsm, scenario
 from softrig_drives.machines.sensors import CurrentSensor, CurrentSensorParams, ShaftSensor, ShaftSensorParams
+from softrig_drives.machines.synchronous import SynchronousConstants, seen
 from softrig_drives.stator import inverse_gamma
 
 THIRD = 2.0 * math.pi / 3.0
@@ -270,8 +271,22 @@ def test_a_machine_published_as_a_t_circuit(name, circuit, w):
     assert (p["R_R"], p["L_sigma"], p["L_M"]) == pytest.approx(wanted, rel=1e-6)
 
 
+def test_a_reluctance_machine_published_by_its_reactances():
+    """The torque of its two reactances over the load angle, as text books have it; enough for its example's load."""
+    given = load_scenario("pmsm_foc_synrm_msl").nodes["pmsm_plant"].parameters
+    m = SynchronousConstants(**{k: v for k, v in given.items() if k in SynchronousConstants.model_fields}).numbers(0.0)
+    U, w, X_d, X_q = 100.0 * 2.0**0.5, 100.0 * math.pi, 3.0, 1.0
+    pull_out = 1.5 * U * U * (1.0 / X_q - 1.0 / X_d) / 2.0 / (w / 2.0)
+    for delta in (0.1, 0.7, math.pi / 4.0, 1.2):
+        torque = seen(U * math.cos(delta) / X_d, U * math.sin(delta) / X_q, 0.0, 0.0, 0.0, m)[2]
+        assert torque == pytest.approx(pull_out * math.sin(2.0 * delta), rel=1e-7)
+    assert pull_out > 46.0
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["im_foc_4kw", "im_foc_krause", "bldc_six_step_anaheim", "pmsm_foc_servo"])
+@pytest.mark.parametrize(
+    "name", ["im_foc_4kw", "im_foc_krause", "bldc_six_step_anaheim", "pmsm_foc_servo", "pmsm_foc_synrm_msl"]
+)
 def test_other_machines_meet_what_they_expect(name):
     assert not simulate(name).missed
 

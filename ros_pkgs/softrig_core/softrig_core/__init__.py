@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from .kit.compiled import Compiled as Compiled
     from .kit.history import History as History
     from .kit.jit import jit as jit
-    from .kit.ode import rk4 as rk4, rk4_loop as rk4_loop
+    from .kit.ode import RESOLVED as RESOLVED, resolving_step as resolving_step, rk4 as rk4, rk4_loop as rk4_loop
     from .kit.resource import resource as resource
     from .kit.state import state_type as state_type
     from .rig.rig import Rig as Rig
@@ -92,7 +92,7 @@ else:
         "kit.history": "History",
         "kit.jit": "jit",
         "analysis.linear": "Sampled equilibrium linearise",
-        "kit.ode": "rk4 rk4_loop",
+        "kit.ode": "RESOLVED resolving_step rk4 rk4_loop",
         "block.params": "BlockParams ParameterError Params check_steps param",
         "block.port": "Port Refused Sample array button command joint_state number pose reference scalars vector3 "
         "wrench",

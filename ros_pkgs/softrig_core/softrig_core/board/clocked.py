@@ -15,6 +15,8 @@ from ..errors import RunError, ScenarioError
 from ..runners import find_runner
 from .elsewhere import Elsewhere, LinkState
 
+WAITS = "waits for its external node"  # in each report: whoever reads the log of a process looks for it
+
 
 class ClockEntry(Entry):
     """The entry of a third-party node that answers by its own timer, or once for each message.

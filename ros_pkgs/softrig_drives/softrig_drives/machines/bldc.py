@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import BlockParams, Level, Plant, command, jit, param, to_ns
+from softrig_core import RESOLVED, BlockParams, Level, Plant, command, jit, param, resolving_step, to_ns
 
 from .mechanics import Mechanics, friction
 from .ports import CURRENTS, DC_LINK, JOINT_STATES, LEGS, LOAD_TORQUE
@@ -34,13 +34,18 @@ class BldcPlantParams(Mechanics, BlockParams):
     J: float = param(1.35e-5, "inertia of the rotor", "kg m^2", gt=0.0, le=1e6)
     trip_current: float = param(50.0, "phase current at which all legs switch off permanently", "A", gt=0.0, live=True)
 
+    def step(self) -> float:
+        """Return the largest step of the integration at a low speed, s."""
+        swing = math.sqrt(2.0 / (self.L * self.J)) * self.k_e
+        currents = (
+            max(self.R / self.L, swing),
+            f"R = {self.R:g} ohm, L = {self.L:g} H, k_e = {self.k_e:g}, J = {self.J:g}",
+        )
+        return resolving_step(self.period, self.substeps, *self.mechanical_rates(), currents)
+
     @model_validator(mode="after")
     def _steps(self) -> Self:
-        rate = max(self.fastest(), self.R / self.L)
-        if rate * self.period / self.substeps > 1.0:
-            raise ValueError(
-                f"a step of {self.period / self.substeps:.2g} s is longer than {1.0 / rate:.2g} s: more substeps"
-            )
+        self.step()
         if self.J_load:
             raise ValueError("J_load: this machine has one mass")
         return self
@@ -57,6 +62,7 @@ class State(NamedTuple):
     fault: bool = False
 
 
+FINEST = 1000.0  # into how many parts a step is divided at most: beyond all physical speeds it would never end
 CUTS = 100  # of the steps of a period, a few as a rule: beyond all physical speeds cuts would never end
 
 
@@ -137,6 +143,8 @@ def advance(
     """Move by one period; a current of a phase that is off ends at zero, in a step that is cut there."""
     t = 0.0
     cuts = 0
+    # what becomes faster with the speed: the electrical angle, the torque of a fan
+    step = step / min(max(1.0, abs(w) * max(m[3], 2.0 * m[10] * m[4]) * step / RESOLVED), FINEST)
     while t < period:
         on_a, u_a = leg(gates[0], i_a, U, v_diode)
         on_b, u_b = leg(gates[1], i_b, U, v_diode)
@@ -241,7 +249,7 @@ class BldcPlant(Plant[BldcPlantParams]):
         p = self.p
         mechanics = p.mechanics_numbers()
         self._m = np.array([p.R, 1.0 / p.L, p.k_e, float(p.pole_pairs), *mechanics[:6], p.load_square])
-        self._step = p.period / p.substeps
+        self._step = p.step()
         self._profile = StepProfile(p.load_times, p.load_torques)
         self._period = to_ns(p.period)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar, NamedTuple, Self
 
 from pydantic import model_validator
@@ -16,13 +17,18 @@ class InductionPlantParams(InductionConstants, MachineParams):
     """Machine, inverter, mechanics."""
 
     @model_validator(mode="after")
-    def _currents(self) -> Self:
+    def _resolved(self) -> Self:
+        self.step()
+        return self
+
+    def rates(self, L: float = math.inf) -> list[tuple[float, str]]:
+        """Add those of the currents."""
         R, p = self.R_s + self.R_R + self.r_on, self.pole_pairs
-        self.check_resolved(
+        return [
+            *super().rates(self.L_sigma),
             (R / self.L_sigma, f"R_s = {self.R_s:g}, R_R = {self.R_R:g} ohm, L_sigma = {self.L_sigma:g} H"),
             (p * abs(self.w_0), f"w_0 = {self.w_0:g} rad/s, pole_pairs = {p}"),
-        )
-        return self
+        ]
 
 
 class State(NamedTuple):

@@ -40,12 +40,12 @@ class Mechanics(Params):
             raise ValueError(f"T_static = {self.T_static:g} N m: expected 0 or at least T_coulomb = {self.T_coulomb:g}")
         return self
 
-    def fastest(self) -> float:
-        """Return a bound of the fastest rate of the mechanics, 1/s, which the steps of the integration must resolve."""
+    def mechanical_rates(self) -> list[tuple[float, str]]:
+        """Return bounds of the rates of the mechanics, 1/s, with their parameters, as `resolving_step` takes them."""
         friction = self.B + max(self.T_coulomb, self.T_static) / self.w_stick
         both = 1.0 / self.J + (1.0 / self.J_load if self.J_load else 0.0)
         shaft = max(math.sqrt(self.K_shaft * both), self.C_shaft * both) if self.J_load else 0.0
-        return max(friction / self.J, shaft)
+        return [(friction / self.J, "friction, w_stick and J"), (shaft, "K_shaft, C_shaft and the inertias")]
 
     def mechanics_numbers(self) -> list[float]:
         """Return the constants in the order in which `accelerations` takes them."""

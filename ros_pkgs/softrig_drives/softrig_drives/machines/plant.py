@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import Level, Plant, Port, param, to_ns
+from softrig_core import Level, Plant, Port, param, resolving_step, to_ns
 from typing_extensions import TypeVar
 
 from . import synchronous
@@ -23,7 +23,6 @@ from .synchronous import Array, SynchronousConstants
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 Three = tuple[float, float, float]
-UNSTABLE = 2.7  # rate times step from which on the method of Runge and Kutta diverges
 ROUNDING = 1e-9  # of a duty ratio that a law has computed
 
 
@@ -34,23 +33,27 @@ class MachineParams(Mechanics, InverterParams):
     w_0: float = param(0.0, "speed at the begin", "rad/s", ge=-1e6, le=1e6)
     theta_0: float = param(0.0, "initial angle", "rad", ge=-1e6, le=1e6)
 
-    def check_resolved(self, *rates: tuple[float, str]) -> None:
-        """Ensure that the steps of the integration resolve rates, 1/s, each with the parameters that make it."""
-        (rate, of), step = max(rates), self.period / self.substeps
-        if rate * step > UNSTABLE:
-            raise ValueError(
-                f"{of}: the currents are as fast as {1.0 / rate:.2g} s, a step of the integration {step:.2g} s: check "
-                "their units, or take more substeps"
-            )
+    def rates(self, L: float = math.inf) -> list[tuple[float, str]]:
+        """Return bounds of the rates, 1/s, with their parameters, as `resolving_step` takes them.
+
+        Parameters
+        ----------
+        L : float
+            Least inductance, H.
+        """
+        if not self.C_dc:
+            return self.mechanical_rates()
+        # a tenth: the link's voltage stays close to its source, and only its small difference from that is inexact
+        link = (0.1 / (self.R_dc * self.C_dc), f"R_dc = {self.R_dc:g} ohm, C_dc = {self.C_dc:g} F")
+        swing = (math.sqrt(1.5 / (L * self.C_dc)), f"L = {L:g} H, C_dc = {self.C_dc:g} F")
+        return [*self.mechanical_rates(), link, swing]
+
+    def step(self) -> float:
+        """Return the largest step of the integration at a low speed, s."""
+        return resolving_step(self.period, self.substeps, *self.rates())
 
     @model_validator(mode="after")
     def _steps(self) -> Self:
-        step = self.period / self.substeps
-        if self.fastest() * step > 1.0:
-            raise ValueError(
-                f"friction or shaft is as fast as {1.0 / self.fastest():.2g} s, a step of the integration "
-                f"{step:.2g} s: more substeps, or a larger w_stick"
-            )
         if any(b - a < self.period for a, b in pairwise(self.load_times)):
             raise ValueError(f"load_times: expected at least a period, {self.period:g} s, between two changes")
         return self
@@ -61,7 +64,7 @@ class MachineParams(Mechanics, InverterParams):
         switched = float(self.inverter == "switched")
         return np.array([
             self.period, self.U_dc, self.R_dc, per_C, float(self.one_way), switched, float(self.updates),
-            self.dead_time, self.v_switch, self.v_diode, self.period / self.substeps,
+            self.dead_time, self.v_switch, self.v_diode, self.step(),
         ])  # fmt: skip
 
 
@@ -178,15 +181,20 @@ class PmsmPlantParams(SynchronousConstants, MachineParams):
     """Machine, inverter, mechanics."""
 
     @model_validator(mode="after")
-    def _currents(self) -> Self:
+    def _resolved(self) -> Self:
+        self.step()
+        return self
+
+    def rates(self, L: float = math.inf) -> list[tuple[float, str]]:
+        """Add those of the currents, and of their swing with the rotor."""
         R, L, psi, p = self.R_s + self.r_on, self.least(), abs(self.at_rest()), self.pole_pairs
         swing = math.sqrt(1.5 / (L * self.J)) * p * psi
-        self.check_resolved(
+        return [
+            *super().rates(L),
             (R / L, f"R_s = {self.R_s:g} ohm, L = {L:g} H"),
             (swing, f"psi_f = {psi:g} Wb, pole_pairs = {p}, L = {L:g} H, J = {self.J:g} kg m^2"),
             (p * abs(self.w_0), f"w_0 = {self.w_0:g} rad/s, pole_pairs = {p}"),
-        )
-        return self
+        ]
 
 
 class State(NamedTuple):
@@ -216,6 +224,11 @@ class PmsmPlant(MachinePlant[PmsmPlantParams]):
         """Return constants or flux tables."""
         return self.p.numbers(self.p.r_on)
 
+    def setup(self) -> None:
+        """Arrange the constants, and the edges of the flux tables."""
+        super().setup()
+        self._edges = self.p.edges()
+
     def first(self) -> State:
         """Begin without current, at the speed and angle of the parameters."""
         p = self.p
@@ -230,5 +243,12 @@ class PmsmPlant(MachinePlant[PmsmPlantParams]):
         """Move by one period."""
         found, waiting, applied, fault = self.moved(x, t, duty, load_torque)
         i_d, i_q, _, _, omega, theta, omega_load, theta_load, u_dc = found
+        least_d, most_d, least_q, most_q = self._edges
+        if i_d < least_d or i_d > most_d or i_q < least_q or i_q > most_q:
+            self.report(
+                Level.WARN,
+                "beyond_tables",
+                f"i_d = {i_d:.4g} A, i_q = {i_q:.4g} A: beyond the flux tables, whose last cell is extended",
+            )
         rising = not x.rising if self.p.updates == 2 else True
         return State(i_d, i_q, omega, theta, omega_load, theta_load, u_dc, waiting, applied, rising, fault)

@@ -88,6 +88,13 @@ class SynchronousConstants(Params):
         _, along_d, along_q = self._slopes()
         return float(min(along_d[0].min(), along_q[1].min()))
 
+    def edges(self) -> tuple[float, float, float, float]:
+        """Return the least and the largest i_d and i_q of the tables, A; infinite without tables."""
+        if not self.table_i_d:
+            return (-math.inf, math.inf, -math.inf, math.inf)
+        i_d, i_q = self.table_i_d, self.table_i_q
+        return (i_d[0], i_d[-1], -i_q[-1] if i_q[0] == 0.0 else i_q[0], i_q[-1])
+
     def numbers(self, r_on: float) -> Array:
         """Return the constants as `linkage` and `rates` take them; the resistance includes that of the inverter."""
         i_d, i_q = self.table_i_d, self.table_i_q

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from softrig_core.board.clocked import WAITS
 from softrig_core.rig.rig import Rig
 from softrig_core.run.stuck import STUCK
 
@@ -18,7 +19,7 @@ from .peers import starter
 from .restarting import Restarts
 from .stopping import Stopping
 
-STANDS = 5.0  # s without a tick after which the logs are read for the reason
+STANDS = 2.0  # s without a tick after which the logs are read for the reason
 GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
 
 
@@ -94,8 +95,8 @@ def supervise(
 
 
 def _stuck(children: Sequence[Child]) -> set[str]:
-    """Return what processes have logged last, if it is that a call of a block does not return."""
-    return {line for line in (last_line(c.log) for c in children) if STUCK in line}
+    """Return what processes have logged last, if it is what the run waits for: a block's call, a third-party node."""
+    return {line for line in (last_line(c.log) for c in children) if STUCK in line or WAITS in line}
 
 
 def _to_start(epoch: int, most: float) -> float:

@@ -1,16 +1,20 @@
 """A third-party node with a clock of its own: it gets its inputs, its clock is advanced, its answer is awaited.
 
 It is started in the namespace of the rig's node, with /clock remapped into that namespace. So it reads and publishes
-there and not on the topics of the rig. After the inputs of a tick it gets a request, and its clock moves only when its
-executor has answered that. Messages from one process to another arrive in order, so its callbacks of the tick have run
-by then, at any load. (An acknowledgement by DDS would prove less, and comes with a heartbeat, up to seconds later.)
+there and not on the topics of the rig. After each input of a tick it gets two requests, one after the other, and its
+clock moves only when its executor has answered both. Messages from one process to another arrive in order. An executor
+looks at its subscriptions and services in turn, so it may answer a first request and still have missed the input that
+arrived before it, between the two looks. Before the second request is sent the input is there, and of what is ready
+together subscriptions come first. So its callbacks of the tick have run by then, at any load. (An acknowledgement by
+DDS would prove less, and comes with a heartbeat, up to seconds later.)
 """
 
 from __future__ import annotations
 
 import atexit
+import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -23,15 +27,17 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import CLOCK, Port, Refused
-from softrig_core.board.clocked import ClockEntry
+from softrig_core.board.clocked import WAITS, ClockEntry
 from softrig_core.errors import RunError
 from softrig_core.guard import tell
 
+from ..processes.shared_memory import domain_id
 from .messages import message_class
+from .profile import RANGE, joining, look_after_ports
 
 QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 LOOK = 0.05  # s between two looks at the graph
-SAY_AFTER = 1.0  # s after which it is said what is waited for
+SAY_AFTER = 1.0  # s without a change after which it is said what is waited for
 
 
 class Guest:
@@ -55,18 +61,24 @@ class Guest:
     def __init__(self, name: str, inputs: Sequence[Port], outputs: Sequence[Port], entry: ClockEntry) -> None:
         self._name, self._inputs, self._outputs, self._seconds = name, inputs, outputs, entry.timeout
         self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(f"{name}_gate", namespace=name, context=self._context, start_parameter_services=False)
+        # without this profile Fast DDS replaces a port whose reader has not stirred for 1 s, and a loaded host starves
+        # a process for longer: the node that is there would hear nothing
+        with joining(silence=entry.timeout):
+            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+            self._node = Node(f"{name}_gate", namespace=name, context=self._context, start_parameter_services=False)
+        look_after_ports(self._node)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._publishers = {p.name: self._offer(p) for p in inputs}
         self._clock = self._offer(CLOCK)
         self._come: dict[str, list[bytes]] = {p.name: [] for p in outputs}
         self._decoders = {p.name: Decoder(p) for p in outputs}
-        for port in outputs:
-            self._node.create_subscription(
-                message_class(port.msgtype), self._topic(port), self._come[port.name].append, QOS, raw=True
+        self._subscriptions = {
+            p.name: self._node.create_subscription(
+                message_class(p.msgtype), self._topic(p), self._come[p.name].append, QOS, raw=True
             )
+            for p in outputs
+        }
         self.who = f"/{name}/?"
         atexit.register(self.close)
         self._meet(entry.start_timeout)
@@ -144,18 +156,19 @@ class Guest:
         for topic in map(self._topic, self._outputs):
             wanted[f"a publisher of {topic}"] = partial(self._node.count_publishers, topic)
         wanted["a subscription of its clock"] = self._clock.get_subscription_count
-        how = (
-            f"start the node with --ros-args -r __ns:=/{self._name} -r /clock:=/{self._name}/clock "
-            "-p use_sim_time:=true"
-        )
-        since, said = time.monotonic(), False
+        begin = since = time.monotonic()
+        before: list[str] = []
+        said: list[str] = []
         while lacking := [what for what, count in wanted.items() if not count()]:
             self._executor.spin_once(LOOK)
-            if not said and time.monotonic() - since > SAY_AFTER:
-                said = True
-                tell(self._name, f"waits for {', '.join(lacking)}; {how}")
-            if time.monotonic() - since > limit:
-                raise RunError(f"no node with {' and '.join(lacking)} within {limit:g} s; {how}")
+            now = time.monotonic()
+            if lacking != before:
+                before, since = lacking, now
+            if lacking != said and now - since > SAY_AFTER:
+                said = lacking
+                tell(self._name, f"{WAITS}: {self._lacks(lacking, wanted)}")
+            if now - begin > limit:
+                raise RunError(f"{self._lacks(lacking, wanted)}; waited for {limit:g} s")
         self._wait(lambda: "UNKNOWN" not in self._named(), 0)  # the graph has endpoints before the names of their nodes
         self.who = self._named()
         self._parameters = self._node.create_client(GetParameters, f"{self.who}/get_parameters")
@@ -164,26 +177,36 @@ class Guest:
         if not (found.values and found.values[0].bool_value):
             raise RunError(f"{self.who} does not follow /clock; start it with -p use_sim_time:=true")
 
+    def _lacks(self, lacking: Sequence[str], wanted: Collection[str]) -> str:
+        """Describe what is missing and what to do: of a node that is not there, or of one that has the rest."""
+        if len(lacking) < len(wanted):
+            return (
+                f"{self._named()} is there without {' and '.join(lacking)}; remap the node's topic to this name or "
+                "remove it from `reads` or `publishes`, and start the node with -p use_sim_time:=true"
+            )
+        place = "".join(f"{name}={os.environ[name]} " for name in (RANGE,) if name in os.environ)
+        return (
+            f"no node with {' and '.join(lacking)}; start it as ROS_DOMAIN_ID={domain_id()} {place}ros2 run PACKAGE "
+            f"NODE --ros-args -r __ns:=/{self._name} -r /clock:=/{self._name}/clock -p use_sim_time:=true"
+        )
+
     def _named(self) -> str:
         writers = self._node.get_publishers_info_by_topic(self._topic(self._outputs[0]))
         return f"{writers[0].node_namespace.rstrip('/')}/{writers[0].node_name}" if writers else "UNKNOWN"
 
     def _settle(self, t: int) -> None:
         """Wait until its executor has processed all messages that it received; take what it has published by then."""
-        self._asked("use_sim_time", t)
-        while any(self._spun() for _ in self._outputs):
-            pass
+        for _ in range(2):  # the first answer may be earlier than a callback, see above
+            self._asked("use_sim_time", t)
+        for name, subscription in self._subscriptions.items():
+            with subscription.handle:
+                while (found := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    self._come[name].append(found[0])
 
     def _asked(self, parameter: str, t: int) -> Any:
         future = self._parameters.call_async(GetParameters.Request(names=[parameter]))
         self._wait(future.done, t, "answers no call of its parameter service: its executor does not spin")
         return future.result()
-
-    def _spun(self) -> bool:
-        """Process what has arrived; return whether anything has."""
-        before = sum(map(len, self._come.values()))
-        self._executor.spin_once(0)
-        return sum(map(len, self._come.values())) != before
 
     def _wait(self, done: Callable[[], bool], t: int, what: str = "") -> None:
         end = time.monotonic() + self._seconds

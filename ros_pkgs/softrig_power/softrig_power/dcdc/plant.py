@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import BlockParams, Level, Plant, command, param, scalars, to_ns
+from softrig_core import BlockParams, Level, Plant, command, param, resolving_step, scalars, to_ns
 
 from .circuit import advance, output
 
@@ -55,14 +55,19 @@ class DcdcPlantParams(BlockParams):
             raise ValueError(f"load_times, load_currents: {error}") from None
         if self.i_sat and self.L_sat > self.L:
             raise ValueError(f"L_sat = {self.L_sat:g} H: expected at most L = {self.L:g} H")
-        least = self.L_sat if self.i_sat else self.L
-        rate = max((self.R_L + self.R_on + self.R_C) / least, 1.0 / (self.R * self.C), 1.0 / (least * self.C) ** 0.5)
-        if rate * self.period / self.substeps > 1.0:
-            raise ValueError(
-                f"the circuit is as fast as {1.0 / rate:.2g} s, a step of the integration "
-                f"{self.period / self.substeps:.2g} s: more substeps"
-            )
+        self.step()
         return self
+
+    def step(self) -> float:
+        """Return the largest step of the integration, s."""
+        L = self.L_sat if self.i_sat else self.L
+        return resolving_step(
+            self.period,
+            self.substeps,
+            ((self.R_L + self.R_on + self.R_C) / L, f"R_L, R_on, R_C and L = {L:g} H"),
+            (1.0 / (self.R * self.C), f"R = {self.R:g} ohm, C = {self.C:g} F"),
+            (1.0 / (L * self.C) ** 0.5, f"L = {L:g} H, C = {self.C:g} F"),
+        )
 
 
 class State(NamedTuple):
@@ -91,7 +96,7 @@ class DcdcPlant(Plant[DcdcPlantParams]):
         p = self.p
         self._m = np.array([p.C, p.L, p.L_sat, p.i_sat, p.R_L, p.R_on, p.v_diode, p.R_C, 1.0 / p.R])
         self._boost = p.topology == "boost"
-        self._largest = p.period / p.substeps
+        self._largest = p.step()
         self._profile = StepProfile(p.load_times, p.load_currents)
         self._period = to_ns(p.period)
 
