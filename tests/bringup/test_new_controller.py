@@ -39,6 +39,22 @@ def test_each_system_has_a_controller_to_replace_by_one_with_its_ports(system, t
     again = load_scenario(str(folder / "scenarios" / "my_law.yaml"))
     assert (again.expect.keys(), again.figures.keys()) == (rig.scenario.expect.keys(), rig.scenario.figures.keys())
     compile((folder / "test" / "test_my_law.py").read_text(), "test_my_law.py", "exec")
+    example = example_of(text)
+    assert example.ports(member.params) == member.block_class.ports(member.params)
+    block = example.seeded(member.params, node, 0)
+    x, outputs = block.update(block.first(), 0, **{p.name: (0.0,) * len(p.labels) for p in member.inputs})
+    assert block.update(x, 1, **{p.name: None for p in member.inputs})[0].ticks == 2
+    assert {name: len(values) for name, values in outputs.items()} == {p.name: len(p.labels) for p in member.outputs}
+
+
+def example_of(text):
+    """Return the class that the comment at the end of a written controller describes."""
+    written, _, comment = text.partition("# A controller of your own from nothing")
+    lines = [line[2:] for line in comment.splitlines()[1:] if not line.startswith("# Import")]
+    space = {"__name__": "my_law.controller"}
+    imports = "from typing import NamedTuple\nfrom softrig_core import Block\n"
+    exec(compile(imports + written + "\n".join(lines), "controller.py", "exec"), space)
+    return space["Controller"]
 
 
 @pytest.mark.long

@@ -75,6 +75,8 @@ def replaced(wanted: str, name: str) -> Replaced:
         "inputs": "\n".join(_described(member.inputs, "from", units)),
         "outputs": "\n".join(_described(member.outputs, "to", units)),
         "signals": repr(outputs[:MANY]),
+        "input": member.inputs[0].name,
+        "zeros": ", ".join(f'"{p.name}": {(0.0,) * len(p.labels)}' for p in member.outputs),
     }
     return Replaced(values, member.package, _change(member), others)
 
