@@ -132,6 +132,7 @@ def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, mo
     ]  # fmt: skip
     assert (rows[0]["supply holds"], rows[2]["supply holds"]) == ("1", "")
     assert float(rows[0]["supply (V)"]) > 0.0
+    assert [r["differs"] for r in rows] == ["nodes.dc_motor_smc.parameters.delta", "duration", ""]
     page = (tmp_path / "x.html").read_text()
     assert re.findall(r"<h1>(.*?)</h1>", page) == ["2 of 3 scenarios hold"]
     assert page.count("2 of 2 hold") == 2

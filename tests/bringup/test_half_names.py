@@ -45,6 +45,8 @@ RUN_B4 = "run dc_motor_smc_b4 --mode inprocess --set"
         ("report many", "many: no such folder, expected that of a run (did you mean 'runs/many'?)"),
         ("report runs/many", "runs/many: is a study; its page is runs/many/report.html"),
         ("pack many", "(did you mean 'runs/many'?)"),
+        ("draw mine", "draw: 'mine' is a run; `softrig draw plot mine` draws its signals"),
+        ("claims dc_motor", "VERB 'claims' is unknown (did you mean `softrig check --claims`?)"),
         ("draw plot many", "expected a run, a bag or a pack (did you mean 'runs/many'?)"),
         ("bag info many", "many does not exist (did you mean 'runs/many'?)"),
         (

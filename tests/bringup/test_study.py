@@ -176,7 +176,7 @@ def test_a_study_that_makes_no_sense_is_refused(keys, message):
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"figures": ["lost"]}, "lag has no figure 'lost'; it has last, never"),
+        ({"figures": ["lost"]}, "lag has no figure 'lost' \\(did you mean 'last'\\?\\); it has last, never"),
         ({"summaries": {"s": {"figure": "lost"}}}, "no figure 'lost'"),
         ({"signals": ["lag/state/y"]}, "no signal 'lag/state/y'"),
         ({"grid": {"pump.k": [1]}}, "pump.k: expected node.parameter; did you mean gain.k"),

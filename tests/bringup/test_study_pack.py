@@ -55,7 +55,7 @@ def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
     assert main(["pack", "s", "--out", "a.softrig.zip"]) == 0
     assert main(["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "r"]) == 0
     authors = ["--author", "Ann Example 0000-0002-1825-0097", *["--author", "Bo Example"] * 2]
-    whose = [*authors, "--publisher", "Zenodo https://zenodo.org", "--license", "CC-BY-4.0"]
+    whose = [*authors, "--publisher", "Zenodo https://zenodo.org", "--license", "cc-by-4.0"]
     assert main(["pack", "r", "--out", "r.softrig.zip", "--published", "2026-11-28", *whose]) == 0
     assert main(["run", "--like", "a.softrig.zip"]) == 2
     assert "holds a study, expected a run; `softrig study --like a.softrig.zip`" in capsys.readouterr().err
@@ -67,6 +67,7 @@ def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
         (["--publisher", "https://zenodo.org"], "expected a name, as"),
         (["--license", "CC BY"], "'CC BY': expected one identifier of spdx.org/licenses"),
         (["--license", "MIT OR Apache-2.0"], "expected one identifier"),
+        (["--license", "CC-BY-4"], "'CC-BY-4': expected one identifier"),
     ):
         assert main(["pack", "r", *words]) == 2
         assert said in capsys.readouterr().err

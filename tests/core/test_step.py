@@ -74,7 +74,7 @@ def test_what_is_almost_a_row_of_floats_becomes_one(said):
         ((0.5, math.nan), "out b/position became nan"),
         ((0.5, -1e9), "out b/position became -1e"),
         (("x", 0.0), "out is no row of numbers"),
-        (None, "gave no out"),
+        (None, "gave no out at t = 0 s; the outputs it returned: none"),
         ((math.inf, -math.inf), "out a/position became inf"),
     ],
 )
@@ -83,6 +83,24 @@ def test_what_may_not_leave_a_block_is_told(said, reason):
     with pytest.raises(RunError, match=reason) as error:
         step.say(0)
     assert error.value.node == "odd"
+    assert rows == []
+
+
+@pytest.mark.parametrize(
+    ("returned", "reason"),
+    [
+        ({"oot": (0.5, 2.0)}, "gave no out at t = 0 s; the outputs it returned: oot"),
+        (
+            {"out": (0.5, 2.0), "oot": (1.0,)},
+            r"odd returned 'oot' at t = 0 s, which is not an output of it \(did you mean 'out'\?\); its outputs: out",
+        ),
+        ((0.5, 2.0), "gave no out at t = 0 s; the outputs it returned: a tuple"),
+    ],
+)
+def test_an_output_that_a_block_does_not_have_is_refused(returned, reason):
+    step, rows = _alone(returned)
+    with pytest.raises(RunError, match=reason):
+        step.say(0)
     assert rows == []
 
 

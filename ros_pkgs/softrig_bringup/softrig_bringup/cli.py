@@ -98,6 +98,7 @@ MEANT = {
     "params": "softrig list --parameters SCENARIO",
     "test": "softrig check SCENARIO",
     "judge": "softrig check SCENARIO",
+    "claims": "softrig check --claims",
     "simulate": "softrig run SCENARIO",
     "sim": "softrig run SCENARIO",
     "start": "softrig run SCENARIO",
@@ -147,6 +148,8 @@ def _verb(arguments: list[str]) -> int:
     arguments = _judging(arguments)
     if not asks and arguments and not arguments[0].startswith("-") and arguments[0] not in VERBS:
         _check_verb(arguments[0])
+    if not asks and arguments[:1] == ["draw"]:
+        _check_drawn(arguments[1:2])
     if not asks and _of_the_script(arguments):
         return of_the_script()
     if arguments[:1] != ["node"]:
@@ -192,6 +195,15 @@ def _check_verb(word: str) -> None:
         raise ScenarioError(f"{word!r} is a scenario, expected a verb before it: `softrig run {word}`")
     if "_" in word and (near := get_close_matches(word, list_scenarios([]), 1)):
         raise ScenarioError(f"{word!r} is no verb and no scenario; did you mean `softrig run {near[0]}`?")
+
+
+def _check_drawn(words: Sequence[str]) -> None:
+    """Refuse a run where `draw` expects what is drawn of it."""
+    from pathlib import Path
+
+    for word in words:
+        if (Path(word) / "metrics.json").is_file():
+            raise ScenarioError(f"draw: {word!r} is a run; `softrig draw plot {word}` draws its signals")
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -208,8 +208,9 @@ def check_study(study: Study, drafts: Mapping[str, Draft]) -> list[Rig]:
         wanted |= {study.search.figure, *study.search.subject_to} if study.search else set()
         unknown = sorted(wanted - set(known))
         if unknown:
+            near = closest(unknown[0], known)
             raise ScenarioError(
-                f"{study.name}: {case.scenario} has no figure {unknown[0]!r}; it has {', '.join(known)}"
+                f"{study.name}: {case.scenario} has no figure {unknown[0]!r}{near}; it has {', '.join(known)}"
             )
         topics = {f"{topic}/{label}" for topic, port in rig.topics.items() for label in port.labels}
         for name in study.signals:

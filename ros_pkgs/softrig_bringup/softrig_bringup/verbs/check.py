@@ -80,7 +80,7 @@ def _expectations(options: argparse.Namespace) -> int:
             print(f"  differs from {options.against}: {', '.join(outcome['differs'])}")
     write_reports(options.junit, suites, options.json, outcomes)
     if options.marks is not None:
-        replace(options.marks, _marks(suites))
+        replace(options.marks, _marks(suites, [o["differs"] for o in outcomes] if options.against else None))
     if options.html is not None:
         write_page(options.html, "check", checked(suites, outcomes, options.against))
     if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
@@ -139,19 +139,20 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
-def _marks(suites: Sequence[Suite]) -> str:
-    """Write a row a scenario: how much of what is judged holds, what was measured of each, and why one was not run."""
+def _marks(suites: Sequence[Suite], differs: Sequence[Sequence[str]] | None) -> str:
+    """Write a row a scenario: how much holds, what was measured, what else differs from the reference, the error."""
     units = {case.name: case.unit for suite in suites for case in suite.cases}
     heads = {name: f"{name} ({unit})" if unit else name for name, unit in units.items()}  # numbers stay numbers
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     judged = (part for name, head in heads.items() for part in (head, f"{name} holds"))
-    writer.writerow(["scenario", "held", "judged", *judged, "error"])
-    for suite in suites:
+    writer.writerow(["scenario", "held", "judged", *judged, *([] if differs is None else ["differs"]), "error"])
+    for suite, names in zip(suites, differs or [()] * len(suites), strict=True):
         cases = {case.name: case for case in suite.cases}
         held = [name for name, case in cases.items() if not case.failure]
         cells = [part for n in heads for part in ((_cell(cases[n]), int(n in held)) if n in cases else ("", ""))]
-        writer.writerow([suite.name, len(held), len(cases), *cells, suite.error])
+        other = [] if differs is None else [" ".join(names)]
+        writer.writerow([suite.name, len(held), len(cases), *cells, *other, suite.error])
     return text.getvalue()
 
 

@@ -8,7 +8,7 @@ from itertools import accumulate
 from operator import mul
 from typing import TYPE_CHECKING, Any
 
-from ..errors import RunError
+from ..errors import RunError, closest
 from .port import Port, Sample
 
 if TYPE_CHECKING:
@@ -18,6 +18,26 @@ if TYPE_CHECKING:
 Row = tuple[float, ...] | Sample  # what an output says at a tick
 Rows = tuple[Row | None, ...]  # of each output: what it publishes; None for the silence of a sporadic one
 MAPPINGS = (dict, Mapping)  # the first is told at once
+
+
+def answers(found: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
+    """Ensure that all of a block's answer may leave it: each output by `admit`, and nothing beside the outputs.
+
+    Raises
+    ------
+    RunError
+        Also names an output that the block does not have.
+    """
+    rows = tuple([admit(found, port, node, t) for port in ports])
+    if isinstance(found, MAPPINGS) and (len(found) != len(ports) or None in rows):  # else each name was looked up
+        names = [port.name for port in ports]
+        for name in found:
+            if name not in names:
+                raise RunError(
+                    f"{node} returned {name!r} at t = {t / 1e9:.9g} s, which is not an output of it"
+                    f"{closest(str(name), names)}; its outputs: {', '.join(names) or 'none'}"
+                )
+    return rows
 
 
 def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
@@ -47,7 +67,8 @@ def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
     except (KeyError, TypeError):
         if port.sporadic and isinstance(found, MAPPINGS):
             return None
-        raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s") from None
+        names = ", ".join(map(str, found)) or "none" if isinstance(found, MAPPINGS) else f"a {type(found).__name__}"
+        raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s; the outputs it returned: {names}") from None
     if type(given) is tuple and len(given) == port.size and usual(given, port.bound):  # nearly always
         return given
     if given is None and port.sporadic:

@@ -59,7 +59,8 @@ PLAIN = """
         try:
             {rows} = rows = {found}
             step.numbers = numbers = {numbers}
-            fits = {sizes} and type(size := sum_of_products(numbers, numbers)) is float and size <= bound
+            fits = len(found) == {count} and {sizes}
+            fits = fits and type(size := sum_of_products(numbers, numbers)) is float and size <= bound
         except (KeyError, TypeError, OverflowError):  # told by `checked`
             fits = False
         if not fits:
@@ -119,6 +120,7 @@ def _say_text(
             found="".join(f"found[{port.name!r}], " for port in outputs),
             numbers=rows[0] if len(rows) == 1 else f"({', '.join(f'*{row}' for row in rows)})",
             sizes=" and ".join(sizes),
+            count=len(outputs),
         )
     elif outputs:
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"

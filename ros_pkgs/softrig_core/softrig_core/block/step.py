@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NoReturn
 
 from ..errors import RunError, describe
-from .answer import Row, Rows, admit, flat
+from .answer import Row, Rows, answers, flat
 from .block import Block, Level, Plant
 from .bound import mover, sayer
 from .change import Change, permit, revise
@@ -282,7 +282,7 @@ class Step(Held):
 
     def checked(self, found: Any) -> Rows:
         """Return the checked values of each output."""
-        rows = tuple([admit(found, port, self.name, self.t) for port in self.outputs])
+        rows = answers(found, self.outputs, self.name, self.t)
         if self.plain and rows:
             self.numbers = flat(rows)
         return rows

@@ -355,11 +355,13 @@ def rows_of(
     KeyError
         An output is not in the answer.
     NotNative
-        A row has another length than its port.
+        A row has another length than its port, or is not of an output; Python's tick then says so.
     """
     if isinstance(value, Dynamic) and value.keys is not None:
         value = writer.unfolded(value)
     found: Any = value.items if isinstance(value, Record) else {}
+    if other := found.keys() - {port.name for port in outputs}:
+        raise NotNative(f"{min(other)} is not an output")
     for port in outputs:
         said, flags, stamps = found[port.name], list[str](), list[str]()
         if port.sporadic:
