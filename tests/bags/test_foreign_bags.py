@@ -710,6 +710,20 @@ def test_whole_numbers_of_64_bits_are_exported_as_they_are(tmp_path, form):
     assert found == [[2**53 + k, 2**64 - 1 - k] for k in range(3)]
 
 
+def test_fields_of_any_name_are_variables_of_matlab(tmp_path):
+    """One called as our own list of names, one that is a keyword, and two that differ in what MATLAB does not allow."""
+    fields = ("names", "end", "time", "a_b", "a__b")
+    types = [("a/msg/X", ("\n".join(f"float64 {field}" for field in fields), "ros2msg"))]
+    rows = [("/x", "a/msg/X", START + k, struct.pack("<HH5d", 0x100, 0, *(k + n for n in range(5)))) for k in range(2)]
+    file = mcap(tmp_path / "a.mcap", rows, definitions=types)
+    assert main_bag(["export", str(file), "--out", str(tmp_path), "--format", "mat"]) == 0
+    columns = loadmat(tmp_path / "x.mat")
+    assert [str(name[0]) for name in columns["names"].ravel()][2:] == ["names", "end", "field/time", "a_b", "a__b"]
+    made = [name for name in columns if not name.startswith("__")]
+    assert made == ["names", "time", "stamp", "names_2", "xend", "field_time", "a_b", "a_b_2"]
+    assert [columns[name].ravel().tolist() for name in made[3:]] == [[n, n + 1] for n in range(5)]
+
+
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_whole_numbers_that_some_messages_lack_stay_whole(tmp_path, form):
     """Elements of an array that grows: a column that is added on the way, and one that is empty from then on."""

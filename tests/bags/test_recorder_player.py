@@ -566,6 +566,7 @@ def test_names_that_ros_does_not_have_are_not_played(tmp_path, capsys, name):
         (main_record, ["--output", "new", "--storage", "sqlite3", "--compression", "zstd"], "mcap only"),
         (main_compare, ["bag", "none"], "does not exist"),
         (main_compare, ["bag", "bag", "--field", "x"], "expected PATTERN=ABS"),
+        *((main_compare, ["bag", "bag", "--field", f"*={x}"], "finite") for x in ("inf", "nan", "-1", "1_0", "1,inf")),
         (main_compare, ["bag", "bag", "--topics", "x"], "no topic x to compare"),
         (main_bag, ["repair", "bag/metadata.yaml"], "no .mcap"),
         (main_bag, ["info", "."], "not a bag"),

@@ -1,12 +1,14 @@
 """Every expansion has a bound, and every number option a range: refused in a line, before anything is made."""
 
 import argparse
+import ast
 import math
 import time
+from pathlib import Path
 
 import pytest
 from softrig_bringup.cli import main, make_parser
-from softrig_bringup.options.grammar import span, values
+from softrig_bringup.options.grammar import settings, span, values
 from softrig_bringup.study import RUNS
 from softrig_bringup.study.definition import make_study
 from softrig_bringup.study.draw import cases, count
@@ -130,9 +132,29 @@ def test_every_number_option_refuses_infinity_and_says_its_range(parser, option)
         ):
             option.type(text)
     assert math.isfinite(option.type.low)
+    assert option.type.kind is int or math.isfinite(option.type.high), "a time beyond 1e9 s has no nanoseconds"
 
 
-@pytest.mark.parametrize("word", ["run@inf", "run@-1", "run@nan", "run@2e9", "run@", "@1"])
+def test_no_command_line_reads_a_number_without_a_range():
+    """Also those of other packages: bag, export, locate."""
+    for file in sorted(Path(__file__).parents[2].glob("ros_pkgs/*/softrig_*/**/*.py")):
+        for call in ast.walk(ast.parse(file.read_text())):
+            if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_argument":
+                given = {word.arg: word.value for word in call.keywords}
+                kind = getattr(given.get("type"), "id", "")
+                assert kind not in ("int", "float") or "choices" in given, f"{file}:{call.lineno}: expected Number"
+
+
+@pytest.mark.parametrize("value", ["1_000", "[1_000]", "[1, '2_0']", "'1_000'"])
+def test_a_number_with_underscores_is_none(value):
+    """YAML 1.2 and ROS read a text; pydantic alone reads 1000."""
+    name = "times" if value[0] == "[" else "positions"
+    setting = f"motor_reference.{name}={value if name == 'times' else f'[{value}]'}"
+    with pytest.raises(ScenarioError, match=r"expected a number without underscores, (1000|20)"):
+        rig_of(load_scenario("dc_motor_smc_b2", settings([setting], "dc_motor_smc_b2")))
+
+
+@pytest.mark.parametrize("word", ["run@inf", "run@1_0", "run@-1", "run@nan", "run@2e9", "run@", "@1"])
 def test_a_moment_is_a_time(word, capsys):
     assert main(["run", "--from", word]) == 2
     assert "expected RUN@T, the folder of a run and a time from 0 to 1e9 s" in capsys.readouterr().err

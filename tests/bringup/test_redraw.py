@@ -125,6 +125,20 @@ def test_no_pdf_of_softrig_has_type_3_letters(run, tmp_path, monkeypatch):
     assert [path.name for path in found if b"/Type3" in path.read_bytes()] == []
 
 
+@pytest.mark.parametrize(
+    ("window", "said"),
+    [
+        (("0", "0"), "expected FROM before TO"),
+        (("0.1", "0.05"), "expected FROM before TO"),
+        (("5", "6"), "only from 0"),
+    ],
+)
+def test_a_window_without_a_sample_is_refused(run, window, said, capsys):
+    assert main(["draw", "plot", str(run), SIGNAL, "--window", *window]) == 2
+    assert f"--window {float(window[0]):g} {float(window[1]):g}: " in (text := capsys.readouterr().err)
+    assert said in text
+
+
 @pytest.mark.long
 def test_several_runs_are_drawn_over_one_another_and_replace_nothing(run, tmp_path, monkeypatch, capsys):
     """Their pictures go to a folder of their own, those of one run below its folder."""

@@ -23,7 +23,9 @@ def main() -> int:
     parser.add_argument("areas", nargs="*", metavar="AREA", help=f"{', '.join(AREAS)} (default all)")
     parser.add_argument("--count", type=int, default=200, help="cases an area")
     parser.add_argument("--seed", type=int, default=0, help="first seed")
-    parser.add_argument("--limit", type=float, default=3600.0, metavar="S", help="start no further cases after")
+    parser.add_argument(
+        "--limit", type=float, default=3600.0, metavar="S", help="end after; cases that run then are not counted"
+    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="files of the cases that were lost go here")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()

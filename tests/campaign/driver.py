@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import faulthandler
 import importlib
 import multiprocessing
@@ -18,20 +19,35 @@ from pathlib import Path
 
 CASE_LIMIT = 240  # s; on a loaded machine too
 SLICE = 25  # cases of one worker; the limit on time is looked at between two
+LEAVE = 60.0  # s for the cases that run when a campaign ends
 MEMORY = 6 << 30  # bytes of address space of a worker; numba and pyarrow reserve much that they do not use
+
+PR_SET_PDEATHSIG = 1
 
 
 class TooLong(BaseException):
     """A case did not end; not an Exception, so that nothing of the suite swallows it."""
 
 
+class Stopped(BaseException):
+    """The campaign has ended, by its limit or because it was killed: the case cleans up and counts as not tried."""
+
+
 def _alarm(number: int, frame: object) -> None:
     raise TooLong(f"no end within {CASE_LIMIT} s")
+
+
+def _stop(number: int, frame: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # cleaning up is not interrupted again
+    raise Stopped
 
 
 def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path | None) -> None:
     """Run the cases of some seeds; one line of findings each goes to the queue."""
     faulthandler.enable()
+    # A campaign that is killed leaves no rig behind: each case ends what it has started.
+    signal.signal(signal.SIGTERM, _stop)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     signal.signal(signal.SIGALRM, _alarm)
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the life of the process
@@ -45,9 +61,12 @@ def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path
             try:
                 attack(seed, directory)
                 finding = ""
+            except Stopped:
+                return
             except (Exception, SystemExit, TooLong):
                 finding = traceback.format_exc()
-            signal.alarm(0)
+            finally:
+                signal.alarm(0)
             if finding and keep is not None:
                 (directory / "finding").write_text(finding)
                 with contextlib.suppress(shutil.Error, OSError):  # what the case has made unreadable
@@ -62,7 +81,7 @@ def cpu() -> float:
 
 
 def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None, jobs: int) -> dict[str, list]:
-    """Run all areas; gives area to [tried, survived, findings, CPU s]."""
+    """Run all areas; gives area to [tried, survived, findings, CPU s]. SIGTERM and SIGINT end it as the limit does."""
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
     table = {area: [0, 0, [], 0.0] for area in counts}
@@ -71,6 +90,13 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
     ]
     running: dict = {}
     deadline = time.monotonic() + limit
+
+    def stop(number: int, frame: object) -> None:
+        nonlocal deadline
+        deadline = min(deadline, time.monotonic())
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, stop)
 
     def collect(timeout: float) -> None:
         from queue import Empty
@@ -86,7 +112,7 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
                     entry[2] = seed if state == "begun" else None
                     if state != "begun":
                         entry[1].remove(seed)
-            if state != "begun":
+            if state != "begun" and not (finding and time.monotonic() >= deadline):  # it was told to stop
                 table[area][0] += 1
                 table[area][1] += state == "survived"
                 table[area][3] += seconds
@@ -101,10 +127,13 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
             process.start()
             running[process] = [area, set(seeds), None]
         collect(0.2)
+        stopped = time.monotonic() >= deadline
+        for process in running if stopped else ():
+            (process.terminate if time.monotonic() < deadline + LEAVE else process.kill)()
         for process in [p for p in running if not p.is_alive()]:
             collect(0.2)
             area, left, at = running.pop(process)
-            if left:  # the worker died: in a case, or before its first; the others go on
+            if left and not stopped:  # the worker died: in a case, or before its first; the others go on
                 at = min(left) if at is None else at
                 table[area][0] += 1
                 table[area][2].append((at, f"the process ended with status {process.exitcode}"))

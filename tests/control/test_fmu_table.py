@@ -1,5 +1,6 @@
 """What a modelDescription.xml says and an FMU's node does with it: real files, read by FMPy; nothing is run."""
 
+import re
 import zipfile
 
 import pytest
@@ -145,3 +146,74 @@ def test_what_has_no_effect_is_noted(tmp_path):
 
 def test_the_table_has_no_refused_names_that_files_of_the_standard_have():
     assert {use for use, _ in FMI.table.values()} == {"used", "ignored"}
+
+
+@pytest.mark.parametrize(
+    ("model", "old", "new", "said"),
+    [
+        (TWO, 'name="dT"', 'name="T"', "m.fmu: two variables are called 'T'"),
+        (TWO, '<Unit name="K">', '<Unit name="degC">', "m.fmu: two units are called 'degC'"),
+        (TWO, 'start="20"', 'start="20,5"', "m.fmu: variable 'T': start = '20,5', expected a number"),
+        (TWO, 'start="20"', 'start="1_000"', "m.fmu: variable 'T': start = '1_000', expected a number"),
+        (TWO, 'start="20"', 'start="NaN"', "m.fmu: variable 'T': start = 'NaN', expected a number"),
+        (TWO, 'start="20"', 'start="1 2"', "m.fmu: variable 'T': 2 start values, expected one or 1"),
+        (TWO, 'max="9" rel', 'max="nine" rel', "m.fmu: variable 'own': max = 'nine', expected a number"),
+        (TWO, 'start="2"/></ScalarV', 'start="2.5"/></ScalarV', "m.fmu: variable 'n': start = '2.5', expected a whole"),
+        (TWO, 'offset="273.15"', 'offset="nan"', "m.fmu: unit 'degC': offset = 'nan', expected a number"),
+        (TWO, 'offset="273.15"', 'offset="x"', "cannot be read as an FMU: ValueError: could not convert"),
+        (TWO, 'offset="273.15"', 'factor="0"', "m.fmu: unit 'degC': factor 0 and offset 0, expected a factor above 0"),
+        (TWO, 'min="-5" max="5"', 'min="5" max="-5"', "m.fmu: variable 'declared': min = 5 is above max = -5"),
+        (THREE, '<Alias name="other"/>', '<Dimension start="0"/>', "an array of 0 values, expected 1 to 10000"),
+        (THREE, '<Alias name="other"/>', '<Dimension start="99999999"/>', "an array of 99999999 values, expected 1 to"),
+        (
+            THREE,
+            'start="20"><Alias name="other"/>',
+            'start="1 2"><Dimension start="3"/>',
+            "2 start values, expected one",
+        ),
+        (THREE, 'name="dT"', 'name="T"', "m.fmu: two variables are called 'T'"),
+    ],
+    ids=lambda part: "" if "\n" in part else part[:30],
+)
+def test_a_description_that_contradicts_itself_is_refused_by_name(tmp_path, model, old, new, said):
+    """Duplicates, numbers that are none, factors of zero: tools export them, and each would give a wrong number."""
+    assert old in model
+    with pytest.raises(ValueError, match=re.escape(said)):
+        fmu(tmp_path, model.replace(old, new, 1))
+
+
+def test_a_unit_whose_name_means_something_else_here_must_be_stated(tmp_path):
+    """An FMU may call minutes m: 2 of them are 120 s, and never 2 metres."""
+    minutes = '<Unit name="m"><BaseUnit s="1" factor="60"/></Unit>'
+    text = TWO.replace('<Unit name="K">', minutes + '<Unit name="K">').replace('unit="degC" start="20"', 'unit="m"')
+    found = fmu(tmp_path, text)
+    with pytest.raises(ValueError, match=r"T is in 'm', which the FMU defines as 60 s and softrig does not"):
+        mapped(found, ["clock/a/position = T"], False)
+    with pytest.raises(ValueError, match="another quantity"):
+        mapped(found, ["clock/a/position [m] = T"], False)
+    (place,) = mapped(found, ["clock/a/position [s] = T"], False).places
+    assert place.into(120.0) == 2.0
+
+
+def test_the_size_of_an_array_cannot_be_set(tmp_path):
+    """Its values are counted before the FMU runs."""
+    size = '<UInt64 name="size" valueReference="9" causality="structuralParameter" variability="fixed" start="2"/>'
+    found = fmu(tmp_path, THREE.replace("<Clock", size + "<Clock"))
+    with pytest.raises(ValueError, match=r"size is structuralParameter of m\.fmu, it cannot be set"):
+        start_values(found, ["size = 3"])
+
+
+def test_an_fmu_that_is_unpacked_or_packed_with_its_folder_says_how_it_is_packed(tmp_path):
+    (tmp_path / "modelDescription.xml").write_text(TWO)
+    with pytest.raises(ValueError, match=r"is an unpacked FMU, expected the file: `cd .* && zip -r"):
+        describe(str(tmp_path))
+    with zipfile.ZipFile(tmp_path / "m.fmu", "w") as archive:
+        archive.writestr("m/modelDescription.xml", TWO)
+    with pytest.raises(ValueError, match=r"as m/modelDescription\.xml; zip the content of that folder"):
+        describe(str(tmp_path / "m.fmu"))
+
+
+def test_a_start_value_that_no_message_carries_is_refused(tmp_path):
+    found = fmu(tmp_path, TWO.replace('start="20"', 'start="INF"'))
+    with pytest.raises(ValueError, match="T starts at inf, which no message carries"):
+        mapped(found, ["a/b/position = T"], False)

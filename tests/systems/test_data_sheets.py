@@ -157,6 +157,14 @@ def test_values_of_another_unit_or_machine_are_refused_in_a_line(sheet, given, t
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("speed", ["3,000", "1_000", "nan", "inf", "２", "3000 rpm", ""])
+def test_a_rated_value_is_one_number(speed, tmp_path, capsys):
+    assert main(["new", "my_drive", "--plant", "pmsm", "--into", str(tmp_path), "--rated", f"speed={speed}"]) == 2
+    reason = "3,000 may be 3000 or 3.000; write one" if speed == "3,000" else "expected NAME=VALUE with a number"
+    assert f"--rated speed={speed}: {reason}" in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]
+
+
 def test_the_servo_is_taken_and_another_convention_of_its_emf_is_remarked():
     assert not any("convention" in line for line in pmsm(SERVO).assumed)
     assert any("convention" in line for line in pmsm({**SERVO, "K_e": 38.0 * math.sqrt(2.0)}).assumed)

@@ -255,9 +255,11 @@ def main_compare(argv: list[str]) -> int:
     for text in options.field:
         pattern, _, numbers = text.rpartition("=")
         try:
-            tolerances[pattern] = Tolerance(*map(float, numbers.split(",")))
-        except (ValueError, TypeError):
-            raise BagError(f"--field {text!r}: expected PATTERN=ABS or PATTERN=ABS,REL") from None
+            tolerances[pattern] = Tolerance(*map(Number(float, 0), numbers.split(",")))
+        except (argparse.ArgumentTypeError, TypeError):
+            raise BagError(
+                f"--field {text!r}: expected PATTERN=ABS or PATTERN=ABS,REL, finite and not negative"
+            ) from None
     topics = None if options.topics is None else [relative(t) for t in options.topics]
     default = Tolerance(options.abs, options.rel)
     if len(options.namespace) > 2:

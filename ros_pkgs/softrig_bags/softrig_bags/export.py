@@ -24,6 +24,22 @@ LONGEST = 63
 # In bytes. File systems allow 255, and the parts of a table have longer names.
 LONGEST_NAME = 200
 OWN = ("time", "stamp")  # columns that every table has
+# MATLAB does not load variables with these names.
+KEYWORDS = {
+    "break",
+    "case",
+    "catch",
+    "classdef",
+    "continue",
+    "else",
+    "elseif",
+    "end",
+    "for",
+    "function",
+    "global",
+    "if",
+}
+KEYWORDS |= {"otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while"}
 
 
 def export(path: Path | str, directory: Path | str, file_format: str, namespace: str = "") -> list[Path]:
@@ -219,15 +235,16 @@ def _mat(table: Path) -> Path:
     from scipy.io import savemat
 
     columns = pyarrow.parquet.read_table(table)
-    variables: dict[str, Any] = {}
-    for heading in columns.column_names:
+    variables: dict[str, Any] = {"names": np.array(columns.column_names, dtype=object)}
+    for heading in columns.column_names:  # a signal called `names`, too, has its own variable
         name = plain = _identifier(heading)
         k = 1
         while name in variables:
             k += 1
             name = f"{plain[: LONGEST - 4]}_{k}"
-        variables[name] = _doubles(columns[heading])
-    variables["names"] = np.array(columns.column_names, dtype=object)
+        variables[name] = found = _doubles(columns[heading])
+        if columns[heading].null_count and np.abs(found[~np.isnan(found)]).max(initial=0.0) > 2.0**53:
+            say(f"{table.stem}: {heading} is rounded to doubles: MATLAB's integers have no mark for what is missing")
     file = table.with_suffix(".mat")
     part = table.with_name(f".{file.name}.part")
     try:
@@ -253,4 +270,4 @@ def _doubles(column: Any) -> Any:
 def _identifier(heading: str) -> str:
     """Return the name of a column as MATLAB's variables are called: letters, digits and _, a letter first."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", heading).strip("_") or "x"
-    return (plain if plain[0].isalpha() else f"x{plain}")[:LONGEST]
+    return (plain if plain[0].isalpha() and plain not in KEYWORDS else f"x{plain}")[:LONGEST]

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import os
+import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from softrig_core import ScenarioError
 from softrig_core.guard import naming
+from softrig_core.kit.file_format import number_of
 from softrig_core.scenario.scenario_file import find
 
 GROUP = "softrig_data_sheets"  # entry points: (name, rated values) to the text of a scenario and what was assumed
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")  # 3,000: three, or three thousand
 
 
 def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], command: str) -> str:
@@ -46,12 +50,13 @@ def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], co
     given: dict[str, float] = {}
     for item in rated:
         key, found, value = item.partition("=")
-        try:
-            given[key.strip()] = float(value.replace(",", "."))
-        except ValueError:
-            raise ScenarioError(f"--rated {item}: expected NAME=VALUE with a number, as speed=3000") from None
-        if not found:
-            raise ScenarioError(f"--rated {item}: expected NAME=VALUE, as speed=3000")
+        number = number_of(value.replace(",", "."))
+        if _THOUSANDS.fullmatch(value.strip()):
+            one, other = value.replace(",", ""), value.replace(",", ".")
+            raise ScenarioError(f"--rated {item}: {value} may be {one} or {other}; write one of them")
+        if not found or not math.isfinite(number):
+            raise ScenarioError(f"--rated {item}: expected NAME=VALUE with a number, as speed=3000")
+        given[key.strip()] = number
     try:
         text, assumed = points[kind].load()(name, given)
     except ValueError as error:

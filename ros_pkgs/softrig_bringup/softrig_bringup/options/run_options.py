@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from softrig_core import ScenarioError
 from softrig_core.command_line import Number, pair
+from softrig_core.kit.file_format import number_of
 
 from .naming import elsewhere, folder_of, from_here, scenario_file
 
@@ -72,10 +73,12 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         metavar="NODE",
         help="start this one here, the others on another machine; needs --domain",
     )
-    parser.add_argument("--wait", type=Number(float, 0), metavar="S", help="limit of the wait for them (default: none)")
+    parser.add_argument(
+        "--wait", type=Number(float, 0, 1e9), metavar="S", help="limit of the wait for them (default: none)"
+    )
     parser.add_argument(
         "--restart",
-        type=Number(int, 0),
+        type=Number(int, 0, 1000),
         default=0,
         metavar="N",
         help="lockstep, --mode processes: a node that was killed is started again where it was, up to N times",
@@ -117,10 +120,7 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
 def _moment(text: str) -> tuple[Path, float]:
     """Read ``RUN@T``: the folder of a run or its bag, and a time in s."""
     run, _, t = text.rpartition("@")
-    try:
-        at = float(t)
-    except ValueError:
-        at = -1.0
+    at = number_of(t)
     if not run or not 0.0 <= at <= 1e9:
         raise argparse.ArgumentTypeError(f"{text!r}: expected RUN@T, the folder of a run and a time from 0 to 1e9 s")
     return Path(run), at

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from softrig_bags.files.reader import BagReader
 from softrig_bags.read import BagSignals, signals
-from softrig_core import Rig, ScenarioError, rig_of
+from softrig_core import Rig, ScenarioError, Signals, rig_of
 from softrig_core.command_line import Parser
 from softrig_core.errors import nearby
 from softrig_core.guard import say
@@ -189,6 +189,7 @@ Drawing = Iterator[tuple[PlotEntry, "Figure", str]]
 def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, look: Look) -> Drawing:
     rig, found = rig_of_run(run, options.namespace)
     rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
+    _check_window(options.window, [found])
     source = Source(found, rig)
     for entry in rig.scenario.plots:
         figure = plot_entry(found, rig, entry, **look._asdict())
@@ -204,8 +205,21 @@ def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Na
         rig, found = rig_of_run(path, options.namespace)
         rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
         overlays.append(Overlay(label, label, rig.scenario.plots, shown(rig), found))
+    _check_window(options.window, [over.signals for over in overlays])
     for entry, figure in overlay_figures(overlays, **look._asdict()):
         yield entry, figure, _side_by_side(entry, overlays)
+
+
+def _check_window(window: Sequence[float] | None, runs: Sequence[Signals]) -> None:
+    """Refuse a window that ends before it begins, or in which no run has a sample: its picture would be empty."""
+    if window and not window[0] < window[1]:
+        raise ScenarioError(f"--window {window[0]:g} {window[1]:g}: expected FROM before TO")
+    times = [t for found in runs for t, _ in found.values() if t.size] if window else []
+    if window and times and not any(t[0] <= window[1] and window[0] <= t[-1] for t in times):
+        first, last = min(t[0] for t in times), max(t[-1] for t in times)
+        raise ScenarioError(
+            f"--window {window[0]:g} {window[1]:g}: nothing was recorded then, only from {first:g} to {last:g} s"
+        )
 
 
 def _side_by_side(entry: PlotEntry, overlays: Sequence[Overlay]) -> str:

@@ -150,11 +150,13 @@ def _run_and_look(verb: Verb) -> None:
         metavar="FILE",
         help="SCENARIO.svg without it; .gif, .webp and .png (animated) for programs that know no SVG",
     )
-    animate.add_argument("--from", dest="start", type=Number(float, 0), metavar="S", default=0.0, help="first time, s")
-    animate.add_argument("--to", dest="end", type=Number(float, 0), metavar="S", help="last time, s (the end)")
+    animate.add_argument(
+        "--from", dest="start", type=Number(float, 0, 1e9), metavar="S", default=0.0, help="first time, s"
+    )
+    animate.add_argument("--to", dest="end", type=Number(float, 0, 1e9), metavar="S", help="last time, s (the end)")
     animate.add_argument(
         "--speed",
-        type=Number(float, 1e-9),
+        type=Number(float, 1e-9, 1e9),
         metavar="X",
         help="simulated seconds in one of film (default: 4 to 8 s of film)",
     )
@@ -297,7 +299,7 @@ def _vary(verb: Verb) -> None:
         "a signal LOW..HIGH~N (lines), SIGNAL+=LOW..HIGH*N (added to it)",
     )
     falsify.add_argument("--budget", type=Number(int, 1, RUNS), metavar="N", help="runs (200)")
-    falsify.add_argument("--seed", type=Number(int, 0), metavar="N", help="of the search (0)")
+    falsify.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="of the search (0)")
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
     falsify.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
@@ -379,7 +381,7 @@ def _analyse(verb: Verb) -> None:
     rest = verb("steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 when there is none")
     for sub in (linear, rest):
         sub.add_argument("scenario", help="name or YAML file")
-        sub.add_argument("--at", type=Number(float, 0), metavar="S", help="when (the scenario's end)")
+        sub.add_argument("--at", type=Number(float, 0, 1e9), metavar="S", help="when (the scenario's end)")
         sub.add_argument("--output", action="append", metavar="SIGNAL", help="signal that counts (what plants say)")
         sub.add_argument("--set", action="append", type=pair, default=[], metavar="NAME=VALUE", help="as in run")
 
@@ -394,4 +396,6 @@ def _ros(verb: Verb) -> None:
     live.add_argument(
         "--domain", type=Number(int, 0, 232), metavar="N", help="ROS_DOMAIN_ID (default: that of the environment)"
     )
-    live.add_argument("--wait", type=Number(float, 0), default=10.0, metavar="S", help="for the node to be there (10)")
+    live.add_argument(
+        "--wait", type=Number(float, 0, 1e9), default=10.0, metavar="S", help="for the node to be there (10)"
+    )

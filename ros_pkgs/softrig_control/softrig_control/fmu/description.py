@@ -20,11 +20,15 @@ from softrig_core.errors import closest
 from softrig_core.extras import need
 from softrig_core.judge.units import base, powers, text
 from softrig_core.kit.compiled import cache_folder
+from softrig_core.kit.file_format import number_of
 
 from .table import FMI, attributes, names as names_of
 
+DESCRIPTION = "modelDescription.xml"
 LARGEST = 1 << 29  # bytes of an FMU when unpacked
 DEEPEST = 50  # folders in each other
+LONGEST = 10_000  # values of an array
+PRINTED = 1e-3  # relative: factors of units are printed with few digits
 _VERSION = re.compile(r"""fmiVersion\s*=\s*["']([^"']*)["']""")
 _INDEXED = re.compile(r"(?P<name>.+)\[(?P<at>\d+(,\d+)*)\]")
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units
@@ -46,6 +50,7 @@ class Unit:
     factor: float
     offset: float
     base: tuple[tuple[str, int], ...]  # name and power, sorted
+    odd: bool = False  # the FMU calls something else by this name than softrig: m may be minutes
 
     @staticmethod
     def of(name: str) -> Unit:
@@ -118,15 +123,25 @@ class Variable:
         return replace(self, name=f"{self.name}[{','.join(map(str, indices))}]", element=element)
 
     def starts(self) -> list[Any]:
-        """Return the start values of all elements."""
+        """Return the start values of all elements.
+
+        Raises
+        ------
+        ValueError
+            One is none of its type, or there are neither one nor as many as elements.
+        """
         given: list[Any] = [_number(self.kind, text) for text in (self.start or "0").split()]
-        return given if len(given) == self.count else given[:1] * self.count
+        if len(given) not in (1, self.count):
+            raise ValueError(f"{len(given)} start values, expected one or {self.count}")
+        return given if len(given) == self.count else given * self.count
 
 
 def _number(kind: str, text: str) -> Any:
     if kind == "Boolean":
+        if text not in ("true", "false", "1", "0"):
+            raise ValueError(f"start = {text!r}, expected true or false")
         return text in ("true", "1")
-    return float(text) if kind in ("Real", "Float64", "Float32") else int(text)
+    return _real("start", text) if kind in ("Real", "Float64", "Float32") else _whole("start", text)
 
 
 def _example(dims: Sequence[int]) -> str:
@@ -194,6 +209,8 @@ def describe(source: str) -> Description:
     ValueError
         There is no such file, it is no FMU of FMI 2.0 or 3.0, or has no binary for this machine.
     """
+    if Path(source, DESCRIPTION).is_file():
+        raise ValueError(f"{source} is an unpacked FMU, expected the file: `cd {source} && zip -r ../m.fmu .` makes it")
     path = resource(source, "FMU").resolve()
     stat = path.stat()
     return _describe(path, stat.st_mtime_ns, stat.st_size)
@@ -250,7 +267,11 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
             _check_content(archive)
-            content = archive.read("modelDescription.xml")
+            if DESCRIPTION not in names and (below := [n for n in names if n.endswith(f"/{DESCRIPTION}")]):
+                raise Unfit(
+                    f"{path.name} has its {DESCRIPTION} as {below[0]}; zip the content of that folder, not the folder"
+                )
+            content = archive.read(DESCRIPTION)
             version = _VERSION.search(content[:10_000].decode(errors="replace"))
         if version and version[1] != "2.0" and not version[1].startswith("3.0"):
             raise Unfit(f"{path.name} is of FMI {version[1]}, expected 2.0 or 3.0")
@@ -265,32 +286,20 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     built = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
     if here not in built:
         raise ValueError(f"{path.name} has no binary for this machine, {here}; it has {', '.join(built) or 'none'}")
-    units = {u.name: _unit(u) for u in model.unitDefinitions}
+    units: dict[str, Unit] = {}
+    for u in model.unitDefinitions:
+        if u.name in units:
+            raise ValueError(f"{path.name}: two units are called {u.name!r}")
+        units[u.name] = _unit(u, path.name)
     kinds = KINDS if model.fmiVersion == "2.0" else KINDS3
-    variables = {}
+    variables: dict[str, Variable] = {}
     for v in model.modelVariables:
-        unit = _declared(v, "unit", own)
-        known = None if not unit else units.get(unit) or Unit.of(_ours(unit))
-        kind = kinds.get(v.type, "")
-        dims = tuple(int(d.start if d.start is not None else d.variable.start) for d in v.dimensions or ())
-        start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
-        bounds = (_declared(v, "min", own), _declared(v, "max", own))
-        least, largest = (None if x is None or kind == "String" else float(x) for x in bounds)
-        variables[v.name] = Variable(
-            v.name,
-            v.valueReference,
-            kind,
-            v.causality,
-            start,
-            least,
-            largest,
-            known,
-            v.variability == "tunable",
-            dims,
-            _declared(v, "relativeQuantity", own) in (True, "true", "1"),
-            v.variability == "constant",
-            tuple((item.name, int(item.value)) for item in getattr(v.declaredType, "items", ())),
-        )
+        if v.name in variables:
+            raise ValueError(f"{path.name}: two variables are called {v.name!r}, so which one is meant is unknown")
+        try:
+            variables[v.name] = _variable(v, kinds.get(v.type, ""), units, own)
+        except (ValueError, TypeError, AttributeError) as error:
+            raise ValueError(f"{path.name}: variable {v.name!r}: {error}") from None
     found = {
         "co_simulation": model.coSimulation,
         "model_exchange": model.modelExchange,
@@ -308,6 +317,61 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     )
 
 
+def _variable(v: Any, kind: str, units: Mapping[str, Unit], own: Mapping[str, Mapping[str, str]]) -> Variable:
+    """Create a variable from FMPy's.
+
+    Raises
+    ------
+    ValueError
+        A number of it is none, or it has another number of start values than of elements.
+    """
+    unit = _declared(v, "unit", own)
+    known = None if not unit else units.get(unit) or Unit.of(_ours(unit))
+    sizes = [d.start if d.start is not None else d.variable.start for d in v.dimensions or ()]
+    dims = tuple(_whole("Dimension", size) for size in sizes)
+    if dims and not 1 <= math.prod(dims) <= LONGEST:
+        raise ValueError(f"an array of {' x '.join(map(str, dims))} values, expected 1 to {LONGEST}")
+    start = " ".join(map(str, v.start)) if isinstance(v.start, list | tuple) else v.start
+    least, largest = (
+        None if text is None or kind in ("String", "") else _real(name, text)
+        for name in ("min", "max")
+        for text in (_declared(v, name, own),)
+    )
+    if least is not None and largest is not None and least > largest:
+        raise ValueError(f"min = {least:g} is above max = {largest:g}")
+    found = Variable(
+        v.name,
+        v.valueReference,
+        kind,
+        v.causality,
+        start,
+        least,
+        largest,
+        known,
+        v.variability == "tunable",
+        dims,
+        _declared(v, "relativeQuantity", own) in (True, "true", "1"),
+        v.variability == "constant",
+        tuple((item.name, _whole("value of its type", item.value)) for item in getattr(v.declaredType, "items", ())),
+    )
+    if start is not None and kind not in ("String", ""):
+        found.starts()
+    return found
+
+
+def _real(name: str, text: object) -> float:
+    number = number_of(str(text))
+    if math.isnan(number):
+        raise ValueError(f"{name} = {str(text)!r}, expected a number")
+    return number
+
+
+def _whole(name: str, text: object) -> int:
+    if not re.fullmatch(r"\s*[-+]?[0-9]{1,20}\s*", str(text)):
+        raise ValueError(f"{name} = {str(text)!r}, expected a whole number")
+    return int(str(text))
+
+
 def _declared(variable: Any, name: str, own: Mapping[str, Mapping[str, str]]) -> Any:
     """Return an attribute of a variable unchanged, or that of its declared type if the variable has none."""
     found = own.get(variable.name, {}).get(name) or getattr(variable, name, None)
@@ -320,16 +384,33 @@ def _ours(name: str) -> str:
     return re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", plain)
 
 
-def _unit(found: object) -> Unit:
-    name = _ours(found.name)  # type: ignore[attr-defined]
-    given = found.baseUnit  # type: ignore[attr-defined]
+def _unit(found: Any, file: str) -> Unit:
+    """Return a unit of FMPy's; `odd` if its name has another meaning here.
+
+    Raises
+    ------
+    ValueError
+        A number of it is none, or the factor is not above zero.
+    """
+    name, given = _ours(found.name), found.baseUnit
     if given is None:
         return Unit.of(name)
-    parts = tuple(sorted((b, int(getattr(given, b))) for b in BASES if int(getattr(given, b) or 0)))
-    unit = Unit(name, float(given.factor), float(given.offset), parts)
-    if (unit.factor, unit.offset) == (1.0, 0.0) and Unit.of(name) != unit:
-        return Unit(text(dict(parts)), 1.0, 0.0, parts)  # a name that says nothing to us, of an SI unit
-    return unit
+    try:
+        powers = {b: _whole(b, getattr(given, b) or 0) for b in BASES}
+        factor, offset = _real("factor", given.factor), _real("offset", given.offset)
+    except ValueError as error:
+        raise ValueError(f"{file}: unit {found.name!r}: {error}") from None
+    if not (0.0 < factor < math.inf and abs(offset) < math.inf):
+        raise ValueError(
+            f"{file}: unit {found.name!r}: factor {factor:g} and offset {offset:g}, expected a factor above 0"
+        )
+    parts = tuple(sorted((b, power) for b, power in powers.items() if power))
+    ours = Unit.of(name)
+    if (factor, offset) == (1.0, 0.0):  # a name that says nothing to us, of an SI unit, becomes that unit
+        return ours if ours.base == parts and ours.factor == 1.0 else Unit(text(dict(parts)), 1.0, 0.0, parts)
+    same = ours.base == parts and math.isclose(ours.factor, factor, rel_tol=PRINTED) and not offset
+    known = all(part in BASES for part, _ in ours.base)
+    return Unit(name, factor, offset, parts, odd=known and not same)
 
 
 def conversion(found: Variable, wanted: str) -> tuple[float, float]:
@@ -343,9 +424,17 @@ def conversion(found: Variable, wanted: str) -> tuple[float, float]:
     Raises
     ------
     ValueError
-        They measure different quantities.
+        They measure different quantities, or the FMU defines its unit otherwise than softrig and `wanted` is empty.
     """
-    if not wanted or found.unit is None or powers(wanted) == powers(found.unit.name):
+    if found.unit is None:
+        return 1.0, 0.0
+    if found.unit.odd and not wanted:
+        name, inside = found.unit.name, text(dict(found.unit.base)) or "1"
+        raise ValueError(
+            f"{found.name} is in {name!r}, which the FMU defines as {found.unit.factor:g} {inside} and softrig does "
+            f"not; write the unit of the channel before the =, such as [{inside}]"
+        )
+    if not wanted or (not found.unit.odd and powers(wanted) == powers(found.unit.name)):
         return 1.0, 0.0
     port = Unit.of(wanted)
     if port.base != found.unit.base:

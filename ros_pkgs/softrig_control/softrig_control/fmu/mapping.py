@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from softrig_core import Port
+from softrig_core.kit.file_format import number_of
 
 from ..channels import FIELDS, port_of
 from .description import Description, Variable, conversion
@@ -14,6 +16,10 @@ from .description import Description, Variable, conversion
 _ENTRY = re.compile(
     r"(?P<topic>\S+)/(?P<channel>[^\s/\[]+)/(?P<field>[a-z]+)\s*(\[(?P<unit>[^\]]*)\])?\s*=\s*(?P<name>\S.*)"
 )
+
+
+# An array's size is read before the FMU runs, so what sets it stays as it is.
+UNSET = ("independent", "calculatedParameter", "structuralParameter")
 
 
 class Place(NamedTuple):
@@ -117,7 +123,10 @@ def _safe(cell: tuple[str, Variable, tuple[float, float]]) -> float:
     _, variable, (scale, offset) = cell
     if variable.start is None:
         return 0.0
-    return scale * float(variable.starts()[variable.element or 0]) + offset
+    value = scale * float(variable.starts()[variable.element or 0]) + offset
+    if not math.isfinite(value):
+        raise ValueError(f"{variable.name} starts at {value:g}, which no message carries")
+    return value
 
 
 def _names(unit: Description, causality: str) -> str:
@@ -138,7 +147,7 @@ def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Varia
         if not equals:
             raise ValueError(f"{entry!r}: expected VARIABLE = VALUE")
         variable = unit.variable(name)
-        if variable.causality in ("independent", "calculatedParameter") or variable.constant:
+        if variable.causality in UNSET or variable.constant:
             what = "constant" if variable.constant else variable.causality
             raise ValueError(f"{entry!r}: {name} is {what} of {unit.path.name}, it cannot be set")
         if name in found:
@@ -161,10 +170,9 @@ def _value(variable: Variable, value: str) -> float | int | bool | str:
             known = ", ".join(f"{name} ({number})" for name, number in variable.items)
             raise ValueError(f"{variable.name} = {value}: expected one of {known}")
         return values[value] if value in values else int(value)
-    try:
-        number = float(value) if real else int(value)
-    except ValueError:
-        raise ValueError(f"{variable.name} = {value}: expected {'a number' if real else 'a whole number'}") from None
+    if not re.fullmatch(r"[-+]?[0-9]{1,20}", value) and (not real or math.isnan(number_of(value))):
+        raise ValueError(f"{variable.name} = {value}: expected {'a number' if real else 'a whole number'}")
+    number = number_of(value) if real else int(value)
     low = -float("inf") if variable.least is None else variable.least
     high = float("inf") if variable.largest is None else variable.largest
     if not (abs(number) < float("inf") and low <= number <= high):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..board.dbc import build_of, printed
-from ..command_line import Parser
+from ..command_line import Number, Parser
 from ..errors import ScenarioError
 from ..export.golden import member_of
 from ..run.expand import rig_of
@@ -75,7 +75,9 @@ def _parser(verb: str, description: str) -> Parser:
     parser.add_argument("scenario", help="name or YAML file")
     parser.add_argument("node", metavar="NODE", help="of the scenario, with its parameters there")
     parser.add_argument("--out", type=Path, metavar="DIR", help="the files go to DIR (./NODE)")
-    parser.add_argument("--baud", type=int, default=BAUD, help="bits a second of the serial port (115200)")
+    parser.add_argument(
+        "--baud", type=Number(int, 300, 4_000_000), default=BAUD, help="bits a second of the serial port (115200)"
+    )
     return parser
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from .. import renamed
 from ..board.clocked import ClockEntry
@@ -114,6 +114,13 @@ class PlotEntry(Entry):
     quantity: str = ""
     x: str = ""
     window: tuple[float, float] | None = None
+
+    @field_validator("window")
+    @classmethod
+    def _forward(cls, window: tuple[float, float] | None) -> tuple[float, float] | None:
+        if window is not None and not window[0] < window[1]:
+            raise ValueError(f"window {window[0]:g} to {window[1]:g} s: expected its begin before its end")
+        return window
 
 
 def _or_empty(given: Any) -> Any:
