@@ -36,18 +36,15 @@ def positive(matrix):
 
 
 def cells(both):
-    """Give the rows of each cell's conditions, the signs of its hinges, and its delayed matrix, of P1."""
+    """Give the rows of each cell's conditions, its hinges, and its matrix of the delayed state, of P1."""
     zero = [[0, 0]] * 2
     rows = [[*now, *late] for now, late in zip(LINES, zero, strict=True)]
     if both:  # cells by the signs of the delayed state, too
         rows += [[*now, *late] for now, late in zip(zero, LINES, strict=True)]
     for signs in itertools.product((-1, 1), repeat=len(rows)):
-        yield (
-            exact([[s * v for v in row] for s, row in zip(signs, rows, strict=True)]),
-            signs,
-            exact([row if s > 0 else [0] * 4 for s, row in zip(signs, rows, strict=True)]),
-            exact(TALL if signs[0] == signs[1] else WIDE),
-        )
+        conditions = exact([[s * v for v in row] for s, row in zip(signs, rows, strict=True)])
+        hinges = exact([row if s > 0 else [0] * 4 for s, row in zip(signs, rows, strict=True)])
+        yield conditions, hinges, exact(TALL if signs[0] == signs[1] else WIDE)
 
 
 def failures(found, h, order, both):
@@ -72,7 +69,7 @@ def failures(found, h, order, both):
         return left @ m[name] @ (left if right is None else right).T
 
     wrong = [name for name in "QR" if not positive(m[name])]
-    for i, (rows, _, hinges, delayed) in enumerate(cells(both)):
+    for i, (rows, hinges, delayed) in enumerate(cells(both)):
         wrong += [f"{name}{i}" for name in "HU" if f"{name}{i}" in m and np.any(m[f"{name}{i}"] < 0)]
         features = np.vstack([hinges, exact(np.eye(4, dtype=int).tolist())])
         slope = h * (x * Fraction(-1, 10) + late @ delayed.T)

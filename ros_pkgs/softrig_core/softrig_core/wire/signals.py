@@ -218,7 +218,8 @@ class Signals(Mapping[str, Signal]):
         table = self.table(topic)
         label = full_name(name[len(topic) + 1 :], table.columns)
         if label not in table.columns:
-            raise KeyError(f"no signal {label!r} on {topic}; it has {', '.join(table.columns)}")
+            have = f"it has {', '.join(table.columns)}" if table.columns else "no message was published on it"
+            raise KeyError(f"no signal {label!r} on {topic}; {have}")
         return Signal(table.t, table.columns[label]), isinstance(table.columns, dict)
 
     def __iter__(self) -> Iterator[str]:

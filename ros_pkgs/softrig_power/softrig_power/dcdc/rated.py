@@ -151,11 +151,11 @@ nodes:
   voltage_controller:
     parameters: {mapping(found.law)}
 figures:
-  v_mean: {{arguments: {{start: {text(0.8 * loaded)}}}}}
-  i_mean: {{arguments: {{start: {text(0.8 * loaded)}}}}}
+  v_mean: {{arguments: {{start: 0.8 * $dcdc_plant.load_times.1}}}}
+  i_mean: {{arguments: {{start: 0.8 * $dcdc_plant.load_times.1}}}}
   v_end: {{arguments: {{start: {text(0.9 * end)}}}}}
 expect:
-  v_mean: {text(v)} +- 0.5 %
-  v_end: {text(v)} +- 1 %
+  v_mean: $voltage_controller.set_point +- 0.5 %
+  v_end: $voltage_controller.set_point +- 1 %
 """
     return said, found.assumed

@@ -108,7 +108,6 @@ def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...
     start = drive.plant["J"] * step["speed"] / (2.0 * drive.plant["k_e"] * drive.law["i_max"])
     begin, settle = 0.002, 12.0 / alpha + 3.0 * start
     loaded, end = begin + settle, begin + 2.0 * settle
-    turned = step["torque"] + drive.plant.get("T_coulomb", 0.0)
     said = f"""{head(given, ASKED, drive.assumed, "A drive")}
 extends: bldc_six_step
 title: Six-step control of {name}
@@ -124,10 +123,10 @@ nodes:
   speed_source: {{parameters: {{period: $bldc_plant.period}}}}
   load_source: {{parameters: {{period: $bldc_plant.period, values: [0.0, {text(step["torque"])}]}}}}
 figures:
-  speed_idle: {{arguments: {{start: {text(loaded - 3.0 / alpha)}}}}}
+  speed_idle: {{arguments: {{start: $load_source.times.1 - 3 / $six_step_controller.speed_bandwidth}}}}
   torque_mean: {{arguments: {{start: {text(end - 3.0 / alpha)}}}}}
 expect:
-  speed_idle: {text(step["speed"])} +- 2 %
-  torque_mean: {text(turned)} +- 10 %
+  speed_idle: $speed_source.velocities.1 +- 2 %
+  torque_mean: $load_source.values.1 + $bldc_plant.T_coulomb +- 10 %
 """
     return said, drive.assumed

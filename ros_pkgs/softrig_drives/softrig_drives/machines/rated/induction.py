@@ -183,6 +183,6 @@ extends: im_foc
 title: Field-oriented control of {name}
 system: {name}
 source: data sheet
-{written(drive, ("induction_plant", "im_foc_controller"), begin, f"  flux_end: {flux:.6g} +- 2 %")}
+{written(drive, ("induction_plant", "im_foc_controller"), begin, "  flux_end: $im_foc_controller.flux +- 2 %")}
 """
     return text, drive.assumed

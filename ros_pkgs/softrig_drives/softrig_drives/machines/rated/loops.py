@@ -81,5 +81,5 @@ nodes:
   load_source: {{parameters: {{period: ${plant}.period, values: [0.0, {text(step["torque"])}]}}}}
 expect:
   rise_time: {text(math.log(9.0) / alpha)} +- 8 %
-  speed_end: {text(step["speed"])} +- 3 %
+  speed_end: $speed_source.velocities.1 +- 3 %
 {more}"""
