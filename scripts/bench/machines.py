@@ -13,7 +13,20 @@ from .induction import MANY
 from .peers import asked
 from .timing import cpu
 
-MACHINES = {"pmsm_foc": "pmsm_plant", "im_foc": "induction_plant"}
+# all shipped sets of constants; a saturated machine is interpolated by other formulas there
+MACHINES = {
+    "pmsm_foc": "pmsm_plant",
+    "im_foc": "induction_plant",
+    **dict.fromkeys(
+        ["pmsm_field_weakening", *(f"pmsm_foc_{n}" for n in ("servo", "traction", "pmsyrm", "synrm_gem", "synrm_msl"))],
+        "pmsm_plant",
+    ),
+    **dict.fromkeys(["im_vhz", "im_foc_1kw", "im_foc_4kw", "im_foc_krause"], "induction_plant"),
+}
+CONSTANTS = {
+    "pmsm_plant": ("R_s", "L_d", "L_q", "psi_f", "pole_pairs"),
+    "induction_plant": ("R_s", "R_R", "L_sigma", "L_M", "pole_pairs"),
+}
 ROUNDS = 3
 TIGHT = 1e-11  # relative tolerance of motulator's solver where trajectories are compared
 
@@ -35,9 +48,13 @@ def duty_ratios(name: str, seconds: float) -> tuple[dict[str, Any], Signals]:
     signals = Signals(recording)
     applied = np.column_stack([signals[f"applied_duty/{leg}/effort"].x for leg in "abc"])
     when, load = signals["load_torque/shaft/effort"]
-    begins = 1e-4 * np.arange(len(applied) - 1)
+    node = MACHINES[name]
+    p = next(m.params for m in rig.members if m.name == node)
+    begins = p.period * np.arange(len(applied) - 1)
     held = load[np.searchsorted(when, begins + 1e-9, side="right") - 1]
-    return {"machine": name, "duties": applied[1:].tolist(), "period": 1e-4, "load": held.tolist()}, signals
+    names = (*CONSTANTS[node], "period", "U_dc", "J", "B")
+    given = {"machine": node, "duties": applied[1:].tolist(), "load": held.tolist()}
+    return given | {n: getattr(p, n) for n in names}, signals
 
 
 def peer(given: dict[str, Any], python: str) -> dict[str, Any] | None:

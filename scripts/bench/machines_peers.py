@@ -1,7 +1,8 @@
 """The machines of `bench machines` in motulator, fed the duty ratios that our drives applied; run by an own Python.
 
-Reads ``{"machine": ..., "duties": [[a, b, c], ...], "period": s, "load": [N m, ...], "rtol": ...}`` on its standard
-input, duty ratios and load torque of each period; prints the CPU time and what each period began with.
+Reads ``{"machine": node, "duties": [[a, b, c], ...], "load": [N m, ...], "rtol": ...}`` and the parameters of our plant
+by their names on its standard input, duty ratios and load torque of each period; prints the CPU time and what each
+period began with.
 """
 
 from __future__ import annotations
@@ -34,14 +35,16 @@ class Replay:
         """No signals of its own."""
 
 
-def machine(name: str) -> Any:
-    """Create the machine of motulator's examples that our scenario has."""
+def machine(p: dict[str, Any]) -> Any:
+    """Create the machine that our plant has."""
     from motulator.drive import model, utils
 
-    if name == "pmsm_foc":
-        par = utils.SynchronousMachinePars(n_p=3, R_s=3.6, L_d=0.036, L_q=0.051, psi_f=0.545)
-        return model.SynchronousMachine(par)
-    inverse_gamma = utils.InductionMachineInvGammaPars(n_p=2, R_s=3.7, R_R=2.1, L_sgm=0.021, L_M=0.224)
+    if p["machine"] == "pmsm_plant":
+        same = {name: p[name] for name in ("R_s", "L_d", "L_q", "psi_f")}
+        return model.SynchronousMachine(utils.SynchronousMachinePars(n_p=p["pole_pairs"], **same))
+    inverse_gamma = utils.InductionMachineInvGammaPars(
+        n_p=p["pole_pairs"], R_s=p["R_s"], R_R=p["R_R"], L_sgm=p["L_sigma"], L_M=p["L_M"]
+    )
     return model.InductionMachine(utils.InductionMachinePars.from_inv_gamma_model_pars(inverse_gamma))
 
 
@@ -52,8 +55,8 @@ def simulated(given: dict[str, Any]) -> dict[str, Any]:
 
     control = Replay(given["duties"], given["load"], given["period"])
     # a load that steps with a period: as a function of time it would step within one by rounding
-    mechanics = model.StiffMechanicalSystem(J=0.015, tau_L=lambda t: control.torque + 0.0 * t)
-    drive = model.Drive(model.VoltageSourceConverter(u_dc=540.0), machine(given["machine"]), mechanics)
+    mechanics = model.StiffMechanicalSystem(J=given["J"], B_L=given["B"], tau_L=lambda t: control.torque + 0.0 * t)
+    drive = model.Drive(model.VoltageSourceConverter(u_dc=given["U_dc"]), machine(given), mechanics)
     drive.delay = lambda duty: duty
     rtol = given["rtol"]
     if rtol:

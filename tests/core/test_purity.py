@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -366,10 +367,27 @@ figures:
 
 
 @pytest.mark.long
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt-get install gcc")
-def test_rows_of_a_law_with_static_variables_do_not_depend_on_order_or_workers(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("source", "needs", "package", "name"),
+    [
+        ("pi.c", "cc", "gcc", "integral"),
+        ("static.cpp", "c++", "g++", r"law\(\)::one"),
+        ("static.f90", "gfortran", "gfortran", "integral"),
+        ("static.rs", "rustc", "rustc", "static::INTEGRAL;"),
+    ],
+)
+def test_results_of_a_law_with_static_variables_do_not_depend_on_order_or_workers(
+    source: str, needs: str, package: str, name: str, tmp_path: Path
+) -> None:
+    if shutil.which(needs) is None:
+        pytest.skip(f"needs {needs}: apt-get install {package}")
+    how = f"sources: [{HERE / source}]"
+    if needs == "rustc":
+        how = f"library: {tmp_path / 'liblaw.so'}"
+        subprocess.run([needs, "-O", HERE / source, "-o", tmp_path / "liblaw.so"], check=True, capture_output=True)
     scenario = tmp_path / "static.yaml"
-    scenario.write_text(SCENARIO.format(here=HERE))
+    text = SCENARIO.format(here=HERE).replace(f"sources: [{HERE}/pi.c]", how)
+    scenario.write_text(text + "expect: {peak_current: at most 50}\n")
     values = [0.3, 0.5, 0.4]
     rows = []
     for k, (order, workers) in enumerate([(values, 1), (values[::-1], 1), (values, 2)]):
@@ -385,8 +403,18 @@ def test_rows_of_a_law_with_static_variables_do_not_depend_on_order_or_workers(t
         assert not any(row["error"] for row in log.rows())
     assert rows[0] == rows[1] == rows[2]
     assert len({repr(row) for row in rows[0].values()}) == len(values)
+    outcomes = []
+    for workers in (1, 2):
+        (folder := tmp_path / f"f{workers}").mkdir()
+        task = Falsification(
+            name="f", scenario=str(scenario), requirements=("peak_current",), over={"dc_motor_plant.R": "0.3..0.5"},
+            strict=True, budget=4,
+        )  # fmt: skip
+        outcomes.append(falsify(task, prepare(task), folder, workers=workers).worst)
+    assert outcomes[0] == outcomes[1]
+    assert None not in outcomes[0].values()
     told = judge(Judged("static", str(scenario), ""))
-    assert re.search("keeps state outside of pi: integral", "".join(told["notes"]))
+    assert re.search(f"keeps state outside of pi: {name}", "".join(told["notes"]))
 
 
 def test_check_study_and_falsify_refuse_an_impure_law_before_any_row(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import platform
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Sequence
@@ -276,11 +278,28 @@ def _hidden(elf: ELFFile, tables: Sequence[SymbolTableSection]) -> Hidden | None
         for symbol in table.iter_symbols():
             of = symbol["st_info"]["type"] in ("STT_OBJECT", "STT_TLS") and symbol["st_shndx"] in kept
             if of and symbol["st_size"] and not symbol.name.startswith(_RUNTIME) and not _is_others(symbol.name):
-                names[symbol.name.rsplit(".", 1)[0]] = symbol["st_size"]
+                names[_readable(symbol.name.rsplit(".", 1)[0])] = symbol["st_size"]
     if names:
         return Hidden(tuple(sorted(names)), sum(names.values()))
     size = sum(s["sh_size"] for s in kept.values())
     return Hidden((), size) if not full and size > 16 else None  # 16: what a C library's start keeps in each
+
+
+def _readable(name: str) -> str:
+    """Return a name of C++ or Rust as its author wrote it, where the library of C++ is there."""
+    if not name.startswith("_Z"):
+        return name
+    try:
+        demangle = ctypes.CDLL("libstdc++.so.6")["__cxa_demangle"]
+    except OSError:
+        return name
+    demangle.restype, status = ctypes.c_void_p, ctypes.c_int()
+    address = demangle(name.encode(), None, None, ctypes.byref(status))
+    if not address:
+        return name
+    text = ctypes.string_at(address).decode()
+    ctypes.CDLL(None).free(ctypes.c_void_p(address))
+    return re.sub(r"::h[0-9a-f]{16}$", "", text.replace("(anonymous namespace)::", ""))  # a hash of rustc
 
 
 def _is_others(name: str) -> bool:
