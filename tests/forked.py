@@ -153,8 +153,11 @@ class Sender:
         self.config, self.connection = config, connection
         self._tw = config.get_terminal_writer()  # pytest-timeout writes its stacks there
         self.begun = False
+        self.brief = config.option.durations is None and not config.option.xmlpath
 
     def pytest_runtest_logreport(self, report):
+        if self.brief and report.passed and report.when != "call" and not report.sections:
+            return  # the terminal shows nothing of it, and there are 20,000
         data = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
         self.connection.send(("report", data))
 
@@ -176,7 +179,6 @@ def _work(session, connection, folder):
     status = 1
     try:
         folder.mkdir(mode=0o700)
-        config._tmp_path_factory._basetemp = folder
         capture = config.pluginmanager.get_plugin("capturemanager")
         capture.stop_global_capturing()  # its files have one position for all forks
         capture.start_global_capturing()
@@ -185,7 +187,11 @@ def _work(session, connection, folder):
         config.pluginmanager.unregister(name="terminalreporter")
         config.pluginmanager.register(sender, "terminalreporter")
         sender.begun = True
+        numbers = count()
         while todo := connection.recv():
+            # pytest reads the whole folder for each new `tmp_path`, so each file has one of its own
+            config._tmp_path_factory._basetemp = folder / str(next(numbers))
+            config._tmp_path_factory._basetemp.mkdir(mode=0o700)
             for index, following in zip(todo, [*todo[1:], None], strict=True):
                 after = None if following is None else items[following]
                 config.hook.pytest_runtest_protocol(item=items[index], nextitem=after)

@@ -13,6 +13,7 @@ import pytest
 import softrig_core
 import yaml
 from softrig_core.extras import EXTRAS
+from sources import imported
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(p.parent for p in ROOT.glob("ros_pkgs/*/package.xml"))
@@ -58,10 +59,10 @@ def imports(folder):
     """Modules that a package imports, without Python's and its own."""
     found = set()
     for file in (*folder.glob(f"{folder.name}/**/*.py"), *folder.glob("launch/*.py")):
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node, _ in imported(file):
             if isinstance(node, ast.Import):
                 found |= {alias.name.partition(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and not node.level:
+            elif not node.level:
                 found.add(node.module.partition(".")[0])
     return found - set(sys.stdlib_module_names) - OTHERS - {folder.name}
 

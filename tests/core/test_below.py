@@ -14,6 +14,7 @@ from softrig_nodes import run_processes
 from softrig_nodes.below import arrival, uses
 from softrig_nodes.processes.placement import Placement
 from softrig_nodes.ros.ros import ServingNode
+from sources import imported
 from std_msgs.msg import Float64
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
@@ -71,7 +72,7 @@ def test_nothing_else_in_the_packages_goes_below():
     for file in PACKAGES.glob("softrig_*/softrig_*/**/*.py"):
         if "below" in file.parts or not {"softrig_nodes", "softrig_bags"} & set(file.parts):
             continue
-        for one in ast.walk(ast.parse(file.read_text())):
+        for one, _ in imported(file):
             names = [a.name for a in one.names] if isinstance(one, ast.Import) else []
             names += (
                 [f"{one.module}.{a.name}" for a in one.names] if isinstance(one, ast.ImportFrom) and one.module else []

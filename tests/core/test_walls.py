@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from sources import imported
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 DOMAINS = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")
@@ -37,26 +38,17 @@ def imports(package, types=True):
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         inside = parts[:-1]  # the package that relative imports count from
         targets = set()
-        nodes = ast.walk(ast.parse(file.read_text()))
-        for node in nodes if types else running(nodes):
+        for node, only_types in imported(file):
+            if only_types and not types:
+                continue
             if isinstance(node, ast.Import):
                 targets |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
+            else:
                 base = ".".join([*inside[: len(inside) - node.level + 1], *([node.module] if node.module else [])])
                 base = base if node.level else node.module
                 targets |= {f"{base}.{alias.name}" for alias in node.names}
         result[name] = targets
     return result
-
-
-def running(nodes):
-    """Those that are not below ``if TYPE_CHECKING``."""
-    skipped = set()
-    for node in nodes:
-        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
-            skipped |= {id(inner) for below in node.body for inner in ast.walk(below)}
-        if id(node) not in skipped:
-            yield node
 
 
 @cache
