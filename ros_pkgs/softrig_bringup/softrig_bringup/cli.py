@@ -154,7 +154,7 @@ def _verb(arguments: list[str]) -> int:
         return of_the_script()
     if arguments[:1] != ["node"]:
         arguments = without_ros(arguments)
-    parser = make_parser()
+    parser = make_parser("" if asks else arguments[0] if arguments and arguments[0] in VERBS else "")
     if asks:
         completion.complete(parser)
     options = parser.parse_args(arguments)
@@ -206,8 +206,21 @@ def _check_drawn(words: Sequence[str]) -> None:
             raise ScenarioError(f"draw: {word!r} is a run; `softrig draw plot {word}` draws its signals")
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """Create the parser of all verbs; those with a command line of their own, or of scripts/softrig, only by name."""
+class _Unasked:
+    """Ignore the options of a verb: to declare those of all verbs takes 10 ms of each command."""
+
+    def __getattr__(self, _: str) -> Any:
+        return lambda *_, **__: self
+
+
+def make_parser(asked: str = "") -> argparse.ArgumentParser:
+    """Create the parser of all verbs; those with a command line of their own, or of scripts/softrig, only by name.
+
+    Parameters
+    ----------
+    asked : str
+        The verb whose options are needed; those of all verbs when empty.
+    """
     parser = Parser(
         prog="softrig",
         description="Closed loops over ROS 2 topics that come out the same every time.",
@@ -218,7 +231,12 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print version and commit")
     verbs = parser.add_subparsers(required=True, metavar="VERB")
 
-    def verb(name: str, function: str, text: str, among: Any = verbs, **options: str) -> argparse.ArgumentParser:
+    def verb(name: str, function: str, text: str, among: Any = verbs, **options: str) -> Any:
+        if isinstance(among, _Unasked):
+            return among
+        if among is verbs and asked not in ("", name):
+            among.add_parser(name, help=text, add_help=False)
+            return _Unasked()
         sub: argparse.ArgumentParser = among.add_parser(name, help=text, description=text, **options)
         sub.set_defaults(verb=partial(_late, function))
         if name != "node":  # whose words are those of the executable

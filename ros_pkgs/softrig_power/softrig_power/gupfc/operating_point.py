@@ -169,6 +169,7 @@ def _operating_point(
     return OperatingPoint(flow.v_sh, flow.v12, flow.v34, u1, u2, u4, i_sh, i12, i34, start, cycle)
 
 
+@functools.lru_cache(maxsize=64)  # each node of a rig checks the same references
 def _flow(network: NetworkParams, references: References, surplus: float = 0.0) -> Solution:
     """Solve the power flow with the loss of the shunt transformer supplied by the converter.
 
