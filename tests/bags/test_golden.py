@@ -203,6 +203,7 @@ DIFFERED = [
 ]
 
 
+@pytest.mark.long
 def test_no_kernel_of_openblas_or_numpy_decides_a_bit():
     """Rigs that differed when BLAS, LAPACK and numpy's functions of arrays had a say in them."""
     assert digests(DIFFERED, KERNELS["prescott and v2"]) == [digest(BAGS / name) for name in DIFFERED]

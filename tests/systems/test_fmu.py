@@ -550,6 +550,7 @@ def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
     no_process_left(tmp_path / "out")
 
 
+@pytest.mark.long
 def test_one_that_cannot_write_its_state_is_told_again(fmus, monkeypatch):
     """All of it: its start, its steps, and what was changed in between."""
     monkeypatch.setattr(nodes, "describe", lambda file: dataclasses.replace(describe(file), serialises=False))

@@ -68,7 +68,7 @@ def test_scenario_meets_its_numbers(name):
     assert any(row.judged for row in measured(name).values())
 
 
-@pytest.mark.parametrize("name", few(daily_or_long(n for n in SCENARIOS if load_scenario(n).claims), 3))
+@pytest.mark.parametrize("name", few(daily_or_long(n for n in SCENARIOS if load_scenario(n).claims), 2))
 def test_verdicts_about_the_paper_hold(name):
     for key, claim in load_scenario(name).claims.items():
         others = {kind: value(*(r.rsplit(".", 1) if "." in r else (name, r))) for kind, r in claim.compared().items()}
