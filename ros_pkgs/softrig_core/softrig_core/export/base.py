@@ -8,6 +8,8 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ..native.value import NotNative
 from .kinds import (
     BOOL,
@@ -73,24 +75,33 @@ class Base:
         """Return a value under a name of its own."""
         if isinstance(kind, Absent):
             return Value(kind, c)
-        name = f"u{self.temporaries}"
-        self.temporaries += 1
-        name = self._variable(name, kind)
+        name = self.temporary("u", kind)
         self.emit(f"{name} = {c};")
         return Value(kind, name)
 
-    def _c(self, name: str) -> str:
-        """Return C's name for one of Python: the text has its `v_` already, a `jit` function has not."""
-        return name if isinstance(self.function, str) and name.startswith("v_") else f"v_{name}"
+    def temporary(self, hint: str, kind: Kind) -> str:
+        """Return a variable for a value that has no name in Python."""
+        self.temporaries += 1
+        return self._variable(f"{hint}{self.temporaries - 1}", kind, "t")
+
+    def _c(self, name: str, use: str = "v") -> str:
+        """Return C's name for one of Python, by its use: no name of Python may be that of another use.
+
+        In the text the names of Python begin with ``v_``; others (``n``) are those of the text itself.
+        """
+        if use != "t" and isinstance(self.function, str):
+            name, own = name.removeprefix("v_"), name.startswith("v_")
+            use = use if own else f"n{use}"
+        return f"{use}_{name}"
 
     def _carried(self, name: str) -> str:
         """Return the variable that holds a name from turn to turn of a loop."""
-        return f"{self._c(name)}_l"
+        return self._c(name, "l")
 
-    def _variable(self, name: str, kind: Kind) -> str:
+    def _variable(self, name: str, kind: Kind, use: str = "v") -> str:
         """Return C's variable for a name of Python that has a type; of another type, another variable."""
         for k in range(VARIANTS):
-            c = f"{self._c(name)}{f'_{k}' if k else ''}"
+            c = self._c(name, f"{use}{chr(ord('a') + k - 1) if k else ''}")
             known = self.kinds_of.get(c)
             if known is None or (isinstance(known, Number) and isinstance(kind, Number)) or known == kind:
                 both = united(known, kind)
@@ -205,8 +216,13 @@ class Base:
                 for k, n in zip(value.kind.items, value.kind.names, strict=True)
             ]
         if isinstance(value.kind, Table):
-            return [self.item(value, k) for k in range(value.kind.shape[0])]
+            return [self.as_read(value, self.item(value, k)) for k in range(value.kind.shape[0])]
         raise self.unknown("something whose length is not fixed", node)
+
+    def as_read(self, table: Value, item: Value) -> Value:
+        """Return a number of an array as it is now: what is computed next to it may write into the array."""
+        fixed = isinstance(table.thing, np.ndarray) or isinstance(item.kind, Table)
+        return item if fixed else self.fresh(item.kind, item.c)
 
     def parts_of(self, thing: Any, node: ast.AST) -> list[Value]:
         """Return the parts of a constant tuple."""

@@ -27,7 +27,7 @@ from ..solver.solver import Solver
 from .drawn import Beyond, Raised, asks_anew, drawn_calls
 from .golden import Call, Changed, keys_of, methods
 from .kinds import ABSENT, INT, REAL, Absent, Kind, Maybe, Number, Table, Tuple, identifier, kind_of, leaves, remark
-from .law import Form, Law, input_kind, law_of
+from .law import Form, Law, check_text, input_kind, law_of
 from .reader import Reader
 from .unit import Unit, Value, literal, reads
 
@@ -56,6 +56,8 @@ class Exported:
         What it answers by SR_GAVE_UP although Python does not raise there: ways that have no C.
     ends : str
         Why the golden rows end before the run does; empty: they do not, or after as many as wanted.
+    end : int or None
+        Time of the call at which they end for that reason, ns.
     """
 
     name: str
@@ -64,7 +66,8 @@ class Exported:
     settable: tuple[str, ...]
     channels: tuple[str, ...]
     discards: tuple[str, ...]
-    ends: str
+    ends: str = ""
+    end: int | None = None
 
 
 def check_class(member: Member) -> None:
@@ -76,7 +79,7 @@ def check_class(member: Member) -> None:
         It is such a class: names it.
     """
     of = member.block_class
-    title = f"{of.__module__}.{of.__qualname__}, line {inspect.getsourcelines(of)[1]}"
+    title = _place_of(of)
     if issubclass(of, Solver):
         raise NotNative(f"{title}: it is a solver, whose work runs in a process of its own")
     if issubclass(of, Deciding):
@@ -109,7 +112,16 @@ def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, se
     text = str(refusal)
     if text.startswith(f"{title}."):
         raise refusal
-    raise NotNative(f"{title}, line {inspect.getsourcelines(of)[1]}: {text}")
+    raise NotNative(f"{_place_of(of)}: {text}")
+
+
+def _place_of(of: type) -> str:
+    """Return the name of a class, and its line where it has a file: one that a function makes has none."""
+    title = f"{of.__module__}.{of.__qualname__}"
+    try:
+        return f"{title}, line {inspect.getsourcelines(of)[1]}"
+    except (OSError, TypeError):
+        return title
 
 
 def c_files(
@@ -156,7 +168,8 @@ class _Files:
         self.inputs, self.outputs = member.inputs, member.outputs
         self.methods = methods(block)
         calls = [c for calls in (golden, *drawn) for c in calls if isinstance(c, Call)]
-        self.law: Law = law_of(block, _punctual(member), self.inputs, self.outputs, calls)
+        punctual = {p.name for p in self.inputs}.difference(*(c.late for c in calls))
+        self.law: Law = law_of(block, punctual, self.inputs, self.outputs, calls)
         self.slots = list(self.law.program.slots)
         self.values = [as_slot(follow(path, [block, block])) for path in self.slots]
         self.fields = _fields([f"{'before.' * path[0]}{written(path)}" for path in self.slots])
@@ -164,6 +177,8 @@ class _Files:
         states = [] if self.goes_on else [c.x for c in calls[:: len(calls) // STATES + 1]]
         self.settable = _settable(block, self.law, self.slots, self.values, states)
         self.golden, self.ends = self._replayable(golden)
+        self.end = golden[len(self.golden)].t if self.ends else None
+        check_text(block, self.law, self.golden, self.inputs, self.outputs)
         self.held = [k for k, path in enumerate(self.slots) if self._is_held(k, path)]
         self.words = {  # constants that are compiled in, by their names in C
             f"{self.name.upper()}_K_{self.fields[k]}": k
@@ -263,9 +278,8 @@ class _Files:
             f"{self.name}_main.c": self.example(),
             f"{self.name}.json": self.description(digest),
         }
-        return Exported(
-            self.name, files, tuple(sorted(self.unit.libm)), tuple(self.settable), channels, self.discards, self.ends
-        )
+        libm = tuple(sorted(self.unit.libm))
+        return Exported(self.name, files, libm, tuple(self.settable), channels, self.discards, self.ends, self.end)
 
     def header(self) -> str:
         """Return the header."""
@@ -932,15 +946,6 @@ def compared(ports: Sequence[Port], out: str = "out", channel: int = 0) -> list[
             ]
         channel += port.size
     return lines
-
-
-def _punctual(member: Member) -> set[str]:
-    """Return the inputs that have a new message at each tick of the node, whose age is therefore 0."""
-    return {
-        name
-        for name, link in member.links.items()
-        if member.schedule.every % link.source.schedule.every == 0 and not link.port.sporadic
-    }
 
 
 def _settable(

@@ -247,6 +247,12 @@ class Calls(Expressions):
             return Value(BOOL, f"sr_{called.__name__}({self.coerced(one, REAL).c})")
         raise self.unknown(f"{getattr(called, '__name__', called)}()", node)
 
+    def _sizes(self, shape: Value, node: ast.AST) -> list[Value]:
+        """Return the numbers of a shape."""
+        if isinstance(node, ast.Call) and isinstance(node.args[0], ast.Tuple):
+            return [self.value(one) for one in node.args[0].elts]
+        return self.parts(shape, node) if isinstance(shape.kind, Tuple) else [shape]
+
     def _array(self, given: Value, node: ast.AST) -> Value:
         """Return an array on the stack, made of a tuple."""
         parts = [self.coerced(p, REAL) for p in self.parts(given, node)]
@@ -263,7 +269,7 @@ class Calls(Expressions):
                 raise self.unknown("an array like something that is none", node)
             kind = like
         else:
-            sizes = self.parts(given[0], node) if isinstance(given[0].kind, Tuple) else [given[0]]
+            sizes = self._sizes(given[0], node)
             found = [WHOLE.fullmatch(one.c) for one in sizes]
             if not all(found):
                 raise self.unknown("an array of no fixed length", node)

@@ -54,15 +54,14 @@ class Expressions(Base):
 
     def listed(self, node: ast.expr) -> list[Value]:
         """Return what a loop or a tuple of fixed length goes through."""
-        if (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Name)
-            and node.func.id in ("zip", "enumerate", "reversed")
-        ):
+        name = self.of_builtins(node.func) if isinstance(node, ast.Call) else ""
+        if isinstance(node, ast.Call) and name in ("zip", "enumerate", "reversed"):
+            if node.keywords or (name == "enumerate" and len(node.args) > 1):
+                raise self.unknown(f"{name}() with more than what it goes through", node)
             rows = [self.listed(a) for a in node.args]
-            if node.func.id == "reversed":
+            if name == "reversed":
                 return rows[0][::-1]
-            if node.func.id == "enumerate":
+            if name == "enumerate":
                 rows = [[Value(INT, literal(k)) for k in range(len(rows[0]))], rows[0]]
             return [Value(tuple_of([v.kind for v in row]), "", tuple(row)) for row in zip(*rows, strict=False)]
         return self.parts(self.value(node), node)
@@ -76,6 +75,8 @@ class Expressions(Base):
 
     def _value_name(self, node: ast.Name) -> Value:
         if node.id in self.env:
+            if self.env[node.id].partly:
+                raise self.unknown(f"{node.id.removeprefix('v_')} has no value on every way", node)
             return self.env[node.id]
         return self.of_python(self.outer(node.id, node), node)
 
@@ -94,6 +95,12 @@ class Expressions(Base):
             with suppress(LookupError):
                 return outside(self.function, name)
         raise self.unknown(f"{name} is not known on every way", node)
+
+    def of_builtins(self, node: ast.expr) -> str:
+        """Return the name of a function of Python's own that is called; empty: it is another one."""
+        name = node.id if isinstance(node, ast.Name) and node.id not in self.env else ""
+        own = getattr(builtins, name, None)
+        return name if own is not None and self.outer(name, node) is own else ""
 
     def of_python(self, thing: Any, node: ast.AST) -> Value:
         """Return a constant of Python as C has it; functions and modules as what they are."""
@@ -169,7 +176,7 @@ class Expressions(Base):
             return self._row(base, node.slice.elts, node)
         index = self.value(node.slice)
         if isinstance(base.kind, Table):
-            return self.place(base, index, node)
+            return self.as_read(base, self.place(base, index, node))
         if not isinstance(base.kind, Tuple):
             raise self.unknown("an item of something that is no tuple", node)
         fixed = _fixed(node.slice)
@@ -201,8 +208,7 @@ class Expressions(Base):
         if isinstance(first, Number):
             table = self._table_of(base, parts, first)
             return self.fresh(first, f"{table.c}[({at.c} < 0) ? ({at.c} + INT64_C({len(parts)})) : {at.c}]")
-        c = self._variable(f"look{self.temporaries}", first)
-        self.temporaries += 1
+        c = self.temporary("look", first)
         for k, part in enumerate(parts):
             self.emit(
                 f"{'} else ' if k else ''}if (({at.c} == INT64_C({k})) || ({at.c} == -INT64_C({len(parts) - k}))) {{"
@@ -243,7 +249,7 @@ class Expressions(Base):
             shape = tuple(size for size, w in zip(base.kind.shape, whole, strict=True) if w)
             return Value(Table(base.kind.item, shape), STRIDED)
         indices = tuple(self.value(e) for e, w in zip(elements, whole, strict=True) if not w)
-        return self.place(base, Value(tuple_of([v.kind for v in indices]), "", indices), node)
+        return self.as_read(base, self.place(base, Value(tuple_of([v.kind for v in indices]), "", indices), node))
 
     def _sliced(self, base: Value, node: ast.Subscript) -> Value:
         assert isinstance(node.slice, ast.Slice)
@@ -430,8 +436,7 @@ class Expressions(Base):
                 return Value(BOOL, other if (other == "true") is stop else first)
             return Value(BOOL, f"({first} {'||' if stop else '&&'} {other})")
         later, self.lines[at:] = self.lines[at:], []
-        c = self._variable(f"b{self.temporaries}", BOOL)
-        self.temporaries += 1
+        c = self.temporary("b", BOOL)
         self.emit(f"{c} = {'true' if stop else 'false'};")
         self.emit(f"if (!({first})) {{" if stop else f"if ({bare(first)}) {{")
         self.lines += [f"    {line}" for line in [*later, f"{c} = {other};"]]
@@ -457,8 +462,7 @@ class Expressions(Base):
             raise self.unknown("a choice of two types", node)
         if not then and not orelse and isinstance(kind, Number):
             return Value(kind, f"({test} ? {self.coerced(a, kind).c} : {self.coerced(b, kind).c})")
-        c = self._variable(f"i{self.temporaries}", kind)
-        self.temporaries += 1
+        c = self.temporary("i", kind)
         kind = self.kinds_of[c]
         for value, own in ((a, then), (b, orelse)):
             self.lines = own

@@ -37,6 +37,8 @@ class Call:
         What it published; empty for `advance`.
     kept : tuple
         What each kept answer of the block (`Newest`) was asked for last; None: not yet.
+    late : frozenset of str
+        Inputs without a new message at this time.
     """
 
     method: str
@@ -46,6 +48,7 @@ class Call:
     after: Any
     outputs: Mapping[str, Any]
     kept: tuple[Any, ...] = ()
+    late: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -151,8 +154,9 @@ def _watch(block: Block, name: str, calls: list[Call | Changed]) -> None:
     method = getattr(block, name)
 
     def watched(x: Any, t: int, **inputs: Any) -> Any:
+        late = frozenset(port for port in inputs if block.age(port) != 0)
         result = method(x, t, **inputs)
-        calls.append(Call(name, t, x, dict(inputs), *answer_of(name, x, result), keys_of(block)))
+        calls.append(Call(name, t, x, dict(inputs), *answer_of(name, x, result), keys_of(block), late))
         return result
 
     setattr(block, name, watched)

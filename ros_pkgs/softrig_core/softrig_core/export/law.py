@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import math
+import traceback
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ..block.block import Block
 from ..block.port import Port, Sample
+from ..kit.compiled import Compiled
+from ..kit.draws import Draws
+from ..kit.jit import Jit
+from ..native.compile import BASE
 from ..native.reports import Reports
-from ..native.translate import Program, made
+from ..native.translate import Program, follow, made
 from ..native.turns import NOWHERE, rows_of
 from ..native.twins import packed
 from ..native.value import Dynamic, Group, NotNative, Static, Value
 from ..native.words import TEXTS
 from ..native.writer import Writer
 from .drawn import Beyond, Drawn
-from .golden import Call
+from .golden import Call, Changed
 from .kinds import INT, REAL, Kind, Tuple, kind_of, leaves, room_of, roomy, tuple_of
 
 
@@ -72,11 +81,15 @@ def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[For
     kinds = [roomy(kind, rooms) for kind in kinds]
     newest: dict[Form, Call] = {}
     for call, x in zip(calls, kinds[1::2], strict=True):
-        there = tuple(sorted(name for name, value in call.inputs.items() if value is not None))
-        form = Form(call.method, x, there)
+        form = Form(call.method, x, there_of(call))
         if form not in newest or _oddity(call) <= _oddity(newest[form]):
             newest[form] = call
     return list(dict.fromkeys(kinds)), newest
+
+
+def there_of(call: Call) -> tuple[str, ...]:
+    """Return the inputs that a call has."""
+    return tuple(sorted(name for name, value in call.inputs.items() if value is not None))
 
 
 def _oddity(call: Call) -> int:
@@ -103,6 +116,7 @@ def law_of(
         Part of the block cannot be translated; the message has the construct and its line.
     """
     ages: dict[tuple[int, str], int | str | None] = {(0, name): 0 for name in punctual}
+    block.ages = lambda name: 0  # as in a run: the age of an input that is not punctual has no C
     program = Program([block, block], Writer, ages, [(0, p) for p in outputs if p.sporadic], inferred=True)
     program.reports = Reports(worded=False)
     roots: dict[Form, str] = {}
@@ -195,3 +209,123 @@ def _answer(program: Program, method: str, value: Value, outputs: Sequence[Port]
 
 def _name(text: str) -> str:
     return text[4 : text.index("(")]
+
+
+# Against the run: C discards what the text discards, which may be no call of the run --------------------------------
+
+
+class _Row:
+    """A stream of random numbers as the text reads it."""
+
+    def __init__(self, draws: Draws) -> None:
+        self.draws = draws
+
+    def __getitem__(self, k: int) -> float:
+        return self.draws(k)
+
+    def __len__(self) -> int:
+        return 1 << 62
+
+
+def check_text(
+    block: Block, law: Law, calls: Sequence[Call | Changed], inputs: Sequence[Port], outputs: Sequence[Port]
+) -> None:
+    """Run the text of a block on the calls of its run, up to the first change of parameters.
+
+    Raises
+    ------
+    NotNative
+        The text discards a call that Python answered, or gives another answer: names the time, and why if it is known.
+    """
+    scope, handed = _scope(block, law)
+    roots = {(form.method, _sizeless(form.state), form.there): form for form in law.roots}
+    constants = law.program.constants([block, block])
+    for call in calls:
+        if isinstance(call, Changed):
+            return
+        x = packed(call.x)
+        form = roots[call.method, _sizeless(kind_of(x)), there_of(call)]
+        rows = [] if form.method == "outputs" else [_row(call.inputs[p.name]) for p in inputs if p.name in form.there]
+        given = [constants, [0, 0, 0], *(handed[name] for name in law.arrays[form]), x, call.t, *rows]
+        try:
+            found = scope[law.roots[form]](*given)
+        except Exception as error:  # whatever it raises discards the call
+            why = "; ".join(sorted(set(law.program.seldom))) or _reason(error, law)
+            raise NotNative(f"its run takes a way that has no C at {call.t / 1e9:g} s: {why}") from None
+        if not _answers(found, call, outputs):
+            raise NotNative(f"its text gives another answer than Python at {call.t / 1e9:g} s: a defect of softrig")
+
+
+def _reason(error: Exception, law: Law) -> str:
+    """Return what a text has raised, and the function of Python in which."""
+    frames = [frame.f_code.co_name for frame, _ in traceback.walk_tb(error.__traceback__)]
+    titles = [law.texts[name].partition("\n")[0].partition("  # ")[2] for name in frames if name in law.texts]
+    where = next((title for title in reversed(titles) if title), "")
+    what = "a whole number that has no place in 64 bits" if isinstance(error, OverflowError) else repr(error)
+    return f"{what} in {where}"
+
+
+def _scope(block: Block, law: Law) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the functions of a text, and the arrays that it is handed."""
+    program, roots = law.program, [block, block]
+    scope: dict[str, Any] = {**BASE, **program.names}
+    for text in law.texts.values():
+        exec(text, scope)
+    for name, thing in program.names.items():
+        if isinstance(thing, Jit):  # one that the run has not called is compiled for nothing
+            scope[name] = thing.straight() if thing.direct is thing else thing.direct
+        elif isinstance(thing, Compiled):
+            scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
+    handed: dict[str, Any] = {"told": defaultdict(float)}
+    handed |= dict.fromkeys(program.scratches.values())
+    handed |= {name: _Row(follow(path, roots)) for path, name in program.draws.items()}
+    handed |= {name: np.ascontiguousarray(follow(path, roots)) for path, name in program.arrays.items()}
+    return scope, handed
+
+
+def _sizeless(kind: Kind) -> Kind:
+    return roomy(kind, defaultdict(int))
+
+
+def _row(values: Any) -> Any:
+    if isinstance(values, Sample):
+        return Sample(values.stamp, tuple(map(float, values.data)))
+    return tuple(map(float, values))
+
+
+def _answers(found: Any, call: Call, outputs: Sequence[Port]) -> bool:
+    """Return whether a text has answered as Python did."""
+    if call.method == "advance":
+        return _same(found, packed(call.after))
+    state, numbers, stamps = (None, *found) if call.method == "outputs" else found
+    if state is not None and not _same(state, packed(call.after)):
+        return False
+    row, stamped = iter(numbers), iter(stamps)
+    for port in outputs:
+        said = call.outputs.get(port.name)
+        if port.sporadic and (next(row) != 0.0) is (said is None):
+            return False
+        if port.delayed:
+            stamp = next(stamped)
+            if said is not None and stamp != said.stamp:
+                return False
+            said = None if said is None else said.data
+        got = tuple(next(row) for _ in range(port.size))
+        if said is not None and not _same(got, tuple(map(float, said))):
+            return False
+    return True
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Return whether two values have the same bits, whole numbers and floats apart."""
+    if hasattr(b, "python"):  # an object of Python in another form, which does not keep what nothing reads
+        return True
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return np.array_equal(a, b, equal_nan=True)
+    if a is None or b is None:
+        return a is b
+    if isinstance(a, complex) or isinstance(b, complex):
+        return _same((a.real, a.imag), (b.real, b.imag))
+    return (a == b and (a != 0 or math.copysign(1.0, a) == math.copysign(1.0, b))) or (a != a and b != b)

@@ -11,6 +11,7 @@ import ast
 import importlib
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from .kinds import (
 from .unit import WHOLE, Signature, Value, bare, reads
 
 ROUNDS = 12  # of reading a function until its types stay
-ASSIGNED = re.compile(r"( *)(v_\w+) = (.*);")
+ASSIGNED = re.compile(r"( *)(\w+) = (.*);")
 
 
 class Reader(Calls):
@@ -90,9 +91,11 @@ class Reader(Calls):
             lines: list[str] = []
             for line in self.lines:
                 found = ASSIGNED.fullmatch(line)
-                own = found.group(2) if found else ""
-                if found and not any(
-                    reads(own, other) for other in self.lines if not other.lstrip().startswith(f"{own} = ")
+                own = found.group(2) if found and found.group(2) in self.kinds_of else ""
+                if (
+                    found
+                    and own
+                    and not any(reads(own, other) for other in self.lines if not other.lstrip().startswith(f"{own} = "))
                 ):
                     if re.match(rf"{self.unit.prefix}_\w+\(s\b", found.group(3)):
                         lines.append(f"{found.group(1)}(void){found.group(3)};")
@@ -178,14 +181,20 @@ class Reader(Calls):
             if isinstance(target.slice, ast.Slice):
                 self._filled_whole(self.view(table, self._ends(target.slice), target), value, target)
                 return
-            load: Any = ast.parse(ast.unparse(target), mode="eval").body
-            place = self.value(load)
+            place = self._place_of(table, target)
             if isinstance(place.kind, Table):
                 self._filled_whole(place, value, target)
                 return
             self.emit(f"{place.c} = {self.coerced(value, place.kind).c};")
         else:
             raise self.unknown("an assignment to a part of something", target)
+
+    def _place_of(self, table: Value, target: ast.Subscript) -> Value:
+        """Return the element or row of an array that an assignment names."""
+        if isinstance(target.slice, ast.Tuple) and any(isinstance(e, ast.Slice) for e in target.slice.elts):
+            load: Any = ast.parse(ast.unparse(target), mode="eval").body
+            return self.value(load)
+        return self.place(table, self.value(target.slice), target)
 
     def _filled_whole(self, table: Value, value: Value, node: ast.AST) -> None:
         """Write all items of an array."""
@@ -231,19 +240,22 @@ class Reader(Calls):
         env: dict[str, Value] = {}
         for name in {**one, **other}:
             a, b = one.get(name), other.get(name)
-            if a is None or b is None or a == b:
-                env[name] = a or b  # type: ignore[assignment]  # one of them is there
+            if a is None or b is None:
+                env[name] = replace(one[name] if b is None else other[name], partly=True)
+                continue
+            if a == b:
+                env[name] = a
                 continue
             kind = united(a.kind, b.kind)
             if kind is None or isinstance(kind, Absent):
                 continue  # whoever reads it is told
-            c = self._variable(f"{name}_j", kind)
+            c = self._variable(name, kind, "j")
             kind = self.kinds_of[c]
             for value, lines in ((a, then), (b, orelse)):
                 self.lines = lines
                 if value.c != c:
                     self.emit(f"{c} = {self.coerced(value, kind).c};")
-            env[name] = Value(kind, c)
+            env[name] = Value(kind, c, partly=a.partly or b.partly)
         return env
 
     def _while(self, node: ast.While) -> None:
@@ -259,7 +271,7 @@ class Reader(Calls):
 
     def _for(self, node: ast.For) -> None:
         call = node.iter
-        if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "range"):
+        if not (isinstance(call, ast.Call) and self.of_builtins(call.func) == "range"):
             self._each(node)
             return
         ends = [self.named(self.coerced(self.value(a), INT)) for a in call.args]
@@ -270,7 +282,7 @@ class Reader(Calls):
         down = len(ends) == 3 and isinstance(call.args[2], ast.UnaryOp)
         assert isinstance(node.target, ast.Name)
         # A loop in another one may have the same name.
-        counter = self._variable(f"{node.target.id}_k{len(self.loops) or ''}", INT)
+        counter = self._variable(node.target.id, INT, f"k{len(self.loops)}")
         own = self._variable(node.target.id, INT)
         head = f"for ({counter} = {first.c}; {counter} {'>' if down else '<'} {last.c}; {counter} += {step.c}) {{"
 
@@ -321,7 +333,7 @@ class Reader(Calls):
         self.emit("}")
 
     def _carry(self, name: str, value: Value) -> None:
-        c = self._variable(f"{name}_l", value.kind)
+        c = self._variable(name, value.kind, "l")
         if c != self._carried(name):
             raise self.unknown(f"{name} changes its type in a loop")
         if value.c != c:

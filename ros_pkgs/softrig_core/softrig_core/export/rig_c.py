@@ -136,6 +136,12 @@ class _RigFiles:
         due = {m.name for m in members}
         self.rows = [(t, {n: v for n, v in row.items() if n in due}) for t, row in ticks.rows]
         self.rows = [(t, row) for t, row in self.rows if self.plan.clock.due(t)]
+        ended = [(one.end, f"{m}: {one.ends}") for m, one in exported.items() if one.end is not None]
+        end, self.ends = min(ended, default=(None, ""))
+        if end is not None:
+            self.rows = [(t, row) for t, row in self.rows if t < end]
+        if not self.rows:
+            raise ScenarioError(f"no tick of {rig.scenario.name} can be compared: {self.ends or 'it has none'}")
 
     def exported(self) -> Exported:
         """Return all files: those of its members without their rows, and its own."""
@@ -155,7 +161,7 @@ class _RigFiles:
         libm = sorted({f for one in self.files_of.values() for f in one.libm})
         channels = tuple(f"{m.name}: {p.topic}/{label}" for m in self.members for p in m.outputs for label in p.labels)
         discards = tuple(f"{m}: {r}" for m, one in self.files_of.items() for r in one.discards)
-        return Exported(n, files, tuple(libm), (), channels, discards, "")
+        return Exported(n, files, tuple(libm), (), channels, discards, self.ends)
 
     def header(self) -> str:
         """Return the header."""
@@ -328,6 +334,7 @@ class _RigFiles:
             "left_out": dict(self.left),
             "sources": self.sources(),
             "golden_rows": len(self.rows),
+            "ends": self.ends,
         }
         return json.dumps(found, indent=1) + "\n"
 

@@ -32,6 +32,7 @@ class Value:
     kind: Kind
     c: str
     thing: Any = None  # what a name of Python stands for, where it is no value of C
+    partly: bool = False  # whether the name has it on some ways only
 
 
 @dataclass(frozen=True)

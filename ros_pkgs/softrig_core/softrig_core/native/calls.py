@@ -19,7 +19,7 @@ from ..kit.compiled import Compiled
 from ..kit.draws import Draws
 from ..kit.jit import Jit, power
 from ..kit.newest import Newest
-from .expressions import Expressions
+from .expressions import Expressions, may_raise
 from .reports import CONVERSIONS, EXACT, spec_of, wording
 from .translate import (
     GIVEN_UP,
@@ -61,6 +61,27 @@ READING: dict[type, str] = {
     np.ndarray: "sum mean min max argmin argmax any all copy item tolist dot astype reshape ravel flatten transpose "
     "cumsum prod round searchsorted trace nonzero",
 }
+#: Modules and built-in functions that read or change what is outside of the program: not evaluated at translation.
+WORLD = frozenset(
+    [
+        "time",
+        "posix",
+        "io",
+        "_io",
+        "sys",
+        "_thread",
+        "gc",
+        "_random",
+        "uuid",
+        "datetime",
+        "_datetime",
+        "_socket",
+        "signal",
+    ]
+)
+OUTSIDE = frozenset(
+    [print, input, open, exec, eval, id, setattr, delattr, globals, locals, vars, breakpoint, __import__]
+)
 FIXED = (types.ModuleType, type, str, bytes, int, float, complex, tuple, frozenset, range, np.generic)  # cannot change
 
 
@@ -69,8 +90,7 @@ class Calls(Expressions):
 
     def listed(self, node: ast.expr) -> list[Value] | None:
         """Return the values that a loop iterates over if their number is fixed; None otherwise."""
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id not in self.env:
-            name = node.func.id
+        if isinstance(node, ast.Call) and (name := self.of_builtins(node.func)):
             if name == "range":
                 ends = [self.value(a) for a in node.args]
                 if all(isinstance(v, Static) for v in ends):
@@ -127,6 +147,8 @@ class Calls(Expressions):
         """Iterate over the parts of a list or mapping; `read` returns one of them."""
         items: list[Value] = []
         outer = dict(self.env)
+        if any(isinstance(n, ast.NamedExpr) for n in ast.walk(node)):
+            raise self.unknown("`:=` in a list", node)
 
         def turn(level: int) -> None:
             if level == len(node.generators):
@@ -170,7 +192,10 @@ class Calls(Expressions):
         else:
             function = self.value(node.func)
         if isinstance(function, Static) and function.value in (tuple, list, any, all, sum) and len(node.args) == 1:
-            values = self.listed(node.args[0])
+            rows = node.args[0]
+            if function.value in (any, all) and isinstance(rows, ast.GeneratorExp) and may_raise(rows.elt):
+                return self._until(function.value is any, rows)
+            values = self.listed(rows)
             if values is None:
                 raise self.unknown("something of no fixed length", node)
             return self._over(function.value, values, node)
@@ -179,6 +204,30 @@ class Calls(Expressions):
             assert values is not None
             return Group(tuple(values))
         return self.call(function, *self._arguments(node), node)
+
+    def _until(self, stop: bool, node: ast.GeneratorExp) -> Value:
+        """Read `any` or `all` of tests that may raise: those after the one that decides are not computed."""
+        part = node.generators[0]
+        values = self.listed(part.iter)
+        if len(node.generators) > 1 or part.ifs or values is None:
+            raise self.unknown("`any` or `all` of tests that may raise, over more than one sequence", node)
+        name, outer, values = self._fresh(), dict(self.env), [self._held(v) for v in values]
+        self.emit(f"{name} = {not stop}")
+
+        def turn(k: int) -> None:
+            if k == len(values):
+                return
+            self.assign(part.target, values[k], apart=True)
+            test = self.test(node.elt)
+            ways = (lambda: self.emit(f"{name} = {stop}")), (lambda: turn(k + 1))
+            if isinstance(test, bool):
+                ways[test is not stop]()
+            else:
+                self._fork(test, self.sampled, ways[not stop], ways[stop])
+
+        turn(0)
+        self.env = outer
+        return Dynamic(name, stop)
 
     def _as_native(self, value: Static) -> Dynamic:
         """Return the value of native code that a fixed object represents."""
@@ -315,7 +364,9 @@ class Calls(Expressions):
         name, sample = node.func.attr, sample_of(base)
         if name == "_replace" and isinstance(base, Dynamic) and hasattr(type(sample), "_fields"):
             simple = self.simple(base)
-            changed = {str(k.arg): self.value(k.value) for k in node.keywords}
+            by_place, changed = self._arguments(node)
+            if by_place or not changed.keys() <= set(type(sample)._fields):
+                raise self.unknown(f"_replace of {kind_of(base)} by what is none of its fields", node)
             parts = [
                 changed.get(f) or Dynamic(f"{simple.code}.{f}", getattr(sample, f), base.sure)
                 for f in type(sample)._fields
@@ -545,6 +596,8 @@ class Calls(Expressions):
             return self.attribute(given[0], given[1].value, node)
         if _changes(called):
             raise self.unknown(f"{called.__name__}, which changes an object outside of the state", node)
+        if _outside(called):
+            raise self.unknown(f"{called.__name__}, which does not depend on its arguments alone", node)
         fixed = [v for v in given if isinstance(v, Static)]
         if len(fixed) == len(given) and not any(v.path is not None and is_number_slot(v.value) for v in fixed):
             try:
@@ -611,6 +664,13 @@ def _numbers(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     return value
+
+
+def _outside(called: Any) -> bool:
+    """Return whether a call reads or changes something outside of the program, such as the time."""
+    owner = getattr(called, "__self__", None)
+    homes = {getattr(one, "__module__", None) for one in (called, owner)} | {getattr(owner, "__name__", None)}
+    return not WORLD.isdisjoint(homes) or (isinstance(called, types.BuiltinFunctionType) and called in OUTSIDE)
 
 
 def _changes(called: Any) -> bool:

@@ -7,6 +7,7 @@ import inspect
 import operator
 import types
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -284,11 +285,18 @@ class Expressions(Ways):
             sample = x.sample
         if isinstance(sample, np.ndarray):
             raise self.unknown("arithmetic of whole arrays", node)
-        whole = all(isinstance(v, int) and not isinstance(v, bool) for v in (x.sample, y.sample))
+        whole = all(_is_whole(v.sample) for v in (x, y))
         # numba's whole numbers have 64 bits and wrap silently, Python's do not.
-        if text == "*" and whole and self.program.typed:
-            self.program.words.add("times_")
-            return Dynamic(f"times_({x.code}, {y.code})", sample)
+        own = WRAPS.get(text, "") if whole and self.program.typed else ""
+        if text == "*" and whole and any(isinstance(v, Static) and abs(v.value) == 1 for v in (left, right)):
+            own = ""
+        few = any(isinstance(v, Static) and abs(v.value) <= FEW for v in (left, right))
+        if own == "times_" or (own and not few):
+            self.program.words.add(own)
+            return Dynamic(f"{own}({x.code}, {y.code})", sample)
+        if text == "/" and whole and self.program.typed:
+            self.program.words.add("exact_")
+            x, y = (replace(v, code=f"exact_({v.code})") if _is_large(v) else v for v in (x, y))
         return Dynamic(f"({x.code} {text} {y.code})", sample, is_sure(x) and is_sure(y))
 
     def _joined_tuples(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
@@ -318,8 +326,8 @@ class Expressions(Ways):
             other: bool | str | None = self.test(rest)
         except NotNative:
             other = None
-        # An expression serves only if nothing has to be computed before it.
-        if other is not None and len(self.lines) == at and not self.ended:
+        # An expression serves only if nothing has to be computed before it, and no name is bound in it.
+        if other is not None and len(self.lines) == at and not self.ended and self.as_before(before):
             if isinstance(other, bool):
                 self.sampled = sampled
                 return stop if other is stop else first
@@ -364,6 +372,8 @@ class Expressions(Ways):
         return self._chosen(test, sampled, ways[not stop], ways[stop], node)
 
     def _value_compare(self, node: ast.Compare) -> Value:
+        if any(map(may_raise, node.comparators[1:])):
+            return self._in_turn(node)
         left = self.value(node.left)
         result: Value | None = None
         for op, right_node in zip(node.ops, node.comparators, strict=True):
@@ -384,6 +394,18 @@ class Expressions(Ways):
             left = right
         assert result is not None
         return result
+
+    def _in_turn(self, node: ast.Compare) -> Value:
+        """Read a chain whose later terms are computed only if the earlier comparisons are true."""
+        first, second = (f"{part} of {self._fresh()}" for part in ("left", "right"))  # no names of Python
+        self.env[first], self.env[second] = (self._held(self.value(v)) for v in (node.left, node.comparators[0]))
+        middle = ast.Name(second, ast.Load())
+        head = ast.Compare(ast.Name(first, ast.Load()), node.ops[:1], [middle])
+        rest = ast.Compare(middle, node.ops[1:], node.comparators[1:])
+        found = self.value(ast.copy_location(ast.BoolOp(ast.And(), [head, rest]), node))
+        for name in (first, second):
+            self.env.pop(name, None)
+        return found
 
     def _compared(self, op: ast.cmpop, left: Value, right: Value, node: ast.AST) -> Value:
         if isinstance(op, (ast.Is, ast.IsNot)):
@@ -416,10 +438,15 @@ class Expressions(Ways):
             slots = [v for v in (left, right) if v.path is not None and is_number_slot(v.value)]
             if not slots:
                 return Static(bool(function(self.program.guard(left), self.program.guard(right))))
-        x, y = self.dynamic(left), self.dynamic(right)
+        x, y = map(self.dynamic, (left, right))
         if (x.sample is None or y.sample is None) and not self.program.inferred:
             raise self.unknown("a comparison with None", node)
-        return Dynamic(f"({x.code} {text} {y.code})", computed(lambda a, b: bool(function(a, b)), x.sample, y.sample))
+        sample = computed(lambda a, b: bool(function(a, b)), x.sample, y.sample)
+        for whole, other, words in ((x, y, "{} {} 0.0"), (y, x, "0.0 {1} {0}")):
+            if self.program.typed and _is_whole(whole.sample) and type(other.sample) is float and _is_large(whole):
+                self.program.words.add("apart_")
+                return Dynamic(f"({words.format(f'apart_({whole.code}, {other.code})', text)})", sample)
+        return Dynamic(f"({x.code} {text} {y.code})", sample)
 
     def truth(self, value: Value) -> bool | str:
         """Return whether a value is true, or the expression that decides it; `sampled` is then its last value."""
@@ -443,10 +470,14 @@ class Expressions(Ways):
         if value.sample is None and is_sure(value):
             return False
         self.sampled = computed(bool, value.sample)
+        there = ""
+        if self.program.inferred and not is_sure(value):  # None is not true, but neither is it 0
+            value = self.simple(value)
+            there = f"{value.code} is not None and "
         if isinstance(value.sample, bool):
-            return value.code
+            return f"({there}{value.code})" if there else value.code
         if isinstance(value.sample, (int, float, complex)) or value.sample is UNKNOWN:
-            return f"({value.code} != 0)"
+            return f"({there}{value.code} != 0)"
         raise self.unknown(f"whether {kind_of(value)} is true")
 
     def _value_ifexp(self, node: ast.IfExp) -> Value:
@@ -456,6 +487,28 @@ class Expressions(Ways):
         return self._chosen(test, self.sampled, lambda: self.value(node.body), lambda: self.value(node.orelse), node)
 
 
+def may_raise(node: ast.expr) -> bool:
+    """Return whether an expression may raise, or bind a name."""
+    raising = (ast.Call, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow, ast.NamedExpr)
+    return any(
+        isinstance(n, raising) or (isinstance(n, ast.Subscript) and not isinstance(n.slice, ast.Constant))
+        for n in ast.walk(node)
+    )
+
+
+def _is_whole(sample: Any) -> bool:
+    return isinstance(sample, int) and not isinstance(sample, bool)
+
+
+FEW = 1 << 32  # no sum of so few leaves 64 bits
+
+
+def _is_large(value: Dynamic) -> bool:
+    """Return whether a whole number may be one that a float rounds."""
+    return not (value.code.lstrip("-").isdigit() and abs(int(value.code)) <= FEW)
+
+
+WRAPS = {"+": "plus_", "-": "minus_", "*": "times_"}
 FOLDED: dict[type, Callable[[Any, Any], Any]] = {
     ast.Pow: lambda a, b: a**b,
     ast.LShift: lambda a, b: a << b,

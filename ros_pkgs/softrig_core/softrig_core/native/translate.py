@@ -290,7 +290,8 @@ def as_slot(value: Any) -> Any:
 
 
 @cache
-def _parsed(function: types.FunctionType) -> ast.FunctionDef:
+def parsed(function: types.FunctionType) -> ast.FunctionDef:
+    """Return a function as a tree."""
     try:
         text = textwrap.dedent(inspect.getsource(function))
         tree = ast.parse(text).body[0]
@@ -396,7 +397,7 @@ def is_number_slot(value: Any) -> bool:
 def _specialised(
     program: Program, function: types.FunctionType, inner: dict[str, Value], parameters: list[str]
 ) -> Made:
-    tree = _parsed(function)
+    tree = parsed(function)
     writer = program.writer(program, function, inner)
     lines = writer.body(tree.body)
     if not writer.returned:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import math
 import types
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,7 @@ from .translate import (
     Program,
     as_slot,
     outside,
+    parsed,
     shape,
 )
 from .value import (
@@ -68,6 +70,10 @@ class Ways:
     def _fresh(self) -> str:
         self._temporaries += 1
         return f"t{self._temporaries - 1}_"
+
+    def as_before(self, env: Mapping[str, Value]) -> bool:
+        """Return whether no name was bound since, as `:=` does."""
+        return self.env.keys() == env.keys() and all(self.env[name] is value for name, value in env.items())
 
     def temporary(self, code: str) -> str:
         """Return a value a name."""
@@ -163,6 +169,12 @@ class Ways:
             return outside(self.function, name)
         except LookupError:
             raise self.unknown(f"{name} is not known", node) from None
+
+    def of_builtins(self, node: ast.expr) -> str:
+        """Return the name of a function of Python's own that is called; empty: it is another one."""
+        name = node.id if isinstance(node, ast.Name) and node.id not in self.env else ""
+        own = getattr(builtins, name, None)
+        return name if own is not None and self.outer(name, node) is own else ""
 
     def unfolded(self, value: Dynamic) -> Record:
         """Return a mapping that a function has answered by its parts."""
@@ -262,6 +274,31 @@ class Ways:
     def _each(self, value: Record) -> dict[str, Value]:
         return {k: self._held(v) for k, v in value.items.items()}
 
+    def has_one_name(self, name: str) -> bool:
+        """Return whether no other name of this function stands for the object of a name, as far as can be read."""
+        tree = parsed(self.function)
+        if name in {a.arg for a in ast.walk(tree) if isinstance(a, ast.arg)}:
+            return False
+        made: list[ast.expr] = []
+        seen = dict.fromkeys((n for n in ast.walk(tree) if isinstance(n, ast.Name) and n.id == name), False)
+        for one in ast.walk(tree):
+            inner: list[Any] = []
+            if isinstance(one, ast.Assign) and len(one.targets) == 1:
+                pairs = [(to, value) for to, value in _pairs(one.targets[0], one.value) if to in seen]
+                made, inner = [*made, *(value for _, value in pairs)], [to for to, _ in pairs]
+            elif isinstance(one, ast.AnnAssign) and one.target in seen and one.value is not None:
+                made, inner = [*made, one.value], [one.target]
+            elif isinstance(one, (ast.AugAssign, ast.For, ast.comprehension)):
+                inner = [one.target if isinstance(one, ast.AugAssign) else one.iter]
+            elif isinstance(one, (ast.Attribute, ast.Subscript, ast.Starred, ast.Return)):
+                inner = [one.value]
+            elif isinstance(one, ast.Call) and isinstance(one.func, ast.Name) and one.func.id in COPYING:
+                inner = one.args
+            elif isinstance(one, (ast.Compare, ast.BinOp)):
+                inner = [one.left, *one.comparators] if isinstance(one, ast.Compare) else [one.left, one.right]
+            seen |= dict.fromkeys((n for n in inner if n in seen), True)
+        return all(seen.values()) and all(map(_is_new, made))
+
     def _give_up(self) -> None:
         self.emit(GIVEN_UP)
         self.ended = True
@@ -328,7 +365,7 @@ class Ways:
         return env
 
     def _join(self, name: str, a: Value, b: Value, then: list[str], orelse: list[str], taken: Any) -> Value | None:
-        if a is b or _same(a, b) or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
+        if a is b or same(a, b) or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
             return a
         if isinstance(a, Group) and isinstance(b, Group) and len(a.items) == len(b.items):
             parts = [
@@ -375,8 +412,8 @@ class Ways:
         # One of the two is not known; `_fork` finds out whether it is the branch that is taken.
         except NotNative:
             a = b = None
-        if a is not None and b is not None and not self.ended and len(self.lines) == at:
-            if isinstance(a, Static) and isinstance(b, Static) and a == b:
+        if a is not None and b is not None and not self.ended and len(self.lines) == at and self.as_before(before):
+            if isinstance(a, Static) and isinstance(b, Static) and same(a, b):
                 return a
             x, y = self.dynamic(a), self.dynamic(b)
             if len(self.lines) == at:
@@ -400,6 +437,28 @@ class Ways:
         return self._one_of(name, x_, y_, taken, node)
 
 
+#: functions that do not keep the list that they are given
+COPYING = ("len", "tuple", "list", "sum", "min", "max", "any", "all", "zip", "enumerate", "reversed", "sorted", "map")
+
+
+def _pairs(target: ast.expr, value: ast.expr) -> list[tuple[ast.expr, ast.expr]]:
+    """Return what an assignment binds, and to what."""
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+        return list(zip(target.elts, value.elts, strict=True))
+    return [(target, value)]
+
+
+def _is_new(node: ast.expr) -> bool:
+    """Return whether an expression makes a list or tuple that nothing else has."""
+    if isinstance(node, ast.BinOp):
+        return isinstance(node.op, (ast.Add, ast.Mult))
+    if isinstance(node, ast.Subscript):
+        return isinstance(node.slice, ast.Slice)
+    if isinstance(node, ast.Call):
+        return isinstance(node.func, ast.Name) and node.func.id in COPYING
+    return isinstance(node, (ast.List, ast.ListComp, ast.Tuple, ast.Constant))
+
+
 def _plain(value: Any) -> Any:
     try:
         return as_slot(value)
@@ -407,10 +466,13 @@ def _plain(value: Any) -> Any:
         return value
 
 
-def _same(a: Value, b: Value) -> bool:
-    """Return whether two values are one; those with arrays in their samples count as two."""
+def same(a: Value, b: Value) -> bool:
+    """Return whether two values are one; those with arrays in their samples count as two.
+
+    Numbers that Python calls equal may be two: 0.0 and -0.0, 1 and True.
+    """
     try:
-        return a == b
+        return a == b and repr(a) == repr(b)
     except ValueError:
         return False
 

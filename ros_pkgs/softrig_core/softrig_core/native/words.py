@@ -32,6 +32,8 @@ _CUT = (
     + ":\n        raise OverflowError\n    return {call}(x)\n"
 )
 
+_LARGEST = (1 << 63) - 1
+
 TEXTS: dict[str, str] = {
     **{n: _BELOW.format(name=n, wrong="< 0.0") for n in ("sqrt",)},
     **{n: _BELOW.format(name=n, wrong="<= 0.0") for n in ("log", "log2", "log10")},
@@ -46,9 +48,20 @@ TEXTS: dict[str, str] = {
     "power_": "def power_(x, y):\n    if (x < 0.0 and y != math.floor(y)) or (x == 0.0 and y < 0.0):\n"
     "        raise ValueError\n    z = power(x, y)\n"
     "    if z - z != 0.0 and x - x == 0.0 and y - y == 0.0:\n        raise OverflowError\n    return z\n",
-    # numba's whole numbers wrap silently; a product of two below 3e9 fits 64 bits.
-    "times_": "def times_(x, y):\n    if not (-3000000000 < x < 3000000000 and -3000000000 < y < 3000000000):\n"
+    # numba's whole numbers wrap silently, and they become floats by rounding.
+    "times_": "def times_(x, y):\n    if not abs(float(x) * float(y)) < 9.2e18:\n"
     "        raise OverflowError\n    return x * y\n",
+    **{
+        f"{name}_": f"def {name}_(x, y):\n"
+        f"    if (y {more} 0 and x > {_LARGEST} {back} y) or (y {less} 0 and x < -{_LARGEST} {back} y):\n"
+        f"        raise OverflowError\n    return x {sign} y\n"
+        for name, sign, back, more, less in (("plus", "+", "-", ">", "<"), ("minus", "-", "+", "<", ">"))
+    },
+    # Python compares a whole number and a float exactly; floats differ as the numbers do unless they are equal.
+    "apart_": "def apart_(k, y):\n    d = float(k)\n    if d != y or not abs(y) < 9.2e18:\n        return d - y\n"
+    "    return float(k - int(y))\n",
+    "exact_": "def exact_(k):\n    if not -9007199254740992 <= k <= 9007199254740992:\n"
+    "        raise OverflowError\n    return k\n",
     "bisect_right": "def bisect_right(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
     "        middle = (low + high) // 2\n        if x < a[middle]:\n            high = middle\n"
     "        else:\n            low = middle + 1\n    return low\n",

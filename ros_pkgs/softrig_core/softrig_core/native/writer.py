@@ -122,6 +122,7 @@ class Writer(Calls):
             and (isinstance(call.func.value, ast.Name) and call.func.value.id in self.env)
         ):
             # A list is written as a tuple, so one with one more item is another value.
+            self._check_own_list(call.func.value.id, node)
             before = self.parts(self.env[call.func.value.id], node)
             self.assign(
                 ast.Name(call.func.value.id, ast.Store()),
@@ -131,6 +132,11 @@ class Writer(Calls):
         found = self.value(node.value)
         if isinstance(found, Dynamic) and not self.ended:
             self.emit(found.code)
+
+    def _check_own_list(self, name: str, node: ast.AST) -> None:
+        """Refuse to add to a list that has another name: that one would not grow with it."""
+        if not self.has_one_name(name):
+            raise self.unknown(f"{name} may be a list with another name, which grows with it", node)
 
     def _raise(self, node: ast.Raise) -> None:
         self._give_up()
@@ -203,6 +209,8 @@ class Writer(Calls):
         if not isinstance(node.target, ast.Name):
             raise self.unknown("an assignment to a part of something", node)
         left = self.value(ast.Name(node.target.id, ast.Load()))
+        if isinstance(sample_of(left), (list, tuple)) and isinstance(node.op, ast.Add):
+            self._check_own_list(node.target.id, node)
         self.assign(node.target, self.binary(node.op, left, self.value(node.value), node))
 
     def _if(self, node: ast.If) -> None:
@@ -238,11 +246,14 @@ class Writer(Calls):
         turns = self._range(node.iter)
         if turns is None or not isinstance(node.target, ast.Name):
             raise self.unknown("a loop over something of no fixed length", node)
-        self.env[node.target.id] = Dynamic(f"v_{node.target.id}", 0)
-        self._loop(f"for v_{node.target.id} in range({turns}):", node.body, node)
+        known, name = self.env.get(node.target.id), f"v_{node.target.id}"
+        if known is not None and (found := self.dynamic(known)).code != name:  # what it stays if there is no turn
+            self.emit(f"{name} = {found.code}")
+        self.env[node.target.id] = Dynamic(name, 0)
+        self._loop(f"for {name} in range({turns}):", node.body, node)
 
     def _range(self, node: ast.expr) -> str | None:
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "range":
+        if isinstance(node, ast.Call) and self.of_builtins(node.func) == "range":
             return ", ".join(self.code(self.value(a)) for a in node.args)
         return None
 
