@@ -4,7 +4,7 @@ FROM ros:jazzy
 RUN apt-get update && apt-get install -y --no-install-recommends python3-pip python3-venv && rm -rf /var/lib/apt/lists/*
 WORKDIR /ws
 COPY . src/softrig
-RUN echo "yaml file:///ws/src/softrig/config/rosdep.yaml" >/etc/ros/rosdep/sources.list.d/50-softrig.list
+RUN echo "yaml file:///ws/src/softrig/config/rosdep.yaml" >/etc/ros/rosdep/sources.list.d/10-softrig.list
 RUN rosdep update --rosdistro jazzy
 RUN python3 -m venv --system-site-packages venv && touch venv/COLCON_IGNORE
 ENV PATH=/ws/venv/bin:$PATH SOFTRIG_VIEWER=none

@@ -9,10 +9,17 @@ import tomllib
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import softrig_core
 import yaml
-from softrig_core.extras import EXTRAS
+from softrig_bags.cli import main_bag
+from softrig_bags.files import compressed
+from softrig_bags.files.compressed import inflate
+from softrig_core import ScenarioError
+from softrig_core.analysis.linear import Linear
+from softrig_core.extras import EXTRAS, OF_PIP
+from softrig_core.judge import formula
 from sources import imported
 
 ROOT = Path(__file__).parents[2]
@@ -42,6 +49,8 @@ STYLE = (ROOT / "ros_pkgs/softrig_core/test/test_style.py").read_text()
 OTHERS = {"motulator", "gym_electric_motor", "jax"}  # compared with where somebody has installed them
 
 
+RELEASED = ("softrig_core", "softrig_nodes", "softrig_bags")  # what a distribution may take
+WAITS_FOR = {"softrig_bags": ["python3-rosbags-pip"]}  # Debian has it since trixie, rosdistro knows pip's alone
 TEMPLATE = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup/template/package.xml.template"
 
 
@@ -72,7 +81,7 @@ def test_every_key_exists():
     files = [TEMPLATE, *(folder / "package.xml" for folder in PACKAGES)]
     used = {key for file in files for kind in ("exec", "test", "build") for key in depends(file, kind)} - ours
     assert used == {*KEYS["ros"], *KEYS["system"], *KEYS["pip"], *OWN}
-    for key, system in KEYS["system"].items():  # none that rosdep would have pip put into the system's Python
+    for key, system in KEYS["system"].items():  # none that rosdistro itself has from pip
         names = system["ubuntu"]["*"] if isinstance(system["ubuntu"], dict) else system["ubuntu"]
         assert names == [key]
 
@@ -82,9 +91,40 @@ def test_every_import_is_declared(folder):
     extras = {name for requirements in PROJECT["optional-dependencies"].values() for name in requirements}
     declared = depends(folder / "package.xml")
     used = {name for name in imports(folder) if SOURCES.get(name, name) not in extras}
+    if folder.name in RELEASED:
+        used = {name for name in used if SOURCES.get(name, name) not in OF_PIP}
+    if folder == BRINGUP.parent:
+        used |= {*OF_PIP}
     assert {name for name in used if not keys(name) & declared} == set()
     python = {key for key in declared if key in {*KEYS["system"], *KEYS["pip"], *OWN}}
     assert python <= set().union(*map(keys, used))
+
+
+@pytest.mark.parametrize("name", RELEASED)
+def test_what_a_distribution_may_take_has_keys_of_rosdistro_alone(name):
+    declared = depends(ROOT / "ros_pkgs" / name / "package.xml") - {*RELEASED}
+    assert declared <= {*KEYS["ros"], *KEYS["system"], *WAITS_FOR.get(name, ())}
+
+
+@pytest.mark.parametrize(
+    ("package", "use", "what"),
+    [
+        ("control", lambda: Linear(*[np.eye(1)] * 4, *np.zeros((3, 1))).system(), "a system of python-control"),
+        ("sentil", lambda: formula.read("G[0:1](u - 1)", {"u": None}), "a requirement as a formula"),
+        ("pycparser", lambda: importlib.import_module("softrig_core.export.st"), "structured text"),
+        ("mcap", lambda: main_bag.__wrapped__(["repair", "none"]), "a repair"),
+        ("lz4", lambda: inflate(b"x", "lz4"), "a bag that is compressed by lz4"),
+        ("backports.zstd", lambda: inflate(b"x", "zstd"), "a bag that is compressed by zstd"),
+    ],
+    ids=lambda x: x if isinstance(x, str) and " " not in x else "",
+)
+def test_what_a_distribution_leaves_to_pip_is_asked_for_by_its_first_use(package, use, what, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "softrig_core.export.st", raising=False)
+    compressed.zstd.cache_clear()
+    formula._tree.cache_clear()
+    with pytest.raises(ScenarioError, match=f"^{what} needs the package '{package}': pip install {package}$"):
+        use()
 
 
 def above(file):
@@ -120,8 +160,12 @@ def test_our_own_keys_say_what_the_project_asks_of_pip():
     wanted = {re.match(r"[\w.-]+", r).group(): r.partition(";")[0].strip() for r in PROJECT["dependencies"]}
     for key, systems in OWN.items():
         name = key.removeprefix("python3-").removesuffix("-pip")
-        assert systems == {s: {"pip": {"packages": [wanted[name]]}} for s in ("debian", "ubuntu")}
-        assert key not in {*KEYS["system"], *KEYS["pip"]}
+        pip = {"pip": {"packages": [wanted[name]]}}
+        if key in KEYS["system"]:  # too old there; elsewhere as rosdistro has it
+            assert systems == {s: {old: pip, "*": [key]} for s, old in (("debian", "bookworm"), ("ubuntu", "noble"))}
+        else:
+            assert systems == dict.fromkeys(("debian", "ubuntu"), pip)
+            assert key not in KEYS["pip"]
 
 
 @pytest.mark.parametrize("folder", PACKAGES, ids=lambda f: f.name)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softrig_core.command_line import Number, Parser
+from softrig_core.extras import need
 from softrig_core.guard import guarded, plain
 from softrig_core.wire.recording import relative
 from softrig_nodes.below.leave import leave
@@ -323,6 +324,7 @@ def main_bag(argv: list[str]) -> int:
 
         print(plain(describe(options.bag)))
     elif options.verb == "repair":
+        need("mcap", "a repair")
         from .repair import repair
 
         repaired = repair(options.bag, options.out)

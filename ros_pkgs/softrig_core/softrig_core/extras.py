@@ -1,4 +1,8 @@
-"""Packages that few users need: a checkout installs one on first use and reports it in one line."""
+"""Packages that only some features need; the first use of a feature asks for its package.
+
+A checkout installs an extra on first use and reports it in one line. Its set-up has the others already, but a package
+of a ROS distribution cannot depend on them, because no distribution has them.
+"""
 
 from __future__ import annotations
 
@@ -28,13 +32,16 @@ EXTRAS = {
 }
 
 
+OF_PIP = ("casadi", "control", "sentil", "pycparser", "mcap", "lz4", "backports.zstd")
+
+
 def need(package: str, what: str) -> None:
     """Install a package if it cannot be imported.
 
     Parameters
     ----------
     package : str
-        One of `EXTRAS`.
+        One of `EXTRAS` or `OF_PIP`.
     what : str
         The feature that needs it, as named in the error.
 
@@ -43,9 +50,11 @@ def need(package: str, what: str) -> None:
     ScenarioError
         The package is missing and could not be installed; the message explains how to install it.
     """
-    extra = EXTRAS[package]
     if _there(package):
         return
+    if package in OF_PIP:
+        raise ScenarioError(f"{what} needs the package {package!r}: pip install {package}")
+    extra = EXTRAS[package]
     if command := os.environ.get("SOFTRIG_COMMAND"):
         subprocess.run([command, "setup", extra], stdin=subprocess.DEVNULL, check=False)  # prints its own lines
         importlib.invalidate_caches()
@@ -56,4 +65,7 @@ def need(package: str, what: str) -> None:
 
 
 def _there(package: str) -> bool:
-    return importlib.util.find_spec(package) is not None
+    try:
+        return importlib.util.find_spec(package) is not None
+    except ModuleNotFoundError:  # of the namespace that it is in
+        return False

@@ -5,19 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 
 import numpy as np
+from softrig_core.extras import need
 
 from ..content.block import Block, numbers_at, packed
 from .source import Damaged
-
-if sys.version_info >= (3, 14):
-    from compression.zstd import ZstdDecompressor, ZstdError, decompress, get_frame_info
-else:
-    from backports.zstd import ZstdDecompressor, ZstdError, decompress, get_frame_info
 
 # The first bytes of a zstd frame. No CDR message begins with them, so compressed messages need no other mark.
 _MAGIC = b"\x28\xb5\x2f\xfd"
@@ -26,6 +23,17 @@ _SMALL_PIECE = 1 << 16
 # Bytes of a chunk uncompressed: rosbag2's default is 768 KiB, but a larger message has a chunk of its own.
 LIMIT = 1 << 31
 SUFFIXES = (".mcap", ".db3")
+
+
+@cache
+def zstd() -> Any:
+    """Return the module of Python 3.14 for zstd, or its backport."""
+    if sys.version_info >= (3, 14):
+        from compression import zstd as module
+    else:
+        need("backports.zstd", "a bag that is compressed by zstd")
+        from backports import zstd as module
+    return module
 
 
 def plain(path: Path) -> Path:
@@ -80,13 +88,13 @@ class Expanded:
 
 def _expand(source: BinaryIO, target: BinaryIO) -> bool:
     """Decompress a file of one or several frames, in pieces; return whether it ends with the end of a frame."""
-    stream = ZstdDecompressor()
+    stream = zstd().ZstdDecompressor()
     # Damage ends the output here, so that everything before it is kept.
-    with suppress(ZstdError):
+    with suppress(zstd().ZstdError):
         while True:
             piece = b""
             if stream.eof:
-                piece, stream = stream.unused_data or source.read(_PIECE), ZstdDecompressor()
+                piece, stream = stream.unused_data or source.read(_PIECE), zstd().ZstdDecompressor()
                 if not piece:
                     return True
             elif stream.needs_input and not (piece := source.read(_PIECE)):
@@ -116,15 +124,17 @@ def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, b
         return data[:limit], len(data) <= limit
     if compression not in ("zstd", "lz4"):
         return b"", False
+    wrong: type[Exception] = RuntimeError  # as lz4 raises it for damaged data
     if compression == "zstd":
-        stream: Any = ZstdDecompressor()
+        stream: Any = zstd().ZstdDecompressor()
+        wrong = zstd().ZstdError
     else:
+        need("lz4", "a bag that is compressed by lz4")
         from lz4.frame import LZ4FrameDecompressor
 
         stream = LZ4FrameDecompressor()
     out = bytearray()
-    # lz4 raises RuntimeError for damaged data.
-    with suppress(ZstdError, RuntimeError, EOFError):
+    with suppress(wrong, EOFError):
         # A decompressor returns nothing for a call that fails; small pieces keep what comes before the damage.
         for at in range(0, len(data), _SMALL_PIECE):
             piece = data[at : at + _SMALL_PIECE]
@@ -165,8 +175,8 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
     # The size in the frame is checked before anything is decompressed: a damaged chunk may claim terabytes.
     told = None
     if compression == "zstd":
-        with suppress(ZstdError):
-            told = get_frame_info(data).decompressed_size
+        with suppress(zstd().ZstdError):
+            told = zstd().get_frame_info(data).decompressed_size
     if size > LIMIT or (told or 0) > size:
         raise Damaged(
             f"a chunk of {len(data)} bytes claims {size} uncompressed, expected the truth and at most {LIMIT}"
@@ -174,11 +184,13 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
     if compression not in ("", "zstd", "lz4"):
         raise Damaged(f"a chunk is compressed by {compression!r}, expected zstd or lz4")
     content, whole = data, True
-    try:
-        if compression:
-            content, whole = (decompress(data), True) if told == size else inflate(bytes(data), compression, size)
-    except ZstdError as error:
-        raise Damaged(f"a chunk cannot be decompressed: {error}") from None
+    if told == size:
+        try:
+            content = zstd().decompress(data)
+        except zstd().ZstdError as error:
+            raise Damaged(f"a chunk cannot be decompressed: {error}") from None
+    elif compression:
+        content, whole = inflate(bytes(data), compression, size)
     if not whole or len(content) != size:
         raise Damaged(f"a chunk of {len(data)} bytes does not have the {size} uncompressed that it claims")
     return content

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..content.topics import BagTopic
+from .compressed import zstd
 from .mcap_format import (
     CHANNEL,
     CHUNK,
@@ -245,11 +246,8 @@ class McapFile:
 def _compressor(name: str) -> Callable[[bytes], bytes]:
     if not name:
         return bytes
-    try:
-        from compression import zstd  # type: ignore[import-not-found, unused-ignore]
-    except ImportError:
-        from backports import zstd
-    return zstd.compress  # type: ignore[no-any-return, unused-ignore]
+    compress: Callable[[bytes], bytes] = zstd().compress
+    return compress
 
 
 def _little(entries: array[int]) -> bytes:

@@ -34,6 +34,7 @@ from . import run_verb
 from .viewer import ROOTED, Process, viewer
 
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+UNASKED = "the run did not reach its end, and nothing of it was recorded or judged (record:=true, judge:=true)"
 # name: (default, choices, description); an empty default means: as in the scenario
 ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "scenario": (None, (), "name of a scenario or path of its YAML file"),
@@ -206,8 +207,10 @@ class Launched:
             self._stopped, self.sent = True, signal.Signals(came[0])
         late = "" if self._error or self._stopped else left_early(nodes)
         self._error = self._error or late
-        keeps = self._record or self._judge
-        found, reached = self._conclude(recording, nodes) if keeps else (0, "")
+        if self._record or self._judge:
+            found, reached = self._conclude(recording, nodes)
+        else:
+            found, reached = 0, f"stopped by {self.sent.name}: {UNASKED}" if self._stopped and not self._error else ""
         if self._error or self._stopped:
             return late or reached
         if trips := tripped(rig, nodes):

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunError
+from ..extras import need
 from ..kit.dense import solve
 from ..kit.floats import numbers, put, split
 
@@ -62,6 +63,7 @@ class Linear(NamedTuple):
         **names
             ``states``, ``inputs``, ``outputs``: sequences of names.
         """
+        need("control", "a system of python-control")
         import control
 
         return control.ss(self.A, self.B, self.C, self.D, self.period, **names)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RunError, ScenarioError
+from ..extras import need
 from ..rig.members import signal_units
 from ..rig.rig import Rig
 from ..run.expand import rig_of
@@ -158,6 +159,7 @@ class LinearView:
         Its `margin` searches for crossings between frequencies and does not detect a pole that leaves the unit circle
         at z = -1 or 1 (a gain margin of infinity where 540 is right): use `margins`.
         """
+        need("control", "a system of python-control")
         import control
 
         return control.ss(
@@ -177,6 +179,7 @@ class LinearView:
 
         `control.margin` does not detect a pole that leaves the unit circle at z = -1 or 1: use `margins`.
         """
+        need("control", "a system of python-control")
         import control
 
         A, b, c, d, names = self._loop
@@ -274,6 +277,7 @@ class LinearView:
     @cached_property
     def loop(self) -> control.FrequencyResponseData:
         """Return the opened loop at `omega` as an object of python-control; `margins` also sees both ends."""
+        need("control", "a system of python-control")
         import control
 
         return control.frd(self.at_frequencies(self.omega), self.omega, smooth=True)

@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any
 
-from pycparser import c_ast, c_parser
-
+from ..extras import need
 from ..native.value import NotNative
 from ..rig.members import Member
 from .kinds import identifier, remark
+
+need("pycparser", "structured text")
+from pycparser import c_ast, c_parser  # noqa: E402
 
 TYPES = {"real_t": "LREAL", "double": "LREAL", "int64_t": "LINT", "bool": "BOOL", "_Bool": "BOOL", "uint8_t": "USINT",
          "uint32_t": "UDINT", "unsigned": "UDINT", "unsigned int": "UDINT", "int": "DINT"}  # fmt: skip

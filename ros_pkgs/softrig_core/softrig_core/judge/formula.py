@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ScenarioError, closest
+from ..extras import need
 from ..timebase import SECOND
 from .arithmetic import SEVERAL, Tree, arithmetic
 from .expression import REFERENCE, number
@@ -170,6 +171,7 @@ def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[
     names : tuple of (str, bool)
         Its names and whether each is a signal.
     """
+    need("sentil", "a requirement as a formula")
     import sentil
 
     written, conditions = _rewrite(timed, {name: None if signal else 0.0 for name, signal in names})
