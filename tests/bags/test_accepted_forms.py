@@ -4,6 +4,7 @@ A node outside may change the form of its messages while it runs: order of the c
 the other names that a port knows, the byte order. The measure is `Decoder`, by which the port took them.
 """
 
+import math
 import random
 import struct
 
@@ -23,16 +24,20 @@ from softrig_core.wire.cdr import Layout
 from softrig_core.wire.signals import Signals
 
 STATE, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+WRENCH, TRAJECTORY = "geometry_msgs/msg/WrenchStamped", "trajectory_msgs/msg/JointTrajectory"
 COMMAND = Port("command", "law/command", STATE, ("a", "b", "c"), ("effort",), ("V",) * 3, also=("j1", "j2", "j3"))
 GAINS = Port("gains", "law/gains", ARRAY, (), ("data",), ("1",) * 6, held=True, dims=(("row", 2), ("column", 3)))
+PUSH = Port("push", "law/push", WRENCH, (), ("force",), ("N",) * 3)
+PLAN = Port("plan", "law/plan", TRAJECTORY, ("a", "b"), ("velocity",), ("rad/s",) * 2)
+PORTS = (COMMAND, GAINS, PUSH, PLAN)
 
 
 class Plant(Block[BlockParams]):
-    """Reads both."""
+    """Reads all."""
 
     @classmethod
     def ports(cls, params):
-        return (COMMAND, GAINS), ()
+        return PORTS, ()
 
     def update(self, x, t, **inputs):
         return x, {}
@@ -43,7 +48,7 @@ class Law(Block[BlockParams]):
 
     @classmethod
     def ports(cls, params):
-        plain = [Port(p.name, p.topic, p.msgtype, p.channels, p.fields, p.units, dims=p.dims) for p in (COMMAND, GAINS)]
+        plain = [Port(p.name, p.topic, p.msgtype, p.channels, p.fields, p.units, dims=p.dims) for p in PORTS]
         return (), tuple(plain)
 
     def update(self, x, t, **inputs):
@@ -78,7 +83,9 @@ def command(chance, t):
     further = {"position": chance.choice([0, 1, 3, 5]), "velocity": chance.choice([0, 3])} if form > 1 else {}
     counts = {"position": 0, "velocity": 0, **further, "effort": 3}
     layout = Layout(STATE, chance.choice(["", "world", "base"]), names, counts)
-    extra = [chance.random() for _ in range(counts["position"] + counts["velocity"])]
+    extra = [
+        chance.choice([chance.random(), math.nan, math.inf]) for _ in range(counts["position"] + counts["velocity"])
+    ]
     return layout.encode(t, (*extra, *values))
 
 
@@ -89,13 +96,28 @@ def gains(chance, k):
     return layout.encode(k, tuple(chance.uniform(-9, 9) for _ in range(6)))
 
 
+def push(chance, t):
+    """A wrench in any frame, with a torque that the port does not read."""
+    torque = (chance.choice([0.0, math.nan, 1.0]) for _ in range(3))
+    return Layout(WRENCH, chance.choice(["", "tool", "a frame of another length"])).encode(
+        t, (*(chance.uniform(-9, 9) for _ in range(3)), *torque)
+    )
+
+
+def plan(chance, t):
+    """A point of a trajectory: joints in any order, further fields of any length."""
+    names = chance.sample(PLAN.channels, 2)
+    counts = {"position": chance.choice([0, 2]), "velocity": 2, "effort": chance.choice([0, 1, 3])}
+    return Layout(TRAJECTORY, "", names, counts).encode(t, tuple(chance.random() for _ in range(sum(counts.values()))))
+
+
 @pytest.fixture(scope="module", params=range(3))
 def taken(request):
     """A recording in which forms change, and what the port took of each message."""
     chance = random.Random(request.param)
-    recording = Recording([(COMMAND.topic, STATE), (GAINS.topic, ARRAY)])
+    recording = Recording((port.topic, port.msgtype) for port in PORTS)
     values = {}
-    for number, (port, make) in enumerate(((COMMAND, command), (GAINS, gains))):
+    for number, (port, make) in enumerate(zip(PORTS, (command, gains, push, plan), strict=True)):
         decode, found = Decoder(port), []
         for k in range(60):
             data = make(chance, k * 10**6)
@@ -143,17 +165,35 @@ def test_a_bag_has_what_its_port_took(taken, rig, tmp_path, capsys):
     write_bag(tmp_path / "bag", recording)
     raw, named = signals(tmp_path / "bag"), signals(tmp_path / "bag").known_as(other_names(rig))
     check(named.table, values)
-    for topic in (COMMAND.topic, GAINS.topic):  # the two decoders of bags and of runs agree, all columns
+    for topic in values:  # the two decoders of bags and of runs agree, all columns
         one, other = Signals(recording).table(topic).columns, raw.table(topic).columns
         assert set(one) == set(other)
         assert all(np.array_equal(one[k], other[k], equal_nan=True) for k in one)
     assert compare(raw, signals(tmp_path / "bag")).equal
     assert main_compare([str(tmp_path / "bag")] * 2) == 0
     assert main_bag(["export", str(tmp_path / "bag"), "--out", str(tmp_path / "csv")]) == 0
-    capsys.readouterr()
+    said = capsys.readouterr().err
+    assert "/law/push: header/frame_id changes (" in said
     table = pyarrow.csv.read_csv(tmp_path / "csv/law.command.csv")
     for own, also in zip(COMMAND.channels, COMMAND.also, strict=True):
         columns = [table[f"{name}/effort"].to_numpy() for name in (own, also)]
         assert np.array_equal(
             np.where(np.isnan(columns[0]), columns[1], columns[0]), values[COMMAND.topic][f"{own}/effort"]
         )
+
+
+def test_texts_that_a_table_does_not_show_are_named(tmp_path, capsys):
+    """A bag with texts, one frame that stays and one that changes: each file says what it lacks."""
+    text = "std_msgs/msg/String"
+    recording = Recording([("said", text), ("silent", text), ("still", WRENCH), ("moved", WRENCH)])
+    for k in range(4):
+        for number, word in enumerate((b"hi", b"")):
+            recording.add(number, k, b"\0\1\0\0" + struct.pack("<I", len(word) + 1) + word + b"\0")
+        for number, frame in ((2, "tool"), (3, "tool" if k < 2 else "base")):
+            recording.add(number, k, Layout(WRENCH, frame).encode(k, (0.0,) * 6))
+    write_bag(tmp_path / "bag", recording)
+    assert main_bag(["export", str(tmp_path / "bag"), "--out", str(tmp_path / "csv")]) == 0
+    assert [line.split("/bag: ")[1] for line in capsys.readouterr().err.splitlines()] == [
+        "/said: texts are not in its table: data",
+        "/moved: header/frame_id changes ('base' and 'tool'), which its table does not show",
+    ]

@@ -165,7 +165,7 @@ def test_the_processes_of_a_launch_are_as_told(launch, lag):
             ("", signal.SIGINT),
         ),
         ({}, [("a", 0, False), ("b", 0, False), ("c", 4, False)], ["", "", "c ended with status 4"], None),
-        ({}, [("a", 0, True), ("b", 0, True), ("c", 0, True)], ["", "", f"stopped by SIGINT: {launched.UNASKED}"], None),
+        ({}, [(name, 0, True) for name in "abc"], ["", "", f"stopped by SIGINT: {launched.UNASKED}"], None),
         ({}, [("a", 1, False), ("b", 0, True), ("c", 0, True)], ["a ended with status 1", "", ""], None),
     ],
 )

@@ -71,6 +71,7 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
         raise BagError(f"format {file_format!r}: expected {', '.join(FORMATS)}")
     with BagReader(path, namespace=namespace) as bag, naming(Path(directory)):
         columns, epoch = Columns(bag), epoch_of(bag)[0]
+        columns.texts = {}
         Path(directory).mkdir(parents=True, exist_ok=True)
         files: dict[int, _TopicFile] = {}
 
@@ -91,6 +92,8 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
             columns.finish()
             whole = [i for i in bag.chosen if columns.decoder(i) and not columns.reason(i)]
             say_left_out(path, columns)
+            for line in columns.untold():
+                say(f"{path}: {line}")
             if not whole:
                 raise BagError(f"{path}: not one topic of it can be decoded, there is nothing to export")
             written = [file(i).close() for i in whole]

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from softrig_core.wire.types import TYPES
 
-from .content.block import Block, Ints, distinct
+from .content.block import Block, Bytes, Ints, distinct
 from .content.definitions import UnknownType
 from .content.layouts import Column, Decoder, Template, Undecodable
 from .files.reader import BagReader
 
 Array = NDArray[np.float64]
+FRAME = "header/frame_id"
 
 
 class Piece(NamedTuple):
@@ -63,6 +66,8 @@ class Columns:
     ----------
     left : dict of int to Left
         By topic: what has been left out so far.
+    texts : dict of int to dict, or None
+        By topic and field: one text, or two if there are several; only if it was set to a dict before reading.
     """
 
     def __init__(self, bag: BagReader) -> None:
@@ -70,6 +75,7 @@ class Columns:
         self._decoders: dict[int, Decoder | None] = {}
         self._good: dict[int, int] = {}
         self.left: dict[int, Left] = {}
+        self.texts: dict[int, dict[str, set[str]]] | None = None
 
     def decoder(self, topic: int) -> Decoder | None:
         """Return what reads a topic's messages; None where nothing does."""
@@ -106,6 +112,9 @@ class Columns:
         for rows, made, _ in groups:
             if isinstance(made, Undecodable):
                 self._note(topic, int(block.t[rows[0]]), str(made), len(rows))
+        if self.texts is not None:
+            for _, made, data in good:
+                self._note_texts(self.texts.setdefault(topic, {}), topic, made, data)
         for _, made, _ in good:
             self._left(topic).fields |= dict.fromkeys(made.omitted) if made.omitted else {}
         if len(good) == 1 and len(good[0][0]) == len(block):
@@ -118,6 +127,29 @@ class Columns:
         if not left.messages or t < left.first:
             left.first, left.damage = t, damage
         left.messages += n
+
+    def _note_texts(self, texts: dict[str, set[str]], topic: int, made: Template, rows: Bytes) -> None:
+        """Note the texts of messages that are not in a table; in the suite's own types only a frame is one."""
+        ours = self._bag.topics[topic].msgtype in TYPES
+        for leaf in made.leaves:
+            if not leaf.text or (ours and leaf.path != FRAME):
+                continue
+            found = texts.setdefault(re.sub(r"/\d+(?=/|$)", "/*", leaf.path), set())
+            if len(found) < 2:
+                part = rows[:, leaf.at : leaf.at + int(leaf.kind[1:]) * leaf.n]
+                other = int((part != part[0]).any(axis=1).argmax())
+                found.update(made.texts(rows[[0, other]], leaf))
+
+    def untold(self) -> Iterator[str]:
+        """Describe the texts that the tables do not show; a frame only where it changes."""
+        for topic, texts in sorted((self.texts or {}).items()):
+            name = self._bag.topics[topic].name
+            frames = texts.pop(FRAME, set())
+            if len(frames) > 1:
+                several = " and ".join(repr(frame) for frame in sorted(frames)[:2])
+                yield f"{name}: {FRAME} changes ({several}), which its table does not show"
+            if fields := [field for field, found in texts.items() if found != {""}]:
+                yield f"{name}: texts are not in its table: {', '.join(fields)}"
 
     def finish(self) -> None:
         """Find out, when all is read, of which topics not one message could be decoded."""
