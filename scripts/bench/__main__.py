@@ -24,6 +24,7 @@ from . import (
     machines,
     native,
     optimal_control,
+    places,
     reading,
     realtime,
     recorder,
@@ -46,6 +47,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "fault_location": fault_location.print_table,
     "gupfc": gupfc.print_table, "rectifier": rectifier.print_table, "optimal_control": optimal_control.print_table,
     "falsify": falsification_table.print_table, "environment": environment.print_table,
+    "places": places.print_table,
 }  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from softrig_bringup.film.film import PAST, rows
 from softrig_bringup.film.svg import still
 from softrig_core import list_scenarios, load_scenario, rig_of
 from softrig_core.drawing import drawing_for
+from softrig_core.rig.code import is_ours
 
 from .outline import GALLERY, GUIDES, KINDS, ROOT, SYSTEMS, opening, pages, title
 
@@ -108,7 +109,7 @@ def write_indices(site: Path) -> None:
     (site / "index.md").write_text("\n".join(index), encoding="utf-8")
     for kind, (head, text, names) in KINDS.items():
         made = sorted(p.stem for p in (site / kind).glob("*.*") if p.stem not in names)
-        made.sort(key=lambda name: (name.startswith("softrig_"), name != "softrig_core", name != "verbs"))
+        made.sort(key=lambda name: (is_ours(name), name != "softrig_core", name != "verbs"))
         lines = [f"# {head}", "", text, ""]
         groups = {"": (*names, *made)} if kind != "how-to" else GUIDES | ({"More": tuple(made)} if made else {})
         for group, members in groups.items():

@@ -20,7 +20,7 @@ from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, loa
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
 from softrig_core.errors import nearby
-from softrig_core.rig.code import LETTERS
+from softrig_core.rig.code import LETTERS, is_ours
 from softrig_core.rig.members import Member
 from softrig_core.timebase import SECOND
 from softrig_core.wire.parameter_event import recorded
@@ -305,7 +305,7 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
         a, b = there.get(key, {}), here.get(key, {})
         return ((name, a[name], b.get(name, "none")) for name in names if name in a and a[name] != b.get(name, "none"))
 
-    own = sorted(there.get("code", ()), key=lambda name: (name.startswith("softrig_"), name))
+    own = sorted(there.get("code", ()), key=lambda name: (is_ours(name), name))
     rest = [name for name in there.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
     for what, found in (
         ("the code of ", pairs("code", own)),

@@ -23,6 +23,7 @@ from softrig_core.board import SIMULATORS
 from softrig_core.extras import EXTRAS
 from softrig_core.judge import registry
 from softrig_core.kit.resource import prefixes
+from softrig_core.rig.code import OURS, is_ours
 from softrig_core.wire.types import TYPES
 
 from .packed import PACKAGES, SCENARIO, About, digest_of
@@ -235,7 +236,7 @@ def _wanted() -> frozenset[str]:
     """List what softrig imports anywhere, also what is not installed here."""
     found = {*EXTRAS, *(name.partition("/")[0] for name in TYPES), "builtin_interfaces", "rosidl_runtime_py"}
     for place in sys.path:
-        for folder in Path(place).glob("softrig_*") if place else ():
+        for folder in Path(place).glob(f"{OURS}*") if place else ():
             for file in folder.rglob("*.py"):
                 found.update(*_IMPORT.findall(file.read_text(encoding="utf-8")))
     return frozenset(found)
@@ -258,10 +259,10 @@ def check_scenario(folder: Path, scenario: Scenario, said: About) -> None:
     ScenarioError
     """
     for node, entry in scenario.nodes.items():
-        if entry.package not in said.packages and not entry.package.startswith("softrig_"):
+        if entry.package not in said.packages and not is_ours(entry.package):
             raise ScenarioError(
                 f"node {node} is of package {entry.package!r}, which pack.json does not name; expected one of "
-                f"{', '.join(['softrig_*', *said.packages])}"
+                f"{', '.join([f'{OURS}*', *said.packages])}"
             )
         if (entry.package, entry.executable) in _C:
             for flag in _texts(entry.parameters.get("flags", ())):

@@ -15,6 +15,7 @@ from softrig_bags.read import BagSignals, read_bag, signals
 from softrig_bags.tape import written
 from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.port import CLOCK, XYZ
+from softrig_core.rig.code import is_ours
 from softrig_core.rig.rig import members_of
 from softrig_core.scenario.scenario import NodeEntry
 from softrig_core.verdict.figures import Result
@@ -44,7 +45,7 @@ def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
         raise ScenarioError("no bag in it; `softrig run --like` makes it again")
     found = signals(folder / BAG)
     if names := brings(folder, said):
-        ours = {n: e for n, e in scenario.nodes.items() if e.package.startswith("softrig_") and n not in names}
+        ours = {n: e for n, e in scenario.nodes.items() if is_ours(e.package) and n not in names}
         return _shown(scenario, folder, found, ours), found
     return rig_of(scenario), found
 

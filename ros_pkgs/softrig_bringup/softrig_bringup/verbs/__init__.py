@@ -1,1 +1,1 @@
-"""The verbs of the command line that have no room of their own."""
+"""Verbs without a room of their own, and `run`, `new`, `view`, which need rooms above theirs."""

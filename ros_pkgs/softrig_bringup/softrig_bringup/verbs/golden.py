@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import re
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from io import StringIO
@@ -36,7 +36,8 @@ from ..run.run import versions
 DECIDE = ("machine", "math", "numpy", "scipy", "casadi", "pin", "daqp")  # of the versions: the bits of a run
 # Python decides where a block is not ours: since 3.12 its `sum` compensates floats, since 3.14 complex numbers too
 ERAS = ((3, 12), (3, 14))
-OURS = re.compile(r"softrig_(core|control|optim|drives|power|robots|systems)\.")
+FILE = "golden.yaml"
+STEADY = re.compile(r"softrig_(core|control|optim|drives|power|robots|systems)\.")
 
 
 class Allowed(Entry):
@@ -134,7 +135,7 @@ class Golden:
         """Return what decides the bits and differs from the recording: name to the value there and here."""
         now, there = versions(), self.recipe.made_with
         pairs = {name: (there.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
-        if not all(OURS.match(member.block_class.__module__) for member in self.rig.members):
+        if not all(STEADY.match(member.block_class.__module__) for member in self.rig.members):
             python = there.get("python", "unknown"), now["python"]
             pairs |= {"python": python} if _era(python[0]) != _era(python[1]) else {}
         return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
@@ -159,16 +160,21 @@ class Golden:
         If conditions differ from those in which the bag was made, every byte may still be equal; the description then
         states it.
         """
-        new = self.rerun()
-        found = self.compare(new)
-        same = found.equal and self.others and self.compare(new, elsewhere=False).equal
+        new, old = self.rerun(), self.recording()
+        found = self.compare(new, old=old)
+        same = found.equal and self.others and self.compare(new, elsewhere=False, old=old).equal
         how = f"byte for byte, with {self._differing}" if same else self.how
         held = {topic.topic for topic in found.topics}
         further = [topic for topic in new.topics if topic not in held]
         return found, how + (f"; not in the bag: {', '.join(further)}" if further else "")
 
     def compare(
-        self, new: Recording, topics: Sequence[str] | None = None, *, elsewhere: bool | None = None
+        self,
+        new: Recording,
+        topics: Sequence[str] | None = None,
+        *,
+        elsewhere: bool | None = None,
+        old: Recording | None = None,
     ) -> Comparison:
         """Compare a new recording with the golden one: byte for byte, or elsewhere within the recipe's tolerances.
 
@@ -179,16 +185,18 @@ class Golden:
             bags of all its scenarios.
         elsewhere : bool, optional
             Whether to allow what another build may change; found out when absent.
+        old : Recording, optional
+            The golden one, if it has been read already.
         """
-        recording = self.recording()
-        old, found = Signals(recording), Signals(new)
+        recording = self.recording() if old is None else old
+        before, found = Signals(recording), Signals(new)
         topics = list(recording.topics) if topics is None else topics
         if not (bool(self.others) if elsewhere is None else elsewhere):
-            return compare(old, found, bitwise=True, topics=topics)
+            return compare(before, found, bitwise=True, topics=topics)
         allowed = self.recipe.elsewhere | self.recipe.tolerances
         limits = {name: Tolerance(a.absolute, a.relative) for name, a in allowed.items()}
         default = Tolerance(self.recipe.default.absolute, self.recipe.default.relative)
-        return compare(old, found, default=default, tolerances=limits, topics=topics)
+        return compare(before, found, default=default, tolerances=limits, topics=topics)
 
     def open_loop(self, node: str) -> Comparison:
         """Feed one node with the golden inputs and compare what it answers on the topics that the bag holds.
@@ -207,7 +215,7 @@ class Golden:
                 f"{self.folder}: the bag holds no topic of {node} ({', '.join(answers.topics)}); record it again by "
                 f"`softrig golden {self.folder.name}`"
             )
-        return self.compare(answers, held)
+        return self.compare(answers, held, old=recording)
 
     def make(self, differing: bool = False) -> Comparison | None:
         """Write the golden bag again; returns the comparison of the new with the old, if there was one.
@@ -237,7 +245,7 @@ class Golden:
             if self.bag.exists():
                 self.bag.replace(Path(aside) / "old")
             (Path(aside) / self.bag.name).replace(self.bag)
-        _write(self.folder / "golden.yaml", recipe)
+        _write(self.folder / FILE, recipe)
         return difference
 
 
@@ -287,6 +295,10 @@ def _allowed(rig: Rig, name: str, value: float) -> bool:
     return True
 
 
+# folder, recipe (None: to be made), its changes, whether to check, whether only what differs is made again
+_Work = tuple[Path, Recipe | None, dict[str, Any], bool, bool]
+
+
 def load(folder: Path, **changes: Any) -> Golden:
     """Read a golden folder.
 
@@ -305,7 +317,7 @@ def load(folder: Path, **changes: Any) -> Golden:
 
 
 def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
-    file = folder / "golden.yaml"
+    file = folder / FILE
     if not file.is_file():
         raise ScenarioError(
             f"{folder} has no golden.yaml; `softrig golden {folder.name}` records one, --bags DIR names another folder"
@@ -316,7 +328,7 @@ def _read(folder: Path, changes: dict[str, Any]) -> Recipe:
 
 def create(folder: Path, scenario: str, duration: float | None = None, seed: int = 0) -> Golden:
     """Create the recipe of a new golden bag; the default duration is that of the scenario."""
-    file = folder / "golden.yaml"
+    file = folder / FILE
     duration = load_scenario(scenario).duration if duration is None else duration
     recipe = _recipe(file, {"scenario": scenario, "duration": duration, "seed": seed})
     rig = _rig(recipe)
@@ -357,8 +369,8 @@ def main(options: argparse.Namespace) -> int:
     A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
     """
     changes = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
-    folder, chosen = _chosen(options, options.names)
-    works = [(folder / name, changes, False, options.differing) for name in chosen]
+    folder, recipes = _chosen(options, options.names, changes, new=True)
+    works = [(folder / name, recipe, changes, False, options.differing) for name, recipe in recipes.items()]
     for row, new, _ in sweep(_one, works, title="golden bags", workers=1):
         _say(folder, row, new)
     return 0
@@ -366,12 +378,10 @@ def main(options: argparse.Namespace) -> int:
 
 def check(options: argparse.Namespace) -> int:
     """Run the scenarios of golden bags (all of the folder when none is named) and compare; 1 when one differs."""
-    folder, chosen = _chosen(options, options.scenarios)
-    for name in chosen:  # what is wrong with a recipe is said before the first run
-        _read(folder / name, {})
+    folder, recipes = _chosen(options, options.scenarios, {})
     suites, content = [], []
     elsewhere: set[str] = set()
-    works: list[tuple[Path, dict[str, Any], bool, bool]] = [(folder / name, {}, True, False) for name in chosen]
+    works: list[_Work] = [(folder / name, recipe, {}, True, False) for name, recipe in recipes.items()]
     for row, _, others in sweep(_one, works, title="golden bags", workers=options.workers):
         _say(folder, row)
         length = f"{row['duration_s']:g} s"
@@ -385,13 +395,23 @@ def check(options: argparse.Namespace) -> int:
     return 0 if all(row["pass"] for row in content) else 1
 
 
-def _chosen(options: argparse.Namespace, named: Sequence[str]) -> tuple[Path, list[str]]:
-    """Return the folder of golden bags, and the names of those that are asked for."""
+def _chosen(
+    options: argparse.Namespace, named: Sequence[str], changes: dict[str, Any], new: bool = False
+) -> tuple[Path, dict[str, Recipe | None]]:
+    """Return the folder of golden bags and the recipes of those that are asked for, all read before the first run.
+
+    Parameters
+    ----------
+    new : bool
+        Whether a recipe may be missing, which is None then.
+    """
     folder = options.bags or Path("bags")
     chosen = list(named) or sorted(p.parent.name for p in folder.glob("*/golden.yaml"))
     if not chosen:
         raise ScenarioError(f"{folder} has no golden bags yet; name the scenarios: `softrig golden SCENARIO`")
-    return folder, chosen if options.node is None else _with(options.node, folder, chosen)
+    missing = [name for name in chosen if new and options.node is None and not (folder / name / FILE).is_file()]
+    recipes = {name: None if name in missing else _read(folder / name, changes) for name in chosen}
+    return folder, recipes if options.node is None else _with(options.node, folder, recipes)
 
 
 def _say(folder: Path, row: dict[str, Any], new: bool = False) -> None:
@@ -402,22 +422,21 @@ def _say(folder: Path, row: dict[str, Any], new: bool = False) -> None:
         print(row["differs"])
 
 
-def _with(node: str, folder: Path, names: Iterable[str]) -> list[str]:
+def _with(node: str, folder: Path, recipes: Mapping[str, Recipe | None]) -> dict[str, Recipe | None]:
     """Return the golden bags whose scenario has a node of this name or executable."""
-    nodes = {name: load_scenario(_read(folder / name, {}).scenario).nodes for name in names}
+    nodes = {name: load_scenario(recipe.scenario).nodes for name, recipe in recipes.items() if recipe is not None}
     known = {name: {*of, *(entry.executable for entry in of.values())} for name, of in nodes.items()}
-    if not (found := [name for name, words in known.items() if node in words]):
+    if not (found := {name: recipes[name] for name, words in known.items() if node in words}):
         there = ", ".join(sorted(set().union(*known.values())))
         raise ScenarioError(f"golden --with {node}: no node or executable of that name in {folder}; there are {there}")
     return found
 
 
-def _one(work: tuple[Path, dict[str, Any], bool, bool]) -> tuple[dict[str, Any], bool, set[str]]:
+def _one(work: _Work) -> tuple[dict[str, Any], bool, set[str]]:
     """Create or check a golden bag; return its outcome, whether there was none before, and its `others`."""
     started = time.perf_counter()
-    folder, changes, check, differing = work
-    there = check or (folder / "golden.yaml").is_file()
-    golden = load(folder, **changes) if there else create(folder, folder.name, **changes)
+    folder, recipe, changes, check, differing = work
+    golden = Golden(folder, recipe, _rig(recipe)) if recipe is not None else create(folder, folder.name, **changes)
     how, others = golden.how if golden.bag.exists() else "", set(golden.others)
     result: Comparison | None
     try:

@@ -24,7 +24,7 @@ from softrig_core.block.params import flatten
 from softrig_core.board import SIMULATORS
 from softrig_core.guard import naming, say
 from softrig_core.judge import registry
-from softrig_core.rig.code import fingerprints
+from softrig_core.rig.code import fingerprints, is_ours
 
 from ..options import repeat
 from ..options.identity import HALF, asked_half, strangers
@@ -213,7 +213,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
 
 def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Path]]:
     """Return the entries of `About` for the packages outside softrig, and the files of these packages."""
-    own = [name for name in code if not name.startswith("softrig_")]
+    own = [name for name in code if not is_ours(name)]
     sources = {name: _sources(name) for name in own}
     files: dict[str, bytes | Path] = {}
     for name, folder in sources.items():

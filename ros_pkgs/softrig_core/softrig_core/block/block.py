@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
 from types import FrameType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, Self, final, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, Protocol, Self, final, get_args, runtime_checkable
 
 from typing_extensions import TypeVar
 
@@ -254,10 +254,6 @@ class Block(Generic[P]):
         self.p, self.__first = params, None
         self.setup()
 
-    def void(self, x: Any) -> str:
-        """Return why a run in real time that ends with this state must not be judged; empty: it may be."""
-        return ""
-
     def warm_up(self) -> None:
         """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
 
@@ -308,14 +304,9 @@ class Block(Generic[P]):
         return 0 if self.ages is None else self.ages(name)
 
     @classmethod
-    def finishes(cls) -> bool:
-        """Return whether the block has a last word."""
-        return cls.finish is not Block.finish
-
-    @classmethod
     def speaks_at_end(cls) -> bool:
         """Return whether the block has a tick at the end time of a run: plants, observers, and blocks with `finish`."""
-        return issubclass(cls, (Plant, Observer)) or cls.finishes()
+        return issubclass(cls, Plant | Observer | Finishing)
 
     def health(self, *x: Any) -> Mapping[str, str]:
         """Return name to text of what /diagnostics shows beside the reports, about once a second; gets x."""
@@ -351,13 +342,6 @@ class Block(Generic[P]):
         """
         raise NotImplementedError
 
-    def finish(self, *x_t: Any, **inputs: Any) -> Any:
-        """Return the outputs of the run's last tick, in place of `update`, for results over the whole record.
-
-        A block that overrides it receives the last outputs of the plants, and the commands of the previous tick.
-        """
-        raise NotImplementedError
-
     def refused(self, *x_t: Any) -> Any:
         """Answer a tick one of whose inputs a node has refused (NaN, wrong names); called in place of `update`.
 
@@ -371,6 +355,17 @@ class Block(Generic[P]):
             sporadic ports are silent.
         """
         return x_t[0], None
+
+
+@runtime_checkable
+class Finishing(Protocol):
+    """A block whose last tick has an answer of its own, such as a result over the whole record."""
+
+    def finish(self, *x_t: Any, **inputs: Any) -> Any:
+        """Return the state and outputs of the run's last tick, in place of `update`.
+
+        The inputs are the last outputs of the plants, and the commands of the previous tick.
+        """
 
 
 class Plant(Block[P]):

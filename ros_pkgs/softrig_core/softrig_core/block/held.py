@@ -151,7 +151,7 @@ class ByHand(Held):
 
     def finish(self, t: int, /, **inputs: Any) -> Any:
         """Answer the last tick."""
-        return self._keep(self.block.finish(self.x, t, **inputs))
+        return self._keep(self.block.finish(self.x, t, **inputs))  # type: ignore[attr-defined]
 
     def refused(self, t: int) -> Any:
         """Answer a tick of which something was refused."""

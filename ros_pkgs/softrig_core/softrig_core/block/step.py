@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from ..errors import RunError, describe
 from .answer import Row, Rows, answers, flat
-from .block import Block, Level, Plant
+from .block import Block, Finishing, Level, Plant
 from .bound import mover, sayer
 from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
@@ -150,7 +150,7 @@ class Step(Held):
         block = self.block
         if isinstance(block, Plant):
             return block.outputs
-        return self._finish_or_update if block.finishes() else block.update
+        return self._finish_or_update if isinstance(block, Finishing) else block.update
 
     @property
     def move(self) -> Callable[..., Any]:
@@ -277,6 +277,7 @@ class Step(Held):
     # its parts ----------------------------------------------------------------------------------------------------
 
     def _finish_or_update(self, x: Any, t: int, **inputs: Any) -> Any:
+        assert isinstance(self.block, Finishing)
         last = self.schedule.last
         return (self.block.update if last is None or t < last else self.block.finish)(x, t, **inputs)
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from ..block.block import Block
 from ..kit.resource import prefixes
 
+OURS = "softrig_"  # the names of softrig's own packages begin so
 LETTERS = 12  # of a fingerprint
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)", re.MULTILINE)
 _BUILT = {"__pycache__", ".pyc", ".so", ".nbi", ".nbc"}  # made from the sources
@@ -87,11 +88,16 @@ def _package(package: str) -> tuple[str, tuple[str, ...]]:
     return digest.hexdigest()[:LETTERS], tuple(ours)
 
 
+def is_ours(module: str) -> bool:
+    """Return whether a package or module is of softrig, whose tests show that blocks keep nothing outside x."""
+    return module.startswith(OURS)
+
+
 @cache
 def _is_own(package: str) -> bool:
     """Return whether a package is ours or was built by colcon; a library is identified by its version instead."""
     marks = (prefix / "share" / "colcon-core" / "packages" / package for prefix in prefixes())
-    return package.startswith("softrig_") or any(map(isfile, marks))
+    return is_ours(package) or any(map(isfile, marks))
 
 
 def _source(one: type[Block]) -> str:

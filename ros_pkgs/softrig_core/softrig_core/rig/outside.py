@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from .code import is_ours
+
 CHANGEABLE = (int, float, list, dict, set, deque, bytearray)
-OURS = "softrig_"  # what begins so has tests which show that its blocks keep nothing outside of x
 _OTHERS = (np.ndarray, np.random.Generator, np.random.RandomState, random.Random, itertools.count, types.GeneratorType)
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _FUNCTIONS = (types.FunctionType, staticmethod, classmethod, property, partial)
@@ -24,7 +25,7 @@ _FUNCTIONS = (types.FunctionType, staticmethod, classmethod, property, partial)
 
 def is_foreign(of: type) -> bool:
     """Return whether a block class is not of softrig's own packages."""
-    return not of.__module__.startswith(OURS)
+    return not is_ours(of.__module__)
 
 
 def outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
@@ -139,4 +140,4 @@ def _is_library(module: str) -> bool:
     if top == "__main__":
         return False
     file = str(getattr(sys.modules.get(module), "__file__", None) or "")
-    return top in sys.stdlib_module_names or top.startswith(OURS) or file.startswith(_LIBRARIES)
+    return top in sys.stdlib_module_names or is_ours(top) or file.startswith(_LIBRARIES)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Set
 from functools import partial
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from softrig_core.block.answer import Row, Rows
 from softrig_core.block.block import Level, Plant
@@ -37,6 +37,14 @@ AGAIN = 10.0  # s between two reports of a silence that lasts
 SOON = SECOND // 1000  # ns from the beginning to the first look at the clock
 CATCH_UP = SECOND  # a longer pause than this (a suspended host) is skipped, not simulated
 END_GRACE = SECOND  # ns after the end of the run after which a node ends that still waits for a publisher
+
+
+@runtime_checkable
+class Unjudged(Protocol):
+    """A block after some of whose runs there is nothing to judge, such as one on a board that never answered."""
+
+    def void(self, x: Any) -> str:
+        """Return why a run that ends with this state must not be judged; empty: it may be."""
 
 
 class Realtime(Link):
@@ -376,7 +384,8 @@ class Realtime(Link):
             self.senders.record_rest(self.node.epoch + self.node.t)
             self.node.overheard.over()
         if self.node.overheard.complete():
-            if why := self.node.step.block.void(self.node.step.x):
+            block = self.node.step.block
+            if isinstance(block, Unjudged) and (why := block.void(self.node.step.x)):
                 self.node.fail(why)
             else:
                 self.node.finish()
