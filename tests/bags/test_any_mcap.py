@@ -72,7 +72,7 @@ def by_their_reader(content):
     return sorted(rows, key=lambda row: row[1])
 
 
-@pytest.mark.parametrize("chunks", few(CHUNKS, 2), ids=str)
+@pytest.mark.parametrize("chunks", few(map(pytest.param, CHUNKS), 2))
 def test_all_optional_parts_in_all_combinations_give_the_same_messages(tmp_path, chunks):
     file, count = tmp_path / "x.mcap", 0
     for options, index, own, compression in FILES:
