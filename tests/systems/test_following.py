@@ -318,6 +318,25 @@ CHANGES = {
         "speed_controller.K_.*": ("arrives", "0.475 s of 0.5 s are used with the gains as they are"),
         "profile_generator.period": ("profile_end", "the end of the profile is no tick any more"),
     },
+    "pmsm_foc|im_foc_1kw": {
+        "foc_controller.(speed_bandwidth|J|psi_f)|load_source.times": (
+            "torque_end",
+            "0.25 s after the load step 1 % of the torque is transient: a slower loop or a later step leaves more",
+        ),
+    },
+    "pmsm_field_weakening": {
+        "foc_controller.voltage_use": (
+            "torque_end",
+            "99 % of the voltage leaves the current loops little: the load step settles later",
+        ),
+    },
+    "im_vhz": {"vhz_controller.pole_pairs": ("torque_end", "the voltage has the frequency of another number of poles")},
+    "bldc_six_step": {
+        "hall_sensor.pole_pairs": (
+            "speed_idle|torque_mean",
+            "the legs commutate at the angles of another number of poles",
+        ),
+    },
     "rectifier_mpc_l[1-4].*": {
         "gpc_controller.N[pc]": ("peak", "another horizon overshoots: figures 5b to 5d of the paper"),
         "(gpc_controller|linear_plant).(num|den)": ("peak", "the law predicts by another plant than it has"),
@@ -373,7 +392,7 @@ CHANGES = {
         ),
     },
     "rehab_impedance": {
-        "rehab_plant.v_max": (
+        "(rehab_plant|voltage_controller).v_max": (
             "peak_voltage_hip|voltage",
             "the law asks for the supply that it knows, more than there is",
         ),
