@@ -87,7 +87,7 @@ def test_a_run_of_the_command_line_says_that_a_node_came_back(killer, tmp_path, 
         kill = from_then_on([(rig.end // 20, lambda: killer("dc_motor_smc"))])
         return run(rig, seed, directory, placement, Listener(kill, listener.announce, listener.opened))
 
-    monkeypatch.setattr("softrig_bringup.run.run.run_processes", killing)
+    monkeypatch.setattr("softrig_nodes.run_processes", killing)
     assert (
         main(
             ["run", "dc_motor_smc", "--duration", "1.5", "--restart", "1", "--no-plots", "--out", str(tmp_path / "run")]

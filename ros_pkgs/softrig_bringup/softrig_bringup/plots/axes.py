@@ -169,7 +169,8 @@ def _names(ax: Axes, marks: Sequence[Mark], scale: float) -> None:
 
 def _quantised(y: Array) -> bool:
     """Return whether a signal jumps between few values, as an encoder's speed or a switch does."""
-    return 8 * len(np.unique(y)) < len(y)
+    y = np.sort(y)  # np.unique imports numpy.ma, a tenth of what a picture takes
+    return 8 * (1 + int(np.count_nonzero(y[1:] != y[:-1]))) < len(y)
 
 
 def _open_limits(ax: Axes) -> None:

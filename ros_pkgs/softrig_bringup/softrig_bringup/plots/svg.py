@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from html import escape
 from typing import Any, NamedTuple
-from xml.sax.saxutils import escape
 from zlib import crc32
 
 import numpy as np
@@ -60,8 +60,8 @@ def svg(figure: Figure) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="plot" role="img" aria-labelledby="{key}t {key}d" '
         f'width="{wide:g}" height="{high:g}" viewBox="0 0 {wide:g} {high:g}" font-family="{FONT}">'
-        f'<title id="{key}t">{escape(figure.title or "Picture")}</title>'
-        f'<desc id="{key}d">{escape(" ".join(described(figure)))}</desc>'
+        f'<title id="{key}t">{escape(figure.title or "Picture", quote=False)}</title>'
+        f'<desc id="{key}d">{escape(" ".join(described(figure)), quote=False)}</desc>'
         f'<style>{_STYLE}</style><rect width="100%" height="100%" fill="#ffffff"/>{body}</svg>\n'
     )
 
@@ -390,9 +390,11 @@ class _Writer:
         look += f' transform="rotate(-90 {_n(x)} {_n(y)})"' if turned else ""
         lines = text.split("\n")
         if len(lines) == 1:
-            return f'<text x="{_n(x)}" y="{_n(y)}"{look}>{escape(text)}</text>'
-        spans = "".join(f'<tspan x="{_n(x)}" y="{_n(y + k * 1.25 * size * self.point)}">{escape(line)}</tspan>'
-                        for k, line in enumerate(lines))  # fmt: skip
+            return f'<text x="{_n(x)}" y="{_n(y)}"{look}>{escape(text, quote=False)}</text>'
+        spans = "".join(
+            f'<tspan x="{_n(x)}" y="{_n(y + k * 1.25 * size * self.point)}">{escape(line, quote=False)}</tspan>'
+            for k, line in enumerate(lines)
+        )
         return f"<text{look}>{spans}</text>"
 
     def _bar(self, box: Box) -> Iterator[str]:

@@ -10,7 +10,6 @@ from pathlib import Path
 from softrig_core import Rig, ScenarioError
 from softrig_core.errors import closest
 from softrig_core.guard import say
-from softrig_nodes import run_processes
 from softrig_nodes.processes.placement import Listener
 
 from ..options.run_options import folder_name, placement_of
@@ -52,6 +51,8 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
     others = [name for name in names if name not in options.only]
     say(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(others) or 'nobody'}")
     placement = replace(placement_of(options), wait=options.wait or 0.0)
+    from softrig_nodes import run_processes
+
     outcome = run_processes(rig, rig.scenario.seed, out / "log", placement, Listener(announce=say))
     if outcome.error:
         say(f"the run broke: {outcome.error}")

@@ -45,7 +45,6 @@ from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import read_shards
 from softrig_core.wire.shards import Shards
-from softrig_nodes import run_processes
 from softrig_nodes.processes.placement import NOBODY, Listener, Placement
 from softrig_nodes.processes.stopping import signal_of, stoppable, unstopped
 
@@ -99,6 +98,8 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
             run.error = run.error or f"{directory}: {full.strerror or full}"
         run.recording = shards.recording()
     else:
+        from softrig_nodes import run_processes  # runs in process do without what it imports
+
         outcome = run_processes(rig, seed, directory, placement, listener)
         run.recording, run.status, run.epoch = outcome.recording, outcome.status, outcome.epoch
         run.error, run.stopped = outcome.error, outcome.stopped

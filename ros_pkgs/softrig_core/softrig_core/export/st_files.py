@@ -5,9 +5,9 @@ from __future__ import annotations
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, register_namespace, tostring
-from xml.sax.saxutils import escape
 
 from ..block.port import Port
 from ..command_line import Parser
@@ -229,7 +229,7 @@ def _type(parent: Element, kind: str) -> None:
     elif kind in ("LREAL", "LINT", "BOOL", "USINT", "UDINT", "DINT"):
         _sub(parent, kind)
     else:
-        _sub(parent, "derived", name=escape(kind))
+        _sub(parent, "derived", name=escape(kind, quote=False))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from ..errors import ScenarioError, closest
 
@@ -15,8 +14,7 @@ Use = Literal["used", "ignored", "refused"]
 BELOW = "/**"  # ends a name that stands for an element and everything in it
 
 
-@dataclass(frozen=True)
-class FileFormat:
+class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of each command's start
     """Every name of a file format's standard: tags, attributes, fields, columns.
 
     Reading a file, generating its reference page, and the tests all use this one table.

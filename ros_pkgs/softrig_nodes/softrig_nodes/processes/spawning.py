@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 from softrig_core.block.change import dumps
 from softrig_core.block.params import flatten
-from softrig_core.board.clocked import Clocked
-from softrig_core.board.link import Linked
+from softrig_core.board.elsewhere import Elsewhere
 from softrig_core.rig.members import Member
 from softrig_core.rig.rig import Rig
 
@@ -51,7 +50,7 @@ def node_parameters(
     own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
     others: dict[str, Any] = {"returns": returns}
     others |= {"followers": []} if returns else {}  # who comes back finds the others at the tick at which it died
-    entry = getattr(member.block_class, "ENTRY", None) if issubclass(member.block_class, (Linked, Clocked)) else None
+    entry = getattr(member.block_class, "ENTRY", None) if issubclass(member.block_class, Elsewhere) else None
     link = {} if entry is None else {"run.link": entry.model_dump_json()}
     others |= {} if recorders is None else {"public": True, "recorders": list(recorders)}
     return (
