@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 from softrig_core import Rig, RunError, Scenario, ScenarioError, load_scenario, rig_of, simulate
+from softrig_core.board.clocked import WAITS
 from softrig_nodes.processes.domain import free_domain
 
 NODE = Path(__file__).parents[1] / "clocked_node.py"
@@ -103,10 +105,26 @@ def test_what_it_does_otherwise_ends_the_run_by_name(kind: str, more: dict[str, 
 
 
 @pytest.mark.long
-def test_one_that_does_not_go_by_the_clock_is_told() -> None:
-    # without use_sim_time it has no subscription of /clock, so it is what is waited for
-    with started("timer", sim_time=False), pytest.raises(RunError, match=r"a subscription of its clock"):
-        simulate(rig(start_timeout=2.5))
+@pytest.mark.parametrize(
+    ("kind", "external", "message"),
+    [
+        ("", {"start_timeout": 2.5}, r"no node with a subscription of .*; start it as ROS_DOMAIN_ID="),
+        # without use_sim_time it has no subscription of /clock
+        ("timer", {}, r"/dc_motor_smc/pi is there without a subscription of its clock; start it with -p use_sim_time"),
+        (
+            "timer",
+            {"reads": ["motor/reference", "motor/sensors", "motor/state"]},
+            r"/dc_motor_smc/pi is there without a subscription of /dc_motor_smc/motor/sensors; remap its topic",
+        ),
+    ],
+)
+def test_what_a_node_lacks_is_reported_while_it_is_waited_for(
+    kind: str, external: dict[str, Any], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    node = started(kind, sim_time="reads" in external) if kind else nullcontext()
+    with node, pytest.raises(RunError, match=message):
+        simulate(rig(**{"start_timeout": 12.0, **external}))
+    assert re.search(f"dc_motor_smc: {WAITS}: {message}", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(

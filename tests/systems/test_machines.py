@@ -245,7 +245,14 @@ def test_a_load_step_within_a_period_and_trips():
 
 @pytest.mark.parametrize(
     ("L_d", "L_q", "psi_f", "i_max"),
-    [(0.036, 0.051, 0.545, 9.0), (0.00037, 0.0012, 0.066, 400.0), (0.0415, 0.0062, 0.0, 32.0), (0.01, 0.01, 0.1, 20.0)],
+    [
+        (0.036, 0.051, 0.545, 9.0),
+        (0.00037, 0.0012, 0.066, 400.0),
+        (0.0415, 0.0062, 0.0, 32.0),
+        (0.01, 0.01, 0.1, 20.0),
+        (0.06, 0.03, 0.2, 10.0),
+        (0.0062, 0.0415, 0.0, 32.0),
+    ],
 )
 def test_currents_are_the_least_of_all_that_make_the_torque(L_d, L_q, psi_f, i_max):
     """Against brute force over 300 magnitudes and 721 angles, over speeds from rest to the deepest field weakening."""

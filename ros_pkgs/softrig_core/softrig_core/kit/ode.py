@@ -40,10 +40,11 @@ def resolving_step(period: float, substeps: int, *rates: tuple[float, str]) -> f
         A rate needs more than `STEPS` steps and more than `substeps`; names it.
     """
     rate, of = max(rates)
-    if rate * period > RESOLVED * max(STEPS, substeps):
+    needed = rate * period / RESOLVED * (1.0 - 1e-12)  # what rounding adds is no further step
+    if needed > max(STEPS, substeps):
         raise ValueError(
             f"{of}: as fast as {1.0 / rate:.2g} s, a period is {period:g} s: check their units, or take "
-            f"{math.ceil(rate * period / RESOLVED)} substeps"
+            f"{math.ceil(min(needed, 1e9))} substeps"
         )
     return min(period / substeps, RESOLVED / rate) if rate > 0.0 else period / substeps
 

@@ -35,6 +35,7 @@ PATIENT = (
     "softrig_core.solver",
     "softrig_core.kit.jit",
     "softrig_core.kit.compiled",
+    "softrig_nodes.ros.guest",
 )
 STUCK = "has not returned"  # in each report: whoever reads the log of a process looks for it
 _STOP = b"\0"

@@ -36,6 +36,7 @@ from .messages import message_class
 from .profile import RANGE, joining, look_after_ports
 
 QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+CLOCKED = "a subscription of its clock"
 LOOK = 0.05  # s between two looks at the graph
 SAY_AFTER = 1.0  # s without a change after which it is said what is waited for
 
@@ -155,7 +156,7 @@ class Guest:
         }
         for topic in map(self._topic, self._outputs):
             wanted[f"a publisher of {topic}"] = partial(self._node.count_publishers, topic)
-        wanted["a subscription of its clock"] = self._clock.get_subscription_count
+        wanted[CLOCKED] = self._clock.get_subscription_count
         begin = since = time.monotonic()
         before: list[str] = []
         said: list[str] = []
@@ -180,13 +181,13 @@ class Guest:
     def _lacks(self, lacking: Sequence[str], wanted: Collection[str]) -> str:
         """Describe what is missing and what to do: of a node that is not there, or of one that has the rest."""
         if len(lacking) < len(wanted):
-            return (
-                f"{self._named()} is there without {' and '.join(lacking)}; remap the node's topic to this name or "
-                "remove it from `reads` or `publishes`, and start the node with -p use_sim_time:=true"
-            )
+            what = f"{self._named()} is there without {', '.join(lacking)}"
+            if lacking == [CLOCKED]:
+                return f"{what}; start it with -p use_sim_time:=true and -r /clock:=/{self._name}/clock"
+            return f"{what}; remap its topic to this name, or remove the topic from `reads` or `publishes`"
         place = "".join(f"{name}={os.environ[name]} " for name in (RANGE,) if name in os.environ)
         return (
-            f"no node with {' and '.join(lacking)}; start it as ROS_DOMAIN_ID={domain_id()} {place}ros2 run PACKAGE "
+            f"no node with {', '.join(lacking)}; start it as ROS_DOMAIN_ID={domain_id()} {place}ros2 run PACKAGE "
             f"NODE --ros-args -r __ns:=/{self._name} -r /clock:=/{self._name}/clock -p use_sim_time:=true"
         )
 
