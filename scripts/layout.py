@@ -68,10 +68,11 @@ def metadata(name: str, config: ConfigParser) -> Tree:
     version = config["metadata"].get("version", "0")
     groups = config["options.entry_points"].items() if config.has_section("options.entry_points") else ()
     about = config["metadata"].get("description", name)
-    said = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nSummary: {about}\n"
+    message = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nSummary: {about}\n"
     points = "\n".join(f"[{group}]\n{lines.strip()}\n" for group, lines in groups)
     return {
-        f"{name}-{version}.egg-info/{file}": text for file, text in (("PKG-INFO", said), ("entry_points.txt", points))
+        f"{name}-{version}.egg-info/{file}": text
+        for file, text in (("PKG-INFO", message), ("entry_points.txt", points))
     }
 
 

@@ -207,8 +207,8 @@ class Sender:
             pickle.dumps(warning_message)
         except Exception:  # whatever a class of warnings does when it is pickled
             warning_message.message, warning_message.category = Warning(str(warning_message.message)), Warning
-        told = {"warning_message": warning_message, "when": when, "nodeid": nodeid, "location": location}
-        self.connection.send(("warning", told))
+        entries = {"warning_message": warning_message, "when": when, "nodeid": nodeid, "location": location}
+        self.connection.send(("warning", entries))
 
 
 def _work(session, connection, folder):

@@ -106,7 +106,7 @@ def launch(values, variables, meddle=lambda processes: None):
     Several launches on one domain: `values` is a list.
     """
     nodes = [node for given in (values if isinstance(values, list) else [values]) for node in nodes_of(given)]
-    context, status, said = SimpleNamespace(is_shutdown=False), 0, []
+    context, status, messages = SimpleNamespace(is_shutdown=False), 0, []
     stack, running = ExitStack(), {}
     try:
         for node in nodes:
@@ -116,12 +116,12 @@ def launch(values, variables, meddle=lambda processes: None):
             meddle({n.name: p for n, p in running.items()})
             for node, process in [(n, p) for n, p in running.items() if p.poll() is not None]:
                 del running[node]
-                said.append(process.communicate()[0])
+                messages.append(process.communicate()[0])
                 event = SimpleNamespace(returncode=process.returncode, process_name=node.name or node.executable)
                 try:
                     node.on_exit(event, context)
                 except RuntimeError as error:
-                    said.append(str(error))
+                    messages.append(str(error))
                     status, context.is_shutdown = 1, True
                     for other in running.values():
                         other.send_signal(signal.SIGINT)
@@ -131,4 +131,4 @@ def launch(values, variables, meddle=lambda processes: None):
             process.kill()
             process.wait()
         stack.close()
-    return status, "".join(said)
+    return status, "".join(messages)

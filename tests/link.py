@@ -38,8 +38,8 @@ def main(first, second, delay, jitter, loss):
     waiting = []  # (when, number, where, frame): with a jitter, later frames overtake earlier ones
     print("ready", flush=True)
     while True:
-        rest = max(0.0, waiting[0][0] - time.monotonic()) if waiting else None
-        for end in select.select(ends, [], [], rest)[0]:
+        remaining = max(0.0, waiting[0][0] - time.monotonic()) if waiting else None
+        for end in select.select(ends, [], [], remaining)[0]:
             frame, (_, _, kind, *_) = end.recvfrom(65536)
             if kind == PACKET_OUTGOING:
                 continue

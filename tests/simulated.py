@@ -301,10 +301,10 @@ class SimulatedNode(Middleware):
         return [r.topic for r in self._seen(self.world.readers) if r.node.name == peer.name]
 
     def topics(self):
-        found = {}
+        results = {}
         for end in self._seen(self.world.writers + self.world.readers):
-            found.setdefault(end.topic, set()).add(end.msgtype)
-        return {topic: sorted(types) for topic, types in found.items()}
+            results.setdefault(end.topic, set()).add(end.msgtype)
+        return {topic: sorted(types) for topic, types in results.items()}
 
     def log(self, level, text):
         self.logs.append((level, text))
@@ -324,7 +324,7 @@ class SimulatedWorker:
         pass
 
     def submit(self, request, job=None):
-        self.answer = self.solve(request, Work(lambda *said: None))
+        self.answer = self.solve(request, Work(lambda *text: None))
         self.state, self.job, self.begun = "working", job, self.world.now
         self.world.at(self.world.now + self.takes, self._done)
 

@@ -23,12 +23,12 @@ FOLDER = Path(__file__).parent / "expected"
 
 def check_told(name, lines):
     """Hold lines against a file."""
-    found, file = list(lines), FOLDER / f"{name}.txt"
+    results, file = list(lines), FOLDER / f"{name}.txt"
     if os.environ.get("SOFTRIG_EXPECTED") == "write":
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text("\n".join([*found, ""]))
+        file.write_text("\n".join([*results, ""]))
     wanted = file.read_text().splitlines()
-    assert found == wanted, "\n".join(difflib.unified_diff(wanted, found, f"expected/{name}.txt", "now", n=0))
+    assert results == wanted, "\n".join(difflib.unified_diff(wanted, results, f"expected/{name}.txt", "now", n=0))
 
 
 def _number(value):
@@ -57,33 +57,33 @@ def _text(text):
 
 
 def _line(line):
-    look = f"{to_hex(line.get_color())} {line.get_linestyle()} {line.get_linewidth():g} {line.get_drawstyle()}"
+    text = f"{to_hex(line.get_color())} {line.get_linestyle()} {line.get_linewidth():g} {line.get_drawstyle()}"
     if line.get_marker() not in ("", "None", None):
-        look += f" marker {line.get_marker()} {line.get_markersize():g}"
+        text += f" marker {line.get_marker()} {line.get_markersize():g}"
     if line.get_alpha() is not None:
-        look += f" alpha {line.get_alpha():.3g}"
-    look += "" if line.get_clip_on() else " unclipped"
-    return f"line {line.get_label()!r} {look} z {line.get_zorder():.3g}: {_curve(line.get_xdata(), line.get_ydata())}"
+        text += f" alpha {line.get_alpha():.3g}"
+    text += "" if line.get_clip_on() else " unclipped"
+    return f"line {line.get_label()!r} {text} z {line.get_zorder():.3g}: {_curve(line.get_xdata(), line.get_ydata())}"
 
 
 def _together(lines):
     """What many lines are made of, and what their points come to."""
-    looks = Counter(_line(line).partition(" ")[2].partition(":")[0].partition(" ")[2] for line in lines)
+    styles = Counter(_line(line).partition(" ")[2].partition(":")[0].partition(" ")[2] for line in lines)
     x, y = (np.concatenate([np.asarray(c, float) for c in v]) for v in zip(*(i.get_data() for i in lines), strict=True))
-    return f"{', '.join(f'{n} {look}' for look, n in looks.items())}: {_curve(x, y)}"
+    return f"{', '.join(f'{n} {style}' for style, n in styles.items())}: {_curve(x, y)}"
 
 
 def _collection(part):
     face, alpha = part.get_facecolor(), part.get_alpha()
     colour = to_hex(face[0]) if len(face) else "none"
     kind = "area" if isinstance(part, PolyCollection) else type(part).__name__
-    look = f"{kind} {colour} alpha {alpha} z {part.get_zorder():.3g}"
+    text = f"{kind} {colour} alpha {alpha} z {part.get_zorder():.3g}"
     values = part.get_array()
     if values is not None:
-        look += f" {part.get_cmap().name} values {_curve(np.arange(values.size), np.ravel(values))}"
+        text += f" {part.get_cmap().name} values {_curve(np.arange(values.size), np.ravel(values))}"
     points = np.vstack([p.vertices for p in part.get_paths()] or [np.empty((0, 2))])
     places = np.ma.filled(np.ma.asarray(part.get_offsets(), float), np.nan)
-    return f"{look}: {_curve(*points.T)}" + (f" at {_curve(*places.T)}" if len(places) > 1 else "")
+    return f"{text}: {_curve(*points.T)}" + (f" at {_curve(*places.T)}" if len(places) > 1 else "")
 
 
 def on_paper(figure):
@@ -123,8 +123,8 @@ def figure_lines(figure):
             yield f"    {len(boxes)} patches {to_hex(ax.patches[0].get_facecolor())}: {_row(np.sum(boxes, axis=0))}"
         else:
             for patch, box in zip(ax.patches, boxes, strict=True):
-                look = f"{to_hex(patch.get_facecolor(), keep_alpha=True)} {patch.get_linewidth():g}"
-                yield f"    {type(patch).__name__} {look} z {patch.get_zorder():.3g}: {_row(box)}"
+                text = f"{to_hex(patch.get_facecolor(), keep_alpha=True)} {patch.get_linewidth():g}"
+                yield f"    {type(patch).__name__} {text} z {patch.get_zorder():.3g}: {_row(box)}"
         yield from (f"    text {_text(t)} at {_row(getattr(t, 'xy', t.get_position()))}" for t in ax.texts)
         if (legend := ax.get_legend()) is not None:
             words = [t.get_text() for t in legend.get_texts()]
@@ -189,10 +189,10 @@ def _below(content, depth, without):
 
 
 def _head(tag, attributes):
-    told = {k: v for k, v in attributes.items() if k not in ("class", "data-label") and v}
-    told = {k: "data" if str(v).startswith("data:") else v for k, v in told.items()}
+    entries = {k: v for k, v in attributes.items() if k not in ("class", "data-label") and v}
+    entries = {k: "data" if str(v).startswith("data:") else v for k, v in entries.items()}
     name = ".".join([tag, *(attributes.get("class") or "").split()])
-    return " ".join([name, *(f"{k}={v}" for k, v in told.items())])
+    return " ".join([name, *(f"{k}={v}" for k, v in entries.items())])
 
 
 def _inline(part):

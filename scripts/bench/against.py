@@ -61,16 +61,16 @@ def built(commit: str) -> Path:
         No such commit, or its set-up fails.
     """
     asked = ["git", "-C", str(ROOT), "rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}"]
-    found = subprocess.run(asked, capture_output=True, text=True)
-    if found.returncode:
+    result = subprocess.run(asked, capture_output=True, text=True)
+    if result.returncode:
         raise ScenarioError(f"bench against {commit!r}: no such commit in {ROOT}, expected one that `git log` lists")
-    place = cache_folder() / "builds" / found.stdout.strip()[:12]
+    place = cache_folder() / "builds" / result.stdout.strip()[:12]
     if not (place / ".git").exists():
         place.parent.mkdir(exist_ok=True)
         with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
             whole = Path(scratch, "checkout")
             subprocess.run(["git", "clone", "--quiet", "--no-checkout", ROOT, whole], check=True)
-            subprocess.run(["git", "-C", whole, "checkout", "--quiet", found.stdout.strip()], check=True)
+            subprocess.run(["git", "-C", whole, "checkout", "--quiet", result.stdout.strip()], check=True)
             whole.rename(place)
     if subprocess.run([place / "scripts/softrig", "setup"], env=plain()).returncode:
         raise ScenarioError(f"bench against {commit!r}: the set-up of {place} failed, as told above")
@@ -122,7 +122,7 @@ def compared(other: Path, names: Sequence[str], rounds: int) -> dict[str, tuple[
     return result
 
 
-def rows(found: dict[str, tuple[list[float], list[float]]]) -> list[tuple[str, ...]]:
+def rows(values: dict[str, tuple[list[float], list[float]]]) -> list[tuple[str, ...]]:
     """Return name, CPU time before and now, and their ratio, each the median over rounds."""
     return [
         (
@@ -131,7 +131,7 @@ def rows(found: dict[str, tuple[list[float], list[float]]]) -> list[tuple[str, .
             f"{median(now):.2f}",
             f"{median(n / b for b, n in zip(before, now, strict=True)):.2f}",
         )
-        for name, (before, now) in found.items()
+        for name, (before, now) in values.items()
     ]
 
 
@@ -144,10 +144,10 @@ def whole(checkout: Path, scenario: str, settings: Mapping[str, str]) -> float:
         It failed; with the end of what it wrote.
     """
     command = [str(checkout / "scripts/softrig"), "python", "-c", WHOLE, scenario]
-    found = subprocess.run(command, cwd=checkout, env=plain() | dict(settings), capture_output=True, text=True)
-    if found.returncode:
-        raise ScenarioError(f"{scenario} in {checkout}: status {found.returncode}: {found.stderr[-500:]}")
-    return float(found.stdout.split()[-1])
+    result = subprocess.run(command, cwd=checkout, env=plain() | dict(settings), capture_output=True, text=True)
+    if result.returncode:
+        raise ScenarioError(f"{scenario} in {checkout}: status {result.returncode}: {result.stderr[-500:]}")
+    return float(result.stdout.split()[-1])
 
 
 def run_rows(places: tuple[Path, Path], names: Sequence[str], mode: str, rounds: int) -> list[tuple[str, ...]]:
@@ -161,8 +161,8 @@ def run_rows(places: tuple[Path, Path], names: Sequence[str], mode: str, rounds:
     result: list[tuple[str, ...]] = []
     warm = mode == "default"  # its first round compiles
     for name in names:
-        found = [[whole(place, name, MODES[mode]) for place in places] for _ in range(rounds + warm)][warm:]
-        before, now = (min(costs) for costs in zip(*found, strict=True))
+        actual = [[whole(place, name, MODES[mode]) for place in places] for _ in range(rounds + warm)][warm:]
+        before, now = (min(costs) for costs in zip(*actual, strict=True))
         result.append((name, f"{before:.3f}", f"{now:.3f}", f"{now / before:.2f}"))
         console.print(*result[-1])
     return result
@@ -197,10 +197,10 @@ def main(arguments: Sequence[str]) -> int:
     other, heads = built(options.commit), (kind, "CPU s before", "CPU s now", "ratio")
     if options.runs:
         # A build of the newest commit: numba imports what a set-up for tests adds (coverage), which takes 0.2 s.
-        found = run_rows((other, built("HEAD")), names, options.runs, options.rounds)
+        result = run_rows((other, built("HEAD")), names, options.runs, options.rounds)
     else:
-        found = rows(compared(other, names, options.rounds))
-    lines = [heads, *found]
+        result = rows(compared(other, names, options.rounds))
+    lines = [heads, *result]
     table = Table(*lines[0])
     for line in lines[1:]:
         table.add_row(*line)

@@ -61,13 +61,15 @@ def dc_motor(library: str, allowed: float) -> Row | None:
     names = ("R", "L", "J", "b", "Kt", "Ke")
     given = {name: getattr(plant, name) for name in names} | {"period": plant.period}
     given["voltage"] = signals["motor/command/armature/effort"].x.tolist()
-    if (found := peer(library, given)) is None:
+    if (result := peer(library, given)) is None:
         return None
     k = len(given["voltage"]) - 1
     state = [signals[f"motor/state/shaft/{field}"].x[k] for field in ("position", "velocity")]
     state.append(signals["motor/sensors/current_a/position"].x[k])
     work = f"{k} periods of held voltage"
-    return Row("dc_motor_smc", library, work, ours, found["cpu_s"], farthest(found["end"], state), allowed, "SI units")
+    return Row(
+        "dc_motor_smc", library, work, ours, result["cpu_s"], farthest(result["end"], state), allowed, "SI units"
+    )
 
 
 def arm(library: str, allowed: float) -> Row | None:
@@ -85,13 +87,13 @@ def arm(library: str, allowed: float) -> Row | None:
         "q": plant.each("position"),
         "v": plant.each("velocity"),
     }
-    if (found := peer(library, given)) is None:
+    if (result := peer(library, given)) is None:
         return None
     fields = [f"joint_states/{joint}/{field}" for field in ("position", "velocity") for joint in joints]
     state = [signals[name].x[len(torques)] for name in fields]
     work = f"{len(torques)} periods of held torque, Runge-Kutta of the same step"
-    apart = farthest(found["end"], state)
-    return Row("arm_computed_torque", library, work, ours, found["cpu_s"], apart, allowed, "rad, rad/s")
+    apart = farthest(result["end"], state)
+    return Row("arm_computed_torque", library, work, ours, result["cpu_s"], apart, allowed, "rad, rad/s")
 
 
 def pv_string(library: str, allowed: float) -> Row | None:
@@ -103,29 +105,29 @@ def pv_string(library: str, allowed: float) -> Row | None:
     voltages: list[Any] = []
 
     def solve() -> None:
-        found = zip(cells, currents, strict=True)
-        voltages[:] = [one.junction(current)[0] - one.R_s * current for one, current in found]
+        result = zip(cells, currents, strict=True)
+        voltages[:] = [one.junction(current)[0] - one.R_s * current for one, current in result]
 
     ours = least(solve, 3)
     given = {
         name: np.repeat([getattr(one, name) for one in cells], len(currents[0])).tolist()
         for name in ("I_ph", "I_0", "R_s", "R_p", "aV_t")
     } | {"V": np.concatenate(voltages).tolist()}
-    if (found := peer(library, given)) is None:
+    if (result := peer(library, given)) is None:
         return None
-    apart = farthest(found["end"], np.concatenate(currents))
+    apart = farthest(result["end"], np.concatenate(currents))
     work = f"{len(given['V'])} points of the single-diode equation"
-    return Row("pv_mppt", library, work, ours, found["cpu_s"], apart, allowed, "A")
+    return Row("pv_mppt", library, work, ours, result["cpu_s"], apart, allowed, "A")
 
 
 def drive(name: str, allowed: float) -> Row | None:
     """A field-oriented drive on its duty ratios."""
     python = os.environ.get("SOFTRIG_PEERS", sys.executable)
-    if (found := machines.beside(name, python, 0.5)) is None:
+    if (result := machines.beside(name, python, 0.5)) is None:
         return None
     work = "a second of held duty ratios (distance: at a tolerance of 1e-11)"
-    apart = max(found.current, found.speed)
-    return Row(name, "motulator", work, found.ours, found.theirs, apart, allowed, "A, rad/s")
+    apart = max(result.current, result.speed)
+    return Row(name, "motulator", work, result.ours, result.theirs, apart, allowed, "A, rad/s")
 
 
 def switched(library: str, allowed: float) -> Row | None:

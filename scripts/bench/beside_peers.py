@@ -30,8 +30,8 @@ def python_control(given: dict[str, Any]) -> tuple[float, Any]:
     start = time.process_time()
     sampled = control.sample_system(control.ss(a, b, np.eye(3), np.zeros((3, 1))), given["period"], "zoh")
     times = given["period"] * np.arange(len(voltage))
-    found = control.forced_response(sampled, times, voltage)
-    return time.process_time() - start, np.asarray(found.outputs)[:, -1]
+    result = control.forced_response(sampled, times, voltage)
+    return time.process_time() - start, np.asarray(result.outputs)[:, -1]
 
 
 def scipy_ivp(given: dict[str, Any]) -> tuple[float, Any]:
@@ -54,8 +54,8 @@ def pvlib(given: dict[str, Any]) -> tuple[float, Any]:
     columns = [np.array(given[name]) for name in ("V", "I_ph", "I_0", "R_s", "R_p", "aV_t")]
     V, I_ph, I_0, R_s, R_p, aV_t = columns
     start = time.process_time()
-    found = pvsystem.i_from_v(V, I_ph, I_0, R_s, R_p, aV_t)
-    return time.process_time() - start, found
+    result = pvsystem.i_from_v(V, I_ph, I_0, R_s, R_p, aV_t)
+    return time.process_time() - start, result
 
 
 def mujoco(given: dict[str, Any]) -> tuple[float, Any]:

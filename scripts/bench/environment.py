@@ -63,13 +63,13 @@ def print_table() -> None:
 
     ``SOFTRIG_PEERS`` in the environment: an interpreter that has them.
     """
-    found: dict[str, float | None] = {**rates()}
+    results: dict[str, float | None] = {**rates()}
     vectors, _ = switching(SECONDS)
     for name, title, times in (
         ("gym-electric-motor", "gym-electric-motor, Finite-SC-SCIM-v0, Euler", 1),
         ("jax", f"JAX, the same plants written for it, {MANY} of them", MANY),
     ):
         theirs = peer(name, vectors, os.environ.get("SOFTRIG_PEERS", sys.executable))
-        found[title] = None if theirs is None else times * len(vectors) / theirs["cpu_s"]
-    for name, rate in found.items():
+        results[title] = None if theirs is None else times * len(vectors) / theirs["cpu_s"]
+    for name, rate in results.items():
         console.print(f"{name:52} " + ("not installed" if rate is None else f"{rate:10,.0f} steps/s"))

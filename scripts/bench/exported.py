@@ -155,13 +155,13 @@ def law_rates() -> tuple[float, float]:
         export_c(rig, "dc_motor_smc", Path(folder), rows=500, drawn=100)
         library = _built(Path(folder), head + LAW, ["dc_motor_smc.c"])
     library.last.restype = ctypes.c_double
-    found, answers = [], []
+    results, answers = [], []
     for run in (library.by_hand, library.run):
-        found.append(least(lambda run=run: run(ctypes.c_long(TICKS)), ROUNDS) / TICKS * 1e9)  # type: ignore[misc]
+        results.append(least(lambda run=run: run(ctypes.c_long(TICKS)), ROUNDS) / TICKS * 1e9)  # type: ignore[misc]
         answers.append(library.last())
     if answers[0] != answers[1]:
         raise ScenarioError(f"the sliding mode law: C by hand gives {answers[0]!r}, exported {answers[1]!r}")
-    return found[0], found[1]
+    return results[0], results[1]
 
 
 def _rate(place: Path, driver: str, sources: list[str]) -> float:
@@ -191,7 +191,7 @@ def _built(place: Path, driver: str, sources: list[str]) -> Any:
 
 def fmu_rates(node: str) -> tuple[float, float]:
     """Measure ns of CPU a step of `doStep`, of an FMU with Python and of one without, called from C's interface."""
-    found = []
+    results = []
     for kind in (0, 2):
         with tempfile.TemporaryDirectory() as folder:
             path = export(rig_of("dc_motor_smc"), node, Path(folder), kind)
@@ -201,8 +201,8 @@ def fmu_rates(node: str) -> tuple[float, float]:
             subprocess.run(build, cwd=folder, check=True)
             command = [sys.executable, "-c", STEP, str(path), str(STEPS), library]
             done = subprocess.run(command, check=True, capture_output=True, text=True)
-            found.append(float(done.stdout.split()[-1]))
-    return found[0], found[1]
+            results.append(float(done.stdout.split()[-1]))
+    return results[0], results[1]
 
 
 def print_table() -> None:

@@ -56,14 +56,14 @@ def agreement(python: str = sys.executable, seconds: float = 0.75, name: str = "
     The larger of the two; None where the peer is not installed.
     """
     vectors, signals = switching(seconds)
-    found = peer(name, vectors, python)
-    if found is None:
+    result = peer(name, vectors, python)
+    if result is None:
         return None
-    k = round(found["periods"])
+    k = round(result["periods"])
     psi = [signals[f"flux_true/{axis}"].x[k] for axis in "xy"]
     speed = signals["joint_states/shaft/velocity"].x[k]
-    flux = np.hypot(psi[0] - found["psi_alpha"], psi[1] - found["psi_beta"])
-    return max(float(flux), abs(float(speed) - found["speed"]))
+    flux = np.hypot(psi[0] - result["psi_alpha"], psi[1] - result["psi_beta"])
+    return max(float(flux), abs(float(speed) - result["speed"]))
 
 
 def simulated_second(python: str = sys.executable) -> dict[str, float | None]:
@@ -88,8 +88,8 @@ def simulated_second(python: str = sys.executable) -> dict[str, float | None]:
     }
     vectors, _ = switching(1.0)
     for name, title in PEERS.items():
-        found = peer(name, vectors, python)
-        results[title] = None if found is None else found["cpu_s"]
+        result = peer(name, vectors, python)
+        results[title] = None if result is None else result["cpu_s"]
     return results
 
 

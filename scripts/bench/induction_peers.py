@@ -49,10 +49,10 @@ def motulator(vectors: Sequence[int], rtol: float = 1e-3) -> dict[str, float]:
     simulation = model.Simulation(drive, Replay(vectors))
     start = time.process_time()
     simulation.simulate(t_stop=len(vectors) * T_S - 1.5 * T_S)
-    found = time.process_time() - start
+    result = time.process_time() - start
     psi = motor.state.psi_ss
     return {
-        "cpu_s": found,
+        "cpu_s": result,
         "periods": round(drive.t0 / T_S),
         "psi_alpha": psi.real,
         "psi_beta": psi.imag,
@@ -86,10 +86,10 @@ def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
     start = time.process_time()
     for action in actions[:-1]:
         environment.step(action)
-    found = time.process_time() - start
+    result = time.process_time() - start
     speed, i_alpha, i_beta, psi_alpha, psi_beta, _ = environment.unwrapped.physical_system._ode_solver.y
     return {
-        "cpu_s": found,
+        "cpu_s": result,
         "periods": len(actions) - 1,
         "psi_alpha": machine["l_sigs"] * i_alpha + psi_alpha,
         "psi_beta": machine["l_sigs"] * i_beta + psi_beta,
@@ -115,8 +115,8 @@ def jax_environments(vectors: Sequence[int], many: int = 256) -> dict[str, float
         i, psi = current(x), x[2:4]
         torque = 1.5 * p * (x[0] * i[1] - x[1] * i[0])
         turned = jnp.array([-psi[1], psi[0]]) * p * x[4]
-        rest = jnp.array([(torque - load) / J, x[4]])
-        return jnp.concatenate([u - R_s * i, R_R * i - R_R / L_M * psi + turned, rest])
+        remaining = jnp.array([(torque - load) / J, x[4]])
+        return jnp.concatenate([u - R_s * i, R_R * i - R_R / L_M * psi + turned, remaining])
 
     def one(x: Any, vector: Any, key: Any, load: Any) -> Any:
         u = voltages[vector]
@@ -132,8 +132,8 @@ def jax_environments(vectors: Sequence[int], many: int = 256) -> dict[str, float
 
     def all_of_them(states: Any, vectors: Any, key: Any, load: Any) -> Any:
         key, use = jax.random.split(key)
-        found = jax.vmap(one, (0, 0, 0, None))(states, vectors, jax.random.split(use, many), load)
-        return (*found, key)
+        result = jax.vmap(one, (0, 0, 0, None))(states, vectors, jax.random.split(use, many), load)
+        return (*result, key)
 
     moves = [jnp.full(many, vector) for vector in vectors]
     states, key = jnp.zeros((many, 6)), jax.random.key(1)

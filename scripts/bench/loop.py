@@ -89,11 +89,11 @@ def loop() -> None:
         "softrig lockstep, 2 controllers": lambda: lockstep(2),
         "softrig lockstep, 3 controllers": lambda: lockstep(3),
     }
-    found = _in_turn(cases)
-    base, possible, usual = (found[name]["loops_s"] for name in list(cases)[:3])
+    result = _in_turn(cases)
+    base, possible, usual = (result[name]["loops_s"] for name in list(cases)[:3])
     heads = ("loop", "loops/s", "p50 us", "p99 us", "of bytes", "of possible", "of objects")
     table = Table(*heads, box=None, pad_edge=False)
-    for name, row in found.items():
+    for name, row in result.items():
         figures = [f"{row[k]:.0f}" for k in ("loops_s", "p50_us", "p99_us")]
         table.add_row(name, *figures, *(f"{row['loops_s'] / of:.2f}" for of in (base, possible, usual)))
     console.print(table)
@@ -161,8 +161,8 @@ def recording() -> None:
                 write_bag(Path(folder) / "bag", outcome.recording)
             return {"s": time.perf_counter() - start}
 
-    found = _in_turn({"without": lambda: whole(False), "with": lambda: whole(True)})
-    with_bag, without = found["with"]["s"], found["without"]["s"]
+    result = _in_turn({"without": lambda: whole(False), "with": lambda: whole(True)})
+    with_bag, without = result["with"]["s"], result["without"]["s"]
     console.print(
         f"{4 * LOOPS} ticks without {without:.2f} s, with {with_bag:.2f} s: recording takes "
         f"{1 - without / with_bag:.0%} of the run"

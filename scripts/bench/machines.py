@@ -71,8 +71,8 @@ def beside(name: str, python: str, seconds: float) -> Beside | None:
     if tight is None or plain is None:
         return None
     theirs = np.array(tight["rows"])[: len(given["duties"])]
-    found = [signals[s].x[: len(theirs)] for s in ("currents/x", "currents/y", "joint_states/shaft/velocity")]
-    apart = np.abs(np.column_stack(found) - theirs).max(axis=0)
+    results = [signals[s].x[: len(theirs)] for s in ("currents/x", "currents/y", "joint_states/shaft/velocity")]
+    apart = np.abs(np.column_stack(results) - theirs).max(axis=0)
     rig = rig_of(load_scenario(name).model_copy(update={"duration": seconds}))
     topics = [(t, p.msgtype) for t, p in rig.topics.items()]
     run_inprocess(rig, 1, Recording(topics), runs=MANY)
@@ -87,11 +87,12 @@ def print_table() -> None:
     """
     python = os.environ.get("SOFTRIG_PEERS", sys.executable)
     for name in MACHINES:
-        found = beside(name, python, 0.5)
-        if found is None:
+        result = beside(name, python, 0.5)
+        if result is None:
             print(f"{name:12} motulator is not installed")
             continue
         print(
-            f"{name:12} {found.ours:8.4f} s natively with its law and record, motulator's plant {found.theirs:7.2f} s, "
-            f"{found.theirs / found.ours:6.0f} x; apart by {found.current:.1e} A and {found.speed:.1e} rad/s"
+            f"{name:12} {result.ours:8.4f} s natively with its law and record, motulator's plant "
+            f"{result.theirs:7.2f} s, "
+            f"{result.theirs / result.ours:6.0f} x; apart by {result.current:.1e} A and {result.speed:.1e} rad/s"
         )

@@ -139,15 +139,15 @@ def core_rates() -> dict[str, float]:
     u = np.ascontiguousarray(columns.values[: run.rig.ticks])
     plant: Any = run.blocks["lsrm_plant"].block
     limit, *constants, _ = plant._constants.tolist()
-    found, c = np.empty((len(u), 6)), np.array([limit, *constants])
-    rates = {"native": least(lambda: _driven(u, plant._geometry, plant._constants, found)) / len(u) * 1e9}
+    result, c = np.empty((len(u), 6)), np.array([limit, *constants])
+    rates = {"native": least(lambda: _driven(u, plant._geometry, plant._constants, result)) / len(u) * 1e9}
     for lanes in (1, 2, 4):
         wanted = np.empty((len(u), lanes, 6))
         places = [ctypes.c_void_p(x.ctypes.data) for x in (plant._geometry, c, u, wanted)]
         loops = [_built("lsrm_plant", f"-DLANES={lanes}", *flags) for flags in ((), ("-O3", "-march=native"))]
         times = [least(lambda loop=loop, to=places: loop(ctypes.c_long(len(u)), *to)) for loop in loops]  # type: ignore[misc]
         rates[f"C by hand, {lanes} a loop"] = min(times) / len(u) / lanes * 1e9
-        if any(wanted[:, k].tobytes() != found.tobytes() for k in range(lanes)):
+        if any(wanted[:, k].tobytes() != result.tobytes() for k in range(lanes)):
             raise ScenarioError("lsrm_plant: C by hand gives other bits")
     return rates
 
@@ -184,9 +184,9 @@ def _drive(blocks: dict[str, Any]) -> list[float]:
 def print_table() -> None:
     """Native code beside C by hand, then of rigs beside Python, ns of CPU a tick; needs gcc."""
     table = Table("loop", *LOOPS, box=None, pad_edge=False)
-    found = {name: rates(name) for name in LOOPS}
-    for how in found["dc_motor_smc"]:
-        table.add_row(how, *(f"{found[name][how]:.1f}" for name in LOOPS))
+    results = {name: rates(name) for name in LOOPS}
+    for how in results["dc_motor_smc"]:
+        table.add_row(how, *(f"{results[name][how]:.1f}" for name in LOOPS))
     console.print(table)
     console.print(f"lsrm_plant: {', '.join(f'{how} {ns:.0f}' for how, ns in core_rates().items())}")
     table = Table("rig", "ticks", "one by one", "one text in Python", "native", "times", box=None, pad_edge=False)

@@ -67,8 +67,8 @@ def _spin(node: Node, done: Future[None], *, where_it_arrives: bool) -> None:
     if where_it_arrives and rcl is None:
         raise SystemExit(f"only with {RMW}")
 
-    found = list(node.subscriptions) if where_it_arrives else []
-    arrivals = [Arrival(rcl, s, s.callback, lambda count: None, lambda take: take()) for s in found]
+    results = list(node.subscriptions) if where_it_arrives else []
+    arrivals = [Arrival(rcl, s, s.callback, lambda count: None, lambda accept: accept()) for s in results]
     for arrival in arrivals:
         node._subscriptions.remove(arrival.subscription)
         arrival.begin()

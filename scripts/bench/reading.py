@@ -119,15 +119,15 @@ def reading() -> None:
     """Reading bags: CPU time of a million messages and memory, beside rosbags and mcap-ros2-support."""
     for compression in ("none", "zstd"):
         with tempfile.TemporaryDirectory() as folder:
-            found = costs(Path(folder), compression)
+            result = costs(Path(folder), compression)
         heads = (f"{MESSAGES / 1e6:g} M JointState, {compression}", "s / M messages", "MB")
-        beside = [name for name in THEIRS if found[name] is not None]
+        beside = [name for name in THEIRS if result[name] is not None]
         table = Table(*heads, *(f"times {name.split(',')[0]}" for name in beside), box=None, pad_edge=False)
-        for name, cost in found.items():
+        for name, cost in result.items():
             if cost is None:
                 table.add_row(name, "not installed", "")
                 continue
             read = cost.seconds / (2 if "two" in name else 1)  # of each bag
-            ratios = [f"{other.seconds / read:.1f}" for peer in beside if (other := found[peer]) is not None]
+            ratios = [f"{other.seconds / read:.1f}" for peer in beside if (other := result[peer]) is not None]
             table.add_row(name, f"{cost.seconds:.2f}", f"{cost.memory:,.0f}", *(ratios if name in OURS else ()))
         console.print(table)

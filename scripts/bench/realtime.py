@@ -50,11 +50,11 @@ def realtime() -> None:
         for rate, duration in [*((rate, DURATION) for rate in RATES), (RATES[-1], LONG)]:
             for topic in READERS:
                 try:
-                    found = _figures(drive(rate, topic, duration))
+                    results = _figures(drive(rate, topic, duration))
                 except (RunError, ScenarioError) as error:
-                    found = ["broke"]
+                    results = ["broke"]
                     broke.append(f"{rate:,} Hz, {duration:.0f} s, {topic or 'nothing'} read: {error}")
-                table.add_row(f"{rate:,}", f"{duration:.0f}", topic or "nothing", *found)
+                table.add_row(f"{rate:,}", f"{duration:.0f}", topic or "nothing", *results)
     if broke:
         raise SystemExit("\n".join(broke))
 

@@ -52,10 +52,10 @@ def recorder_rate() -> None:
         heads = (f"{name}, reliable, depth 10", "messages/s", "MB/s", "of the bare one", "losses from messages/s on")
         table = Table(*heads, box=None, pad_edge=False)
         bare = _measure(channels, rates, _bare)
-        found = {"bare raw subscription, EventsExecutor": bare}
+        results = {"bare raw subscription, EventsExecutor": bare}
         for label, options in RECORDERS.items():
-            found[label] = _measure(channels, rates, partial(_record, options))
-        for label, rate in found.items():
+            results[label] = _measure(channels, rates, partial(_record, options))
+        for label, rate in results.items():
             share = f"{rate.messages / bare.messages:.2f}" if bare.messages else "-"
             lossy = f"{rate.lossy:,.0f}" if rate.lossy else "none"
             table.add_row(label, f"{rate.messages:,.0f}", f"{rate.megabytes:.1f}", share, lossy)

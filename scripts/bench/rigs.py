@@ -82,14 +82,14 @@ def containers() -> None:
         pad_edge=False,
     )
     for name in sorted({scenario_of(n) for n in list_scenarios()}):
-        found = ticks_a_second(name)
-        row = [f"{found[k]:,.0f}" for k in ("processes", "container", "inprocess")]
+        result = ticks_a_second(name)
+        row = [f"{result[k]:,.0f}" for k in ("processes", "container", "inprocess")]
         table.add_row(
             name,
-            f"{found['nodes']:.0f}",
+            f"{result['nodes']:.0f}",
             *row,
-            f"{found['container'] / found['processes']:.1f}",
-            f"{found['container'] / found['inprocess']:.2f}",
+            f"{result['container'] / result['processes']:.1f}",
+            f"{result['container'] / result['inprocess']:.2f}",
         )
     console.print(table)
 

@@ -42,16 +42,18 @@ while session._connection.connected:  # its loop waits for each message inside o
 def view() -> None:
     """Ticks/s in lockstep and missed deadlines at 5 kHz, with and without a page that a browser shows."""
     table = Table("run", "page", "ticks/s, or missed", box=None, pad_edge=False)
-    found: dict[tuple[Mode, bool], list[float]] = {}
+    results: dict[tuple[Mode, bool], list[float]] = {}
     for _ in range(ROUNDS):
         for mode in LENGTH:
             for shown in (False, True):
-                found.setdefault((mode, shown), []).append(_measure(mode, shown))
-    for (mode, shown), values in found.items():
+                results.setdefault((mode, shown), []).append(_measure(mode, shown))
+    for (mode, shown), values in results.items():
         middle = sorted(values)[ROUNDS // 2]
         text = f"{middle:,.0f} ticks/s" if mode == "lockstep" else f"{middle:.2%}"
         table.add_row(mode, "shown" if shown else "none", text)
-    ratio = sorted(b / a for a, b in zip(found["lockstep", False], found["lockstep", True], strict=True))[ROUNDS // 2]
+    ratio = sorted(b / a for a, b in zip(results["lockstep", False], results["lockstep", True], strict=True))[
+        ROUNDS // 2
+    ]
     console.print(table)
     console.print(f"lockstep with a page: {ratio:.2f} of the speed without")
 

@@ -38,17 +38,17 @@ def collect(site: Path) -> None:
 
 def notebook(text: str, page: Path, place: str, site: Path) -> str:
     """Return a notebook for its place on the site: the text of its cells moved, the file as it is to be had."""
-    found = json.loads(text)
+    content = json.loads(text)
     shutil.copyfile(page, _folder(site / "pictures") / page.name)
     student = page.with_stem(f"{page.stem}_student").name
     (site / "pictures" / student).write_text(without_solutions(text), encoding="utf-8")
-    for cell in found["cells"]:
+    for cell in content["cells"]:
         if cell["cell_type"] == "markdown":
             cell["source"] = moved("".join(cell["source"]), page, place, site)
     files = {"The notebook as a file": page.name, "the same for students, without solutions": student}
     links = ", ".join(f"{{download}}`{words} <../pictures/{name}>`" for words, name in files.items())
-    found["cells"][0]["source"] += f"\n\n{links}"
-    return json.dumps(found)
+    content["cells"][0]["source"] += f"\n\n{links}"
+    return json.dumps(content)
 
 
 def without_solutions(text: str) -> str:
@@ -59,18 +59,18 @@ def without_solutions(text: str) -> str:
     ValueError
         It has no solutions, or one that does not begin with the number of its exercise.
     """
-    found = json.loads(text)
-    sources = ["".join(cell["source"]) for cell in found["cells"]]
+    content = json.loads(text)
+    sources = ["".join(cell["source"]) for cell in content["cells"]]
     first = next((k for k, source in enumerate(sources) if source.startswith("## Solutions")), None)
     if first is None:
         raise ValueError("expected a cell that begins with '## Solutions'")
-    for cell, source in zip(found["cells"][first + 1 :], sources[first + 1 :], strict=True):
+    for cell, source in zip(content["cells"][first + 1 :], sources[first + 1 :], strict=True):
         number = re.match(r"# \d+\.", source)
         if number is None:
             raise ValueError(f"a solution begins with {source[:20]!r}, expected '# 1.' and so on")
         cell |= {"source": f"{number[0]} ", "metadata": {}}
-    found["cells"][first]["source"] = "## Your answers"
-    return json.dumps(found, indent=1) + "\n"
+    content["cells"][first]["source"] = "## Your answers"
+    return json.dumps(content, indent=1) + "\n"
 
 
 def moved(text: str, page: Path, place: str, site: Path) -> str:
@@ -83,10 +83,10 @@ def moved(text: str, page: Path, place: str, site: Path) -> str:
     """
     here = Path(place).parent
 
-    def link(found: re.Match[str]) -> str:
-        target, hash_, anchor = found[2].partition("#")
+    def link(match: re.Match[str]) -> str:
+        target, hash_, anchor = match[2].partition("#")
         if not target or ":" in target:
-            return found[0]
+            return match[0]
         there = (page.parent / target).resolve()
         if there in places():
             target = os.path.relpath(f"{places()[there]}{there.suffix}", here)
@@ -96,8 +96,8 @@ def moved(text: str, page: Path, place: str, site: Path) -> str:
             shutil.copyfile(there, _folder(site / "pictures") / there.name)
             target = os.path.relpath(f"pictures/{there.name}", here)
         else:
-            raise ValueError(f"{page}: the link {found[2]} leads to no page and no picture of the site")
-        return f"{found[1]}{target}{hash_}{anchor}{found[3]}"
+            raise ValueError(f"{page}: the link {match[2]} leads to no page and no picture of the site")
+        return f"{match[1]}{target}{hash_}{anchor}{match[3]}"
 
     parts = _FENCE.split(_COMMENT.sub("", text))
     for k in range(0, len(parts), 2):  # what stands in fences stays
@@ -111,13 +111,13 @@ def promoted(text: str) -> str:
     """Lift headings that skip a level: generated parts do not know under which they stand."""
     above: list[int] = []
 
-    def heading(found: re.Match[str]) -> str:
-        if not found[1]:
-            return found[0]
-        while len(above) > 1 and above[-1] >= len(found[1]):
+    def heading(match: re.Match[str]) -> str:
+        if not match[1]:
+            return match[0]
+        while len(above) > 1 and above[-1] >= len(match[1]):
             above.pop()
-        if not above or above[-1] < len(found[1]):
-            above.append(len(found[1]))
+        if not above or above[-1] < len(match[1]):
+            above.append(len(match[1]))
         return "#" * (above[0] + len(above) - 1) + " "
 
     return _HEADING.sub(heading, text)
@@ -128,18 +128,18 @@ def _folder(path: Path) -> Path:
     return path
 
 
-def _fenced(found: re.Match[str]) -> str:
+def _fenced(match: re.Match[str]) -> str:
     """Commands as such, so that their comments stand back; above them where a line would be cut. YAML as YAML."""
-    block = found[0].strip("\n")
+    block = match[0].strip("\n")
     commands = _COMMAND.match(block)
     if not (commands or _YAML.match(block)):
-        return found[0]
+        return match[0]
     lines = [line[4:] for line in block.split("\n")]
     if commands and max(map(len, lines)) > WIDTH:
         lines = [_COMMENTED.sub(r"\2\n\1", line) for line in lines]
     return "\n".join(["```bash" if commands else "```yaml", *lines, "```", ""])
 
 
-def _unfolding(found: re.Match[str]) -> str:
+def _unfolding(match: re.Match[str]) -> str:
     """Return what folds in a repository's view, in the form of the site."""
-    return ":::{dropdown} " + html.unescape(re.sub(r"</?code>", "`", found[1]))
+    return ":::{dropdown} " + html.unescape(re.sub(r"</?code>", "`", match[1]))

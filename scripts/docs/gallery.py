@@ -48,8 +48,8 @@ def thumbnail(name: str, site: Path) -> None:
     recipe = min(ROOT.glob(f"bags/{name}*/golden.yaml"), key=lambda path: (len(path.parent.name), path))
     drawing = drawing_for(rig_of(yaml.safe_load(recipe.read_text(encoding="utf-8"))["scenario"]))
     assert drawing is not None, name
-    found = signals(recipe.parent / "bag")
-    known = {n: found[n] for n in drawing.signals if n in found and found[n].t.size}
+    result = signals(recipe.parent / "bag")
+    known = {n: result[n] for n in drawing.signals if n in result and result[n].t.size}
     end = max(float(signal.t[-1]) for signal in known.values())
     row = rows(known, np.linspace(0.0, 0.6 * end, PAST))
     text = still(drawing, drawing.frame(row[-1], row[:-1] if drawing.trail else ()))
@@ -64,8 +64,8 @@ def slug(text: str) -> str:
 
 def write(site: Path) -> None:
     """Write the gallery: a card a system, with buttons for fields and methods."""
-    said = sentences()
-    if missing := sorted(GALLERY.keys() - said.keys()):
+    message = sentences()
+    if missing := sorted(GALLERY.keys() - message.keys()):
         raise ValueError(f"README.md: its table of systems has no row of {', '.join(missing)}")
     fields = dict.fromkeys(s.field for s in GALLERY.values())
     methods = sorted({m for s in GALLERY.values() for m in s.methods})
@@ -83,7 +83,7 @@ def write(site: Path) -> None:
         text.append(f'<p><span>{label}</span><button type="button" data-only="" class="on">all</button>{buttons}</p>')
     text += ["</div>", "```", "", "::::{grid} 1 2 2 3", ":gutter: 3", ":class-container: systems", ""]
     for name, system in GALLERY.items():
-        scenario, sentence = said[name]
+        scenario, sentence = message[name]
         claims = [f"{{.verdicts}}\nClaims of the paper: {verdicts(load_scenario(scenario).system)}", ""]
         text += [
             f":::{{grid-item-card}} {title(pages()[name]).split(':')[0]}", f":link: {name}", ":link-type: doc",

@@ -144,19 +144,19 @@ def places() -> dict[Path, str]:
     ValueError
         A place has no page.
     """
-    found = {name: f"{kind}/{name}" for kind, (_, _, names) in KINDS.items() for name in names}
-    found |= {name: f"gallery/{name}" for name in GALLERY}
-    if lost := sorted(found.keys() - pages().keys()):
+    results = {name: f"{kind}/{name}" for kind, (_, _, names) in KINDS.items() for name in names}
+    results |= {name: f"gallery/{name}" for name in GALLERY}
+    if lost := sorted(results.keys() - pages().keys()):
         raise ValueError(f"{', '.join(lost)}: named in scripts/docs/outline.py, but no package has such a page in doc/")
-    found = {name: f"how-to/{name}" for name in pages()} | found
-    return {page: found[name] for name, page in pages().items()}
+    results = {name: f"how-to/{name}" for name in pages()} | results
+    return {page: results[name] for name, page in pages().items()}
 
 
 def title(page: Path) -> str:
     """Return the title of a page or notebook."""
-    found = re.search(r"^# (.+)$", _beginning(page), re.M)
-    assert found, f"{page} has no title"
-    return found[1]
+    match = re.search(r"^# (.+)$", _beginning(page), re.M)
+    assert match, f"{page} has no title"
+    return match[1]
 
 
 def opening(page: Path) -> str:

@@ -32,14 +32,14 @@ ON_BOARDS = "<details>\n<summary>All {count} classes</summary>\n\n{table}\n</det
 
 def rigs(names: list[str]) -> str:
     """Return the table of whole rigs: what came out, and the scenarios for which it did."""
-    found: dict[str, list[str]] = {}
+    results: dict[str, list[str]] = {}
     for name in names or list_scenarios():
-        found.setdefault(whole(name), []).append(name)
-    rows = sorted(found.items(), key=lambda row: (row[0] != SAME, -len(row[1]), row[0]))
+        results.setdefault(whole(name), []).append(name)
+    rows = sorted(results.items(), key=lambda row: (row[0] != SAME, -len(row[1]), row[0]))
     lines = ["| whole rig as C | scenarios | |", "|---|---|---|"]
     lines += [f"| {result} | {len(row)} | {', '.join(f'`{n}`' for n in row)} |" for result, row in rows]
-    count = sum(map(len, found.values()))
-    return GROUPED.format(same=len(found.get(SAME, ())), count=count, table="\n".join(lines))
+    count = sum(map(len, results.values()))
+    return GROUPED.format(same=len(results.get(SAME, ())), count=count, table="\n".join(lines))
 
 
 def whole(name: str) -> str:
@@ -47,12 +47,12 @@ def whole(name: str) -> str:
     with tempfile.TemporaryDirectory() as place:
         try:
             done, _ = export_rig(rig_of(name), Path(place), rows=TICKS)
-            found = replayed(Path(place), done.name)
+            result = replayed(Path(place), done.name)
         except ScenarioError as reason:
             return _short(str(reason))
-    if found.same:
+    if result.same:
         return SAME
-    return f"{found.differing} numbers differ, {found.gave_up} ticks were not answered"
+    return f"{result.differing} numbers differ, {result.gave_up} ticks were not answered"
 
 
 def boards(names: list[str]) -> str:
@@ -74,13 +74,13 @@ def _on_board(node: str, rig: Rig, board: Literal["arduino", "cortex-m4"]) -> st
         except ScenarioError:
             return ""
         try:
-            found = checked(Path(place), name, layout, board)
+            result = checked(Path(place), name, layout, board)
         except ScenarioError as reason:
             missing = re.search(r"undefined reference to `(\w+)'", str(reason))
             text = f"its C library lacks `{missing[1]}`" if missing else str(reason).partition(f"{name} ")[2]
             return f"{text[:MOST].rstrip()} |  |  | "
-    differ = f" ({found.differing} of {found.rows} differ)" if found.differing else ""
-    return f"{found.longest}{differ} | {found.flash} | {found.ram} | {found.stack}"
+    differ = f" ({result.differing} of {result.rows} differ)" if result.differing else ""
+    return f"{result.longest}{differ} | {result.flash} | {result.ram} | {result.stack}"
 
 
 def _first(names: list[str]) -> dict[str, tuple[str, Rig]]:
@@ -110,10 +110,10 @@ def _row(kind: str, node: str, rig: Rig) -> tuple[str, ...]:
             done = export_c(rig, node, Path(place), rows=ROWS, drawn=ROWS)
         except ScenarioError as reason:
             return *about, _short(str(reason)), "", "", ""
-        found = replayed(Path(place), done.name)
+        result = replayed(Path(place), done.name)
     words = [", ".join(f"`{name}`" for name in names) or "-" for names in (done.libm, done.settable)]
-    differ = f"{found.differing} numbers, {found.wrong_status} statuses differ"
-    return *about, "same bits" if found.same else differ, *words, _structured(done, node, rig)
+    differ = f"{result.differing} numbers, {result.wrong_status} statuses differ"
+    return *about, "same bits" if result.same else differ, *words, _structured(done, node, rig)
 
 
 def _structured(done: Exported, node: str, rig: Rig) -> str:
@@ -122,15 +122,15 @@ def _structured(done: Exported, node: str, rig: Rig) -> str:
         text = ordered(structured_text(n, files[f"{n}.h"], files[f"{n}.c"], files["softrig_c.h"], member))
     except NotNative as reason:
         return _short(str(reason))
-    found = executed(text, done, member)
-    return "same numbers" if found.same else f"{found.differing} numbers, {found.wrong_status} statuses differ"
+    result = executed(text, done, member)
+    return "same numbers" if result.same else f"{result.differing} numbers, {result.wrong_status} statuses differ"
 
 
 def _short(reason: str) -> str:
     """Return a reason without paths and line numbers."""
     reason = reason.partition("cannot be exported as C: ")[2] or reason
-    found = re.fullmatch(r"[\w.]*?(\w+\.\w+|\w+), line \d+: (.*)", reason)
-    return (f"{found[1]}: {found[2]}" if found else reason).replace("|", "/")
+    match = re.fullmatch(r"[\w.]*?(\w+\.\w+|\w+), line \d+: (.*)", reason)
+    return (f"{match[1]}: {match[2]}" if match else reason).replace("|", "/")
 
 
 EXPORTED = {"classes": classes, "rigs": rigs, "boards": boards}

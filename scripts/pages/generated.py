@@ -67,28 +67,28 @@ _VERDICTS = re.compile(r"(<!-- verdicts: ([^>]*?) -->)[^\n]*?(<!-- end -->)")
 def generate(page: str, runs: bool = False) -> str:
     """Return a page with its generated parts renewed; measured parts stay unless `runs`, which simulates."""
 
-    def part(found: re.Match[str]) -> str:
-        if found[2] in ("exported", "measured", "licences") and not runs:
-            return found[0]
-        first, *words = found[3].split()
+    def part(match: re.Match[str]) -> str:
+        if match[2] in ("exported", "measured", "licences") and not runs:
+            return match[0]
+        first, *words = match[3].split()
         made: dict[str, Callable[[], str]] = {
             "nodes": lambda: nodes(first, words),
-            "claims": lambda: claims([first, *words], None if runs else found[0]),
+            "claims": lambda: claims([first, *words], None if runs else match[0]),
             "scenarios": lambda: scenarios([first, *words]),
             "sources": lambda: sources([first, *words]),
             "picture": lambda: picture(first, int(words[0])),
             "animation": lambda: animation(first),
-            "measured": lambda: measured(found[3]),
+            "measured": lambda: measured(match[3]),
             "exported": lambda: EXPORTED[first](words),
             "rooms": lambda: house(first),
             "code": lambda: code(first, words),
             "names": lambda: names(first),
-            "licences": lambda: licences(found[3]),
+            "licences": lambda: licences(match[3]),
             "format": lambda: file_format(getattr(import_module(first), words[0])),
         }
-        return f"{found[1]}\n{made[found[2]]()}\n\n{found[4]}"
+        return f"{match[1]}\n{made[match[2]]()}\n\n{match[4]}"
 
-    return _VERDICTS.sub(lambda found: f"{found[1]}{verdicts(found[2])}{found[3]}", _PART.sub(part, page))
+    return _VERDICTS.sub(lambda match: f"{match[1]}{verdicts(match[2])}{match[3]}", _PART.sub(part, page))
 
 
 def folded(summary: str, text: str) -> str:
@@ -119,24 +119,24 @@ _MECHANICAL = {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "effort":
 
 def carried(ports: Sequence[Port]) -> list[str]:
     """Return a paragraph on fields of JointState that carry another unit than a joint's, and why; none, no lines."""
-    found: dict[str, dict[str, list[str]]] = {}
+    gathered: dict[str, dict[str, list[str]]] = {}
     for port in ports:
         if port.msgtype.endswith("/JointState"):
             for label, unit in zip(port.labels, port.units, strict=True):
                 field = label.rpartition("/")[2]
                 if unit not in _MECHANICAL[field]:
-                    units = found.setdefault(field, {}).setdefault(port.topic, [])
+                    units = gathered.setdefault(field, {}).setdefault(port.topic, [])
                     units += [unit or "no unit"] if (unit or "no unit") not in units else []
     why = {
         "position": "measured or computed values with a name",
         "velocity": "rates in the unit of their position",
         "effort": "commands of an actuator or a source, as in the effort interface of ros2_control",
     }
-    if not found:
+    if not gathered:
         return []
     parts = []
-    for field in (f for f in _MECHANICAL if f in found):
-        topics = (f"`{topic}` ({', '.join(units)})" for topic, units in found[field].items())
+    for field in (f for f in _MECHANICAL if f in gathered):
+        topics = (f"`{topic}` ({', '.join(units)})" for topic, units in gathered[field].items())
         parts.append(f"`{field}` of {', '.join(topics)}: {why[field]}")
     return [f"JointState carries other quantities than a joint's here (page *Names*): {'; '.join(parts)}.", ""]
 
@@ -189,16 +189,16 @@ def claims(prefixes: Sequence[str], old: str | None) -> str:
             cells = [claim.text or key.replace("_", " "), claim.where, number, verdict, f"`{name}`"]
             cells = [c.replace("|", "\\|") for c in cells]
             if claim.verdict == "not_checkable" and not claim.figure:
-                found = " "
+                text = " "
             elif old is not None:
-                found = (kept.get((*cells[:3], cells[-1])) or ["?"]).pop(0)
+                text = (kept.get((*cells[:3], cells[-1])) or ["?"]).pop(0)
             else:
                 scenario, _, figure = (claim.figure or key).rpartition(".")
-                found = next(_shown(r) for r in results(scenario or name) if r.name == figure)
-            lines.append("| " + " | ".join([*cells[:3], found, *cells[3:]]) + " |")
+                text = next(_shown(r) for r in results(scenario or name) if r.name == figure)
+            lines.append("| " + " | ".join([*cells[:3], text, *cells[3:]]) + " |")
     counts = Counter(v.replace("_", " ") for v in re.findall(r"\*\*(.*?)\*\*", "\n".join(lines)))
-    told = ", ".join(f"{n} {v}" for v, n in counts.most_common())
-    return folded(f"Claim by claim: {len(lines) - 2} of them, {told}", "\n".join(lines))
+    reported = ", ".join(f"{n} {v}" for v, n in counts.most_common())
+    return folded(f"Claim by claim: {len(lines) - 2} of them, {reported}", "\n".join(lines))
 
 
 def _shown(result: Result) -> str:
@@ -215,20 +215,20 @@ def house(package: str) -> str:
     return "\n".join(lines)
 
 
-def file_format(found: FileFormat) -> str:
+def file_format(result: FileFormat) -> str:
     """Names of a file format with what softrig does with them, folded."""
     lines = ["| name | | |", "|---|---|---|"]
-    for name, (use, text) in found.table.items():
+    for name, (use, text) in result.table.items():
         lines.append(f"| `{name}` | {use} | {text} |")
-    counts = Counter(use for use, _ in found.table.values())
-    told = ", ".join(f"{n} {use}" for use, n in counts.most_common())
-    return folded(f"{found.title}: {len(found.table)} names, {told} ({found.standard})", "\n".join(lines))
+    counts = Counter(use for use, _ in result.table.values())
+    reported = ", ".join(f"{n} {use}" for use, n in counts.most_common())
+    return folded(f"{result.title}: {len(result.table)} names, {reported} ({result.standard})", "\n".join(lines))
 
 
 def code(module: str, names: Sequence[str]) -> str:
     """Source of functions of a module, and of methods by the name of their class."""
-    found = (attrgetter(name)(import_module(module)) for name in names)
-    return "```python\n" + "\n\n\n".join(dedent(inspect.getsource(one)).rstrip() for one in found) + "\n```"
+    result = (attrgetter(name)(import_module(module)) for name in names)
+    return "```python\n" + "\n\n\n".join(dedent(inspect.getsource(one)).rstrip() for one in result) + "\n```"
 
 
 def scenarios(prefixes: Sequence[str]) -> str:
@@ -243,9 +243,9 @@ def scenarios(prefixes: Sequence[str]) -> str:
 def sources(prefixes: Sequence[str]) -> str:
     """Papers that scenarios cite, each once, with their BibTeX entries."""
     keys = [key for name in chosen(prefixes) for key in load_scenario(name).cites]
-    found = cited(list(dict.fromkeys(keys)))
-    bibtex = "\n\n".join(c.bibtex for c in found)
-    return "\n".join([*listed(found), "", folded("BibTeX", f"```bibtex\n{bibtex}\n```")])
+    result = cited(list(dict.fromkeys(keys)))
+    bibtex = "\n\n".join(c.bibtex for c in result)
+    return "\n".join([*listed(result), "", folded("BibTeX", f"```bibtex\n{bibtex}\n```")])
 
 
 def verdicts(system: str) -> str:
@@ -257,12 +257,12 @@ def verdicts(system: str) -> str:
 @cache
 def _verdict_counts() -> dict[str, Counter[str]]:
     """Count the verdicts of all scenarios and studies, by system, each statement once; read once."""
-    said: dict[str, dict[tuple[str, ...], str]] = {}
+    messages: dict[str, dict[tuple[str, ...], str]] = {}
     claims = [(s.system, s.name, s.claims) for s in map(load_scenario, list_scenarios())]
     claims += [(load_scenario(s.scenario).system, s.name, s.claims) for s in map(load_study, list_studies())]
     for system, name, own in claims:
-        said.setdefault(system, {}).update((f.statement, f.verdict) for f in hold(name, own, lambda _: None, {}))
-    return {system: Counter(found.values()) for system, found in said.items()}
+        messages.setdefault(system, {}).update((f.statement, f.verdict) for f in hold(name, own, lambda _: None, {}))
+    return {system: Counter(result.values()) for system, result in messages.items()}
 
 
 @cache
@@ -276,8 +276,10 @@ def measured(what: str) -> str:
     figures, names = (part.split() for part in what.split(" of "))
     rows = []
     for name in names:
-        found = {r.name: _shown(r) for r in results(name)}
-        rows.append(" | ".join([f"| `{name}`", load_scenario(name).title, *(found.get(f, "") for f in figures)]) + " |")
+        gathered = {r.name: _shown(r) for r in results(name)}
+        rows.append(
+            " | ".join([f"| `{name}`", load_scenario(name).title, *(gathered.get(f, "") for f in figures)]) + " |"
+        )
     titles = " | ".join(f.replace("_", " ") for f in figures)
     table = "\n".join([f"| scenario | | {titles} |", "|---" * (len(figures) + 2) + "|", *rows])
     summary = f"Measured in {len(rows)} scenarios: {titles.replace(' | ', ', ')}"

@@ -51,10 +51,10 @@ def names(lock: str) -> list[str]:
 def licence(name: str) -> str:
     """Return the licence of a distribution as its metadata states it; '' if it is not installed."""
     try:
-        found = importlib.metadata.distribution(name)
+        result = importlib.metadata.distribution(name)
     except importlib.metadata.PackageNotFoundError:
         return ""
-    about: Any = found.metadata  # an email.message.Message
+    about: Any = result.metadata  # an email.message.Message
     if expression := about.get("License-Expression"):
         return str(expression)
     plain = (about.get("License") or "").strip()
@@ -63,26 +63,26 @@ def licence(name: str) -> str:
     package = Path(sys.prefix, "share", name.removeprefix("ros-").replace("-", "_"), "package.xml")
     if name.startswith("ros-") and package.is_file():
         kinds += [node.text or "" for node in ElementTree.parse(package).getroot().findall("license")]
-    said = ", ".join(dict.fromkeys(filter(None, (USUAL.get(kind, kind) for kind in kinds))))
-    own = [file for file in found.files or () if file.parts[0].endswith("dist-info") and "LICEN" in file.name.upper()]
-    return said or _by_text(Path(str(file.locate())) for file in own)
+    text = ", ".join(dict.fromkeys(filter(None, (USUAL.get(kind, kind) for kind in kinds))))
+    own = [file for file in result.files or () if file.parts[0].endswith("dist-info") and "LICEN" in file.name.upper()]
+    return text or _by_text(Path(str(file.locate())) for file in own)
 
 
 def _by_text(files: Iterable[Path]) -> str:
-    found = []
+    results = []
     for path in files:
         text = " ".join(path.read_text(errors="replace").split()) if path.is_file() else ""
-        found += [kind for kind, words in TEXTS if re.search(words, text, re.IGNORECASE)][:1]
-    return ", ".join(dict.fromkeys(found)) or "not said"
+        results += [kind for kind, words in TEXTS if re.search(words, text, re.IGNORECASE)][:1]
+    return ", ".join(dict.fromkeys(results)) or "not said"
 
 
 def table(locks: Iterable[str]) -> str:
     """Rows of licence and packages, Markdown; of what the lock files pin and is installed here."""
-    found = defaultdict(set)
+    result = defaultdict(set)
     for name in {name for lock in locks for name in names(lock)}:
-        if said := licence(name):
-            found[said].add(name)
-    rows = [f"| {kind} | {', '.join(sorted(found[kind]))} |" for kind in sorted(found, key=str.lower)]
+        if text := licence(name):
+            result[text].add(name)
+    rows = [f"| {kind} | {', '.join(sorted(result[kind]))} |" for kind in sorted(result, key=str.lower)]
     return "\n".join(["| licence, as it says of itself | packages |", "|---|---|", *rows])
 
 
@@ -90,12 +90,12 @@ def inside_casadi() -> str:
     """Rows of licence and libraries that CasADi's wheel brings, by the licence texts in it, Markdown."""
     spec = importlib.metadata.distribution("casadi")
     folder = Path(str(spec.locate_file("casadi/include/licenses")))
-    found = defaultdict(set)
+    result = defaultdict(set)
     for library in sorted(folder.iterdir()):
-        found[_by_text(sorted(p for p in library.rglob("*") if p.is_file()))].add(
+        result[_by_text(sorted(p for p in library.rglob("*") if p.is_file()))].add(
             library.name.partition("-external")[0]
         )
-    rows = [f"| {kind} | {', '.join(sorted(found[kind]))} |" for kind in sorted(found, key=str.lower)]
+    rows = [f"| {kind} | {', '.join(sorted(result[kind]))} |" for kind in sorted(result, key=str.lower)]
     return "\n".join(["| licence, by the text in the wheel | libraries |", "|---|---|", *rows])
 
 

@@ -279,11 +279,11 @@ def _chosen(head: str, rows: tuple[tuple[str, str, str], ...], known: set[str]) 
 @cache
 def ports() -> tuple[Port, ...]:
     """Return the ports of all executables that have defaults."""
-    found: list[Port] = []
+    results: list[Port] = []
     for block in blocks().values():
         try:
             inputs, outputs = block.ports(block.Params())
         except ValueError:  # it needs a file before it has ports
             continue
-        found += [*inputs, *outputs]
-    return tuple(found)
+        results += [*inputs, *outputs]
+    return tuple(results)

@@ -122,7 +122,7 @@ def digits(number: str) -> int:
 
 
 def _in(text: str) -> Iterator[str]:
-    return (found[0] for found in _NUMBER.finditer(text))
+    return (result[0] for result in _NUMBER.finditer(text))
 
 
 def _sections(page: str) -> Iterator[tuple[str, str]]:
@@ -160,18 +160,22 @@ def _wrong(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs
 
 
 def _differs(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:
-    kind, _, rest = tie.source.partition(" ")
-    if kind in ("paper", "bench", "study", "version") and rest:
+    kind, _, remaining = tie.source.partition(" ")
+    if kind in ("paper", "bench", "study", "version") and remaining:
         return ""
     if kind == "=":
-        return "" if tie.near(_computed(rest)) else f"{rest} is {_computed(rest):g}"
+        return "" if tie.near(_computed(remaining)) else f"{remaining} is {_computed(remaining):g}"
     if kind == "scenario":
-        return "" if tie.is_one_of(_values(load_scenario(rest).model_dump())) else f"does not stand in scenario {rest}"
-    if found := _TEST.fullmatch(tie.source):
-        held = (_computed(found[1] or "1") * x for x in _literals(tests, found[2], found[3]))
+        return (
+            ""
+            if tie.is_one_of(_values(load_scenario(remaining).model_dump()))
+            else f"does not stand in scenario {remaining}"
+        )
+    if match := _TEST.fullmatch(tie.source):
+        held = (_computed(match[1] or "1") * x for x in _literals(tests, match[2], match[3]))
         return "" if any(tie.near(x) or tie.near(-x) for x in held) else f"does not stand in {tie.source}"
-    if found := _FIGURE.fullmatch(tie.source):
-        return _unlike(tie, _computed(found[1] or "1"), (found[2], found[3]), table, run)
+    if match := _FIGURE.fullmatch(tie.source):
+        return _unlike(tie, _computed(match[1] or "1"), (match[2], match[3]), table, run)
     return f"source {tie.source!r}: expected {FORMS}"
 
 
@@ -228,7 +232,7 @@ def _values(given: Any) -> Iterator[float]:
 
 @cache
 def _parsed(tests: Path, file: str) -> list[ast.stmt]:
-    trees = (ast.parse(found.read_text(encoding="utf-8")) for found in sorted(tests.rglob(file)))
+    trees = (ast.parse(result.read_text(encoding="utf-8")) for result in sorted(tests.rglob(file)))
     return [node for tree in trees for node in tree.body]
 
 

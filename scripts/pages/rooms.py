@@ -37,25 +37,25 @@ class Room:
 def rooms(package: str) -> dict[str, Room]:
     """Return the rooms of a package by name, from the ground up."""
     root = PACKAGES / package / package
-    found = {}
+    results = {}
     for file in sorted(root.glob("**/__init__.py")):
         name = ".".join(file.parent.relative_to(root).parts)
         if name:
             text = (ast.get_docstring(ast.parse(file.read_text())) or "").partition("\n")[0]
-            found[name] = Room(name, text)
+            results[name] = Room(name, text)
     for file in sorted(root.rglob("*.py")):
         own = ".".join(file.parent.relative_to(root).parts)
         if not own:
             continue
         source = file.read_text()
-        found[own].modules += file.stem != "__init__"
-        found[own].lines += source.count("\n")
+        results[own].modules += file.stem != "__init__"
+        results[own].lines += source.count("\n")
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.ImportFrom):
-                found[own].knows |= _targets(node, [package, *own.split(".")], package, found) - {own}
-    for room in found.values():
-        _raise(room, found)
-    return dict(sorted(found.items(), key=lambda item: (item[1].floor, item[0])))
+                results[own].knows |= _targets(node, [package, *own.split(".")], package, results) - {own}
+    for room in results.values():
+        _raise(room, results)
+    return dict(sorted(results.items(), key=lambda item: (item[1].floor, item[0])))
 
 
 def _targets(node: ast.ImportFrom, inside: list[str], package: str, rooms: dict[str, Room]) -> set[str]:

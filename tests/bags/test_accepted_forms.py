@@ -118,12 +118,12 @@ def taken(request):
     recording = Recording((port.topic, port.msgtype) for port in PORTS)
     values = {}
     for number, (port, make) in enumerate(zip(PORTS, (command, gains, push, plan), strict=True)):
-        decode, found = Decoder(port), []
+        decode, results = Decoder(port), []
         for k in range(60):
             data = make(chance, k * 10**6)
             recording.add(number, k * 10**6, data)
-            found.append(decode(data)[1])
-        values[port.topic] = dict(zip(port.labels, np.array(found).T, strict=True))
+            results.append(decode(data)[1])
+        values[port.topic] = dict(zip(port.labels, np.array(results).T, strict=True))
     return recording, values
 
 
@@ -132,18 +132,18 @@ def rig():
     return Rig.from_blocks({"plant": Plant(), "law": Law()}, duration=1.0)
 
 
-def check(found, values):
+def check(result, values):
     """Each value of the ports, of all messages."""
     for topic, columns in values.items():
         for label, x in columns.items():
-            assert np.array_equal(found(topic).columns[label], x), (topic, label)
+            assert np.array_equal(result(topic).columns[label], x), (topic, label)
 
 
 def test_a_run_has_what_its_port_took(taken, rig):
     recording, values = taken
-    found = Signals(recording).known_as(other_names(rig))
-    check(found.table, values)
-    source = Source(found, rig)
+    result = Signals(recording).known_as(other_names(rig))
+    check(result.table, values)
+    source = Source(result, rig)
     for label, x in values[COMMAND.topic].items():
         assert np.array_equal(source.curve(f"{COMMAND.topic}/{label}").y[:60], x)
 
@@ -172,8 +172,8 @@ def test_a_bag_has_what_its_port_took(taken, rig, tmp_path, capsys):
     assert compare(raw, signals(tmp_path / "bag")).equal
     assert main_compare([str(tmp_path / "bag")] * 2) == 0
     assert main_bag(["export", str(tmp_path / "bag"), "--out", str(tmp_path / "csv")]) == 0
-    said = capsys.readouterr().err
-    assert "/law/push: header/frame_id changes (" in said
+    printed = capsys.readouterr().err
+    assert "/law/push: header/frame_id changes (" in printed
     table = pyarrow.csv.read_csv(tmp_path / "csv/law.command.csv")
     for own, also in zip(COMMAND.channels, COMMAND.also, strict=True):
         columns = [table[f"{name}/effort"].to_numpy() for name in (own, also)]

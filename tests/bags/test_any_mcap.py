@@ -81,11 +81,11 @@ def test_all_optional_parts_in_all_combinations_give_the_same_messages(tmp_path,
         content = written(options, index, own, compression)
         file.write_bytes(content)
         with BagReader(file) as bag:
-            found = [(bag.topics[i].name, t, data) for i, t, data in bag.messages()]
+            results = [(bag.topics[i].name, t, data) for i, t, data in bag.messages()]
             assert (bag.is_whole, bag.counts) == (True, [12, 5]), options
         expected = by_their_reader(content)
         assert len(expected) == 17
-        assert found == expected, (options, index, compression)
+        assert results == expected, (options, index, compression)
         count += 1
     assert count == 16 * 4 * (3 if chunks[0] else 1)
 
@@ -121,8 +121,8 @@ def test_an_index_that_is_wrong_or_lacks_messages_loses_none(tmp_path, wrong):
         content[at : at + 4] = bytes(4)
     file = tmp_path / "x.mcap"
     file.write_bytes(content)
-    found = read_bag(file)
-    assert [len(t.data) for t in found.topics.values()] == [12, 5]
+    recording = read_bag(file)
+    assert [len(t.data) for t in recording.topics.values()] == [12, 5]
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9, 0.999])
@@ -152,10 +152,10 @@ def test_messages_that_follow_each_other_are_found_as_by_counting(seed):
         starts.append(len(content))
         content += struct.pack("<BQ", 5, 22 + n) + bytes(22) + b"\5" * n
     end = len(content)
-    for rest in (b"", struct.pack("<BQ", 3, 0), struct.pack("<BQ", 5, 22) + bytes(3)):
-        whole = content + rest
-        found, after = message_run(whole, np.frombuffer(whole, np.uint8), 0, len(whole))
-        assert (found.tolist(), after) == (starts, end)
+    for remaining in (b"", struct.pack("<BQ", 3, 0), struct.pack("<BQ", 5, 22) + bytes(3)):
+        whole = content + remaining
+        result, after = message_run(whole, np.frombuffer(whole, np.uint8), 0, len(whole))
+        assert (result.tolist(), after) == (starts, end)
 
 
 def test_a_channel_that_comes_late_and_two_of_one_topic_are_one_topic(tmp_path):
@@ -188,8 +188,8 @@ def test_two_types_on_one_topic_are_both_read(tmp_path):
         writer.add_message(channels[k % 2], k, number(k) if k % 2 == 0 else struct.pack("<HHb", 0x100, 0, -k), 0)
     writer.finish()
     (tmp_path / "x.mcap").write_bytes(out.getvalue())
-    found = signals(tmp_path / "x.mcap")
-    assert {name: found[name].x.tolist() for name in found} == {"x/data": [0, 2], "x (a/msg/Int)/data": [-1, -3]}
+    result = signals(tmp_path / "x.mcap")
+    assert {name: result[name].x.tolist() for name in result} == {"x/data": [0, 2], "x (a/msg/Int)/data": [-1, -3]}
     assert main_bag(["export", str(tmp_path / "x.mcap"), "--out", str(tmp_path / "out")]) == 0
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["x (a.msg.Int).csv", "x.csv"]
 
@@ -227,8 +227,8 @@ def test_any_damage_gives_messages_or_a_plain_refusal(tmp_path, chunks):
                 content[at : at + 4] = b"\xff" * 4
         (tmp_path / "x.mcap").write_bytes(content)
         try:
-            found = signals(tmp_path / "x.mcap")
-            assert all(len(found[name].x) <= 17 for name in found)
+            result = signals(tmp_path / "x.mcap")
+            assert all(len(result[name].x) <= 17 for name in result)
         except BagError:
             refused += 1
     assert 20 < refused < 140

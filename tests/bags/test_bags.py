@@ -85,10 +85,10 @@ def test_rosbags_reads_what_was_written_in_order(tmp_path, storage, compression)
     source = recording()
     write_bag(tmp_path / "bag", source, storage=storage, compression=compression, custom_data={"seed": "1"})
     with Reader(tmp_path / "bag") as reader:
-        found = [(c.topic, t, bytes(data)) for c, t, data in reader.messages()]
+        results = [(c.topic, t, bytes(data)) for c, t, data in reader.messages()]
         assert reader.storage.metadata.custom == {"seed": "1"}
         assert {c.topic: c.msgcount for c in reader.connections} == {"/clock": 50, "/plant/state": 50, "/command": 13}
-    assert found == expected(source)
+    assert results == expected(source)
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -101,9 +101,9 @@ def test_mcap_reader_agrees_with_index_statistics_and_checksums(tmp_path, compre
         assert len(summary.chunk_indexes) > 1
         assert summary.statistics.message_count == 13500
         assert summary.statistics.message_end_time == 5_999_000_000
-        found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages(log_time_order=False)]
+        results = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages(log_time_order=False)]
         later = [m.log_time for _, _, m in reader.iter_messages(topics=["/command"], starting_at=5_990_000_000)]
-    assert found == expected(source)
+    assert results == expected(source)
     assert later == [5_992_000_000, 5_996_000_000]
 
 
@@ -141,17 +141,17 @@ POLICIES = {
 def test_messages_come_by_time_then_topic_and_those_of_a_topic_as_they_came(seed):
     """Some late ones among them, as a run in real time may have; topics without any; none at all."""
     rng, topics = random.Random(seed), seed % 5
-    found = Recording((f"t{k}", STATE) for k in range(topics))
+    result = Recording((f"t{k}", STATE) for k in range(topics))
     streams = []
     for rank in range(topics):
         times = sorted(rng.choices(range(30), k=rng.choice([0, 3, 40])))
         for k in rng.sample(range(len(times)), len(times) // 8):
             times[k] -= rng.randrange(5)
         for k, t in enumerate(times):
-            found.add(rank, t, b"%d" % k)
+            result.add(rank, t, b"%d" % k)
         streams.append([(t, rank, b"%d" % k) for k, t in enumerate(times)])
     merged = heapq.merge(*streams, key=lambda message: message[:2])
-    assert [(t, int(topic.name[1:]), data) for t, topic, data in found.messages()] == list(merged)
+    assert [(t, int(topic.name[1:]), data) for t, topic, data in result.messages()] == list(merged)
 
 
 @pytest.mark.parametrize(("storage", "suffix"), [("mcap", "mcap"), ("sqlite3", "db3")])
@@ -275,8 +275,8 @@ def test_a_full_disk_leaves_no_bag_behind(tmp_path, file_limit, storage):
 def test_read_gives_back_what_was_written(tmp_path, storage, compression):
     source = recording(ticks=4000)
     write_bag(tmp_path / "bag", source, storage=storage, compression=compression)
-    found = read_bag(tmp_path / "bag")
-    assert found.topics == source.topics
+    result = read_bag(tmp_path / "bag")
+    assert result.topics == source.topics
     bare = next(p for p in (tmp_path / "bag").iterdir() if p.suffix in (".mcap", ".db3"))
     assert read_bag(bare).topics == source.topics
 
@@ -394,7 +394,7 @@ def foreign_bag(directory: Path, start: int = 0) -> None:
     types = store.types
     time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    found = Recording(
+    result = Recording(
         [
             ("imu", "sensor_msgs/msg/Imu"),
             ("note", "std_msgs/msg/String"),
@@ -416,31 +416,31 @@ def foreign_bag(directory: Path, start: int = 0) -> None:
         layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
         numbers = types["std_msgs/msg/Float64MultiArray"](layout, np.arange(k + 1.0))
         messages = [imu, types["std_msgs/msg/String"]("x"), numbers]
-        for i, (topic, message) in enumerate(zip(found.topics.values(), messages, strict=False)):
-            found.add(i, stamp, bytes(store.serialize_cdr(message, topic.msgtype)))
-        found.add(3, stamp, b"\x00\x01\x00\x00\x07")
-    write_bag(directory, found)
+        for i, (topic, message) in enumerate(zip(result.topics.values(), messages, strict=False)):
+            result.add(i, stamp, bytes(store.serialize_cdr(message, topic.msgtype)))
+        result.add(3, stamp, b"\x00\x01\x00\x00\x07")
+    write_bag(directory, result)
 
 
 def test_signals_of_foreign_types(tmp_path):
     foreign_bag(tmp_path / "bag")
-    found = signals(tmp_path / "bag")
-    _, x = found["imu/angular_velocity/z"]
+    result = signals(tmp_path / "bag")
+    _, x = result["imu/angular_velocity/z"]
     np.testing.assert_array_equal(x, [0, 0.25, 0.5])
-    np.testing.assert_array_equal(found.table("imu").stamp, [0, 0.5, 1])
-    np.testing.assert_array_equal(found["list/data/1"].x, [np.nan, 1, 1])
-    assert found["imu/orientation_covariance/8"].x[0] == 8
-    assert not [name for name in found if name.startswith(("note/", "odd/"))]
+    np.testing.assert_array_equal(result.table("imu").stamp, [0, 0.5, 1])
+    np.testing.assert_array_equal(result["list/data/1"].x, [np.nan, 1, 1])
+    assert result["imu/orientation_covariance/8"].x[0] == 8
+    assert not [name for name in result if name.startswith(("note/", "odd/"))]
     assert read_bag(tmp_path / "bag").topics["odd"].data == [b"\x00\x01\x00\x00\x07"] * 3
     with pytest.raises(BagError, match="no definition of odd_msgs/msg/Odd"):
-        found.table("odd")
+        result.table("odd")
 
 
 def test_wall_clock_bags_start_at_zero_seconds(tmp_path):
     foreign_bag(tmp_path / "bag", start=1_700_000_000_250_000_000)
-    found = signals(tmp_path / "bag")
-    np.testing.assert_array_equal(found["imu/angular_velocity/z"].t, [0, 0.5, 1])
-    np.testing.assert_array_equal(found.table("imu").stamp, [0, 0.5, 1])
+    result = signals(tmp_path / "bag")
+    np.testing.assert_array_equal(result["imu/angular_velocity/z"].t, [0, 0.5, 1])
+    np.testing.assert_array_equal(result.table("imu").stamp, [0, 0.5, 1])
 
 
 def test_export_as_tables(tmp_path):
@@ -599,8 +599,8 @@ def test_foreign_types_are_compared_by_field(tmp_path):
         changed.topics[topic].data[1] = bytes(data)
     write_bag(tmp_path / "c", changed)
     result = compare(tmp_path / "a", signals(tmp_path / "c"))
-    found = {t.topic: t.first and t.first.field for t in result.topics}
-    assert found == {"imu": "linear_acceleration_covariance/8", "note": "data", "list": None, "odd": "bytes"}
+    results = {t.topic: t.first and t.first.field for t in result.topics}
+    assert results == {"imu": "linear_acceleration_covariance/8", "note": "data", "list": None, "odd": "bytes"}
     assert json.loads(result.to_json())["topics"][0]["differing"] == 1
 
 
@@ -660,10 +660,10 @@ def test_a_cut_bag_is_repaired(tmp_path, compression):
     write_bag(tmp_path / "bag", source, compression=compression, custom_data={"seed": "7"})
     cut(tmp_path / "bag", 0.6)
     done = repair(tmp_path / "bag")
-    whole, found = expected(source), expected(read_bag(tmp_path / "bag"))
-    assert 0.4 * len(whole) < len(found) < 0.7 * len(whole)
-    assert found == whole[: len(found)]
-    assert done.files[0].kept == len(found)
+    whole, result = expected(source), expected(read_bag(tmp_path / "bag"))
+    assert 0.4 * len(whole) < len(result) < 0.7 * len(whole)
+    assert result == whole[: len(result)]
+    assert done.files[0].kept == len(result)
     assert done.files[0].lost
     assert (tmp_path / "bag.damaged").is_dir()
     with Reader(tmp_path / "bag") as reader:
@@ -683,8 +683,8 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path):
     file.write_bytes(content)
     done = repair(tmp_path / "bag", tmp_path / "new")
     assert done.files[0].lost == ["1 damaged chunks"]
-    whole, found = expected(source), set(expected(read_bag(tmp_path / "new")))
-    lost = [i for i, message in enumerate(whole) if message not in found]
+    whole, results = expected(source), set(expected(read_bag(tmp_path / "new")))
+    lost = [i for i, message in enumerate(whole) if message not in results]
     assert lost == list(range(lost[0], lost[-1] + 1))
     assert 0 < len(lost) < 8000
 
@@ -731,11 +731,11 @@ def test_a_damaged_page_of_a_database_costs_its_rows_and_few_more(tmp_path):
     at = len(content) // 2 // 4096 * 4096
     file.write_bytes(content[:at] + bytes(4096) + content[at + 4096 :])
     done = repair(tmp_path / "bag")
-    whole, found = expected(source), expected(read_bag(tmp_path / "bag"))
+    whole, result = expected(source), expected(read_bag(tmp_path / "bag"))
     assert done.files[0].lost
-    assert set(found) < set(whole)
-    assert len(found) > 0.95 * len(whole)
-    assert found[-1] == whole[-1]
+    assert set(result) < set(whole)
+    assert len(result) > 0.95 * len(whole)
+    assert result[-1] == whole[-1]
 
 
 def test_a_database_that_ends_within_a_page_is_repaired(tmp_path):
@@ -745,9 +745,9 @@ def test_a_database_that_ends_within_a_page_is_repaired(tmp_path):
     content = file.read_bytes()
     file.write_bytes(content[: len(content) * 6 // 10 // 4096 * 4096 + 100])
     assert repair(tmp_path / "bag").files[0].lost
-    whole, found = expected(source), expected(read_bag(tmp_path / "bag"))
-    assert set(found) < set(whole)
-    assert len(found) > 0.5 * len(whole)
+    whole, result = expected(source), expected(read_bag(tmp_path / "bag"))
+    assert set(result) < set(whole)
+    assert len(result) > 0.5 * len(whole)
 
 
 def test_a_single_database_is_repaired_with_write_permission_for_the_new_bag_alone(tmp_path, monkeypatch):
@@ -835,11 +835,11 @@ def test_the_metadata_says_what_is_in_each_file(tmp_path, storage, begin, split)
             {"nanoseconds": 75},
             len(times),
         )
-        told = [
+        messages = [
             (f["starting_time"]["nanoseconds_since_epoch"], f["duration"]["nanoseconds"], f["message_count"])
             for f in info["files"]
         ]
-        assert told == [(f[0], f[-1] - f[0], len(f)) for f in files]
+        assert messages == [(f[0], f[-1] - f[0], len(f)) for f in files]
         assert [t["message_count"] for t in info["topics_with_message_count"]] == [len(times), 0]
         with Reader(tmp_path / "bag") as theirs:
             assert (theirs.start_time, theirs.duration, theirs.message_count) == (begin, 76, len(times))
@@ -874,9 +874,9 @@ def test_shards_of_a_killed_run_become_a_bag(tmp_path):
     assert done.bag == tmp_path / "bag"
     assert [(f.kept, bool(f.lost)) for f in done.files] == [(12, True), (100, False)]
     assert not any("index" in str(f) for f in done.files)  # a shard has none, and is on the disk at once
-    found = read_bag(tmp_path / "bag")
-    assert found.topics["plant/state"] == source.topics["plant/state"]
-    assert found.topics["command"].data == source.topics["command"].data[:-1]
+    result = read_bag(tmp_path / "bag")
+    assert result.topics["plant/state"] == source.topics["plant/state"]
+    assert result.topics["command"].data == source.topics["command"].data[:-1]
 
 
 def test_repair_refuses_what_it_cannot_save(tmp_path):
@@ -910,8 +910,8 @@ def test_a_bag_is_closed_properly_on_a_full_disk(tmp_path, file_limit, storage):
         fill()
     file_limit(1_500_000)
     lost = writer.salvage()
-    found = read_bag(tmp_path / "bag").topics["x"]
-    assert found.times == list(range(written + 1 - lost))
+    result = read_bag(tmp_path / "bag").topics["x"]
+    assert result.times == list(range(written + 1 - lost))
     assert 0 < lost < 10_000
 
 
@@ -1022,9 +1022,9 @@ def test_what_is_whole_inside_a_cut_chunk_is_recovered(tmp_path, compression):
     write_bag(tmp_path / "bag", source, compression=compression)
     cut(tmp_path / "bag", 0.5)
     done = repair(tmp_path / "bag")
-    whole, found = expected(source), expected(read_bag(tmp_path / "bag"))
-    assert 0.2 * len(whole) < len(found) < 0.9 * len(whole)
-    assert found == whole[: len(found)]
+    whole, result = expected(source), expected(read_bag(tmp_path / "bag"))
+    assert 0.2 * len(whole) < len(result) < 0.9 * len(whole)
+    assert result == whole[: len(result)]
     assert done.files[0].lost == ["the end of a chunk that was cut"]
 
 
@@ -1065,13 +1065,13 @@ def test_a_definition_that_cannot_be_read_is_named(tmp_path):
     database.execute("UPDATE message_definitions SET encoded_message_definition = 'float64[ x'")
     database.commit()
     database.close()
-    found = signals(tmp_path / "bag")
-    assert found.decodable == []
+    result = signals(tmp_path / "bag")
+    assert result.decodable == []
     assert (
-        "the definition of sensor_msgs/msg/JointState cannot be read: 'float64[ x'" in found.left_out["command"].reason
+        "the definition of sensor_msgs/msg/JointState cannot be read: 'float64[ x'" in result.left_out["command"].reason
     )
     with pytest.raises(BagError, match=r"the definition of .* cannot be read"):
-        found.table("command")
+        result.table("command")
     with pytest.raises(BagError, match="not one topic of it can be decoded"):
         export(tmp_path / "bag", tmp_path / "out", "csv")
 

@@ -55,9 +55,9 @@ def test_a_compressed_file_that_is_cut_gives_what_comes_before_the_cut(tmp_path,
         pass
     done = repair(tmp_path / "bag")
     assert "the compressed file ends there" in done.files[0].lost[-1]
-    found = read_bag(tmp_path / "bag").topics["state"].data
-    assert found == source.topics["state"].data[: len(found)]
-    assert share * 0.5 < len(found) / 30_000 <= 1.0
+    result = read_bag(tmp_path / "bag").topics["state"].data
+    assert result == source.topics["state"].data[: len(result)]
+    assert share * 0.5 < len(result) / 30_000 <= 1.0
 
 
 @pytest.mark.parametrize("suffix", PLUGINS)
@@ -105,9 +105,9 @@ def test_what_is_beyond_repair_is_said_in_a_line(tmp_path, capsys, suffix):
     (tmp_path / "bag" / "metadata.yaml").unlink()
     before = sorted(tmp_path.rglob("*"))
     assert main_bag(["repair", str(tmp_path / "bag")]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "not one whole message" in said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert "not one whole message" in printed
     assert sorted(tmp_path.rglob("*")) == before
 
 

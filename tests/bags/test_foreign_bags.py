@@ -138,9 +138,9 @@ def test_metadata_of_every_version_and_databases_of_every_distribution(tmp_path,
         database(bag / name, speeds(), schema={1: 1, 2: 1, 3: 2, 4: 2, 5: 3}.get(version, 4))
     numbers = "- history: 1\n  depth: 0\n  reliability: 1\n  durability: 1\n" if 2 < version < 9 else RELIABLE
     metadata(bag, [("/speed", FLOAT, 10)], [name], version=version, qos=numbers)
-    with BagReader(bag) as found:
-        assert (found.counts, found.is_whole) == ([10], True)
-        assert found.custom_data == ({"who": "1"} if version > 5 else {})
+    with BagReader(bag) as result:
+        assert (result.counts, result.is_whole) == ([10], True)
+        assert result.custom_data == ({"who": "1"} if version > 5 else {})
     t, x = signals(bag)["speed/data"]
     np.testing.assert_allclose(t, np.arange(10) / 10)
     assert x.tolist() == list(range(10))
@@ -187,9 +187,9 @@ def test_the_qos_in_the_metadata_is_no_part_of_a_topics_name(tmp_path, capsys, q
 
 
 def test_partial_profiles_are_filled_as_a_publisher_would():
-    (found,) = profiles("- reliability: best_effort\n  deadline: {sec: 1, nsec: 5}\n  depth: '3'\n")
-    assert (found.reliability.name, found.durability.name, found.depth) == ("BEST_EFFORT", "VOLATILE", 3)
-    assert (found.deadline.sec, found.deadline.nsec) == (1, 5)
+    (result,) = profiles("- reliability: best_effort\n  deadline: {sec: 1, nsec: 5}\n  depth: '3'\n")
+    assert (result.reliability.name, result.durability.name, result.depth) == ("BEST_EFFORT", "VOLATILE", 3)
+    assert (result.deadline.sec, result.deadline.nsec) == (1, 5)
     assert [p.history.name for p in profiles("- history: 3\n- history: keep_all\n- history: odd\n")] == [
         "UNKNOWN", "KEEP_ALL", "UNKNOWN"
     ]  # fmt: skip
@@ -203,9 +203,9 @@ CLAIMS = [
 ]
 
 
-@pytest.mark.parametrize(("claim", "told"), CLAIMS, ids=str)
+@pytest.mark.parametrize(("claim", "reported"), CLAIMS, ids=str)
 @pytest.mark.parametrize("verb", ["info", "export", "compare", "signals"])
-def test_what_was_read_is_held_against_the_metadata_in_every_verb(tmp_path, capsys, claim, told, verb):
+def test_what_was_read_is_held_against_the_metadata_in_every_verb(tmp_path, capsys, claim, reported, verb):
     bag = tmp_path / "bag"
     mcap(bag / "bag_0.mcap", speeds())
     metadata(bag, [("/speed", FLOAT, claim.get("topics", 10))], ["bag_0.mcap"], count=claim.get("count"))
@@ -219,7 +219,7 @@ def test_what_was_read_is_held_against_the_metadata_in_every_verb(tmp_path, caps
             "compare": lambda: main_compare([str(bag), str(bag)]),
         }
         assert calls[verb]() == 1
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err
 
 
 def test_topics_that_the_metadata_does_not_name_files_that_are_too_many_or_lacking(tmp_path, capsys):
@@ -254,11 +254,11 @@ def test_times_and_order_come_from_the_files(tmp_path, storage, start, duration)
     files = [f"bag_{k}.{storage}" for k in range(3)]
     metadata(bag, [("/speed", FLOAT, 30)], files, start=start, duration=duration)
     rows.sort(key=lambda row: row[2])
-    with BagReader(bag) as found:
-        assert [(t, data) for _, t, data in found.messages()] == [(t, data) for _, _, t, data in rows]
-        assert (found.start, found.end) == (START, rows[-1][2])
-        part = span(found, 0.0, None)
-        assert sum(part.start <= t <= part.end for _, t, _ in found.messages(start=part.start)) == 30
+    with BagReader(bag) as result:
+        assert [(t, data) for _, t, data in result.messages()] == [(t, data) for _, _, t, data in rows]
+        assert (result.start, result.end) == (START, rows[-1][2])
+        part = span(result, 0.0, None)
+        assert sum(part.start <= t <= part.end for _, t, _ in result.messages(start=part.start)) == 30
     assert signals(bag)["speed/data"].t[0] == 0.0
 
 
@@ -311,21 +311,21 @@ UNREADABLE = [
 ]
 
 
-@pytest.mark.parametrize(("language", "text", "told"), UNREADABLE)
-def test_a_topic_that_cannot_be_decoded_is_named_and_all_others_are_read(tmp_path, capsys, language, text, told):
+@pytest.mark.parametrize(("language", "text", "reported"), UNREADABLE)
+def test_a_topic_that_cannot_be_decoded_is_named_and_all_others_are_read(tmp_path, capsys, language, text, reported):
     file = mcap(
         tmp_path / "x.mcap",
         [*speeds(), ("/x", "a/msg/X", START, b"\0\1\0\0\2")],
         definitions=[("a/msg/X", (text, language))] if language else (),
     )
     assert main_bag(["info", str(file)]) == 0
-    said = capsys.readouterr().out
-    assert "cannot be decoded: " in said
-    assert told in said
+    printed = capsys.readouterr().out
+    assert "cannot be decoded: " in printed
+    assert reported in printed
     assert main_bag(["export", str(file), "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().err
-    assert "/x (a/msg/X) cannot be decoded: " in said
-    assert told in said
+    printed = capsys.readouterr().err
+    assert "/x (a/msg/X) cannot be decoded: " in printed
+    assert reported in printed
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["speed.csv"]
     assert main_compare([str(file), str(file)]) == 0
     assert "x: 1 messages, equal" in capsys.readouterr().out
@@ -354,12 +354,12 @@ def test_definitions_in_idl_as_rosbag2_documents_them(tmp_path, first, end):
         [("/x", "my/msg/Outer", START, OUTER), *speeds()],
         definitions=[("my/msg/Outer", (text.replace("\n", end), "ros2idl"))],
     )
-    found = signals(file)
-    assert {name: found[name].x.tolist() for name in found if name.startswith("x/")} == {
+    result = signals(file)
+    assert {name: result[name].x.tolist() for name in result if name.startswith("x/")} == {
         "x/inner/value": [2.5], "x/pair/0": [1.0], "x/pair/1": [2.0],
         "x/flags/0": [1.0], "x/flags/1": [0.0], "x/flags/2": [1.0],
     }  # fmt: skip
-    assert found["speed/data"].x.tolist() == list(range(10))
+    assert result["speed/data"].x.tolist() == list(range(10))
 
 
 def test_all_installed_definitions_are_the_same_in_both_languages():
@@ -389,8 +389,8 @@ def test_all_installed_definitions_are_the_same_in_both_languages():
 def test_definitions_with_a_byte_order_mark_line_ends_constants_and_defaults(tmp_path, text):
     data = struct.pack("<HHdi", 0x100, 0, 1.5, 2)
     file = mcap(tmp_path / "x.mcap", [("/x", "a/msg/X", START, data)], definitions=[("a/msg/X", (text, "ros2msg"))])
-    found = signals(file)
-    assert {name: found[name].x.tolist() for name in found} == {"x/value": [1.5], "x/n": [2.0]}
+    result = signals(file)
+    assert {name: result[name].x.tolist() for name in result} == {"x/value": [1.5], "x/n": [2.0]}
 
 
 def decoded(definition, data, language="ros2msg"):
@@ -472,8 +472,8 @@ def test_both_byte_orders_and_all_alignments(tmp_path, order):
     data = cdr(
         order, ("b", -3), ("d", 0.1), ("B", 1), ("h", -300), ("B", 200), ("q", -(2**40)), ("?", True), ("f", 0.5)
     )
-    found, _ = decoded("int8 a\nfloat64 b\nbool c\nint16 d\nbyte e\nint64 f\nbool g\nfloat32 h", data)
-    assert found == {"a": -3, "b": 0.1, "c": 1, "d": -300, "e": 200, "f": -(2.0**40), "g": 1, "h": 0.5}
+    result, _ = decoded("int8 a\nfloat64 b\nbool c\nint16 d\nbyte e\nint64 f\nbool g\nfloat32 h", data)
+    assert result == {"a": -3, "b": 0.1, "c": 1, "d": -300, "e": 200, "f": -(2.0**40), "g": 1, "h": 0.5}
     stamped = cdr(order, ("i", 7), ("I", 5), ("I", 1), ("B", 0), ("I", 0), ("I", 1), ("d", 2.5), ("I", 0), ("I", 0))
     file = mcap(tmp_path / "x.mcap", [("/j", STATE, 9 * 10**9, stamped)])
     table = signals(file).table("j")
@@ -488,12 +488,12 @@ def test_wide_texts_of_two_and_of_four_bytes(width):
     """As Fast CDR has written them since and before version 2."""
     letters = "aé中"
     items = [("I", 3), *((width, ord(c)) for c in letters)]
-    found, texts = decoded("wstring text\nfloat64 x", cdr("<", *items, ("d", 1.5)))
-    assert (found, texts) == ({"x": 1.5}, {"text": letters})
+    result, texts = decoded("wstring text\nfloat64 x", cdr("<", *items, ("d", 1.5)))
+    assert (result, texts) == ({"x": 1.5}, {"text": letters})
 
 
 @pytest.mark.parametrize(
-    ("definition", "data", "told"),
+    ("definition", "data", "reported"),
     [
         ("float64 x", b"\0\1\0\0" + bytes(7), "ends within x"),
         ("float64 x", b"\0\1\0\0" + bytes(12), "4 bytes longer"),
@@ -504,8 +504,8 @@ def test_wide_texts_of_two_and_of_four_bytes(width):
         ("string x", b"\0\1\0\0" + b"\x09\0\0\0abc", "ends within x"),
     ],
 )
-def test_bytes_are_checked_before_they_are_numbers(definition, data, told):
-    with pytest.raises(Undecodable, match=told):
+def test_bytes_are_checked_before_they_are_numbers(definition, data, reported):
+    with pytest.raises(Undecodable, match=reported):
         decoded(definition, data)
 
 
@@ -515,8 +515,10 @@ def test_single_messages_that_are_damaged_are_counted_and_the_others_given(tmp_p
     rows[7] = (*rows[7][:3], b"")
     file = mcap(tmp_path / "x.mcap", rows)
     assert main_bag(["export", str(file), "--out", str(tmp_path / "out")]) == 1
-    said = capsys.readouterr().err
-    assert f"/speed: 2 of 10 messages cannot be decoded, the first at {START + 300_000_000} ns: it ends within" in said
+    printed = capsys.readouterr().err
+    assert (
+        f"/speed: 2 of 10 messages cannot be decoded, the first at {START + 300_000_000} ns: it ends within" in printed
+    )
     assert [line.split(",")[2] for line in (tmp_path / "out/speed.csv").read_text().splitlines()[1:]] == list(
         "01245689"
     )
@@ -528,8 +530,8 @@ def test_names_that_python_or_the_table_use_themselves_and_headers_that_are_none
     file = mcap(
         tmp_path / "x.mcap", [("/x", "a/msg/X", START, data)], definitions=[("a/msg/X", (definition, "ros2msg"))]
     )
-    found = signals(file)
-    assert {name: found[name].x[0] for name in found} == {
+    result = signals(file)
+    assert {name: result[name].x[0] for name in result} == {
         "x/time": 1.5, "x/from": 2.5, "x/header/stamp": 3.5, "x/header/seq": 4, "x/class": -5
     }  # fmt: skip
     assert main_bag(["export", str(file), "--out", str(tmp_path / "out")]) == 0
@@ -541,8 +543,8 @@ def test_names_that_python_or_the_table_use_themselves_and_headers_that_are_none
 @pytest.mark.parametrize("definition", ["", "int8 A=1", "std_msgs/Empty a\nfloat64 x"])
 def test_empty_messages_have_a_byte(definition):
     data = b"\0\1\0\0\0" if "Empty" not in definition else cdr("<", ("B", 0), ("d", 2.5))
-    found, _ = decoded(definition or "# nothing", data)
-    assert found == ({"x": 2.5} if "Empty" in definition else {})
+    result, _ = decoded(definition or "# nothing", data)
+    assert result == ({"x": 2.5} if "Empty" in definition else {})
 
 
 def test_arrays_that_are_too_long_for_columns_are_named(tmp_path, capsys):
@@ -565,8 +567,8 @@ def test_arrays_that_are_too_long_for_columns_are_named(tmp_path, capsys):
             [("/x", "a/msg/X", START, bytes(changed))],
             definitions=[("a/msg/X", (f"float64 y\n{kind}[] many", "ros2msg"))],
         )
-        found = compare(file, other)
-        assert (found.first.field, found.topics[0].differing) == (f"many/{n - 1}", 1)
+        result = compare(file, other)
+        assert (result.first.field, result.topics[0].differing) == (f"many/{n - 1}", 1)
 
 
 def test_types_of_the_distribution_that_wrote_the_bag(tmp_path):
@@ -577,8 +579,8 @@ def test_types_of_the_distribution_that_wrote_the_bag(tmp_path):
     with sqlite3.connect(bag / "bag_0.db3") as db:
         db.execute("UPDATE topics SET name = '/range', type = 'sensor_msgs/msg/Range'")
     metadata(bag, [("/range", "sensor_msgs/msg/Range", 1)], ["bag_0.db3"], version=5, qos="")
-    found = signals(bag)
-    assert {name: found[name].x[0] for name in found} == {
+    result = signals(bag)
+    assert {name: result[name].x[0] for name in result} == {
         "range/radiation_type": 1, "range/field_of_view": 0.5, "range/min_range": 0.25, "range/max_range": 9.0,
         "range/range": 2.5,
     }  # fmt: skip
@@ -602,21 +604,21 @@ def two_publishers(path, *, swapped=False, gain=1.0):
 
 
 def test_columns_of_two_publishers_are_named_by_their_joints(tmp_path):
-    found = signals(two_publishers(tmp_path / "x.mcap"))
+    result = signals(two_publishers(tmp_path / "x.mcap"))
     nan = np.nan
     expected = {
         "arm_1": np.ravel([(1.0 + k, nan) for k in range(10)]), "arm_2": np.ravel([(2.0 + k, nan) for k in range(10)]),
         "gripper": np.ravel([(nan, 100.0 + k) for k in range(10)]),
     }  # fmt: skip
-    assert list(found) == [f"joint_states/{name}/position" for name in expected]
+    assert list(result) == [f"joint_states/{name}/position" for name in expected]
     for name, x in expected.items():
-        np.testing.assert_array_equal(found[f"joint_states/{name}/position"].x, x)
+        np.testing.assert_array_equal(result[f"joint_states/{name}/position"].x, x)
     swapped = two_publishers(tmp_path / "y.mcap", swapped=True)
     assert compare(tmp_path / "x.mcap", swapped).equal
     off = compare(tmp_path / "x.mcap", two_publishers(tmp_path / "z.mcap", swapped=True, gain=1.01))
     assert (off.topics[0].differing, off.first.field) == (10, "gripper/position")
     for limit, agrees in ((1.1, True), (1.0, False)):
-        assert align(found, signals(tmp_path / "z.mcap"), default=Tolerance(limit)).equal is agrees
+        assert align(result, signals(tmp_path / "z.mcap"), default=Tolerance(limit)).equal is agrees
 
 
 @pytest.mark.parametrize(("stamp", "word"), [(0, "zero"), (START, "equal")])
@@ -633,10 +635,10 @@ def test_stamps_that_say_nothing_are_recognised_and_bag_time_is_used(tmp_path, c
     assert "50 messages, 49 differ" in capsys.readouterr().out
     for arguments in ([a, later], [a, b, "--align"]):
         assert main_compare(arguments) == 1
-        said = capsys.readouterr().out
-        assert "bag time is used" in said
-        assert "j/j/position: max 196" in said
-        assert "49 of 50 samples beyond the tolerance" in said
+        printed = capsys.readouterr().out
+        assert "bag time is used" in printed
+        assert "j/j/position: max 196" in printed
+        assert "49 of 50 samples beyond the tolerance" in printed
 
 
 def test_stamps_of_two_clocks_are_no_time_axis(tmp_path):
@@ -647,9 +649,9 @@ def test_stamps_of_two_clocks_are_no_time_axis(tmp_path):
             stamp = START + k * 10**8 - (k % 2) * 7 * 10**9  # every other message is of a clock seven seconds late
             rows.append(("/j", STATE, START + k * 10**8, joints(["j"], [gain * k], stamp)))
         files.append(mcap(tmp_path / f"{name}.mcap", rows))
-    found = align(*map(signals, files))
-    assert found.notes == ["j: header stamps go back 20 times in A, as those of several clocks do: bag time is used"]
-    assert found.deviations[0].largest == pytest.approx(2.0 * 39)
+    result = align(*map(signals, files))
+    assert result.notes == ["j: header stamps go back 20 times in A, as those of several clocks do: bag time is used"]
+    assert result.deviations[0].largest == pytest.approx(2.0 * 39)
 
 
 def test_what_is_not_compared_over_time_is_no_agreement(tmp_path, capsys):
@@ -666,14 +668,14 @@ def test_what_is_not_compared_over_time_is_no_agreement(tmp_path, capsys):
         "long": speeds(100),
     }
     path = {name: str(mcap(tmp_path / f"{name}.mcap", rows)) for name, rows in files.items()}
-    for a, b, told in (
+    for a, b, reported in (
         ("a", "b", "not compared: late/data: A and B have no time in common"),
         ("odd", "odd", "not compared: event cannot be decoded; leave it out with --ignore"),
         ("once", "other", "2 of 3 samples beyond the tolerance"),
         ("long", "a", "not compared: speed/data: 9 of 9.9 s, which only one of the bags has"),
     ):
         assert main_compare(["--align", path[a], path[b]]) == 1
-        assert told in capsys.readouterr().out
+        assert reported in capsys.readouterr().out
     assert main_compare(["--align", path["odd"], path["odd"], "--ignore", "event"]) == 0
     assert "all signals that both have agree" in capsys.readouterr().out
     assert main_compare(["--align", path["a"], path["a"], "--topics", "speed", "gone"]) == 2
@@ -699,15 +701,15 @@ def test_whole_numbers_of_64_bits_are_exported_as_they_are(tmp_path, form):
     assert main_bag(["export", str(file), "--out", str(tmp_path / "out"), "--format", form]) == 0
     table = tmp_path / f"out/x.{form}"
     if form == "csv":
-        found = [[int(field) for field in line.split(",")[2:4]] for line in table.read_text().splitlines()[1:]]
+        results = [[int(field) for field in line.split(",")[2:4]] for line in table.read_text().splitlines()[1:]]
     elif form == "parquet":
         columns = pyarrow.parquet.read_table(table)
-        found = [list(row) for row in zip(columns["a"].to_pylist(), columns["b"].to_pylist(), strict=True)]
+        results = [list(row) for row in zip(columns["a"].to_pylist(), columns["b"].to_pylist(), strict=True)]
     else:
         columns = loadmat(table)
-        found = [[int(a), int(b)] for a, b in zip(columns["a"].ravel(), columns["b"].ravel(), strict=True)]
+        results = [[int(a), int(b)] for a, b in zip(columns["a"].ravel(), columns["b"].ravel(), strict=True)]
         assert columns["c"].dtype == float
-    assert found == [[2**53 + k, 2**64 - 1 - k] for k in range(3)]
+    assert results == [[2**53 + k, 2**64 - 1 - k] for k in range(3)]
 
 
 def test_fields_of_any_name_are_variables_of_matlab(tmp_path):
@@ -762,9 +764,9 @@ def test_files_have_names_that_every_system_takes_and_topics_are_named_where_the
         ]
     )
     assert sorted(len((tmp_path / "out" / name).read_text().splitlines()) for name in made) == list(range(2, 11))
-    said = capsys.readouterr().err
-    assert "topic speed is in the file speed_2" in said
-    assert "topic a/b " not in said
+    printed = capsys.readouterr().err
+    assert "topic speed is in the file speed_2" in printed
+    assert "topic a/b " not in printed
     assert main_bag(["info", str(file)]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2 + len(topics)
 
@@ -812,8 +814,8 @@ def test_whole_numbers_that_a_float_cannot_tell_apart_differ(tmp_path):
         )
         for k in range(2)
     ]
-    found = compare(*files)
-    assert (found.first.a, found.first.b) == (2**60, 2**60 + 1)
+    result = compare(*files)
+    assert (result.first.a, result.first.b) == (2**60, 2**60 + 1)
     assert compare(*files, default=Tolerance(1.0)).equal
 
 
@@ -825,8 +827,8 @@ def test_texts_that_are_no_utf_8_spoil_nothing(tmp_path):
         for k, d in enumerate((data, odd))
     ]
     assert signals(files[1])["speed/data"].x.tolist() == list(range(10))
-    found = compare(*files)
-    assert (found.first.field, found.first.a, found.first.b) == ("data", "ab", "\\xff\\xfe")
+    result = compare(*files)
+    assert (result.first.field, result.first.a, result.first.b) == ("data", "ab", "\\xff\\xfe")
 
 
 def test_partners_that_come_late_are_found_and_what_waits_long_waits_in_a_file(tmp_path, monkeypatch):
@@ -840,10 +842,10 @@ def test_partners_that_come_late_are_found_and_what_waits_long_waits_in_a_file(t
     late[301] = (*late[301][:3], joints(["j"], [7.0], 301 * 10**6 + 1))
     del late[500]
     two = mcap(tmp_path / "b.mcap", late, chunk_size=2_000)
-    found = compare(one, two)
-    (topic,) = found.topics
-    assert (topic.missing, topic.extra, topic.differing, found.paired) == (1, 0, 1, 599)
-    assert str(found.first) == "t = 0.301000001 s, j j/position: 301.0 against 7.0"
+    result = compare(one, two)
+    (topic,) = result.topics
+    assert (topic.missing, topic.extra, topic.differing, result.paired) == (1, 0, 1, 599)
+    assert str(result.first) == "t = 0.301000001 s, j j/position: 301.0 against 7.0"
     assert compare(one, tmp_path / "a.mcap", bitwise=True).equal
 
 
@@ -853,8 +855,8 @@ def test_files_are_those_of_the_folder_each_once(tmp_path):
     mcap(bag / "bag_0.mcap", speeds())
     mcap(old / "bag_0.mcap", speeds(3))
     metadata(bag, [("/speed", FLOAT, 10)], [str(old / "bag_0.mcap")] * 2, storage_identifier="")
-    with BagReader(bag) as found:
-        assert (found.counts, found.is_whole, found.files) == ([10], True, [bag / "bag_0.mcap"])
+    with BagReader(bag) as result:
+        assert (result.counts, result.is_whole, result.files) == ([10], True, [bag / "bag_0.mcap"])
 
 
 def test_a_channel_without_a_schema_is_named(tmp_path, capsys):
@@ -883,9 +885,9 @@ def test_rows_of_a_topic_without_a_name_are_counted(tmp_path, capsys):
         db.execute("UPDATE messages SET topic_id = 9 WHERE id > 8")
     metadata(bag, [("/speed", FLOAT, 10)], ["bag_0.db3"])
     assert main_bag(["info", str(bag)]) == 1
-    said = capsys.readouterr().err
-    assert "/speed: 8 messages in the files, metadata.yaml claims 10" in said
-    assert "topic 9 without a name: 2 messages in the files, metadata.yaml does not name the topic" in said
+    printed = capsys.readouterr().err
+    assert "/speed: 8 messages in the files, metadata.yaml claims 10" in printed
+    assert "topic 9 without a name: 2 messages in the files, metadata.yaml does not name the topic" in printed
 
 
 @pytest.mark.parametrize("suffix", ["-wal", "-journal"])
@@ -937,11 +939,11 @@ def test_a_layout_of_the_suite_and_its_columns_agree(tmp_path):
                 i, k, layout.encode(k, tuple(float(k + j > 2) + j * (layout.size > 1) for j in range(layout.size)))
             )
     write_bag(tmp_path / "bag", recording)
-    found, known = signals(tmp_path / "bag"), Signals(recording)
-    assert list(found) == list(known)
+    result, known = signals(tmp_path / "bag"), Signals(recording)
+    assert list(result) == list(known)
     for name in known:
-        np.testing.assert_array_equal(found[name].x, known[name].x)
-    assert compare(known, found, bitwise=True).equal
+        np.testing.assert_array_equal(result[name].x, known[name].x)
+    assert compare(known, result, bitwise=True).equal
 
 
 def test_a_file_that_is_missing_or_no_bag_says_so(tmp_path):

@@ -116,8 +116,8 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
     assert other.how == f"within tolerances: math 0 there, {versions()['math']} here"
     assert other.check()[1] == f"byte for byte, with math 0 there, {versions()['math']} here"
     monkeypatch.setattr(type(golden), "rerun", lambda _: one)
-    found, how = other.check()
-    assert (found.equal, how) == (True, other.how)
+    result, how = other.check()
+    assert (result.equal, how) == (True, other.how)
 
 
 def test_other_versions_take_the_tolerances_for_elsewhere():
@@ -153,17 +153,17 @@ def test_python_decides_where_a_block_is_not_ours(monkeypatch, there, same):
 
 def test_each_line_of_the_page_is_one_that_a_check_says():
     text = (BAGS.parent / "ros_pkgs/softrig_core/doc/bits.md").read_text()
-    said = {line({*differ}) for differ in ((), ("python",), ("numpy",), ("math", "numpy"), ("machine", "math"))}
-    assert len(said) == 5
-    assert set(re.findall(r"^\| \*(.*?)\*", text, re.M)) == said
+    messages = {line({*differ}) for differ in ((), ("python",), ("numpy",), ("math", "numpy"), ("machine", "math"))}
+    assert len(messages) == 5
+    assert set(re.findall(r"^\| \*(.*?)\*", text, re.M)) == messages
 
 
 def digest(folder):
     """What a rig records, as one number."""
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for t, topic, data in load(folder).rerun().messages():
-        found.update(b"%d %b " % (t, topic.name.encode()) + data)
-    return found.hexdigest()
+        result.update(b"%d %b " % (t, topic.name.encode()) + data)
+    return result.hexdigest()
 
 
 DIGESTS = f"""
@@ -267,8 +267,8 @@ def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
     topics = [p.topic for p in member.outputs]
     read = [p.topic for p in member.inputs if p.name in member.links]
     started = (member.package, member.executable, "--ros-args", "-r", f"__node:={node}", "--params-file", file)
-    status, said = replay(tmp_path, golden.bag, topics, started, "--topics", *read)
-    assert status == 0, said
+    status, printed = replay(tmp_path, golden.bag, topics, started, "--topics", *read)
+    assert status == 0, printed
     result = golden.compare(read_bag(tmp_path / "answers"), topics)
     assert result.equal, str(result)
 
@@ -381,9 +381,9 @@ def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):
     recipe = golden.folder / "golden.yaml"
     recipe.write_text(recipe.read_text().replace("scenario: dc_motor_smc_b2", "scenario: dc_motor_smc_b2_delta2"))
     assert checked(tmp_path, **files) == 1
-    (found,) = json.loads(files["json"].read_text())
-    assert not found["pass"]
-    assert "motor/command" in found["differs"]
+    (result,) = json.loads(files["json"].read_text())
+    assert not result["pass"]
+    assert "motor/command" in result["differs"]
     suite = ET.parse(files["junit"]).find("testsuite")
     assert suite.attrib["failures"] == "1"
     assert "motor/command" in suite.find("testcase/failure").attrib["message"]

@@ -38,12 +38,12 @@ WHOLE = ("whole", HEADER, [Layout(HEADER).encode(t, ()) for t in range(0, 100_00
 
 def test_a_recorder_that_joins_late_says_what_it_missed():
     """By the stamps, or by the numbers of arrays; what speaks at no steady period tells nothing."""
-    found = [
+    results = [
         joined(name, kind, [layout.encode(mark, (0.0,) if kind == ARRAY else ()) for mark in marks])
         for name, (kind, layout, marks) in SENT.items()
     ]
-    assert missed(found) == {"clock": 22, "sixty": 7, "array": 31}
-    assert missed([*found, joined(*WHOLE)]) == {"array": 31}  # a rig waits for its recorder on all topics or on none
+    assert missed(results) == {"clock": 22, "sixty": 7, "array": 31}
+    assert missed([*results, joined(*WHOLE)]) == {"array": 31}  # a rig waits for its recorder on all topics or on none
 
 
 @pytest.mark.parametrize("every", range(1, 9))
@@ -65,13 +65,13 @@ def test_what_begins_by_itself_is_not_missed():
 
 def test_nothing_is_missed_of_a_whole_recording_of_any_system():
     """A golden bag of each system, as far as its topics have begun."""
-    found = {}
+    results = {}
     for bag in {b.parent.name.rpartition("_")[0][:12]: b for b in BAGS}.values():
         with BagReader(bag) as reader:
             messages = {t.name: [] for t in reader.topics}
             for i, _, data in islice(reader.messages(), 1000):
                 messages[reader.topics[i].name].append(bytes(data))
             topics = [joined(t.name, t.msgtype, messages[t.name]) for t in reader.topics]
-        found[bag.parent.name] = missed(topics)
-    assert len(found) > 12
-    assert not {name: what for name, what in found.items() if what}
+        results[bag.parent.name] = missed(topics)
+    assert len(results) > 12
+    assert not {name: what for name, what in results.items() if what}

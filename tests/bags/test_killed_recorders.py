@@ -169,7 +169,7 @@ def check_all_saved(folders, kind):
         else:
             wanted = messages_by_mcap((folder / "bag_0.mcap").read_bytes())
         try:
-            told = repair(folder, out)
+            repaired = repair(folder, out)
         except BagError:
             if wanted:
                 raise
@@ -184,7 +184,7 @@ def check_all_saved(folders, kind):
         assert saved[: len(wanted)] == wanted
         times = [t for t, _ in saved]  # whole messages of a cut chunk, or behind a damaged page, come after
         assert times == sorted(set(times))
-        assert told.files[0].kept == len(saved)
+        assert repaired.files[0].kept == len(saved)
         most = max(most, len(wanted))
     assert most  # the recorders did record
 
@@ -226,8 +226,8 @@ def database(folder, journal, count=10):
     return recorder
 
 
-def kept(told):
-    return [(f.name, f.kept, f.lost, f.left_out) for f in told.files]
+def kept(reported):
+    return [(f.name, f.kept, f.lost, f.left_out) for f in reported.files]
 
 
 @pytest.mark.parametrize("what", ["bag", "bag/bag_0.db3", "bag/bag_0.db3-wal", "bag/bag_0.db3-shm", ""])
@@ -236,8 +236,8 @@ def test_rows_that_are_in_the_journal_alone_are_saved(tmp_path, what):
     recorder = database(tmp_path / "run/bag", "WAL", 999)
     before = {p.name: p.read_bytes() for p in (tmp_path / "run/bag").iterdir()}
     assert len(before["bag_0.db3"]) < 9000  # everything is in the journal
-    told = repair(tmp_path / "run" / what, tmp_path / "new")
-    assert kept(told) == [("bag_0.db3 with bag_0.db3-wal", 999, [], [])]
+    repaired = repair(tmp_path / "run" / what, tmp_path / "new")
+    assert kept(repaired) == [("bag_0.db3 with bag_0.db3-wal", 999, [], [])]
     assert {p.name: p.read_bytes() for p in (tmp_path / "run/bag").iterdir()} == before
     recorder.close()
 
@@ -245,8 +245,8 @@ def test_rows_that_are_in_the_journal_alone_are_saved(tmp_path, what):
 def test_a_bag_with_a_journal_beside_it_is_not_whole(tmp_path):
     """metadata.yaml agrees with the file, and a recorder has gone on into the journal."""
     recorder = database(tmp_path / "bag", "WAL", 5)
-    told = repair(tmp_path / "bag", tmp_path / "five")
-    shutil.copy(told.bag / "metadata.yaml", tmp_path / "bag")
+    repaired = repair(tmp_path / "bag", tmp_path / "five")
+    shutil.copy(repaired.bag / "metadata.yaml", tmp_path / "bag")
     text = (tmp_path / "bag/metadata.yaml").read_text().replace("five_0.db3", "bag_0.db3")
     (tmp_path / "bag/metadata.yaml").write_text(text)
     recorder.execute("PRAGMA wal_checkpoint")
@@ -265,8 +265,8 @@ def test_a_database_that_changes_while_it_is_copied_is_read_under_its_locks(tmp_
         return copied(source, target)
 
     monkeypatch.setattr("softrig_bags.files.sqlite_recover.shutil.copyfile", changed)
-    told = repair(tmp_path / "bag", tmp_path / "new")
-    assert told.files[0].kept == recorder.execute("SELECT count(*) FROM messages").fetchone()[0] > 500
+    repaired = repair(tmp_path / "bag", tmp_path / "new")
+    assert repaired.files[0].kept == recorder.execute("SELECT count(*) FROM messages").fetchone()[0] > 500
     recorder.close()
 
 
@@ -286,15 +286,17 @@ def test_files_of_both_storages_in_one_folder_are_saved(tmp_path):
     (tmp_path / "bag/metadata.yaml").write_text(
         "rosbag2_bagfile_information: {relative_file_paths: [a_0.mcap, bag_0.db3, bag_1.db3]}"
     )
-    told = repair(tmp_path / "bag", tmp_path / "new")
-    assert kept(told) == [
+    repaired = repair(tmp_path / "bag", tmp_path / "new")
+    assert kept(repaired) == [
         ("a_0.mcap", 6, [], ["1 attachment notes.txt", "1 metadata site"]),
         ("bag_0.db3", 7, [], []),
         ("bag_1.db3", 0, ["all of it: metadata.yaml lists this file, but it does not exist"], []),
     ]
-    assert str(told).splitlines()[0] == "a_0.mcap: 6 messages kept, left out: 1 attachment notes.txt, 1 metadata site"
-    assert not told.complete
-    with next(told.bag.glob("*_0.mcap")).open("rb") as file:  # as they are encoded
+    assert (
+        str(repaired).splitlines()[0] == "a_0.mcap: 6 messages kept, left out: 1 attachment notes.txt, 1 metadata site"
+    )
+    assert not repaired.complete
+    with next(repaired.bag.glob("*_0.mcap")).open("rb") as file:  # as they are encoded
         counts = Counter((c.topic, c.message_encoding, s.name) for s, c, _ in make_reader(file).iter_messages())
     assert counts == {("/cdr", "cdr", "std_msgs/msg/Empty"): 3, ("/json", "json", "std_msgs/msg/Empty"): 3}
 
@@ -308,9 +310,9 @@ def test_what_the_metadata_claims_otherwise_is_reported_and_written_anew(tmp_pat
     (tmp_path / "bag/metadata.yaml").write_text(text.replace("message_count: 7", "message_count: 9"))
     shutil.rmtree(tmp_path / "bag.damaged")
     assert main_bag(["repair", str(tmp_path / "bag")]) == 1
-    said = capsys.readouterr()
-    assert "/x: 7 messages, metadata.yaml claimed 9\n7 messages in" in said.out
-    assert said.err == ""
+    printed = capsys.readouterr()
+    assert "/x: 7 messages, metadata.yaml claimed 9\n7 messages in" in printed.out
+    assert printed.err == ""
     assert (tmp_path / "bag/metadata.yaml").read_text() == text
 
 
@@ -321,9 +323,9 @@ def test_of_a_node_that_has_died_and_not_come_back_the_longer_record_is_saved(tm
         for t in range(count):
             shard.add(0, t, b"\0\1\0\0\0")
         shard.close()
-    told = repair(tmp_path / "run")
-    assert told.bag == tmp_path / "run/bag"
-    assert [(f.name, f.kept) for f in told.files] == [("a.shard.died", 9), ("b.shard", 5), ("c.shard.died", 1)]
+    repaired = repair(tmp_path / "run")
+    assert repaired.bag == tmp_path / "run/bag"
+    assert [(f.name, f.kept) for f in repaired.files] == [("a.shard.died", 9), ("b.shard", 5), ("c.shard.died", 1)]
 
 
 def test_shards_beside_files_of_a_bag_are_not_dropped_in_silence(tmp_path):
@@ -335,5 +337,5 @@ def test_shards_beside_files_of_a_bag_are_not_dropped_in_silence(tmp_path):
 
 def test_a_bag_that_was_being_written_when_the_run_was_killed_is_saved(tmp_path):
     database(tmp_path / ".bag.77.part", "DELETE", 4).close()
-    told = repair(tmp_path)
-    assert (told.bag, told.files[0].kept) == (tmp_path / "bag", 4)
+    repaired = repair(tmp_path)
+    assert (repaired.bag, repaired.files[0].kept) == (tmp_path / "bag", 4)

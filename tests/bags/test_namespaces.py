@@ -37,12 +37,12 @@ def bags(tmp_path):
 
 @pytest.mark.parametrize("name", ["a", "/b", "deep/c/"])
 def test_a_rig_is_read_as_if_it_had_been_alone(name, bags):
-    alone, found = recording(gain=GAINS[name.strip("/")]), read_bag(bags / "together", name)
-    assert list(found.topics) == list(alone.topics)
-    assert [t.data for t in found.topics.values()] == [t.data for t in alone.topics.values()]
+    alone, result = recording(gain=GAINS[name.strip("/")]), read_bag(bags / "together", name)
+    assert list(result.topics) == list(alone.topics)
+    assert [t.data for t in result.topics.values()] == [t.data for t in alone.topics.values()]
     named = signals(bags / "together", name)
     assert set(named) == set(signals(bags / "own"))
-    assert differences(named.recording, found) == []  # also what is read when it is asked for
+    assert differences(named.recording, result) == []  # also what is read when it is asked for
 
 
 @pytest.mark.parametrize(
@@ -63,20 +63,20 @@ def test_rigs_of_one_bag_are_compared_with_each_other_and_with_a_bag_of_their_ow
     a, b, *names = words
     given = [word for name in names for word in ("--namespace", name)]
     assert main(["bag", "compare", str(bags / a), str(bags / b), *given, *how]) == status
-    said = capsys.readouterr().out
-    assert "plant/state" in said
-    assert ("c/plant" in said) == (names == ["/", "/"])
+    printed = capsys.readouterr().out
+    assert "plant/state" in printed
+    assert ("c/plant" in printed) == (names == ["/", "/"])
 
 
 def test_what_is_no_namespace_of_the_bag_is_refused_with_those_that_are(bags, capsys):
-    for given, told in (
+    for given, reported in (
         (["c"], "no topic in the namespace /c; expected one of /a, /b, /deep, /ab, /plant"),
         (["a b"], "'a b' is not the name of a namespace"),
         (["a", "b", "a"], "--namespace is expected once"),
     ):
         words = [word for name in given for word in ("--namespace", name)]
         assert main(["bag", "compare", str(bags / "together"), str(bags / "together"), *words]) == 2
-        assert told in capsys.readouterr().err
+        assert reported in capsys.readouterr().err
     assert main_bag(["export", str(bags / "together"), "--namespace", "a/b", "--format", "csv"]) == 2
     assert not (bags / "together_a_b_csv").exists()
     capsys.readouterr()
@@ -113,13 +113,13 @@ def test_a_rig_of_several_is_drawn_and_viewed(bags, monkeypatch, capsys):
 
 def test_a_recorder_takes_the_topics_of_a_namespace_and_names_in_it():
     topics = ["/a/clock", "/a/plant/state", "/a/_hidden/x", "/ab/clock", "/clock", "/rosout", "/b/a/clock"]
-    for chosen, found in (
+    for chosen, result in (
         (Selection.of((), namespace="a"), ["/a/clock", "/a/plant/state"]),
         (Selection.of((), regex="state|rosout", namespace="/a/"), ["/a/plant/state"]),
         (Selection.of((), exclude="state", namespace="a"), ["/a/clock"]),
         (Selection.of(("clock", "/rosout"), namespace="a"), ["/a/clock", "/rosout"]),
         (Selection.of(()), [t for t in topics if "hidden" not in t]),
     ):
-        assert [topic for topic in topics if topic in chosen] == found
+        assert [topic for topic in topics if topic in chosen] == result
     with pytest.raises(BagError, match="not the name of a namespace"):
         Selection.of((), namespace="1a")

@@ -103,7 +103,7 @@ def by_hand(one, two, tolerance, bitwise, alone):
             if not agree(v[j], w[j], Tolerance() if bitwise else tolerance):
                 bad.add(k)
                 seen.append((k[0], name, v[j], w[j]))
-    first = min(seen, key=lambda found: found[0], default=None)
+    first = min(seen, key=lambda result: result[0], default=None)
     return (len(rows_a), len(rows_b), len(missing), len(extra), len(bad)), first, largest
 
 
@@ -114,16 +114,16 @@ def test_two_recordings_are_compared_as_by_hand(seed):
     two = changed(one, rng) if seed else {topic: [(t, m, list(v)) for t, m, v in rows] for topic, rows in one.items()}
     tolerance = rng.choice([Tolerance(), Tolerance(0.125), Tolerance(0.0, 0.25), Tolerance(0.2, 0.1)])
     bitwise = seed % 3 == 1
-    found = compare(Signals(recording(one)), Signals(recording(two)), default=tolerance, bitwise=bitwise)
-    assert [t.topic for t in found.topics] == list(dict.fromkeys([*one, *two]))
+    actual = compare(Signals(recording(one)), Signals(recording(two)), default=tolerance, bitwise=bitwise)
+    assert [t.topic for t in actual.topics] == list(dict.fromkeys([*one, *two]))
     firsts = []
-    for result in found.topics:
+    for result in actual.topics:
         topic = result.topic
         counts, first, largest = by_hand(
             (topic, one.get(topic, [])), (topic, two.get(topic, [])), tolerance, bitwise, topic not in two
         )
-        told = (result.count_a, result.count_b, result.missing, result.extra, result.differing)
-        assert told == counts
+        reported = (result.count_a, result.count_b, result.missing, result.extra, result.differing)
+        assert reported == counts
         assert result.largest == largest
         assert result.equal == (not any(counts[2:]))
         assert (result.first is None) == (first is None)
@@ -131,9 +131,9 @@ def test_two_recordings_are_compared_as_by_hand(seed):
             firsts.append((first[0], topic, *first[1:]))
             had = (result.first.stamp, result.first.field, result.first.a, result.first.b)
             assert had == pytest.approx(first, nan_ok=True) if isinstance(first[2], float) else had == first
-    assert found.equal == (not firsts)
+    assert actual.equal == (not firsts)
     if firsts:
-        assert (found.first.stamp, found.first.topic) == min(firsts, key=lambda f: f[0])[:2]
+        assert (actual.first.stamp, actual.first.topic) == min(firsts, key=lambda f: f[0])[:2]
 
 
 @pytest.mark.parametrize(
@@ -153,9 +153,9 @@ def test_a_number_agrees_within_the_larger_tolerance(a, b, tolerance, off):
 
 def test_the_first_pattern_that_fits_counts_and_patterns_leave_topics_out():
     pair = [Recording([("joints", STATE), ("other", STATE)]) for _ in range(2)]
-    for k, found in enumerate(pair):
-        found.add(0, 0, JOINTS.encode(0, (1.0, 1.0, 1.0, 1.0 + 0.5 * k)))
-        found.add(1, 0, JOINTS.encode(0, (1.0, 1.0 + 0.5 * k, 1.0, 1.0)))
+    for k, result in enumerate(pair):
+        result.add(0, 0, JOINTS.encode(0, (1.0, 1.0, 1.0, 1.0 + 0.5 * k)))
+        result.add(1, 0, JOINTS.encode(0, (1.0, 1.0 + 0.5 * k, 1.0, 1.0)))
     a, b = map(Signals, pair)
 
     def differing(**options):
@@ -178,14 +178,14 @@ def test_the_first_pattern_that_fits_counts_and_patterns_leave_topics_out():
 def test_bytes_that_no_number_shows_are_named_by_their_place():
     """A zero of another sign, and a frame: equal numbers, other bytes."""
     pair = [Recording([("joints", STATE)]) for _ in range(2)]
-    for k, found in enumerate(pair):
+    for k, actual in enumerate(pair):
         for t in (3, 5):
             zero = -0.0 if k and t == 5 else 0.0
-            found.add(0, t, JOINTS.encode(t, (1.0, zero, 2.0, 2.0)))
+            actual.add(0, t, JOINTS.encode(t, (1.0, zero, 2.0, 2.0)))
     a, b = map(Signals, pair)
     assert compare(a, b).equal
     result = compare(a, b, bitwise=True)
-    data = [found.topics["joints"].data[1] for found in pair]
+    data = [actual.topics["joints"].data[1] for actual in pair]
     at = next(k for k in range(len(data[0])) if data[0][k] != data[1][k])
     assert (result.first.stamp, result.first.field) == (5, f"byte {at}")
     assert (result.first.a, result.first.b) == tuple(d[at : at + 8].hex() for d in data)
@@ -202,11 +202,11 @@ def test_what_is_of_another_type_or_without_messages_is_told():
     for t in (4, 6):
         a.add(0, t, JOINTS.encode(t, (0.0,) * 4))
     b.add(0, 3, NUMBER.encode(3, (1.0,)))
-    (found,) = compare(Signals(a), Signals(b)).topics
-    assert (found.count_a, found.count_b, found.missing, found.extra) == (2, 1, 2, 1)
-    assert (found.first.stamp, found.first.field, found.first.a, found.first.b) == (3, "type", STATE, FLOAT)
-    (found,) = compare(Signals(a), Signals(empty)).topics
-    assert (found.missing, found.extra, found.first.stamp) == (2, 0, 4)
+    (result,) = compare(Signals(a), Signals(b)).topics
+    assert (result.count_a, result.count_b, result.missing, result.extra) == (2, 1, 2, 1)
+    assert (result.first.stamp, result.first.field, result.first.a, result.first.b) == (3, "type", STATE, FLOAT)
+    (result,) = compare(Signals(a), Signals(empty)).topics
+    assert (result.missing, result.extra, result.first.stamp) == (2, 0, 4)
     for other in (empty, Recording([("x", FLOAT)]), Recording(())):
         with pytest.raises(BagError, match="nothing to compare"):
             compare(Signals(empty), Signals(other))
@@ -218,8 +218,8 @@ def test_a_comparison_in_words_and_as_data():
     other.note(20, "x", 1.0, math.nan)
     other.note(1_500_000_000, "y", 1, 2)  # later: not the first
     other.note(20, "z", 1, 2)  # as early: the one before stays
-    found = Comparison([equal, other])
-    assert str(found) == (
+    comparison = Comparison([equal, other])
+    assert str(comparison) == (
         "a: 3 messages, equal\n"
         "b: 3 against 4 messages, 1 missing, 2 extra, 1 differ\n"
         "    x: largest deviation 0.123\n"
@@ -227,7 +227,7 @@ def test_a_comparison_in_words_and_as_data():
         "first difference: t = 0.00000002 s, b x: 1.0 against nan"
     )
     assert str(Comparison([equal])) == "a: 3 messages, equal\nthe bags agree"
-    about = json.loads(found.to_json())
+    about = json.loads(comparison.to_json())
     assert about["equal"] is False
     assert about["first"] == {"stamp": 20, "topic": "b", "field": "x", "a": 1.0, "b": "nan"}
     assert [t["equal"] for t in about["topics"]] == [True, False]

@@ -74,8 +74,8 @@ class World:
     def create_publisher(self, kind, topic, profile):
         def publish(data):
             self.said.append((round(self.now, 6), topic, data))
-            for heard in self.subscriptions.get(topic, []):
-                heard(data)
+            for received in self.subscriptions.get(topic, []):
+                received(data)
 
         return SimpleNamespace(
             publish=publish,
@@ -145,11 +145,11 @@ def playing(world, bag, part=None, *, rate=1.0, loop=False, clock=False, paused=
 def test_each_message_is_said_when_it_is_due_and_no_other(monkeypatch, rate):
     world = World(monkeypatch)
     bag = Bag([("/a", HEADER), ("/b", HEADER)], headers(0, 500) + headers(1, 500, 507) + headers(0, 590, 1500, 1600))
-    told = playing(world, bag, Span(500 * MS, 1500 * MS), rate=rate)
-    told.run()
+    played = playing(world, bag, Span(500 * MS, 1500 * MS), rate=rate)
+    played.run()
     wanted = [(0, "/a", 500), (0, "/b", 500), (7 / rate, "/b", 507), (90 / rate, "/a", 590), (1000 / rate, "/a", 1500)]
     assert world.by_stamp() == [(pytest.approx(t, abs=1e-3), topic, k) for t, topic, k in wanted]
-    assert told.sent == 5
+    assert played.sent == 5
     assert max(world.spun) <= 0.025  # nobody who asks for a service waits longer
     assert world.frozen == 1
     assert [data for _, _, data in world.said[-2:]] == [Duration(seconds=2)] * 2  # until all have the last ones
@@ -173,12 +173,12 @@ def test_bag_time_stands_while_it_is_paused_and_a_step_says_one_time(monkeypatch
     for ms, name in ((50, "step"), (90, "step"), (110, "resume"), (610, "pause"), (700, "step"), (800, "resume")):
         world.at(ms / 1e3, lambda name=name: world.call(name))
     playing(world, bag, paused=True, clock=True).run()
-    said = world.by_stamp("/a", "/b")
-    assert [(topic, k) for _, topic, k in said] == [
+    text = world.by_stamp("/a", "/b")
+    assert [(topic, k) for _, topic, k in text] == [
         *(("/a", 0), ("/a", 1000), ("/b", 1000), ("/a", 2000), ("/a", 3000), ("/a", 3200))
     ]
-    for (found, _, _), due in zip(said, (50, 90, 90, 700, 1800, 2000), strict=True):
-        assert due - 25.001 * (due >= 1800) <= found <= due + 25.001
+    for (result, _, _), due in zip(text, (50, 90, 90, 700, 1800, 2000), strict=True):
+        assert due - 25.001 * (due >= 1800) <= result <= due + 25.001
     clock = [(t, k) for t, _, k in world.by_stamp("/clock")]
     assert [k for t, k in clock if t < 110] == [0, 1000]
     assert [k for t, k in clock if 640 <= t < 800] == [2000]
@@ -210,11 +210,11 @@ def test_time_that_begins_at_a_nanosecond_is_waited_for_as_any(monkeypatch):
 def test_a_player_that_is_always_late_still_hears_who_asks(monkeypatch):
     """Each message takes 10 ms to send and is due after 1: there is nothing to wait for."""
     world = World(monkeypatch)
-    told = playing(world, Bag([("/a", HEADER)], headers(0, *range(100))))
+    played = playing(world, Bag([("/a", HEADER)], headers(0, *range(100))))
     world.subscriptions["/a"] = [lambda data: setattr(world, "now", world.now + 0.010)]
     world.at(0.2, lambda: world.call("pause"))
     world.at(0.9, lambda: world.call("resume"))
-    told.run()
+    played.run()
     times = [t for t, _, _ in world.by_stamp("/a")]
     assert len(times) == 100
     gap = max(range(1, 100), key=lambda k: times[k] - times[k - 1])
@@ -235,10 +235,10 @@ def test_it_begins_again_or_ends_and_stops_at_once(monkeypatch):
 
 def test_it_waits_for_a_listener_of_each_topic(monkeypatch):
     world = World(monkeypatch)
-    told = playing(world, Bag([("/a", HEADER), ("/b", HEADER)], headers(0, 0) + headers(1, 1)))
+    played = playing(world, Bag([("/a", HEADER), ("/b", HEADER)], headers(0, 0) + headers(1, 1)))
     world.subscriptions["/a"] = [lambda data: None]
     world.at(0.5, lambda: world.subscriptions.update({"/b": [lambda data: None]}))
-    told.run(wait=True)
+    played.run(wait=True)
     assert [t for t, _, _ in world.by_stamp()] == [pytest.approx(500, abs=20.1), pytest.approx(501, abs=20.1)]
     world = World(monkeypatch, until=1.0)
     nobody = playing(world, Bag([("/a", HEADER)], headers(0, 0)))
@@ -250,13 +250,13 @@ END = (2**63 - 1) // MS  # to the last message, wherever metadata ends
 
 
 @pytest.mark.parametrize(
-    ("offset", "duration", "found"),
+    ("offset", "duration", "result"),
     [(0.0, None, (2000, END)), (1.5, None, (3500, END)), (3.0, None, (5000, END)), (0.0, 0.25, (2000, 2250)),
      (1.0, 9.0, (3000, 12000))],
 )  # fmt: skip
-def test_the_part_that_is_played(offset, duration, found):
+def test_the_part_that_is_played(offset, duration, result):
     part = span(Bag([("/a", HEADER)], headers(0, 2000, 5000)), offset, duration)
-    assert (part.start // MS, part.end // MS) == found
+    assert (part.start // MS, part.end // MS) == result
 
 
 def test_a_part_that_is_none_is_refused():
@@ -269,12 +269,12 @@ def test_a_part_that_is_none_is_refused():
 def test_what_is_played_has_other_names_and_types_that_are_here(monkeypatch):
     world = World(monkeypatch)
     bag = Bag([("/a", HEADER), ("/left", HEADER), ("/b", HEADER)], headers(0, 0))
-    found = Publishers(world, bag, [bag.topics[0], bag.topics[2]], {"/b": "/c"})
-    assert (found.names, sorted(found.publish)) == ({"/a": "/a", "/b": "/c"}, [0, 2])
-    found.publish[2](b"it")
+    publishers = Publishers(world, bag, [bag.topics[0], bag.topics[2]], {"/b": "/c"})
+    assert (publishers.names, sorted(publishers.publish)) == ({"/a": "/a", "/b": "/c"}, [0, 2])
+    publishers.publish[2](b"it")
     assert world.said[-1][1:] == ("/c", b"it")
     world.subscriptions["/c"] = [None]
-    assert found.unheard(["/c", "/a"]) == ["/a"]
+    assert publishers.unheard(["/c", "/a"]) == ["/a"]
     odd = Bag([("/odd", "odd_msgs/msg/Odd")], [])
     with pytest.raises(
         BagError, match="/odd is of type odd_msgs/msg/Odd, which is not installed here; leave it out wi"
@@ -320,8 +320,8 @@ class Law:
     @staticmethod
     def say(world, topic, data):
         world.said.append((round(world.now, 6), topic, data))
-        for heard in world.subscriptions[topic]:
-            heard(data)
+        for received in world.subscriptions[topic]:
+            received(data)
 
 
 def replaying(world, bag, answers=("/out",), remap=None, **more):
@@ -346,14 +346,14 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
             if stamp(data) // MS in those
         ]
     ]
-    told = replaying(world, bag, ("/out", "/more"))
-    found = told.run()
-    assert {name: topic.times for name, topic in found.topics.items()} == {
+    played = replaying(world, bag, ("/out", "/more"))
+    result = played.run()
+    assert {name: topic.times for name, topic in result.topics.items()} == {
         "out": [t * MS for t in answered],
         "more": [t * MS for t in answered[:9]],
     }
-    assert [stamp(d) for d in found.topics["out"].data] == found.topics["out"].times
-    assert (told.sent, world.stopped) == (40, True)
+    assert [stamp(d) for d in result.topics["out"].data] == result.topics["out"].times
+    assert (played.sent, world.stopped) == (40, True)
     assert world.said[-1][1:] == ("/in", Duration(seconds=2))  # until all have the last ones
     order = [(k, topic == "/in") for _, topic, k in world.by_stamp()]
     assert [k for k, asks in order if asks] == ticks
@@ -365,16 +365,16 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
 def test_a_node_that_the_bag_does_not_know_answers_each_tick(monkeypatch):
     world = World(monkeypatch)
     Law(world, ["/in"], ["/renamed"])
-    found = replaying(world, Bag([("/in", HEADER)], headers(0, 0, 10, 30)), ("/out",), {"/out": "/renamed"}).run()
-    assert found.topics["out"].times == [0, 10 * MS, 30 * MS]
+    result = replaying(world, Bag([("/in", HEADER)], headers(0, 0, 10, 30)), ("/out",), {"/out": "/renamed"}).run()
+    assert result.topics["out"].times == [0, 10 * MS, 30 * MS]
 
 
 def test_a_node_that_says_its_ticks_is_waited_for_at_each(monkeypatch):
     world = World(monkeypatch)
     Law(world, ["/in"], ["/law/tick"], delay=lambda data: 0.2)
     world.peers["/out"] = world.peers["/law/tick"]
-    found = replaying(world, Bag([("/in", HEADER), ("/out", HEADER)], headers(0, 0, 10, 20))).run()
-    assert list(found.topics) == ["out"]  # its ticks are no answer
+    result = replaying(world, Bag([("/in", HEADER), ("/out", HEADER)], headers(0, 0, 10, 20))).run()
+    assert list(result.topics) == ["out"]  # its ticks are no answer
     times = [t for t, topic, _ in world.by_stamp("/in")]
     assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([200, 200])
 
@@ -428,7 +428,7 @@ def test_what_the_bag_changes_is_set_before_its_tick(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("there", "said"),
+    ("there", "text"),
     [
         ({}, r"no node publishes /out"),
         ({"recorded": True}, r"no node publishes /out"),
@@ -437,16 +437,16 @@ def test_what_the_bag_changes_is_set_before_its_tick(monkeypatch):
         ({"name": "law", "inputs": ["/in"], "deaf": True}, r"/in is not matched"),
     ],
 )
-def test_who_is_lacking_is_said_when_patience_ends(monkeypatch, there, said):
+def test_who_is_lacking_is_said_when_patience_ends(monkeypatch, there, text):
     world = World(monkeypatch)
     topics = [("/in", HEADER), ("/too", HEADER), *([("/out", HEADER)] if there.get("recorded") else [])]
     if "name" in there:
         Law(world, there.get("inputs", ()), ["/out"], name=there["name"])
-    told = replaying(world, Bag(topics, headers(0, 0)), timeout=2.0)
+    played = replaying(world, Bag(topics, headers(0, 0)), timeout=2.0)
     if there.get("deaf"):
-        monkeypatch.setattr(told._publishers, "unheard", list)
-    with pytest.raises(RunError, match=rf"^no node to play to within 2 s: {said}$"):
-        told.run()
+        monkeypatch.setattr(played._publishers, "unheard", list)
+    with pytest.raises(RunError, match=rf"^no node to play to within 2 s: {text}$"):
+        played.run()
     assert world.now == pytest.approx(2.5)  # looked at each 0.25 s, the first time to begin with
     assert world.timers == [0.25]
 
@@ -455,9 +455,9 @@ def test_an_answer_that_does_not_come_ends_the_replay_but_no_pause_does(monkeypa
     world = World(monkeypatch)
     Law(world, ["/in"], ["/out"], delay=lambda data: 0.001 if stamp(data) < 20 * MS else 1e12)
     world.at(0.9, lambda: world.call("resume"))
-    told = replaying(world, Bag([("/in", HEADER)], headers(0, 0, 10, 20, 30)), paused=True, timeout=0.5)
+    played = replaying(world, Bag([("/in", HEADER)], headers(0, 0, 10, 20, 30)), paused=True, timeout=0.5)
     with pytest.raises(RunError, match=r"^no answer to t = 0.02 s on /out within 0.5 s$"):
-        told.run()
+        played.run()
     assert world.now == pytest.approx(1.75)  # looked at each 0.25 s, and half a second is not more than that
     world = World(monkeypatch, until=0.1)
     Law(world, ["/in"], ["/out"], delay=lambda data: 1e12)
@@ -505,9 +505,9 @@ def test_ticks_are_bag_times_that_stamps_know_or_stamps(seed, monkeypatch):
     wanted.sort(key=lambda m: m[0])
     bag = Bag([("/in", HEADER), ("/bare", TEXT), ("/left", HEADER)], messages)
     part = Span(bag.start, bag.end)
-    told = LockstepPlayer(
+    reported = LockstepPlayer(
         world := World(monkeypatch), bag, Publishers(world, bag, bag.topics[:2], {}), ["/out"], {}, part
     )
-    found = [told._following, *told._groups]
-    assert [(tick, i, data) for tick, group in found for i, data in group] == wanted
-    assert [tick for tick, _ in found] == sorted({tick for tick, _, _ in wanted})
+    results = [reported._following, *reported._groups]
+    assert [(tick, i, data) for tick, group in results for i, data in group] == wanted
+    assert [tick for tick, _ in results] == sorted({tick for tick, _, _ in wanted})

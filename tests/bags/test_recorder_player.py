@@ -179,11 +179,11 @@ def test_kill_9_costs_at_most_a_megabyte(rig, tmp_path, storage, source):
         read_bag(tmp_path / "cut")
     done = repair(tmp_path / "cut")
     assert "no index" in str(done) or "lost" in str(done)
-    found = read_bag(tmp_path / "cut")
+    recording = read_bag(tmp_path / "cut")
     for name, topic in source.topics.items():
-        kept = len(found.topics[name].data)
+        kept = len(recording.topics[name].data)
         assert kept >= len(topic.data) - 1_000_000 // len(topic.data[0])
-        assert found.topics[name].data == topic.data[:kept]
+        assert recording.topics[name].data == topic.data[:kept]
     if short:
         assert sum(f.kept for f in done.files) == 18
 
@@ -211,9 +211,9 @@ def test_a_full_disk_ends_the_recording_with_a_whole_bag(rig, tmp_path, storage)
     status, output = finish(recorder)
     assert status == 3, output
     assert re.search(r"recording stopped: .*(full|No space|too large|disk I/O)", output)
-    found = read_bag(tmp_path / "saved/bag").topics["big"]
-    assert 100 < len(found.data) < 320
-    assert found.data == source.topics["big"].data[: len(found.data)]
+    result = read_bag(tmp_path / "saved/bag").topics["big"]
+    assert 100 < len(result.data) < 320
+    assert result.data == source.topics["big"].data[: len(result.data)]
     assert sorted(p.suffix for p in (tmp_path / "saved/bag").iterdir()) == sorted(
         [".yaml", ".mcap" if storage == "mcap" else ".db3"]
     )
@@ -255,10 +255,10 @@ def test_qos_is_adapted_to_publishers_as_they_come(rig, tmp_path):
     until(lambda: all(name in file.read_bytes() for name in awaited), "the flush")
     status, output = finish(recorder, signal.SIGINT)
     assert status == 0, output
-    found = read_bag(tmp_path / "bag").topics
-    assert [b"once" in d for d in found["text"].data] == [True]
-    assert len(found["sensor"].data) == 1
-    assert sorted(parse(STATE, d).names[0] for d in found["both"].data) == ["reliable", "reliable again", "unreliable"]
+    result = read_bag(tmp_path / "bag").topics
+    assert [b"once" in d for d in result["text"].data] == [True]
+    assert len(result["sensor"].data) == 1
+    assert sorted(parse(STATE, d).names[0] for d in result["both"].data) == ["reliable", "reliable again", "unreliable"]
     with BagReader(tmp_path / "bag") as bag:
         profiles = {t.name: publisher_profile(t) for t in bag.topics}
     assert profiles["/text"].durability == DurabilityPolicy.TRANSIENT_LOCAL
@@ -462,11 +462,11 @@ def test_a_node_of_this_process_answers_a_replay_tick_by_tick(listener, law, tmp
     write_bag(tmp_path / "bag", small(20, every=1))
     with BagReader(tmp_path / "bag") as bag:
         player = in_lockstep(listener, bag)
-        found = player.run()
+        result = player.run()
     assert player.sent == 20
-    assert found.topics["command"].times == small(20, every=1).topics["command"].times
+    assert result.topics["command"].times == small(20, every=1).topics["command"].times
     golden = small(20, every=1).topics["command"].data
-    assert [parse(STATE, d) for d in found.topics["command"].data] == [parse(STATE, d) for d in golden]
+    assert [parse(STATE, d) for d in result.topics["command"].data] == [parse(STATE, d) for d in golden]
 
 
 def test_a_replay_is_not_begun_with_two_publishers_of_the_answer(listener, law, tmp_path):
@@ -622,10 +622,10 @@ def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, lis
     assert {"bag", "rate", "paused", "use_sim_time"} <= set(names)
     (rate,) = ask(listener, "/player/get_parameters", GetParameters, names=["rate"]).values
     assert rate.double_value == 2.5
-    (told,) = ask(listener, "/player/describe_parameters", DescribeParameters, names=["rate"]).descriptors
-    assert told.description == "bag seconds a second"
-    assert told.read_only
-    assert (told.floating_point_range[0].from_value, told.floating_point_range[0].to_value) == (1e-6, 1e6)
+    (reported,) = ask(listener, "/player/describe_parameters", DescribeParameters, names=["rate"]).descriptors
+    assert reported.description == "bag seconds a second"
+    assert reported.read_only
+    assert (reported.floating_point_range[0].from_value, reported.floating_point_range[0].to_value) == (1e-6, 1e6)
     (size,) = ask(listener, "/recorder/get_parameters", GetParameters, names=["max_size"]).values
     assert size.double_value == 8.0
     wanted = Parameter(name="rate", value=ParameterValue(type=3, double_value=1.0))
@@ -662,9 +662,9 @@ def test_a_late_recording_ends_with_a_status(rig, tmp_path):
     recorder = rig.recorder("--output", "copy")
     until((tmp_path / "copy").exists)
     assert finish(rig.player("source", "--wait"))[0] == 0
-    status, told = finish(recorder, signal.SIGINT)
+    status, reported = finish(recorder, signal.SIGINT)
     assert status == 1
-    assert "JOINED LATE, MISSED 22: /clock: 22" in told
+    assert "JOINED LATE, MISSED 22: /clock: 22" in reported
     with BagReader(tmp_path / "copy") as bag:
         assert bag.custom_data["missed"] == "/clock: 22"
 
@@ -673,7 +673,7 @@ def test_a_late_recording_ends_with_a_status(rig, tmp_path):
 def test_a_tool_says_in_its_ports_that_it_lives(rig):
     """Fast DDS would look at its reader after 20 s, and who opens the port then waits for that."""
     recorder = rig.recorder("--output", "copy")
-    for port in until(lambda: len(found := ears(recorder)) == 2 and found):
+    for port in until(lambda: len(result := ears(recorder)) == 2 and result):
         began, before = time.monotonic(), port.read_bytes()
         place = _judged(before, port)
         assert place > 0

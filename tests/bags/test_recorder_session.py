@@ -353,8 +353,8 @@ def test_what_a_publisher_offers_is_kept_as_a_bag_has_it():
         liveliness=LivelinessPolicy.MANUAL_BY_TOPIC, liveliness_lease_duration=Duration(seconds=4),
         avoid_ros_namespace_conventions=True,
     )  # fmt: skip
-    found = ros.offered(profile)
-    assert tuple(found) == (
+    result = ros.offered(profile)
+    assert tuple(result) == (
         QosHistory.KEEP_LAST, 7, QosReliability.BEST_EFFORT, QosDurability.TRANSIENT_LOCAL, (1, 500_000_000), (2, 3),
         QosLiveliness.MANUAL_BY_TOPIC, (4, 0), True,
     )  # fmt: skip

@@ -76,8 +76,8 @@ def test_of_a_file_that_is_cut_all_whole_messages_before_the_cut_are_left(tmp_pa
     for cut in [*range(8, len(content), 5), len(content)]:
         file.write_bytes(content[:cut])
         recovery = Recovery(file)
-        found = [r.log_time for r in recovery if isinstance(r, Message)]
-        assert found == [k for k, end in enumerate(ends) if end <= cut], cut
+        results = [r.log_time for r in recovery if isinstance(r, Message)]
+        assert results == [k for k, end in enumerate(ends) if end <= cut], cut
         broken = next(((at, chunk) for at, end, chunk in stretches if at <= cut < end), None)
         lost = []
         if broken and cut - broken[0] >= 9:  # the head of a record is there
@@ -119,7 +119,7 @@ TEXT = bytes(range(256)) * 600
 
 
 @pytest.mark.parametrize(
-    ("data", "compression", "limit", "found"),
+    ("data", "compression", "limit", "result"),
     [
         (TEXT, "", len(TEXT), (TEXT, True)),
         (TEXT, "", len(TEXT) - 1, (TEXT[:-1], False)),
@@ -134,10 +134,10 @@ TEXT = bytes(range(256)) * 600
         (TEXT, "brotli", LIMIT, (b"", False)),
     ],
 )
-def test_what_can_be_decompressed_is(data, compression, limit, found):
+def test_what_can_be_decompressed_is(data, compression, limit, result):
     content, complete = inflate(data, compression, limit)
-    assert complete == found[1]
-    assert TEXT.startswith(content) if found[0] is None else content == found[0]
+    assert complete == result[1]
+    assert TEXT.startswith(content) if result[0] is None else content == result[0]
 
 
 def test_a_long_content_is_decompressed_piece_by_piece_to_the_damage():
@@ -159,7 +159,7 @@ def stream(content):
 
 
 @pytest.mark.parametrize(
-    ("claimed", "compression", "data", "told"),
+    ("claimed", "compression", "data", "reported"),
     [
         (len(TEXT), "zstd", zstd.compress(TEXT), ""),
         (len(TEXT) - 1, "zstd", zstd.compress(TEXT), "claims"),
@@ -178,11 +178,11 @@ def stream(content):
     ],
     ids=lambda value: value if isinstance(value, str) and len(value) < 30 else f"{type(value).__name__}",
 )
-def test_a_chunk_holds_what_it_claims_or_is_damaged(claimed, compression, data, told):
-    if not told:
+def test_a_chunk_holds_what_it_claims_or_is_damaged(claimed, compression, data, reported):
+    if not reported:
         assert decompressed(data, compression, claimed) == (data if claimed == 4 else (TEXT * 2)[:claimed])
         return
-    with pytest.raises(Damaged, match=told):
+    with pytest.raises(Damaged, match=reported):
         decompressed(data, compression, claimed)
 
 
@@ -214,10 +214,10 @@ def test_reports_of_a_repair_in_words():
 
 
 def test_what_is_in_a_bag_is_told(tmp_path):
-    found = Recording([("a", HEADER), ("longer/name", HEADER)])
+    recording = Recording([("a", HEADER), ("longer/name", HEADER)])
     for k in range(3):
-        found.add(0, k * 500_000_000, Layout(HEADER).encode(k, ()))
-    write_bag(tmp_path / "bag", found, custom_data={"seed": "7"}, latched=["a"])
+        recording.add(0, k * 500_000_000, Layout(HEADER).encode(k, ()))
+    write_bag(tmp_path / "bag", recording, custom_data={"seed": "7"}, latched=["a"])
     size = (tmp_path / "bag/bag_0.mcap").stat().st_size
     assert describe(tmp_path / "bag").splitlines() == [
         f"{tmp_path / 'bag'}: bag_0.mcap, {size / 1e6:.3g} MB",
@@ -226,7 +226,7 @@ def test_what_is_in_a_bag_is_told(tmp_path):
         "  /longer/name         0  std_msgs/msg/Header  (reliable volatile)",
         "  seed: 7",
     ]
-    for begin, told in ((10**18, "2001-09-09 01:46:40.000+00:00"), (10**18 - 10**9, "999999999 s")):
+    for begin, reported in ((10**18, "2001-09-09 01:46:40.000+00:00"), (10**18 - 10**9, "999999999 s")):
         writer = BagWriter(tmp_path / str(begin))
         best_effort = BagTopic("/a", HEADER, "int8 x", offered=(qos(), qos(QosDurability.TRANSIENT_LOCAL)))
         number = writer.add_topic(best_effort)
@@ -234,6 +234,6 @@ def test_what_is_in_a_bag_is_told(tmp_path):
         writer.write(number, begin, b"")
         writer.close()
         lines = describe(tmp_path / str(begin)).splitlines()
-        assert lines[1] == f"1 messages in 0 s from {told}"
+        assert lines[1] == f"1 messages in 0 s from {reported}"
         assert lines[2].endswith("(reliable transient_local; reliable volatile)")
         assert lines[3].endswith("(QoS unknown)")

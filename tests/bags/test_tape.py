@@ -29,32 +29,32 @@ PORTS = {
 def recorded(request, tmp_path_factory):
     """A bag of three inputs, some messages of which name one channel, the other, both or none that there is."""
     epoch, rng = request.param, random.Random(3)
-    found = Recording([(p.topic, p.msgtype) for p in PORTS.values()])
-    said = {name: [] for name in PORTS}
+    recording = Recording([(p.topic, p.msgtype) for p in PORTS.values()])
+    messages = {name: [] for name in PORTS}
     for k in range(60):
         t = rng.randrange(k * 5, k * 5 + 5) * MS
         kind = rng.choice(["a", "b", "ab", "late", "push", "bad"])
         if kind in ("late", "push"):
             layout = PORTS[kind].layout()
             mark = epoch + t - 2 * MS
-            found.add(list(PORTS).index(kind), epoch + t, layout.encode(mark, (float(k % 2),)))
+            recording.add(list(PORTS).index(kind), epoch + t, layout.encode(mark, (float(k % 2),)))
             value = (float(k % 2),)
-            said[kind].append((t, Sample(t - 2 * MS, value) if kind == "late" else value))
+            messages[kind].append((t, Sample(t - 2 * MS, value) if kind == "late" else value))
         else:
             names = list(kind) if kind != "bad" else ["x"]
             values = tuple(k + 0.5 * j for j in range(len(names)))
-            found.add(0, epoch + t, Layout(STATE, "", names, {"position": len(names)}).encode(epoch + t, values))
+            recording.add(0, epoch + t, Layout(STATE, "", names, {"position": len(names)}).encode(epoch + t, values))
             if kind != "bad":
-                last = dict(zip("ab", said["both"][-1][1] if said["both"] else (7.0, 8.0), strict=True))
-                said["both"].append((t, tuple((last | dict(zip(names, values, strict=True))).values())))
+                last = dict(zip("ab", messages["both"][-1][1] if messages["both"] else (7.0, 8.0), strict=True))
+                messages["both"].append((t, tuple((last | dict(zip(names, values, strict=True))).values())))
     folder = tmp_path_factory.mktemp("tape") / "bag"
-    write_bag(folder, found, custom_data={"epoch": str(epoch)} if epoch else {})
-    return folder, said
+    write_bag(folder, recording, custom_data={"epoch": str(epoch)} if epoch else {})
+    return folder, messages
 
 
 @pytest.mark.parametrize("until", [0.0, 0.1])
 def test_at_each_tick_the_newest_message_that_was_not_said_is_said(recorded, until):
-    folder, said = recorded
+    folder, text = recorded
     tape._loaded.cache_clear()
     block = ByHand(Tape(bag=str(folder), until=until, inputs=tuple(map(written, PORTS.values()))))
     block.reset(0)
@@ -63,7 +63,7 @@ def test_at_each_tick_the_newest_message_that_was_not_said_is_said(recorded, unt
         t = 3 * k * MS
         answer = block.update(t)
         wanted = {}
-        for name, rows in said.items():
+        for name, rows in text.items():
             due = [value for at, value in rows if before < at <= t and not (until and at >= round(until * 1e9))]
             if due:
                 wanted[name] = due[-1]
@@ -73,9 +73,9 @@ def test_at_each_tick_the_newest_message_that_was_not_said_is_said(recorded, unt
 
 @pytest.mark.parametrize("at", [99, 100])
 def test_what_came_just_at_the_end_is_left_out(tmp_path, at):
-    found = Recording([("outside/push", PORTS["push"].msgtype)])
-    found.add(0, at * MS, PORTS["push"].layout().encode(0, (1.0,)))
-    write_bag(tmp_path / "bag", found)
+    recording = Recording([("outside/push", PORTS["push"].msgtype)])
+    recording.add(0, at * MS, PORTS["push"].layout().encode(0, (1.0,)))
+    write_bag(tmp_path / "bag", recording)
     block = ByHand(Tape(bag=str(tmp_path / "bag"), until=0.1, inputs=(written(PORTS["push"]),)))
     block.reset(0)
     assert block.update(200 * MS) == ({"push": (1.0,)} if at < 100 else {})

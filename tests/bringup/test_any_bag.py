@@ -203,21 +203,21 @@ def test_every_verb_takes_any_bag_or_refuses_it_in_a_line(run, tmp_path, capsys,
     bag = KINDS[kind](run, tmp_path)
     files = {p: p.read_bytes() for p in bag.rglob("*") if p.is_file() and not p.name.endswith("-shm")}
     signal = "motor/state/shaft/velocity" if kind.startswith(("the folder", "its", "of an")) else "speed/data"
-    found = {}
+    results = {}
     for verb, words in VERBS.items():
         out = tmp_path / "out" / verb.replace(" ", "_")
         out.mkdir(parents=True)
         status = main([signal if word == "SIGNAL" else str(word) for word in words(bag, out)])
-        said = capsys.readouterr()
-        assert "error of softrig" not in said.err + said.out, (verb, said.err)
-        assert status in WORDS, (verb, status, said.err)
+        printed = capsys.readouterr()
+        assert "error of softrig" not in printed.err + printed.out, (verb, printed.err)
+        assert status in WORDS, (verb, status, printed.err)
         if status:
-            assert all(line.startswith("softrig: ") for line in said.err.splitlines()), (verb, said.err)
+            assert all(line.startswith("softrig: ") for line in printed.err.splitlines()), (verb, printed.err)
         if status == 2:
-            assert bag.name in said.err or "nothing to compare" in said.err, (verb, said.err)
-        found[verb] = WORDS[status]
+            assert bag.name in printed.err or "nothing to compare" in printed.err, (verb, printed.err)
+        results[verb] = WORDS[status]
     assert {p: p.read_bytes() for p in files} == files  # nothing is changed where it lies
     while OPEN:
         database = OPEN.pop()
         database.close() if isinstance(database, sqlite3.Connection) else database.abort()
-    assert found == table()[kind]
+    assert results == table()[kind]

@@ -22,11 +22,11 @@ def test_the_script_names_the_parts_from_anywhere(tmp_path):
     (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
     command = [ROOT / "scripts/softrig", "bench", "--help"]
     unpinned = {name: value for name, value in os.environ.items() if name not in bits.PINS}  # as a shell has it
-    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=unpinned)
-    assert (found.returncode, found.stderr) == (0, "")  # no warning that numpy was loaded before softrig
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=unpinned)
+    assert (result.returncode, result.stderr) == (0, "")  # no warning that numpy was loaded before softrig
     for name, part in PARTS.items():
-        assert f"{name} " in found.stdout
-        assert part.__doc__.splitlines()[0] in found.stdout
+        assert f"{name} " in result.stdout
+        assert part.__doc__.splitlines()[0] in result.stdout
 
 
 def test_an_unknown_part_is_told(capsys):
@@ -101,8 +101,8 @@ def test_the_induction_motor_beside_its_peers(monkeypatch, capsys):
 
 
 def test_drives_beside_their_peer(monkeypatch, capsys):
-    found = {"pmsm_foc": machines.Beside(0.01, 4.0, 1e-9, 2e-9)}
-    monkeypatch.setattr(machines, "beside", lambda name, *_: found.get(name))
+    results = {"pmsm_foc": machines.Beside(0.01, 4.0, 1e-9, 2e-9)}
+    monkeypatch.setattr(machines, "beside", lambda name, *_: results.get(name))
     assert main(["machines"]) == 0
     table = capsys.readouterr().out
     assert "400 x; apart by 1.0e-09 A and 2.0e-09 rad/s" in table
@@ -135,8 +135,8 @@ def test_a_peer_that_ends_elsewhere_is_an_error(monkeypatch):
 @pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
 def test_drives_are_those_of_motulator():
     for name in machines.MACHINES:
-        found = machines.beside(name, sys.executable, 0.05)
-        assert max(found.current, found.speed) < 1e-8
+        result = machines.beside(name, sys.executable, 0.05)
+        assert max(result.current, result.speed) < 1e-8
 
 
 def test_a_peer_that_is_missing_or_fails(tmp_path):
@@ -152,8 +152,8 @@ def test_a_peer_that_is_missing_or_fails(tmp_path):
 
 @pytest.mark.skipif(find_spec("motulator") is None, reason="motulator is not installed")
 def test_the_peer_integrates_the_same_voltage():
-    found = induction.peer("motulator", [1] * 20)
-    assert found["psi_alpha"] == pytest.approx(540 * 2 / 3 * 5e-5 * found["periods"], rel=0.01)
+    result = induction.peer("motulator", [1] * 20)
+    assert result["psi_alpha"] == pytest.approx(540 * 2 / 3 * 5e-5 * result["periods"], rel=0.01)
 
 
 def test_a_commit_is_compared_in_turn_and_one_that_is_not_there_is_refused(capsys, monkeypatch, tmp_path):
@@ -166,12 +166,12 @@ def test_a_commit_is_compared_in_turn_and_one_that_is_not_there_is_refused(capsy
         return {tmp_path.name: 4.0, ROOT.name: 1.0}[checkout.name] * len(ran)
 
     monkeypatch.setattr(against, "cost", cost)
-    found = against.compared(tmp_path, ["list"], 2)
+    result = against.compared(tmp_path, ["list"], 2)
     assert ran == [(n, against.PREPARED) for n in (tmp_path.name, ROOT.name)] + [
         (n, "list") for _ in range(3) for n in (tmp_path.name, ROOT.name)
     ]
-    assert found == {"list": ([20.0, 28.0], [6.0, 8.0])}  # the first round is left out
-    assert against.rows(found) == [("list", "24.00", "7.00", "0.29")]
+    assert result == {"list": ([20.0, 28.0], [6.0, 8.0])}  # the first round is left out
+    assert against.rows(result) == [("list", "24.00", "7.00", "0.29")]
 
 
 def test_whole_runs_are_compared_by_their_least_times_without_the_round_that_compiles(monkeypatch, tmp_path):
@@ -181,8 +181,8 @@ def test_whole_runs_are_compared_by_their_least_times_without_the_round_that_com
     page = tmp_path / "page.md"
     page.write_text("<!-- plain -->\nold\n<!-- end -->\n<!-- default -->\nold\n<!-- end -->\n")
     monkeypatch.setattr(against, "PAGE", page)
-    found = against.written("default", [("a", "b"), ("1", "2")])
+    result = against.written("default", [("a", "b"), ("1", "2")])
     assert (
-        found
+        result
         == "<!-- plain -->\nold\n<!-- end -->\n<!-- default -->\n| a | b |\n| --- | --- |\n| 1 | 2 |\n<!-- end -->\n"
     )

@@ -25,7 +25,7 @@ def doubled(n):
 
 
 @pytest.mark.parametrize(
-    ("shared", "said"),
+    ("shared", "text"),
     [
         (doubled(41), "its $ references make more than 100000 values (by a40 -> a39 -> a38"),
         ({f"r{k}": f"$r{(k + 1) % 500}" for k in range(500)}, "make more than 200 values in each other (by r0 -> r1"),
@@ -34,12 +34,12 @@ def doubled(n):
         ({"a": "$b", "b": "$a"}, "shared value a refers to itself: a -> b -> a"),
     ],
 )
-def test_references_are_bounded(shared, said):
+def test_references_are_bounded(shared, text):
     begun = time.process_time()
     last = next(name for name in (["a40"] if "a40" in shared else []) + list(shared))
     with pytest.raises(ScenarioError) as caught:
         fill({"x": f"${last}"}, shared)
-    assert said in str(caught.value)
+    assert text in str(caught.value)
     assert time.process_time() - begun < 2.0
 
 
@@ -162,5 +162,5 @@ def test_a_moment_is_a_time(word, capsys):
 
 def test_a_run_goes_on_beyond_where_it_begins(capsys):
     assert main(["run", "--from", "a@5", "--duration", "3"]) == 2
-    said = capsys.readouterr().err
-    assert "--from a@5 --duration 3: the run would end before the branch; expected a duration above 5 s" in said
+    printed = capsys.readouterr().err
+    assert "--from a@5 --duration 3: the run would end before the branch; expected a duration above 5 s" in printed

@@ -38,13 +38,13 @@ def test_what_holds_and_what_does_not_is_told_in_words_xml_and_json(files, tmp_p
     junit, report = tmp_path / "report.xml", tmp_path / "report.json"
     given = ["check", str(holds), str(fails), "--junit", str(junit), "--json", str(report), "--workers", "1"]
     assert main(given) == 1
-    said = capsys.readouterr().out
-    assert f"{holds}: 1 hold, 0 do not" in said
-    assert f"{fails}: 0 hold, 1 do not" in said
-    root, found = cases(junit)
+    printed = capsys.readouterr().out
+    assert f"{holds}: 1 hold, 0 do not" in printed
+    assert f"{fails}: 0 hold, 1 do not" in printed
+    root, result = cases(junit)
     assert (root.get("tests"), root.get("failures"), root.get("errors")) == ("2", "1", "0")
-    assert found[str(holds), "supply"].find("failure") is None
-    message = found[str(fails), "supply"].find("failure").get("message")
+    assert result[str(holds), "supply"].find("failure") is None
+    message = result[str(fails), "supply"].find("failure").get("message")
     assert "expected ≥ 0 V; violated from" in message
     content = json.loads(report.read_text())
     assert [c["scenario"] for c in content] == [str(holds), str(fails)]
@@ -54,16 +54,16 @@ def test_what_holds_and_what_does_not_is_told_in_words_xml_and_json(files, tmp_p
 
 def test_servers_that_add_up_the_times_of_cases_get_that_of_the_run(tmp_path):
     write_junit(tmp_path / "a.xml", [Suite("a", 3.0, [Case("b"), Case("c")]), Suite("d", 1.0, error="no")])
-    root, found = cases(tmp_path / "a.xml")
-    assert sum(float(case.get("time")) for case in found.values()) == float(root.get("time")) == 4.0
+    root, result = cases(tmp_path / "a.xml")
+    assert sum(float(case.get("time")) for case in result.values()) == float(root.get("time")) == 4.0
 
 
 def test_a_run_that_breaks_is_an_error_of_its_suite(files, tmp_path, capsys):
     junit = tmp_path / "report.xml"
     status = main(["check", str(files[2]), "--junit", str(junit), "--workers", "1"])
-    root, found = cases(junit)
+    root, result = cases(junit)
     assert (status, root.get("errors")) == (3, "1")
-    assert found[str(files[2]), "run"].find("error").get("message") in capsys.readouterr().out
+    assert result[str(files[2]), "run"].find("error").get("message") in capsys.readouterr().out
 
 
 def test_one_run_has_a_report_too(files, tmp_path):
@@ -75,9 +75,9 @@ def test_one_run_has_a_report_too(files, tmp_path):
 
 def test_bad_input_is_said_and_the_rest_is_judged(files, tmp_path, capsys):
     assert main(["check", str(files[0]), "dc_motor_smc_b22", "--workers", "1"]) == 2
-    said, error = capsys.readouterr()
-    assert f"{files[0]}: 1 hold, 0 do not" in said
-    assert "dc_motor_smc_b22: refused: scenario 'dc_motor_smc_b22' is unknown (did you mean" in said
+    text, error = capsys.readouterr()
+    assert f"{files[0]}: 1 hold, 0 do not" in text
+    assert "dc_motor_smc_b22: refused: scenario 'dc_motor_smc_b22' is unknown (did you mean" in text
     assert error.splitlines()[-1] == "softrig: of 2 scenarios not judged: dc_motor_smc_b22"
     assert main(["check", str(files[0]), str(files[2]), "dc_motor_smc_b22", "--workers", "1"]) == 3
     capsys.readouterr()
@@ -87,8 +87,8 @@ def test_bad_input_is_said_and_the_rest_is_judged(files, tmp_path, capsys):
 
 def test_control_characters_in_a_name_leave_the_xml_readable(tmp_path):
     write_junit(tmp_path / "x.xml", [Suite("a\x1b[31m", 0.1, [Case("b\x00", "c\x07 <&>\udc80\uffff😀é")])])
-    root, found = cases(tmp_path / "x.xml")
-    assert found["a?[31m", "b?"].find("failure").get("message") == "c? <&>??😀é"
+    root, result = cases(tmp_path / "x.xml")
+    assert result["a?[31m", "b?"].find("failure").get("message") == "c? <&>??😀é"
     assert root.get("failures") == "1"
 
 
@@ -121,10 +121,10 @@ def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, mo
         "1",
     ]
     assert main(words) == 2  # one cannot be read
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for name, differs in (("ann", "nodes.dc_motor_smc.parameters.delta"), ("bob", "duration")):
-        assert f"sub/{name}/task1.yaml: 2 hold, 0 do not\n  differs from task1.yaml: {differs}\n" in said
-    assert "sub/eve/task1.yaml: refused: " in said
+        assert f"sub/{name}/task1.yaml: 2 hold, 0 do not\n  differs from task1.yaml: {differs}\n" in printed
+    assert "sub/eve/task1.yaml: refused: " in printed
     with (tmp_path / "marks.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [(r["scenario"], r["held"], r["judged"]) for r in rows] == [

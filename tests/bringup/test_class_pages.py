@@ -20,10 +20,10 @@ def test_the_node_in_cpp_speaks_as_the_rig_does():
     manifest = ElementTree.fromstring(fenced("cpp_node", "xml")[0])
     rig = rig_of(load_scenario("dc_motor_smc_b2"))
     law = next(m for m in rig.members if m.name == "dc_motor_smc")
-    said = dict(re.findall(r'create_(publisher|subscription)<[\w:]+>\(\s*"([^"]+)"', code))
+    messages = dict(re.findall(r'create_(publisher|subscription)<[\w:]+>\(\s*"([^"]+)"', code))
     types = set(re.findall(r"create_(?:publisher|subscription)<(\w+)::msg::(\w+)>", code))
-    command = next(p for p in law.outputs if p.topic == said["publisher"])
-    state = next(p for p in law.inputs if p.topic == said["subscription"])
+    command = next(p for p in law.outputs if p.topic == messages["publisher"])
+    state = next(p for p in law.inputs if p.topic == messages["subscription"])
     assert {command.msgtype, state.msgtype} == {f"{package}/msg/{name}" for package, name in types}
     assert re.findall(r'command\.name = \{"(\w+)"\}', code) == [label.split("/")[0] for label in command.labels]
     assert any(label.endswith("/velocity") for label in state.labels)

@@ -194,8 +194,8 @@ def test_metrics_and_pictures_share_the_decoded_signals(monkeypatch):
 def test_the_command_of_a_run_repeats_it_from_any_folder(folder):
     arguments = ["lag", "--mode", "container", "--realtime", "--set", "gain.k=2", "--external", "gain",
                  "--duration", "0.5", "--seed", "3", "--domain", "42"]  # fmt: skip
-    found = repeat(make_parser().parse_args(["run", *arguments, "--out", "x"]))
-    assert found == [str(folder / "lag.yaml"), *arguments[1:], "--out", str(folder / "x")]
+    result = repeat(make_parser().parse_args(["run", *arguments, "--out", "x"]))
+    assert result == [str(folder / "lag.yaml"), *arguments[1:], "--out", str(folder / "x")]
     assert repeat(make_parser().parse_args(["run", "dc_motor_smc_b2"]))[0] == "dc_motor_smc_b2"  # every folder knows it
 
 
@@ -362,8 +362,8 @@ def test_work_that_was_late_against_the_wall_clock_is_named_first(folder, monkey
 
     monkeypatch.setattr("softrig_bringup.verbs.run_verb.execute", late)
     run("lag", "--realtime", "--no-record", "--no-plots")
-    said = "the machine did not keep up: the work of gain was not done at 3 of its ticks when it was due; "
-    assert capsys.readouterr().err.startswith(f"softrig: {said}the figures are of a slower loop\n")
+    text = "the machine did not keep up: the work of gain was not done at 3 of its ticks when it was due; "
+    assert capsys.readouterr().err.startswith(f"softrig: {text}the figures are of a slower loop\n")
 
 
 def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys):
@@ -479,9 +479,9 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(bare, tmp
         )
         for _ in range(2)
     ]
-    (first, said), (second, also) = (call.communicate(timeout=PATIENCE) for call in calls)
-    assert [call.returncode for call in calls] == [0, 0], said + also
-    assert sorted(("ready after" in said, "ready after" in also)) == [False, True]  # one set up, one waited
+    (first, printed), (second, also) = (call.communicate(timeout=PATIENCE) for call in calls)
+    assert [call.returncode for call in calls] == [0, 0], printed + also
+    assert sorted(("ready after" in printed, "ready after" in also)) == [False, True]  # one set up, one waited
     assert first == second
     assert f"export SOFTRIG_SCENARIOS={tmp_path}/config/scenarios" in first
     assert "export AMENT_PREFIX_PATH=/built" in first
@@ -515,14 +515,14 @@ def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_inst
     assert softrig("setup", SOFTRIG_WHEELS="bin").returncode == 0  # by uv, nothing from the network either
     (call,) = [c for c in (tmp_path / "calls").read_text().splitlines() if c.startswith("uv ")]
     assert f"--require-hashes --build-constraints {tmp_path}/.ws/run.txt --require-build-hashes --no-index" in call
-    said = softrig("setup", "tables")
-    assert said.returncode == 2
-    assert "setup tables: no such set; there are run uv" in said.stderr
+    text = softrig("setup", "tables")
+    assert text.returncode == 2
+    assert "setup tables: no such set; there are run uv" in text.stderr
     python = tmp_path / ".venv" / "bin" / "python"
     for gone in (lambda: shutil.rmtree(tmp_path / ".venv"), lambda: (python.unlink(), python.symlink_to("/gone"))):
         gone()  # .venv removed by hand; the Python that it was made of uninstalled
-        said = softrig("setup", "run")
-        assert (said.returncode, python.is_file()) == (0, True), said.stderr
+        text = softrig("setup", "run")
+        assert (text.returncode, python.is_file()) == (0, True), text.stderr
 
 
 def test_kilteds_wheels_are_set_up_beside_jazzys_and_remembered(bare, tmp_path):
@@ -558,16 +558,16 @@ READ_ONLY = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" || exi
 
 def test_a_checkout_that_cannot_be_written_has_its_set_up_in_the_cache_or_one_line(bare, tmp_path):
     (tmp_path / ".ws").touch()  # no folder, whoever may write
-    said = subprocess.run([tmp_path / "scripts" / "softrig", "setup"], env=bare, capture_output=True, text=True)
+    printed = subprocess.run([tmp_path / "scripts" / "softrig", "setup"], env=bare, capture_output=True, text=True)
     line = "not writable; set XDG_CACHE_HOME to a folder of yours\n"
-    assert (said.returncode, said.stderr) == (2, f"softrig: cannot set up in {tmp_path}: {line}")
+    assert (printed.returncode, printed.stderr) == (2, f"softrig: cannot set up in {tmp_path}: {line}")
     command = ["unshare", "-m", "bash", "-c", READ_ONLY, "bash", str(tmp_path)]
-    said = subprocess.run(command, env=bare, capture_output=True, text=True)
-    if said.returncode in (1, 77):
+    printed = subprocess.run(command, env=bare, capture_output=True, text=True)
+    if printed.returncode in (1, 77):
         pytest.skip("mounts are not permitted here")
     cache = re.escape(f"{tmp_path}/.cache/softrig/checkout-") + r"\d+"  # which is in the same place here
-    assert said.returncode == 2
-    assert re.fullmatch(f"softrig: cannot set up in {cache}: {line}", said.stderr)
+    assert printed.returncode == 2
+    assert re.fullmatch(f"softrig: cannot set up in {cache}: {line}", printed.stderr)
 
 
 def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):
@@ -578,10 +578,10 @@ def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.setattr("softrig_bringup.verbs.list_verb.main", broken)
     assert main(["list"]) == 4
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert len(said) < 1100
-    assert "error of softrig itself: ZeroDivisionError" in said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert len(printed) < 1100
+    assert "error of softrig itself: ZeroDivisionError" in printed
     (log,) = tmp_path.glob("softrig-error-*.log")
     assert "in broken" in log.read_text()
 
@@ -609,11 +609,11 @@ def test_an_error_of_our_own_in_a_run_is_kept_in_its_folder(folder, monkeypatch,
 def test_nothing_is_imported_from_the_current_directory(tmp_path):
     (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
     (tmp_path / "softrig_core.py").write_text("raise SystemExit('a file of the current directory was run')")
-    found = subprocess.run(
+    result = subprocess.run(
         [SCRIPTS / "softrig", "list", "dc_motor_smc_b2"], cwd=tmp_path, capture_output=True, text=True
     )
-    assert found.returncode == 0, found.stderr
-    assert "dc_motor_smc_b2" in found.stdout
+    assert result.returncode == 0, result.stderr
+    assert "dc_motor_smc_b2" in result.stdout
 
 
 def command(*arguments, **options):
@@ -637,30 +637,30 @@ def test_closed_streams_are_opened_before_a_file_gets_their_number(folder):
         for number in (0, 1, 2):
             os.close(number)
 
-    found = command("run", "lag", "--mode", "inprocess", "--out", "a", "--no-plots", preexec_fn=close)
-    assert found.returncode == 0
+    result = command("run", "lag", "--mode", "inprocess", "--out", "a", "--no-plots", preexec_fn=close)
+    assert result.returncode == 0
     assert (folder / "a/metrics.json").read_bytes()[:1] == b"{"
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
 
 
 def test_a_full_disk_behind_the_output_and_a_reader_that_has_gone(folder):
     with open("/dev/full", "w") as full:
-        found = command("list", stdout=full, stderr=subprocess.PIPE, text=True)
-    assert found.returncode == 3
-    assert found.stderr == "softrig: [Errno 28] No space left on device\n"
+        result = command("list", stdout=full, stderr=subprocess.PIPE, text=True)
+    assert result.returncode == 3
+    assert result.stderr == "softrig: [Errno 28] No space left on device\n"
     reader, writer = os.pipe()
     os.close(reader)
-    found = command("list", stdout=writer, stderr=subprocess.PIPE, text=True)
+    result = command("list", stdout=writer, stderr=subprocess.PIPE, text=True)
     os.close(writer)
-    assert (found.returncode, found.stderr) == (141, "")
+    assert (result.returncode, result.stderr) == (141, "")
 
 
 @pytest.mark.long
 def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
     nowhere = {"HOME": "/proc/nowhere", "TMPDIR": "/proc/nowhere"}
     variables = {k: v for k, v in os.environ.items() if k != "XDG_CACHE_HOME"} | nowhere
-    found = command("run", "lag", "--out", "a", "--no-plots", env=variables, capture_output=True, text=True)
-    assert found.returncode == 0, found.stderr
+    result = command("run", "lag", "--out", "a", "--no-plots", env=variables, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
 
 
 def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys):
@@ -674,8 +674,8 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monke
     before = signal.getsignal(signal.SIGTERM)
     assert run("lag", "--mode", "inprocess", "--out", "a") == 143
     assert signal.getsignal(signal.SIGTERM) is before
-    told = "figures and bag are in a, pictures and report are not; `softrig report a` makes them"
-    assert capsys.readouterr().err == f"softrig: stopped by SIGTERM: {told}\n"
+    text = "figures and bag are in a, pictures and report are not; `softrig report a` makes them"
+    assert capsys.readouterr().err == f"softrig: stopped by SIGTERM: {text}\n"
     monkeypatch.setattr("softrig_bringup.run.run.write_bag", write_bag)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
@@ -687,9 +687,9 @@ def test_a_terminal_that_goes_while_a_table_is_printed(folder):
     """rich by itself would end with status 1, which says that a metric misses."""
     reader, writer = os.pipe()
     os.close(reader)
-    found = command("list", stdout=writer, env=os.environ | {"COLUMNS": "60"}, stderr=subprocess.PIPE, text=True)
+    result = command("list", stdout=writer, env=os.environ | {"COLUMNS": "60"}, stderr=subprocess.PIPE, text=True)
     os.close(writer)
-    assert (found.returncode, found.stderr) == (141, "")
+    assert (result.returncode, result.stderr) == (141, "")
 
 
 @pytest.mark.parametrize(
@@ -726,11 +726,11 @@ def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys, monkeypatch):
     (folder / "broken.yaml").write_text("a: [\n")
     (folder / "typo.yaml").write_text("{title: t, system: s, source: s, duration: -1, nodes: {}}\n")
     assert main(["list"]) == 2
-    said = capsys.readouterr()
-    assert "lag\t" in said.out
-    assert "lag_misses\t" in said.out
-    assert "broken.yaml: not valid YAML" in said.err
-    assert "typo" in said.err
+    printed = capsys.readouterr()
+    assert "lag\t" in printed.out
+    assert "lag_misses\t" in printed.out
+    assert "broken.yaml: not valid YAML" in printed.err
+    assert "typo" in printed.err
     assert run("lag", "--mode", "inprocess", "--no-plots", "--no-record") == 0
 
 
@@ -742,9 +742,9 @@ def test_a_variant_may_be_named_by_a_number(folder):
 def test_a_current_directory_that_has_been_removed_is_named(tmp_path):
     gone = tmp_path / "gone"
     gone.mkdir()
-    found = command("list", preexec_fn=lambda: (os.chdir(gone), gone.rmdir()), capture_output=True, text=True)
-    assert found.returncode == 2
-    assert found.stderr == "softrig: the current directory has been removed; change to one that exists\n"
+    result = command("list", preexec_fn=lambda: (os.chdir(gone), gone.rmdir()), capture_output=True, text=True)
+    assert result.returncode == 2
+    assert result.stderr == "softrig: the current directory has been removed; change to one that exists\n"
 
 
 def on_a_full_disk(limit, *arguments):
@@ -761,9 +761,9 @@ def on_a_full_disk(limit, *arguments):
 
 @pytest.mark.long
 def test_a_full_disk_names_the_folder(folder):
-    found = on_a_full_disk(500, "run", "lag", "--mode", "inprocess", "--out", "a")
-    assert found.returncode == 3
-    assert found.stderr == f"softrig: {folder}/a: File too large\n"
+    result = on_a_full_disk(500, "run", "lag", "--mode", "inprocess", "--out", "a")
+    assert result.returncode == 3
+    assert result.stderr == f"softrig: {folder}/a: File too large\n"
 
 
 @pytest.mark.parametrize(("limit", "words", "path"), few([

@@ -65,10 +65,12 @@ def test_each_place_of_a_command_is_completed(tmp_path):
         capture_output=True,
         check=True,
     )
-    said = [{word.rstrip() for word in (tmp_path / str(k)).read_text().split("\v") if word} for k in range(len(lines))]
-    assert dict(zip(exactly, said, strict=False)) == exactly
-    for line, expected, found in zip(among, among.values(), said[len(exactly) :], strict=True):
-        assert expected <= found, line
+    messages = [
+        {word.rstrip() for word in (tmp_path / str(k)).read_text().split("\v") if word} for k in range(len(lines))
+    ]
+    assert dict(zip(exactly, messages, strict=False)) == exactly
+    for line, expected, result in zip(among, among.values(), messages[len(exactly) :], strict=True):
+        assert expected <= result, line
 
 
 @pytest.mark.long
@@ -91,10 +93,10 @@ def test_bash_uses_it_for_the_scenarios_of_an_own_package_too(tmp_path):
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_other_shells_get_a_script_that_they_can_read(shell, capsys):
     assert main(["env", "--completion", shell]) == 0
-    said = capsys.readouterr().out
-    assert "softrig" in said
+    printed = capsys.readouterr().out
+    assert "softrig" in printed
     if shutil.which(shell):
-        assert subprocess.run([shell, "-n", "/dev/stdin"], input=said, text=True, timeout=PATIENCE).returncode == 0
+        assert subprocess.run([shell, "-n", "/dev/stdin"], input=printed, text=True, timeout=PATIENCE).returncode == 0
 
 
 @pytest.mark.parametrize("stray", few(["delta:=2", "--params-file", "-p"], 1))
@@ -102,9 +104,9 @@ def test_stray_arguments_of_a_node_are_refused(stray, tmp_path):
     logs = os.environ | {"ROS_LOG_DIR": str(tmp_path)}
     with ExitStack() as stack:
         done = fork(stack, "faultrig", "plant", [find_executable("faultrig", "plant"), stray], logs)
-        said, _ = done.communicate(PATIENCE)
+        printed, _ = done.communicate(PATIENCE)
         assert done.wait() == 2
-    assert said.startswith(f"plant: unexpected argument '{stray}': expected --ros-args")
+    assert printed.startswith(f"plant: unexpected argument '{stray}': expected --ros-args")
 
 
 def test_a_node_by_hand_says_what_it_is_and_waits_for():
@@ -139,10 +141,10 @@ def test_on_a_narrow_terminal_no_number_and_no_word_is_broken(tmp_path, capsys, 
     assert max(map(len, lines)) <= 50
     assert "rise_time  pass" in [line.rstrip() for line in lines]
     measured = json.loads((tmp_path / "run/metrics.json").read_text())["metrics"]
-    found = " ".join(lines)
+    text = " ".join(lines)
     for figure in measured:
-        assert figure["name"] in found
-        assert f"measured {figure['value']:.6g}" in " ".join(found.split())
+        assert figure["name"] in text
+        assert f"measured {figure['value']:.6g}" in " ".join(text.split())
 
 
 def test_few_long_cases_tell_how_far_they_are_where_there_is_no_terminal(capsys, monkeypatch):

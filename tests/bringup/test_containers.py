@@ -37,17 +37,17 @@ def commands(job):
 
 
 def test_the_dockerfile_copies_what_is_there_and_sets_up_as_the_user_that_runs():
-    found = instructions()
-    assert {word for word, _ in found} == {"FROM", "RUN", "USER", "WORKDIR", "COPY", "ENTRYPOINT", "CMD"}
-    stages = [rest.split() for word, rest in found if word == "FROM"]
+    result = instructions()
+    assert {word for word, _ in result} == {"FROM", "RUN", "USER", "WORKDIR", "COPY", "ENTRYPOINT", "CMD"}
+    stages = [remaining.split() for word, remaining in result if word == "FROM"]
     assert [s[0] for s in stages] == ["debian:trixie-slim", "base"]
     assert stages[0][1:] == ["AS", DEVCONTAINER["build"]["target"]]
-    user = next(rest for word, rest in found if word == "USER")
+    user = next(remaining for word, remaining in result if word == "USER")
     assert user == DEVCONTAINER["remoteUser"]
-    assert any(rest.startswith("useradd") and rest.split()[-1] == user for _, rest in found)
-    (copied,) = [rest for word, rest in found if word == "COPY"]
+    assert any(remaining.startswith("useradd") and remaining.split()[-1] == user for _, remaining in result)
+    (copied,) = [remaining for word, remaining in result if word == "COPY"]
     assert copied == f"--chown={user} . softrig"
-    entry = json.loads(next(rest for word, rest in found if word == "ENTRYPOINT"))
+    entry = json.loads(next(remaining for word, remaining in result if word == "ENTRYPOINT"))
     assert (ROOT / entry[0].removeprefix("softrig/")).is_file()
     left_out = DOCKERFILE.with_name("Dockerfile.dockerignore").read_text().split()
     assert set(left_out) == {".venv", ".ws", "runs", "**/__pycache__"}
@@ -61,7 +61,9 @@ def test_the_devcontainer_builds_from_the_checkout():
 
 
 def all_commands():
-    of_docker = [rest for word, rest in instructions() if word == "RUN" and not rest.startswith(OF_THE_IMAGE)]
+    of_docker = [
+        remaining for word, remaining in instructions() if word == "RUN" and not remaining.startswith(OF_THE_IMAGE)
+    ]
     return (
         [c.removeprefix("softrig/") for c in of_docker]
         + [DEVCONTAINER["postCreateCommand"]]
@@ -110,7 +112,9 @@ def test_their_commands_work_in_a_fresh_folder_in_order(tmp_path):
         assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
         return done.stdout
 
-    of_docker = [rest for word, rest in instructions() if word == "RUN" and not rest.startswith(OF_THE_IMAGE)]
+    of_docker = [
+        remaining for word, remaining in instructions() if word == "RUN" and not remaining.startswith(OF_THE_IMAGE)
+    ]
     for command in of_docker:
         run(command.replace("/tmp/", f"{tmp_path}/"), tmp_path)
     entry, arguments = (json.loads(next(r for w, r in instructions() if w == word)) for word in ("ENTRYPOINT", "CMD"))

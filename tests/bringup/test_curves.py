@@ -60,7 +60,7 @@ def test_a_long_signal_is_reduced_to_its_extremes_column_by_column(count):
 )
 def test_a_window_has_no_value_from_outside_of_it_and_both_edges(held, window):
     whole = curve([5.0, 1.0, 4.0, 2.0, 3.0], held=held)
-    found = inside(whole, window)
+    result = inside(whole, window)
     first, last = max(window[0], 0.0), min(window[1], 0.4)
 
     def at(t, before=False):
@@ -72,8 +72,8 @@ def test_a_window_has_no_value_from_outside_of_it_and_both_edges(held, window):
 
     between = [(x, y) for x, y in zip(whole.x, whole.y, strict=True) if first < x < last]
     wanted = [(first, at(first)), *between, (last, at(last, before=held and first < last < 0.4))]
-    assert list(zip(found.x, found.y, strict=True)) == [pytest.approx(w) for w in wanted]
-    assert (found.held, found.unit) == (held, "V")
+    assert list(zip(result.x, result.y, strict=True)) == [pytest.approx(w) for w in wanted]
+    assert (result.held, result.unit) == (held, "V")
 
 
 def test_a_window_beside_the_curve_has_nothing_of_it():
@@ -137,8 +137,8 @@ def test_what_is_held_goes_on_to_the_end_of_the_run_and_what_is_measured_does_no
      ("a reference frame", False), ("preference", False), ("", False)],
 )  # fmt: skip
 def test_a_label_says_that_a_signal_is_a_reference(lag, label, reference):
-    found = Source(recorded(lag_state=("x/position", [0.0], [1.0])), lag).curve(X, label)
-    assert found.reference == reference
+    result = Source(recorded(lag_state=("x/position", [0.0], [1.0])), lag).curve(X, label)
+    assert result.reference == reference
 
 
 def test_curves_of_a_unit_share_a_row_in_their_order():
@@ -147,11 +147,11 @@ def test_curves_of_a_unit_share_a_row_in_their_order():
 
 
 @pytest.mark.parametrize(
-    ("last", "found"), [([], (1.0, "s")), ([0.0], (1.0, "s")), ([0.099], (1e3, "ms")), ([0.1], (1.0, "s")),
+    ("last", "result"), [([], (1.0, "s")), ([0.0], (1.0, "s")), ([0.099], (1e3, "ms")), ([0.1], (1.0, "s")),
                         ([0.01, 5.0], (1.0, "s"))]
 )  # fmt: skip
-def test_a_run_that_is_over_at_once_is_drawn_in_milliseconds(last, found):
-    assert time_scale([[curve([1.0], x=[t]), curve([])] for t in last]) == found
+def test_a_run_that_is_over_at_once_is_drawn_in_milliseconds(last, result):
+    assert time_scale([[curve([1.0], x=[t]), curve([])] for t in last]) == result
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -212,7 +212,7 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
 
 
 @pytest.mark.parametrize(
-    ("function", "expected", "published", "arguments", "found"),
+    ("function", "expected", "published", "arguments", "result"),
     [
         (measures.mean, BETWEEN, None, {}, [("value", 1.5, 2.5, math.nan, -INF, INF)]),
         (measures.mean, MOST, None, {}, [("value", -INF, 2.0, math.nan, -INF, INF)]),
@@ -250,11 +250,11 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
         (measures.maximum, BETWEEN, None, {"start": 9.0}, []),  # the run ended before its window
     ],
 )  # fmt: skip
-def test_a_figure_is_marked_where_its_signal_shows_it(monkeypatch, function, expected, published, arguments, found):
+def test_a_figure_is_marked_where_its_signal_shows_it(monkeypatch, function, expected, published, arguments, result):
     scale = arguments.pop("scale", 1.0) if arguments.get("scale") else 1.0
     marks = marked(monkeypatch, function, expected, published, scale, **arguments)
-    assert len(marks) == len(found)
-    for mark, wanted in zip(marks, found, strict=True):
+    assert len(marks) == len(result)
+    for mark, wanted in zip(marks, result, strict=True):
         assert mark[0] == wanted[0]
         assert mark[1:] == pytest.approx(wanted[1:], nan_ok=True)
 
@@ -291,9 +291,9 @@ def test_what_is_violated_is_shaded_in_each_signal_of_its_formula(monkeypatch, s
     for name, value in {"tree": spans, "signals": {"a": "s", "b": "r"}}.items():
         object.__setattr__(judge, name, value)
     monkeypatch.setattr(marks_module, "figures_of", lambda rig: [SimpleNamespace(name="q", function=judge)])
-    found = marks_of(SimpleNamespace(scenario=SimpleNamespace(claims={}, expect={})), {})
-    told = {name: [(m.axis, m.name, m.start, m.end) for m in marks] for name, marks in found.items()}
-    assert told == ({name: [("violated", "q", *span) for span in drawn] for name in "sr"} if drawn else {})
+    result = marks_of(SimpleNamespace(scenario=SimpleNamespace(claims={}, expect={})), {})
+    entries = {name: [(m.axis, m.name, m.start, m.end) for m in marks] for name, marks in result.items()}
+    assert entries == ({name: [("violated", "q", *span) for span in drawn] for name in "sr"} if drawn else {})
 
 
 MARKS = {
@@ -411,7 +411,7 @@ def boxed(names, width, title="", marks=()):
 
 
 @pytest.mark.parametrize(
-    ("names", "width", "more", "found"),
+    ("names", "width", "more", "result"),
     [
         (["a", "b"], 55, {}, (["a", "b"], 2, "")),
         (["aaaa", "b", "c"], 20, {}, (["aaaa", "b", "c"], 2, "")),  # six letters more each
@@ -424,25 +424,25 @@ def boxed(names, width, title="", marks=()):
         (["a"] * 9, 200, {"title": "it"}, "it: 9 signals, dark to light from first to last"),
     ],
 )
-def test_a_legend_names_what_is_seen_in_as_many_columns_as_there_is_room_for(names, width, more, found):
-    assert boxed(names, width, **more) == found
+def test_a_legend_names_what_is_seen_in_as_many_columns_as_there_is_room_for(names, width, more, result):
+    assert boxed(names, width, **more) == result
 
 
 @pytest.mark.parametrize(
-    ("largest", "title", "unit", "found"),
+    ("largest", "title", "unit", "result"),
     [
         (3e7, "Cost, $/h", False, r"Cost, $\mathregular{10^{7}}$ $/h"), (3e4, "Cost, $/h", False, "Cost, $/h"),
         (3e7, "Cost", False, r"Cost, $\mathregular{10^{7}}$"), (3e7, "V", True, r"$\mathregular{10^{7}}$ V"),
         (3e7, "", False, r"$\mathregular{10^{7}}$"), (3e-5, "a, b, V", False, r"a, b, $\mathregular{10^{-5}}$ V"),
     ],
 )  # fmt: skip
-def test_a_scale_factor_stands_before_the_unit(largest, title, unit, found):
+def test_a_scale_factor_stands_before_the_unit(largest, title, unit, result):
     with rc_context(look.style()):
         ax = Figure().subplots()
         ax.plot([0.0, 1.0], [0.0, largest])
         ax.set_ylabel(title, gid="unit" if unit else None)
         fold_exponents(ax.figure)
-    assert ax.get_ylabel() == found
+    assert ax.get_ylabel() == result
     assert not ax.yaxis.get_offset_text().get_visible()
 
 
@@ -461,8 +461,8 @@ def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, colum
     assert [ax.get_xlabel() for ax in figure.axes] == ["Time, s" if ax in bottom else "" for ax in figure.axes]
     shown = [ax.xaxis.get_tick_params()["labelbottom"] for ax in figure.axes]
     assert shown == [ax in bottom for ax in figure.axes]
-    said = "" if figure._supxlabel is None else figure._supxlabel.get_text()
-    assert said == ("nothing published on q, r" if count else "")
+    text = "" if figure._supxlabel is None else figure._supxlabel.get_text()
+    assert text == ("nothing published on q, r" if count else "")
 
 
 @pytest.mark.parametrize(
@@ -513,9 +513,9 @@ def test_panels_say_what_they_show_once(monkeypatch):
     switches, same, other, bare = on_paper(pictures._overview(SimpleNamespace(silent=[]))).axes
     assert switches.get_title("left") == "t/*/position"
     assert [t.get_text() for t in switches.get_yticklabels()] == ["a", "b"]
-    told = [(ax.get_legend().get_title().get_text(), [t.get_text() for t in ax.get_legend().get_texts()])
+    messages = [(ax.get_legend().get_title().get_text(), [t.get_text() for t in ax.get_legend().get_texts()])
             for ax in (same, other, bare)]  # fmt: skip
-    assert told == [("t/*/position", ["a", "b"]), ("t", ["a/position", "b/velocity"]), ("t", ["x", "y"])]
+    assert messages == [("t/*/position", ["a", "b"]), ("t", ["a/position", "b/velocity"]), ("t", ["x", "y"])]
     assert [ax.get_ylabel() for ax in (same, other)] == ["V", "V"]
 
 

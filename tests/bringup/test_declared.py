@@ -66,14 +66,14 @@ def keys(module):
 
 def imports(folder):
     """Modules that a package imports, without Python's and its own."""
-    found = set()
+    results = set()
     for file in (*folder.glob(f"{folder.name}/**/*.py"), *folder.glob("launch/*.py")):
         for node, _ in imported(file):
             if isinstance(node, ast.Import):
-                found |= {alias.name.partition(".")[0] for alias in node.names}
+                results |= {alias.name.partition(".")[0] for alias in node.names}
             elif not node.level:
-                found.add(node.module.partition(".")[0])
-    return found - set(sys.stdlib_module_names) - OTHERS - {folder.name}
+                results.add(node.module.partition(".")[0])
+    return results - set(sys.stdlib_module_names) - OTHERS - {folder.name}
 
 
 def test_every_key_exists():

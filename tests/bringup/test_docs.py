@@ -104,12 +104,12 @@ class _Links(HTMLParser):
         self.targets, self.loaded, self.names = [], [], set()
 
     def handle_starttag(self, tag, attrs):
-        found = dict(attrs)
-        self.names.add(found.get("id"))
+        results = dict(attrs)
+        self.names.add(results.get("id"))
         if tag in ("script", "img", "link", "iframe"):
-            self.loaded += [u for u in (found.get("src"), found.get("href")) if u]
-        elif found.get("href"):
-            self.targets.append(found["href"])
+            self.loaded += [u for u in (results.get("src"), results.get("href")) if u]
+        elif results.get("href"):
+            self.targets.append(results["href"])
 
 
 def links(page):
@@ -123,9 +123,9 @@ def links(page):
 def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
     assert build(tmp_path) == 0
     html = tmp_path / "html"
-    found = {page.resolve(): links(page) for page in html.rglob("*.html")}
-    assert len(found) > 50
-    for page, own in found.items():
+    results = {page.resolve(): links(page) for page in html.rglob("*.html")}
+    assert len(results) > 50
+    for page, own in results.items():
         for target in own.loaded:
             assert not re.match(r"(https?:)?//", target), (page, target)
         for target in (*own.targets, *own.loaded):
@@ -135,8 +135,8 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
                 continue
             there = (page.parent / urllib.parse.unquote(path)).resolve() if path else page
             assert there.exists(), (page, target)
-            if anchor and there in found:
-                assert urllib.parse.unquote(anchor) in found[there].names, (page, target)
+            if anchor and there in results:
+                assert urllib.parse.unquote(anchor) in results[there].names, (page, target)
     words = Path(html / "searchindex.js").read_text()
     assert "lockstep" in words
 
@@ -193,12 +193,12 @@ def contrast(one, other):
     return max(lights) / min(lights)
 
 
-@pytest.mark.parametrize("look", [style.Light, style.Dark])
-def test_every_colour_of_code_can_be_read(look):
+@pytest.mark.parametrize("lookup", [style.Light, style.Dark])
+def test_every_colour_of_code_can_be_read(lookup):
     assert contrast("#ffffff", "#000000") == pytest.approx(21.0)
-    for token, about in look:
+    for token, about in lookup:
         if about["color"]:
-            assert contrast(f"#{about['color']}", look.background_color) >= 4.5, token
+            assert contrast(f"#{about['color']}", lookup.background_color) >= 4.5, token
 
 
 def test_what_keeps_readers_out_is_gone_from_a_page():

@@ -45,13 +45,13 @@ def check_alike(frames):
         kinds = kinds or now
         if now != kinds:
             at = next((i for i, (a, b) in enumerate(zip(kinds, now)) if a != b), min(len(kinds), len(now)))
-            was, found = (x[at] if at < len(x) else None for x in (kinds, now))
-            raise ValueError(f"frame {k}: shape {at} of {len(now)} is {found}, in the first frame it is {was}")
+            was, result = (x[at] if at < len(x) else None for x in (kinds, now))
+            raise ValueError(f"frame {k}: shape {at} of {len(now)} is {result}, in the first frame it is {was}")
 
 
 def _look(shape):
-    look = {name: getattr(shape, name) for name in shape.__dataclass_fields__}
-    fixed = [value for name, value in look.items() if name not in ("points", "centre", "radius", "at", "text")]
+    style = {name: getattr(shape, name) for name in shape.__dataclass_fields__}
+    fixed = [value for name, value in style.items() if name not in ("points", "centre", "radius", "at", "text")]
     return (type(shape).__name__, len(getattr(shape, "points", ())), *fixed)
 
 
@@ -104,20 +104,20 @@ def test_each_signal_of_a_drawing_moves_it_and_none_drives_it_off_its_sheet(name
 
 def test_texts_of_drawings_are_as_told():
     """What a person reads in one frame of each: names, numbers with units, words."""
-    told = []
+    messages = []
     for name in DRAWN:
         drawing = drawing_for(name)
         row = usual(drawing, name, name)[0]
         texts = [as_dict(shape).get("text") for shape in drawing.frame(row, [row])]
-        told.append(f"{name}: {' | '.join(text for text in texts if text)}")
-    check_told("drawings", told)
+        messages.append(f"{name}: {' | '.join(text for text in texts if text)}")
+    check_told("drawings", messages)
 
 
 def points(shape):
-    found = as_dict(shape)
-    yield from found.get("points") or [found.get("centre") or found.get("at")]
-    if "radius" in found:
-        assert found["radius"] >= 0.0
+    result = as_dict(shape)
+    yield from result.get("points") or [result.get("centre") or result.get("at")]
+    if "radius" in result:
+        assert result["radius"] >= 0.0
 
 
 def test_a_frame_that_differs_otherwise_is_named():
@@ -236,15 +236,15 @@ def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
     from softrig_core import ScenarioError
 
     made = film(drawing_for(shorted.rig), shorted.signals, 0.09, 0.1, 0.02)
-    whole, said = raster.pixels(made, "gif")
-    assert said == ""
+    whole, text = raster.pixels(made, "gif")
+    assert text == ""
     monkeypatch.setattr(raster, "LARGEST", len(whole) - 1)
-    less, said = raster.pixels(made, "gif")
-    assert said == "reduced to 32 colours and 11 frames"
+    less, text = raster.pixels(made, "gif")
+    assert text == "reduced to 32 colours and 11 frames"
     assert len(less) < len(whole)
     monkeypatch.setattr(raster, "LARGEST", 2 * len(less) // 3)
-    fewer, said = raster.pixels(made, "gif")
-    assert said == "reduced to 32 colours and 6 frames"
+    fewer, text = raster.pixels(made, "gif")
+    assert text == "reduced to 32 colours and 6 frames"
     with Image.open(io.BytesIO(fewer)) as image:
         assert (image.n_frames, image.info["duration"]) == (6, 100)  # as long as before
     monkeypatch.setattr(raster, "LARGEST", 1000)
@@ -253,7 +253,7 @@ def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         (["induction_dtc_short", "-o", "film.mp4"], "expected a file that ends with .svg, .gif, .webp, .png"),
         (["induction_dtc_short", "--to", "5e-324"], "expected a stretch of the run, which is 0.1 s long"),
@@ -264,10 +264,10 @@ def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
         (["induction_dtc_shor"], "did you mean"),
     ],
 )
-def test_what_cannot_be_animated_is_said(words, said, tmp_path, capsys, monkeypatch):
+def test_what_cannot_be_animated_is_said(words, text, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["draw", "animate", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert text in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

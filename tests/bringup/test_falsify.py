@@ -68,21 +68,21 @@ def test_the_worst_deviation_of_a_linear_loop_is_the_l1_norm_of_its_impulse_resp
     response = simulate(loop([LOAD, 0.0], [0.0, PERIOD])).signals["motor/state/shaft/velocity"].x
     bound = np.abs(response).sum()  # of a load torque of LOAD at most, whatever its course
     space = space_of(loop([0.0] * PIECES), [parse("plant.load_torques", f"{-LOAD}..{LOAD}*{PIECES}")])
-    found = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1)
-    assert 0.98 * bound < 1.0 - found.least < bound * (1.0 + 1e-9)
-    assert found.runs <= 300
+    match = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1)
+    assert 0.98 * bound < 1.0 - match.least < bound * (1.0 + 1e-9)
+    assert match.runs <= 300
     at_random = search([o.size for o in space.overs], measure_of(space, "deviation"), 300, seed=1, sampler="random")
     assert (1.0 - at_random.least) < 0.8 * bound  # random search alone does not come near
-    assert found.trace == sorted(found.trace, reverse=True)
+    assert match.trace == sorted(match.trace, reverse=True)
 
 
 def test_one_number_has_no_covariance_and_goes_to_tpe():
     def measure(points):
         return [(point[0] - 0.37) ** 2 for point in points]
 
-    found, by_tpe = (search([1], measure, 40, seed=2, sampler=sampler) for sampler in ("cmaes", "tpe"))
-    assert (found.point, found.trace) == (by_tpe.point, by_tpe.trace)
-    assert found.least < 1e-3
+    result, by_tpe = (search([1], measure, 40, seed=2, sampler=sampler) for sampler in ("cmaes", "tpe"))
+    assert (result.point, result.trace) == (by_tpe.point, by_tpe.trace)
+    assert result.least < 1e-3
 
 
 def test_cma_es_comes_without_the_half_second_that_other_optimisers_of_its_package_import(monkeypatch):
@@ -191,13 +191,13 @@ def test_corners_come_first_and_a_climb_finds_the_one_that_violates():
         asked.extend(points)
         return corner_climbs(points)
 
-    found = search([12], measure, 200, seed=3)
+    match = search([12], measure, 200, seed=3)
     low, high = (0.0,) * 12, (1.0,) * 12
     assert asked[:2] == [low, high]
     assert all(u in (0.0, 1.0) for p in asked[:20] for u in p)  # a tenth of the budget
     assert any(0.0 < u < 1.0 for u in asked[20])
     assert len(set(asked[:20])) == 20
-    assert found.least == -0.5
+    assert match.least == -0.5
     asked.clear()
     search([4, 8], measure, 200, seed=3)
     assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]  # together, then each profile
@@ -213,8 +213,8 @@ def test_profiles_are_held_constant_before_they_are_searched_piece_by_piece():
             asked.extend(points)
             return [max(abs(u - (0.4 if k < groups[0] else 0.7)) for k, u in enumerate(p)) - 0.1 for p in points]
 
-        found = search(groups, measure, 200, seed=seed, enough=0.0)
-        return found.runs if found.least < 0.0 else 1000, asked
+        match = search(groups, measure, 200, seed=seed, enough=0.0)
+        return match.runs if match.least < 0.0 else 1000, asked
 
     runs, asked = asked_until([6, 6], 0)
     held = [len(set(p[:6])) == 1 and len(set(p[6:])) == 1 for p in asked]
@@ -270,13 +270,13 @@ def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, t
     given = ["falsify", str(file), "--strict", "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12",
              "--workers", "1", "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
     assert main([*given, "--out", str(tmp_path / "a")]) == 1
-    said = " ".join(capsys.readouterr().out.split())
-    found = outcome(tmp_path / "a")
-    assert found["violated"] == ["tracking"]
-    assert f"violated: tracking, least margin {found['least']:.6g}" in said
+    printed = " ".join(capsys.readouterr().out.split())
+    result = outcome(tmp_path / "a")
+    assert result["violated"] == ["tracking"]
+    assert f"violated: tracking, least margin {result['least']:.6g}" in printed
     worst = load_scenario(str(tmp_path / "a" / "mine_worst.yaml"))
     again = simulate(worst)
-    assert again.figures["tracking"] == found["worst"]["tracking"] == found["least"]
+    assert again.figures["tracking"] == result["worst"]["tracking"] == result["least"]
     assert load_scenario(str(tmp_path / "a" / "mine_small.yaml")).nodes
     from softrig_bags.read import read_bag
 
@@ -285,7 +285,7 @@ def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, t
     rows = (tmp_path / "b" / "rows.jsonl").read_text().splitlines(keepends=True)
     (tmp_path / "b" / "rows.jsonl").write_text("".join(rows[:5]))  # killed after five runs
     assert main([*given, "--out", str(tmp_path / "b")]) == 1
-    assert outcome(tmp_path / "b")["trace"] == found["trace"]
+    assert outcome(tmp_path / "b")["trace"] == result["trace"]
     other = [*given, "--seed", "7", "--out", str(tmp_path / "b")]
     assert main(other) == 2
     assert "holds another falsification" in capsys.readouterr().err
@@ -314,12 +314,12 @@ def test_a_rig_that_does_not_repeat_is_not_searched(file, words, tmp_path, capsy
 def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys):
     assert main(["falsify", str(file), "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "8", "--workers", "1",
                  "--no-plots", "--requirement", "tracking", "--out", str(tmp_path / "a")]) == 0  # fmt: skip
-    found = outcome(tmp_path / "a")
-    assert (found["violated"], found["runs"]) == ([], 8)
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"no violation in {found['runs']} runs; least margin {found['least']:.6g}" in said
-    assert "dc_motor_plant.R = " in said
-    assert "asked by name: tracking, published for dc_motor_plant.R = 0.4" in said
+    result = outcome(tmp_path / "a")
+    assert (result["violated"], result["runs"]) == ([], 8)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"no violation in {result['runs']} runs; least margin {result['least']:.6g}" in printed
+    assert "dc_motor_plant.R = " in printed
+    assert "asked by name: tracking, published for dc_motor_plant.R = 0.4" in printed
 
 
 def test_bounds_of_another_machine_judge_none_unless_they_are_asked_for(file, tmp_path, capsys):
@@ -331,10 +331,10 @@ def test_bounds_of_another_machine_judge_none_unless_they_are_asked_for(file, tm
     file.write_text(f"{FILE}  limited: always abs(speed) <= 10 * set_point\n")
     assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 0
     assert "not judged: tracking, published for dc_motor_plant.R = 0.4" in capsys.readouterr().out
-    found = outcome(tmp_path / "a")
-    assert (found["requirements"], found["not_judged"]) == (["limited"], ["tracking"])
-    assert list(found["worst"]) == ["limited"]
-    assert found["published_for"] == "dc_motor_plant.R = 0.4"
+    result = outcome(tmp_path / "a")
+    assert (result["requirements"], result["not_judged"]) == (["limited"], ["tracking"])
+    assert list(result["worst"]) == ["limited"]
+    assert result["published_for"] == "dc_motor_plant.R = 0.4"
     assert main(["falsify", str(file), *few, "--strict", "--out", str(tmp_path / "b")]) == 0
     assert outcome(tmp_path / "b")["requirements"] == ["tracking", "limited"]
 
@@ -443,5 +443,5 @@ def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):
         (next(n for n in scenario.figures if n not in scenario.expect), "no expectation"),
     ):
         assert main([*asked, name]) == 2
-        told = capsys.readouterr().err
-        assert f"figure {name} has {why}, no bound that a run could violate; it needs an entry" in told
+        printed = capsys.readouterr().err
+        assert f"figure {name} has {why}, no bound that a run could violate; it needs an entry" in printed

@@ -63,10 +63,10 @@ class Account:
             cma = CMA(mean, sigma=0.3, bounds=np.array([[0.0, 1.0]] * size), seed=seed)
             while not self.over() and len(self.asked()) < until and not cma.should_stop():
                 points = [cma.ask() for _ in range(cma.population_size)]
-                told = self.ask([spread(tuple(map(float, p))) for p in points])
-                if len(told) < len(points):
+                reported = self.ask([spread(tuple(map(float, p))) for p in points])
+                if len(reported) < len(points):
                     return
-                cma.tell([(p, 1e300 if math.isnan(m) else m) for p, m in zip(points, told, strict=True)])
+                cma.tell([(p, 1e300 if math.isnan(m) else m) for p, m in zip(points, reported, strict=True)])
             seed += 1
             if len(self.best or ()) == size:
                 mean = np.array(self.best)
@@ -140,12 +140,12 @@ def test_the_search_asks_what_its_account_says(groups, name):
             batches.append(list(points))
             return [MARGINS[name](p) for p in points]
 
-        found = search(groups, measure, budget, seed=seed, enough=enough)
+        match = search(groups, measure, budget, seed=seed, enough=enough)
         assert batches == wanted.batches
-        assert (found.least, found.point, found.corners) == (wanted.least, wanted.best or (), wanted.at_corners)
+        assert (match.least, match.point, match.corners) == (wanted.least, wanted.best or (), wanted.at_corners)
         values = [math.inf if math.isnan(v := MARGINS[name](p)) else v for p in wanted.asked()]
-        assert found.trace == np.minimum.accumulate(values).tolist()
-        assert found.runs == len(values)
+        assert match.trace == np.minimum.accumulate(values).tolist()
+        assert match.runs == len(values)
 
 
 @pytest.mark.parametrize(("budget", "alone"), [(160, True), (150, False)])
@@ -165,15 +165,15 @@ def test_a_margin_that_is_just_enough_is_not_below_it(margin, runs):
 
 def test_at_random_it_asks_for_four_points_at_a_time_and_nothing_else():
     asked = []
-    found = search([2, 1], lambda points: asked.append(points) or [p[0] for p in points], 10, seed=5, sampler="random")
+    match = search([2, 1], lambda points: asked.append(points) or [p[0] for p in points], 10, seed=5, sampler="random")
     drawn = [tuple(p) for p in np.random.default_rng(5).random((12, 3)).tolist()]
     assert asked == [drawn[:4], drawn[4:8], drawn[8:10]]
-    assert found.corners == math.inf
+    assert match.corners == math.inf
 
 
 def test_a_sampler_needs_a_package_or_none():
-    told = {(s, n): needs(s, n) for s in ("cmaes", "tpe", "random") for n in (1, 2, 9)}
-    assert told == {
+    entries = {(s, n): needs(s, n) for s in ("cmaes", "tpe", "random") for n in (1, 2, 9)}
+    assert entries == {
         ("cmaes", 1): "optuna", ("cmaes", 2): "cmaes", ("cmaes", 9): "cmaes",
         **{("tpe", n): "optuna" for n in (1, 2, 9)}, **{("random", n): "" for n in (1, 2, 9)},
     }  # fmt: skip
@@ -189,9 +189,12 @@ def test_of_one_number_the_estimator_of_optuna_is_asked_four_at_a_time():
         return [math.nan if p[0] > 0.8 else (p[0] - 0.3) ** 2 for p in points]
 
     search([1], measure, 24, seed=7)
-    corners, *rest = list(asked)
+    corners, *remaining = list(asked)
     assert corners == [(0.0,), (1.0,)]  # there are no others
-    for seed, batches in ((7, rest[:4]), (8, rest[4:])):  # to three quarters of the budget; anew, as no corner is left
+    for seed, batches in (
+        (7, remaining[:4]),
+        (8, remaining[4:]),
+    ):  # to three quarters of the budget; anew, as no corner is left
         study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=True))
         for batch in batches:
             trials = [study.ask({"u000": optuna.distributions.FloatDistribution(0.0, 1.0)}) for _ in range(4)]
@@ -199,7 +202,7 @@ def test_of_one_number_the_estimator_of_optuna_is_asked_four_at_a_time():
             assert batch == points[: len(batch)]
             for trial, m in zip(trials, measure(points), strict=True):
                 study.tell(trial, 1e300 if math.isnan(m) else m)
-    assert list(map(len, rest)) == [4, 4, 4, 4, 4, 2]
+    assert list(map(len, remaining)) == [4, 4, 4, 4, 4, 2]
 
 
 # what a point means ----------------------------------------------------------------------------------------------
@@ -340,16 +343,16 @@ def test_a_parameter_goes_back_as_far_as_the_violation_lasts(over, nominal, wors
         level = isinstance(value, list) and value == value[:1] * 2
         return not level and (first(changes) >= limit if up else first(changes) <= limit)
 
-    seen, (_, found) = tried(of(over, nominal=(nominal,), whole=(whole,)), {over.key: worst}, violates)
+    seen, (_, result) = tried(of(over, nominal=(nominal,), whole=(whole,)), {over.key: worst}, violates)
     assert seen[0][1] == {}  # first of all, not changed
     if left is None:
-        assert found == {}
+        assert result == {}
     elif whole or left == worst:
-        assert found == {over.key: left}
+        assert result == {over.key: left}
     else:
-        distance = np.abs(np.array(found[over.key]) - left) / np.abs(np.subtract(worst, nominal))
+        distance = np.abs(np.array(result[over.key]) - left) / np.abs(np.subtract(worst, nominal))
         assert (distance <= 1.0 / 4096.0 * (9.3 if over.log and nominal else 1.0)).all()  # 10^(4 / 4096) of 0.1
-        assert violates(found)
+        assert violates(result)
 
 
 def test_it_is_halved_twelve_times_and_the_budget_ends_it():

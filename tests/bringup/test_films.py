@@ -208,7 +208,7 @@ def test_colours_are_of_light_or_dark_ground_or_as_the_reader_has_it():
 
 
 def test_each_shape_has_its_look():
-    found = [
+    results = [
         element(s)
         for s in (
             Line(((0.0, 1.0), (2.5, 3.0)), "alarm", 2.0),
@@ -220,7 +220,7 @@ def test_each_shape_has_its_look():
             Text((1.0, 2.0), "a", anchor="middle"),
         )
     ]
-    assert [(e.tag, e.attrib) for e in found] == [
+    assert [(e.tag, e.attrib) for e in results] == [
         ("polyline", {"points": "0,1 2.5,3", "fill": "none", "class": "s-alarm", "stroke-width": "2"}),
         ("polyline", {"points": "0,1 2.5,3", "fill": "none", "class": "s-line d", "stroke-width": "1.5"}),
         ("polygon", {"points": "0,0 1,0 0,1", "class": "f-faint"}),
@@ -240,8 +240,8 @@ def colour(role):
 
 def shade(image, x, y):
     """The role whose colour is nearest to that of the pixel with its middle at a point of the drawing."""
-    found = image.getpixel((int(x - BOUNDS[0]), int(y - BOUNDS[1])))
-    return min(("paper", "faint", "alarm", "second"), key=lambda role: math.dist(found, colour(role)))
+    result = image.getpixel((int(x - BOUNDS[0]), int(y - BOUNDS[1])))
+    return min(("paper", "faint", "alarm", "second"), key=lambda role: math.dist(result, colour(role)))
 
 
 def drawn(*shapes):
@@ -388,4 +388,4 @@ def test_a_gif_loses_colours_then_frames_until_it_is_small_enough(sizes, words, 
         assert raster.pixels(made, "gif") == (bytes(100), words)
     wanted = [("gif", 1, 5, 64), ("gif", 1, 5, 32), ("gif", 2, 3, 32), ("gif", 3, 2, 16)]
     assert [(form, every, count) for form, every, count, _ in asked] == [w[:3] for w in wanted[: len(sizes)]]
-    assert all(found <= most for (*_, found), (*_, most) in zip(asked, wanted, strict=False))
+    assert all(result <= most for (*_, result), (*_, most) in zip(asked, wanted, strict=False))

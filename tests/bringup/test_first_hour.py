@@ -135,7 +135,7 @@ def test_somebody_changes_a_gain(user, capsys, monkeypatch):
     _, error = user(f"'{SOFTRIG}' run dc_motor_smc_b2 --mode inprocess --set dc_motor_smc.detla=2", status=2)
     assert "did you mean 'delta'" in error
     monkeypatch.chdir(user.folder)
-    for command, said in (
+    for command, text in (
         ("run ./nothing.yaml", "nothing.yaml: no such file"),
         ("rnu dc_motor_smc_b2", "did you mean 'run'"),
         ("run dc_motor_smc_b2 --duratoin 3", "did you mean '--duration'"),
@@ -146,7 +146,7 @@ def test_somebody_changes_a_gain(user, capsys, monkeypatch):
     ):
         assert typed(command) == 2
         error = capsys.readouterr().err
-        assert said in error
+        assert text in error
         assert error.count("\n") == 1
 
 
@@ -224,11 +224,11 @@ def test_a_run_of_an_own_package_goes_to_a_colleague(user, package):
     away = package.with_name("away")
     package.rename(away)
     try:
-        _, said = user(f"'{SOFTRIG}' run --like sent.zip --no-plots --out again")  # through processes
-        assert "sent.zip brings heater: code of who has made it runs here" in said
-        assert "repeats sent.zip number for number: 1001 messages on 2 topics" in said.splitlines()[-1]
-        _, said = user(f"'{SOFTRIG}' run --like mine --no-plots", status=2)
-        assert "it needs package heater, not installed here" in said
+        _, text = user(f"'{SOFTRIG}' run --like sent.zip --no-plots --out again")  # through processes
+        assert "sent.zip brings heater: code of who has made it runs here" in text
+        assert "repeats sent.zip number for number: 1001 messages on 2 topics" in text.splitlines()[-1]
+        _, text = user(f"'{SOFTRIG}' run --like mine --no-plots", status=2)
+        assert "it needs package heater, not installed here" in text
     finally:
         away.rename(package)
 
@@ -252,7 +252,7 @@ NO_PYTHON = ('"""A law', 'def (\n"""A law', 2)
 
 @pytest.mark.processes
 @pytest.mark.parametrize(
-    ("mistake", "mode", "status", "said"),
+    ("mistake", "mode", "status", "text"),
     [
         (FAILS, "inprocess", 3, "ZeroDivisionError: division by zero"),
         pytest.param(FAILS, "processes", 3, "ZeroDivisionError: division by zero", marks=pytest.mark.long),
@@ -262,7 +262,7 @@ NO_PYTHON = ('"""A law', 'def (\n"""A law', 2)
         pytest.param(NO_PYTHON, "inprocess", 2, "SyntaxError: invalid syntax", marks=pytest.mark.long),
     ],
 )
-def test_a_mistake_in_ones_own_code_says_file_and_line(user, package, mistake, mode, status, said):
+def test_a_mistake_in_ones_own_code_says_file_and_line(user, package, mistake, mode, status, text):
     (user.folder / "beside.yaml").write_text(BESIDE)
     file = package / "heater" / "motor_law.py"
     right, wrong, line = mistake
@@ -274,7 +274,7 @@ def test_a_mistake_in_ones_own_code_says_file_and_line(user, package, mistake, m
             assert "the traceback is in" in error
             errors.append(user(f"'{SOFTRIG}' --workspace heater node heater motor_law", 2)[1])
         for error in errors:
-            assert said in error
+            assert text in error
             assert f"heater/motor_law.py, line {line})" in error
     finally:
         file.write_text(LAW)

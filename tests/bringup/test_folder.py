@@ -88,8 +88,8 @@ def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, cap
             (out / "log" / "plant.shard").write_text("an hour of a run that was killed here")
         assert main([*RUN, "--no-plots", "--no-record"]) == 0  # where nothing was kept yet, in its place
         assert (out / "metrics.json").is_file() != shard
-    told = f"its run cannot be made again (in real time, and broken off: softrig bag repair {out / 'log'})"
-    assert told in capsys.readouterr().err
+    text = f"its run cannot be made again (in real time, and broken off: softrig bag repair {out / 'log'})"
+    assert text in capsys.readouterr().err
     assert (out.with_name("dc_motor_smc_b2-2") / "metrics.json").is_file()
     assert main([*RUN, "--no-plots", "--no-record", "--force"]) == 0
     assert not (out / "log").exists()
@@ -131,8 +131,8 @@ def test_a_killed_run_of_which_a_tuned_branch_was_left_stays(tmp_path, monkeypat
     (folder.path / "left_1.yaml").write_text("what was tuned")
     assert main([*RUN, "--no-plots", "--no-record"]) == 0
     assert (folder.path / "left_1.yaml").read_text() == "what was tuned"
-    told = f"(left_1.yaml, and broken off: softrig bag repair {folder.path / 'log'})"
-    assert told in capsys.readouterr().err
+    text = f"(left_1.yaml, and broken off: softrig bag repair {folder.path / 'log'})"
+    assert text in capsys.readouterr().err
 
 
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
@@ -156,9 +156,9 @@ def test_runs_that_differ_have_folders_of_their_own(tmp_path, monkeypatch, capsy
 def test_a_changed_gain_is_no_failure(tmp_path, capsys):
     """The paper's numbers are shown for comparison; metrics.json says what was changed."""
     assert main([*RUN, "--no-plots", "--set", "dc_motor_smc.delta=20.0", "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "not judged" in said
-    assert "MISS" not in said
+    printed = capsys.readouterr().out
+    assert "not judged" in printed
+    assert "MISS" not in printed
     assert json.loads((tmp_path / "metrics.json").read_text())["changed"] == ["dc_motor_smc.delta=20.0"]
 
 
@@ -178,8 +178,8 @@ def test_names_that_are_no_ros_names_are_refused(tmp_path, capsys, monkeypatch, 
     (tmp_path / "x.yaml").write_text(text.replace(old, new))
     monkeypatch.chdir(tmp_path)
     assert main(["run", "x.yaml", "--mode", "inprocess"]) == 2
-    said = capsys.readouterr().err
-    assert message in said
+    printed = capsys.readouterr().err
+    assert message in printed
     assert names(tmp_path) == ["x.yaml"]
 
 

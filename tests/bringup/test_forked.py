@@ -82,8 +82,8 @@ def test_workers_report_what_one_process_reports(tmp_path):
 def test_a_lost_worker_costs_one_test(tmp_path):
     (tmp_path / "test_lost.py").write_text(LOST)
     (tmp_path / "test_found.py").write_text(FOUND)
-    told, status = run(tmp_path, "-n", "1")
+    reported, status = run(tmp_path, "-n", "1")
     assert status == 1
-    assert "FAILED test_lost.py::test_is_killed" in told
-    assert "the process of the tests ended here with status -9" in told
-    assert "2 failed, 6 passed, 1 skipped, 1 warning" in told
+    assert "FAILED test_lost.py::test_is_killed" in reported
+    assert "the process of the tests ended here with status -9" in reported
+    assert "2 failed, 6 passed, 1 skipped, 1 warning" in reported

@@ -16,7 +16,7 @@ RUN_B4 = "run dc_motor_smc_b4 --mode inprocess --set"
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         (f"{RUN_B4} kp=2", "kp: expected node.parameter; did you mean dc_motor_pid.kp?"),
         (f"{RUN_B4} pid.kp=2", "pid.kp: expected node.parameter; did you mean dc_motor_pid.kp?"),
@@ -82,7 +82,7 @@ RUN_B4 = "run dc_motor_smc_b4 --mode inprocess --set"
         ("report empty", "empty: no metrics.json there, expected directories of runs"),
     ],
 )
-def test_half_a_name_is_answered_by_the_whole_one(words, said, tmp_path, monkeypatch, capsys):
+def test_half_a_name_is_answered_by_the_whole_one(words, text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("mine", "runs/many", "empty"):
         (tmp_path / name).mkdir(parents=True)
@@ -93,7 +93,7 @@ def test_half_a_name_is_answered_by_the_whole_one(words, said, tmp_path, monkeyp
     (tmp_path / "mine.yaml").write_text("title: mine\n")
     assert main(words.split()) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert text in error
     assert error.count("\n") == 1
 
 
@@ -129,14 +129,14 @@ def test_a_run_that_broke_is_kept_beside_and_its_folder_is_free(error, tmp_path,
     folder.let_go()
     words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "mine"]
     assert main(words) == (0 if error else 2)
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     kept = tmp_path / "mine-broke-1"
     if error:
-        assert "the run that broke in mine is kept as mine-broke-1" in said
+        assert "the run that broke in mine is kept as mine-broke-1" in printed
         assert json.loads((kept / "metrics.json").read_text()) == content
         assert json.loads((tmp_path / "mine" / "metrics.json").read_text())["scenario"] == "dc_motor_smc_b2"
     else:
-        assert "cannot be made again (gain from outside); expected another folder, or --force" in said
+        assert "cannot be made again (gain from outside); expected another folder, or --force" in printed
         assert not kept.exists()
 
 

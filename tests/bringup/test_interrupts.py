@@ -133,7 +133,7 @@ def in_a_launch(monkeypatch, capsys):
 def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
     door, phase, number, twice, monkeypatch, capsys, request
 ):
-    where, told = (BEFORE | PHASES)[phase]
+    where, reported = (BEFORE | PHASES)[phase]
     if door == "launch":
         where = where.replace(f"{VERB}.checked", "softrig_bringup.verbs.launched.checked")
     call = in_a_run if door == "run" else request.getfixturevalue(f"in_a_{door}")
@@ -143,7 +143,7 @@ def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
     assert [signal.getsignal(n) for n in SIGNALS] == usual
     lines = [line for line in capsys.readouterr().err.splitlines() if "stopped" in line]
     assert len(lines) == 1, lines
-    assert told.format(number.name) in lines[0]
+    assert reported.format(number.name) in lines[0]
     assert number.name in lines[0]
 
 
@@ -205,18 +205,18 @@ def test_work_that_takes_long_says_what_it_does(monkeypatch, capsys):
         daemon = False
 
         def __init__(self, seconds, function, arguments):
-            said.append(seconds)
+            messages.append(seconds)
             self.start = lambda: function(*arguments)  # the second is over
 
         def cancel(self):
-            said.append("cancelled")
+            messages.append("cancelled")
 
-    said = []
+    messages = []
     monkeypatch.setattr(progress.threading, "Timer", Timer)
     assert in_a_run() == 1
-    assert said == [progress.SILENT, "cancelled"] * 3
-    told = [line for line in capsys.readouterr().err.splitlines() if "ing " in line]
-    assert [line.split(": ", 1)[1] for line in told] == [
+    assert messages == [progress.SILENT, "cancelled"] * 3
+    reported = [line for line in capsys.readouterr().err.splitlines() if "ing " in line]
+    assert [line.split(": ", 1)[1] for line in reported] == [
         "computing 1 figures",
         "writing 253 messages into r; if it is killed, softrig bag repair r/log makes the bag",
         "drawing 1 pictures and the report into r",

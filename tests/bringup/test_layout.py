@@ -36,8 +36,8 @@ def visible(prefix):
 
 
 def entry_points(*places):
-    found = distributions(path=[str(p) for p in places])
-    return {(d.name.replace("-", "_"), d.version, tuple(sorted(map(str, d.entry_points)))) for d in found}
+    result = distributions(path=[str(p) for p in places])
+    return {(d.name.replace("-", "_"), d.version, tuple(sorted(map(str, d.entry_points)))) for d in result}
 
 
 def test_the_layout_has_every_package_and_starts_its_nodes(tmp_path):
@@ -48,8 +48,8 @@ def test_the_layout_has_every_package_and_starts_its_nodes(tmp_path):
     assert "share/softrig_bringup/scenarios/dc_motor_smc.yaml" in files
     assert "lib/softrig_drives/dc_motor_plant" in executables
     source = f". '{tmp_path}/my prefix/setup.sh'; echo $PYTHONPATH; echo $AMENT_PREFIX_PATH"
-    said = subprocess.run(["sh", "-c", source], env={"AMENT_PREFIX_PATH": "/under"}, capture_output=True, text=True)
-    library, index = said.stdout.splitlines()
+    printed = subprocess.run(["sh", "-c", source], env={"AMENT_PREFIX_PATH": "/under"}, capture_output=True, text=True)
+    library, index = printed.stdout.splitlines()
     assert index == f"{tmp_path}/my prefix:/under"
     shown = subprocess.run(
         [tmp_path / "my prefix/lib/softrig_drives/dc_motor_plant", "--help"],
@@ -83,9 +83,9 @@ def test_colcon_test_runs_the_own_tests_of_each_package(tmp_path):
     colcon("test", "--return-code-on-test-failure")
     results = {f.parent.name: ET.parse(f).find("testsuite").attrib for f in tmp_path.glob("build/*/pytest.xml")}
     assert set(results) == {p.parent.name for p in ROOT.glob("ros_pkgs/*/package.xml")}
-    for package, found in results.items():
-        assert (found["failures"], found["errors"]) == ("0", "0"), package
-        assert int(found["tests"]) > 0, package
+    for package, result in results.items():
+        assert (result["failures"], result["errors"]) == ("0", "0"), package
+        assert int(result["tests"]) > 0, package
 
 
 @pytest.mark.long

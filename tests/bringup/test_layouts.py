@@ -71,18 +71,18 @@ def test_the_paths_lead_to_the_values_of_the_signals(name):
     tree = ElementTree.fromstring(files(rig)[f"{name}.plotjuggler.xml"])
     series = {c.get("curve_y") or c.get("name") for c in tree.iter("curve")}
     assert len(paths) == len(wanted) == len(series)
-    found = set()
+    results = set()
     for path in sorted(paths):
         topic, _, place = path[1:].partition(".")
-        heard = recording.topics[topic]
-        if not heard.times:
+        received = recording.topics[topic]
+        if not received.times:
             continue
-        message = typestore().deserialize_cdr(heard.data[-1], heard.msgtype)
+        message = typestore().deserialize_cdr(received.data[-1], received.msgtype)
         matching = {s for s in wanted if s.startswith(f"{topic}/") and signals[s].x[-1] == value(message, place)}
         assert matching, path
-        found |= matching
+        results |= matching
     silent = {s for s in wanted if not recording.topics[next(t for t in rig.topics if s.startswith(f"{t}/"))].times}
-    assert found == wanted - silent
+    assert results == wanted - silent
 
 
 def test_plotjuggler_reads_a_joint_state_by_its_channels_and_a_trajectory_by_its_place():

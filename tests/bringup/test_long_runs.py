@@ -20,16 +20,16 @@ WORDS = ["run", "induction_dtc", "--mode", "inprocess", "--no-plots"]
 
 def test_a_run_whose_messages_stay_on_the_disk_gives_the_same_files(tmp_path, monkeypatch):
     """Byte for byte: the bag, the pictures and what was measured."""
-    found = []
+    results = []
     for name, held in (("memory", module.HELD), ("disk", 0)):
         monkeypatch.setattr(module, "HELD", held)
         monkeypatch.chdir(tmp_path)
         main(["run", "induction_dtc", "--mode", "inprocess", "--duration", "0.02", "--out", "r"])
         files = {p.relative_to("r"): p.read_bytes() for p in sorted(Path("r").rglob("*")) if p.is_file()}
-        found.append({p: data for p, data in files.items() if p.name != "metrics.json" and p.suffix != ".html"})
+        results.append({p: data for p, data in files.items() if p.name != "metrics.json" and p.suffix != ".html"})
         Path("r").rename(name)
-    assert found[0] == found[1]
-    assert {p.suffix for p in found[0]} == {".mcap", ".yaml", ".svg", ".json"}
+    assert results[0] == results[1]
+    assert {p.suffix for p in results[0]} == {".mcap", ".yaml", ".svg", ".json"}
     assert not (tmp_path / "disk" / "log").exists()
 
 

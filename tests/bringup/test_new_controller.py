@@ -74,7 +74,7 @@ def test_each_of_them_meets_what_is_expected_of_the_controller_that_it_replaces(
 
 
 @pytest.mark.parametrize(
-    ("wanted", "said"),
+    ("wanted", "text"),
     [
         ("pwa_delay_hayes", "it has no controller to replace"),
         (
@@ -88,10 +88,10 @@ def test_each_of_them_meets_what_is_expected_of_the_controller_that_it_replaces(
         ("dc_motor_sms", "scenario 'dc_motor_sms' is unknown"),
     ],
 )
-def test_what_cannot_be_replaced_is_refused(wanted, said):
+def test_what_cannot_be_replaced_is_refused(wanted, text):
     with pytest.raises(ScenarioError) as error:
         replaced(wanted, "my_law")
-    assert said in str(error.value)
+    assert text in str(error.value)
 
 
 def test_a_node_that_is_named_is_the_one_that_is_replaced():

@@ -118,7 +118,7 @@ def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
     }.items():  # fmt: skip
         monkeypatch.setattr(engine, name, what)
     prepared = engine.Prepared(space, ("low", "last"), {"low": 4.0, "last": 0.5}, {"words": 1})
-    told = engine.falsify(task(first=first, budget=9, seed=3), prepared, tmp_path, workers=2, scheduler="x")
+    reported = engine.falsify(task(first=first, budget=9, seed=3), prepared, tmp_path, workers=2, scheduler="x")
     workers, search, works, *small = asked
     assert workers == (2, "x")
     enough = 0.0 if first else -math.inf
@@ -126,15 +126,15 @@ def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
     assert [(work[1], work[2], work[3:]) for work in works] == [
         (space.overrides(p), ("low", "last"), (k, 9)) for k, p in enumerate((point, (1.0,) * 4))
     ]
-    assert told.found.least == min(margins["low"] / 4.0, margins["last"] / 0.5)
+    assert reported.found.least == min(margins["low"] / 4.0, margins["last"] / 0.5)
     assert small == ([violated] if violated else [])
-    assert (told.small, told.small_margins, told.shrinking) == (
+    assert (reported.small, reported.small_margins, reported.shrinking) == (
         (("small", {"gain.k": 2.5}), {"small": 1.0}, 100) if violated else (None, {}, 0)
     )
-    assert (told.case, told.worst, told.broken) == (
+    assert (reported.case, reported.worst, reported.broken) == (
         (space.scenario, {"gain.k": 2.5}), margins, [({"gain.k": 2.5}, "gone")]
     )  # fmt: skip
-    assert told.violated == list(violated or ())
+    assert reported.violated == list(violated or ())
 
 
 @pytest.mark.parametrize(
@@ -164,8 +164,8 @@ def test_the_outcome_is_printed_as_told(space, name, capsys, monkeypatch):
 
 
 def test_the_outcome_as_data_has_all_that_was_found(space):
-    told = content(task(seed=3, sampler="tpe"), found(space, broken=[({"gain.k": 1.0}, "gone")]))
-    assert told == {
+    reported = content(task(seed=3, sampler="tpe"), found(space, broken=[({"gain.k": 1.0}, "gone")]))
+    assert reported == {
         "falsification": "demo", "scenario": "lag", "seed": 3, "sampler": "tpe", "over": {"gain.k": "1..4"},
         "requirements": ["low", "last"], "runs": 7, "least": -0.25, "least_at_corners": -0.125, "violated": ["low"],
         "nominal": {"low": 0.2, "last": LARGE}, "worst": {"low": -0.25, "last": None},
@@ -212,11 +212,11 @@ def test_a_case_of_a_file_is_written_out_whole(space, tmp_path):
     outcome = found(space)
     whole = task().model_copy(update={"scenario": str(tmp_path / "gone.yaml")})
     text = scenario_file(whole, "worst", outcome.case, outcome)
-    told = yaml.safe_load(text)
-    assert "extends" not in told
-    assert {"name", "expect", "claims"}.isdisjoint(told)
-    assert told["nodes"]["plant"]["executable"] == "plant"
-    assert (told["title"], list(told["faults"])) == ("Lag: low, worst case found", ["noise", "profile_1"])
+    reported = yaml.safe_load(text)
+    assert "extends" not in reported
+    assert {"name", "expect", "claims"}.isdisjoint(reported)
+    assert reported["nodes"]["plant"]["executable"] == "plant"
+    assert (reported["title"], list(reported["faults"])) == ("Lag: low, worst case found", ["noise", "profile_1"])
     assert max(map(len, text.splitlines())) <= 112
     loaded = _standing_alone(text, tmp_path / "x.yaml")
     assert loaded.faults["profile_1"].model_dump()["points"] == [0.1234567, -1.0, 1.0]
@@ -234,7 +234,7 @@ def test_what_a_scenario_can_be_asked_for():
     assert _requirements(given, ["high", "most", "least"]) == ("high", "most", "least")
     assert _requirements(bare, ["most"]) == ("most",)
     unbound = "no bound that a run could violate; it needs an entry expect: "
-    for scenario, wanted, said in (
+    for scenario, wanted, text in (
         (bare, [], "test has no requirements; it needs an entry requirements: NAME: FORMULA, or --requirement FIGURE "
                    "of which a bound is expected"),
         (given, ["both"], f"test: figure both has an expectation on both sides, {unbound}both: at most NUMBER "
@@ -245,7 +245,7 @@ def test_what_a_scenario_can_be_asked_for():
     ):  # fmt: skip
         with pytest.raises(ScenarioError) as refused:
             _requirements(scenario, wanted)
-        assert str(refused.value) == said
+        assert str(refused.value) == text
 
 
 @pytest.mark.parametrize(

@@ -74,10 +74,10 @@ def test_the_last_line_says_which_version_differs_first(run, tmp_path, capsys):
         for name in old.namelist():
             text = old.read(name).decode()
             if name == "pack.json":
-                said = json.loads(text)
-                said["code"]["softrig_drives"] = "0123456789ab"
-                said["files"] = {}
-                text = json.dumps(said)
+                content = json.loads(text)
+                content["code"]["softrig_drives"] = "0123456789ab"
+                content["files"] = {}
+                text = json.dumps(content)
             new.writestr(name, text.replace("delta: 3.0", "delta: 3.5"))
     status, last = repeat(other, tmp_path, capsys)
     assert status == 1
@@ -108,9 +108,9 @@ def test_a_single_mcap_file_is_a_run(run, tmp_path, capsys):
 
 
 def test_a_file_is_looked_at_as_its_run_is(run, tmp_path):
-    rig, found = rig_of_run(pack(run, tmp_path / "sent.zip"))
+    rig, result = rig_of_run(pack(run, tmp_path / "sent.zip"))
     assert rig.scenario.nodes["dc_motor_smc"].parameters["delta"] == 2.0
-    assert found.keys() == signals(run / "bag").keys()
+    assert result.keys() == signals(run / "bag").keys()
     with pytest.raises(ScenarioError, match=r"small\.zip: no bag in it; `softrig run --like"):
         rig_of_run(pack(run, tmp_path / "small.zip", "--no-bag"))
 
@@ -122,8 +122,8 @@ def test_a_run_whose_scenario_has_changed_since_is_not_packed(run, tmp_path, cap
         assert main(["pack", str(run), "--out", str(tmp_path / "sent.zip")]) == 2
     finally:
         mine.unlink()
-    assert "dc_motor_smc.c" in (said := capsys.readouterr().err)
-    assert "which is 4.5 by now: run it again" in said
+    assert "dc_motor_smc.c" in (printed := capsys.readouterr().err)
+    assert "which is 4.5 by now: run it again" in printed
     assert not (tmp_path / "sent.zip").exists()
 
 
@@ -144,9 +144,9 @@ def test_files_that_a_scenario_names_travel_with_it(tmp_path):
     shutil.copy(TABLE, here / "units.csv")
     for name in ("units.dat", "units.key", "fault.CFG", "fault.DAT", "fault.pdf", "law.c", "law.h", "law.o"):
         (here / name).write_text("x")
-    for one, found in (("fault.CFG", ["fault.CFG", "fault.DAT"]), ("law.c", ["law.c", "law.h"])):
+    for one, result in (("fault.CFG", ["fault.CFG", "fault.DAT"]), ("law.c", ["law.c", "law.h"])):
         _, files = raw_alone({"shared": {"file": str(here / one)}})
-        assert sorted(Path(place).name for place in files) == found
+        assert sorted(Path(place).name for place in files) == result
     (here / "mine.yaml").write_text("extends: economic_dispatch_wood\nshared: {table: units.csv}\n")
     scenario = load_scenario(str(here / "mine.yaml"))
     text, files = standing_alone(scenario)
@@ -210,7 +210,7 @@ def link():
 
 
 @pytest.mark.parametrize(
-    ("entries", "said"),
+    ("entries", "text"),
     [
         ([ABOUT, ("../evil", "")], "expected plain files below"),
         ([ABOUT, ("scenario/../../evil", "")], "expected plain files below"),
@@ -226,10 +226,10 @@ def link():
         ([("pack.json", '{"scenario": "../x"}')], "pack.json: scenario"),
     ],
 )
-def test_a_strangers_file_writes_nothing_outside_its_folder(entries, said, tmp_path):
+def test_a_strangers_file_writes_nothing_outside_its_folder(entries, text, tmp_path):
     before = set(tmp_path.rglob("*"))
     file = zipped(tmp_path / "evil.zip", *entries)
-    with pytest.raises(ScenarioError, match=said):
+    with pytest.raises(ScenarioError, match=text):
         packed.opened(file)
     left = {p for p in set(tmp_path.rglob("*")) - before if "cache" not in p.parts}
     assert left == {file}

@@ -248,15 +248,15 @@ def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
 
 def test_every_package_of_a_set_up_stands_under_its_licence():
     rows = (ROOT / "ros_pkgs/softrig_bringup/doc/licences.md").read_text().partition("<!-- end -->")[0]
-    told = {
+    entries = {
         name: row.split("|")[1].strip()
         for row in rows.splitlines()
         if row.startswith("| ")
         for name in row.split("|")[2].strip().split(", ")
     }
     lock = (ROOT / "scripts/locks/run.lock").read_text()
-    assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= told.keys()  # those that every machine gets
-    assert told["casadi"] == "LGPL-3.0-or-later"
+    assert set(re.findall(r"^([\w.-]+)==\S+ \\$", lock, re.M)) <= entries.keys()  # those that every machine gets
+    assert entries["casadi"] == "LGPL-3.0-or-later"
 
 
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
@@ -264,15 +264,15 @@ def test_commands_and_links_of_a_page_exist(page):
     text = (ROOT / page).read_text()
     verbs = set(make_parser()._subparsers._group_actions[0].choices)
     names, studies = set(list_scenarios()), set(list_studies())
-    for verb, rest in re.findall(r"^    scripts/softrig (\w+)([^#\n]*)", text, re.M):
+    for verb, remaining in re.findall(r"^    scripts/softrig (\w+)([^#\n]*)", text, re.M):
         assert verb in verbs, verb
-        word = rest.split()[0] if rest.split() else ""
+        word = remaining.split()[0] if remaining.split() else ""
         if verb == "run" and word != "--like":
-            assert word in names, rest
+            assert word in names, remaining
         if verb == "study":
-            assert word in names | studies, rest
+            assert word in names | studies, remaining
         if verb == "node":
-            assert find_executable(*rest.split()[:2])
+            assert find_executable(*remaining.split()[:2])
     for link in re.findall(r"\]\(([^)\s#]+)\)", text):
         assert link.startswith("http") or (ROOT / page).parent.joinpath(link).exists(), link
 

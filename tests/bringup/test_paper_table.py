@@ -72,12 +72,12 @@ def test_a_bag_becomes_files_for_matlab(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert main(["bag", "export", "r", "--format", "mat"]) == 0
     files = {line.split("/")[-1]: line for line in capsys.readouterr().out.split()}
-    found = loadmat(files["motor.state.mat"])
+    result = loadmat(files["motor.state.mat"])
     t, speed = signals(tmp_path / "r" / "bag")["motor/state/shaft/velocity"]
-    assert found["shaft_velocity"].shape == (len(t), 1)
-    assert np.array_equal(found["shaft_velocity"][:, 0], speed)
-    assert np.allclose(found["stamp"][:, 0], t)
-    assert [name[0] for name in found["names"][:, 0]][:2] == ["time", "stamp"]
+    assert result["shaft_velocity"].shape == (len(t), 1)
+    assert np.array_equal(result["shaft_velocity"][:, 0], speed)
+    assert np.allclose(result["stamp"][:, 0], t)
+    assert [name[0] for name in result["names"][:, 0]][:2] == ["time", "stamp"]
     assert not list((tmp_path / "r" / "bag_mat").glob("*.parquet"))
     assert [_identifier(h) for h in ("shaft/velocity", "1a", "_x__y", "é", "a" * 80)] == [
         "shaft_velocity", "x1a", "x_y", "x", "a" * 63,

@@ -125,11 +125,11 @@ MISREAD = [  # by rcl 9.2, each in another way than YAML; expected to be refused
 ]
 
 
-@pytest.mark.parametrize(("text", "taken", "reason"), MISREAD)
-def test_what_rcl_takes_for_something_else_is_refused(tmp_path, text, taken, reason):
+@pytest.mark.parametrize(("text", "used", "reason"), MISREAD)
+def test_what_rcl_takes_for_something_else_is_refused(tmp_path, text, used, reason):
     file = tmp_path / "p.yaml"
     file.write_text(text)
-    assert rcl(file, "left") == taken
+    assert rcl(file, "left") == used
     with pytest.raises(ScenarioError, match=reason):
         params_of(file, NODES, "left")
 
@@ -145,9 +145,9 @@ def test_sections_of_other_nodes_are_passed_over_and_said(tmp_path, capfd):
     file.write_text("/left/law: {ros__parameters: {k: 2.0}}\n/right/law: {ros__parameters: {k: 9.0}}")
     assert params_of(file, NODES, "left") == {"law.k": 2.0}
     assert params_of(file, NODES, "/right/") == {"law.k": 9.0}
-    said = capfd.readouterr().err.splitlines()
-    assert said[0].endswith("passed over what is of no node of this rig: /right/law")
-    assert said[1].endswith("passed over what is of no node of this rig: /left/law")
+    printed = capfd.readouterr().err.splitlines()
+    assert printed[0].endswith("passed over what is of no node of this rig: /right/law")
+    assert printed[1].endswith("passed over what is of no node of this rig: /left/law")
     with pytest.raises(ScenarioError, match=r"no such node .of another namespace: --namespace NS"):
         params_of(file, NODES)
 

@@ -276,17 +276,17 @@ def test_who_only_looks_on_stands_behind_the_plant():
 
 
 @pytest.mark.parametrize(
-    ("to", "found"),
+    ("to", "result"),
     [
         ({"a": ("d",), "b": ("c", "plant"), "c": ("plant",), "d": ("plant",), "plant": ()}, [["a", "b"], ["d", "c"]]),
         # c and d are in the middle both, of one neighbour and of three
         ({"a": ("d", "plant"), "b": ("d",), "c": ("plant",), "d": ("plant",), "plant": ()}, [["a", "b"], ["c", "d"]]),
     ],
 )
-def test_neighbours_stand_side_by_side_and_who_is_named_first_on_top(to, found):
+def test_neighbours_stand_side_by_side_and_who_is_named_first_on_top(to, result):
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "plant") for n in to}
     wires = tuple(Wire(topic=n, type="T", source=n, readers=readers) for n, readers in to.items())
-    assert columns(Wiring(nodes=nodes, wires=wires)) == [*found, ["plant"]]
+    assert columns(Wiring(nodes=nodes, wires=wires)) == [*result, ["plant"]]
 
 
 def test_many_nodes_are_arranged_at_once():
@@ -306,8 +306,8 @@ def segments(group):
 
 def headlines():
     """Give the shortest name of each system, without a look at the rest of 390 scenarios."""
-    found = sorted(list_scenarios().items(), key=lambda item: len(item[0]), reverse=True)
-    return sorted({resolve(name, path)["system"]: name for name, path in found}.values())
+    results = sorted(list_scenarios().items(), key=lambda item: len(item[0]), reverse=True)
+    return sorted({resolve(name, path)["system"]: name for name, path in results}.values())
 
 
 @pytest.mark.parametrize("name", headlines())
@@ -336,8 +336,8 @@ def test_the_diagram_has_every_node_and_wire_of_a_system(name):
 def test_nodes_outside_are_marked():
     given = make_scenario({"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}})
     drawing = draw_diagram(wiring_of(rig_of(given)))
-    looks = {g.get("data-node"): g.get("class") for g in drawing.iter("g") if g.get("data-node")}
-    assert looks == {"plant": "node plant", "source": "node", "gain": "node outside"}
+    styles = {g.get("data-node"): g.get("class") for g in drawing.iter("g") if g.get("data-node")}
+    assert styles == {"plant": "node plant", "source": "node", "gain": "node outside"}
     assert b"outside" in tostring(drawing)
 
 
@@ -360,8 +360,8 @@ def test_scenarios_of_a_user_cite_from_their_own_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
     bib = tmp_path / "references.bib"
     bib.write_text("@book{me, author = {Doe, Jane and van Dyk, Jan}, title = {{PID} loops}, year = {1999}}")
-    (found,) = cited(["me"])
-    assert (found.authors, found.title, found.doi) == (("J. Doe", "J. van Dyk"), "PID loops", "")
+    (result,) = cited(["me"])
+    assert (result.authors, result.title, result.doi) == (("J. Doe", "J. van Dyk"), "PID loops", "")
     with pytest.raises(ScenarioError, match=r"cites: no entry 'mee' .* \(did you mean 'me'\?\)"):
         cited(["mee"])
     bib.write_text("@book{me, title = {PID loops}, year = {1999}}")
@@ -402,7 +402,7 @@ def run_of(**keys):
 
 
 @pytest.mark.parametrize(
-    ("folders", "labels", "given", "found"),
+    ("folders", "labels", "given", "result"),
     [
         (["runs/a", "runs/b"], ["", ""], [], ["a", "b"]),
         (["x/run", "y/run"], ["", ""], [], ["x/run", "y/run"]),
@@ -412,9 +412,9 @@ def run_of(**keys):
         (["a", "a"], ["", ""], [], ["a [1]", "a [2]"]),
     ],
 )
-def test_runs_are_named_by_folder_or_label(folders, labels, given, found):
+def test_runs_are_named_by_folder_or_label(folders, labels, given, result):
     runs = [(Path(f), run_of(label=text)) for f, text in zip(folders, labels, strict=True)]
-    assert names(runs, given) == found
+    assert names(runs, given) == result
 
 
 @pytest.mark.parametrize(
@@ -446,8 +446,8 @@ def test_a_band_is_of_seeds_of_the_same_code_and_parameters_that_ended(changes, 
 
 def test_what_differs_between_runs_is_said():
     runs = [run_of(), run_of(code={"my_laws": "bbb"}, parameters={"gain": {"k": 2.0}}, seed=7)]
-    found = {"seed": ["0", "7"], "code of my_laws": ["aaa", "bbb"], "gain.k": ["1.0", "2.0"]}
-    assert differing(runs) == (found, {})
+    results = {"seed": ["0", "7"], "code of my_laws": ["aaa", "bbb"], "gain.k": ["1.0", "2.0"]}
+    assert differing(runs) == (results, {})
     text = "".join(t for element in differences(runs, ["a", "b"]) for t in element.itertext())
     assert "code of my_lawsaaa in abbb in b" in text
     (_, nothing) = differences([run_of(), run_of()], ["a", "b"])
@@ -469,7 +469,7 @@ def test_what_a_person_changed_comes_first_and_what_follows_is_folded_without_es
 
 
 @pytest.mark.parametrize(
-    ("command", "said"),
+    ("command", "text"),
     [
         (
             "/home/me/softrig/scripts/softrig --workspace /home/me/ws run pump --mode inprocess --out /home/me/x",
@@ -486,8 +486,8 @@ def test_what_a_person_changed_comes_first_and_what_follows_is_folded_without_es
         ("softrig run 'unbalanced", "softrig run 'unbalanced"),
     ],
 )
-def test_a_command_for_others_names_no_folder_of_its_maker(command, said):
-    assert for_reader(command) == said
+def test_a_command_for_others_names_no_folder_of_its_maker(command, text):
+    assert for_reader(command) == text
 
 
 def test_code_is_told_apart_by_its_files_and_what_they_import(tmp_path, monkeypatch):
@@ -559,8 +559,8 @@ def test_overlaid_pictures_are_as_told():
     ]
     titles = [title for runs in cases for title, _ in draw_overlay(runs, ", again")]
     figures = [figure for runs in cases for _, figure in overlay_figures(runs, ", again")]
-    told = (line for title, f in zip(titles, figures, strict=True) for line in (title, *figure_lines(f)))
-    check_told("pictures/overlay", told)
+    reported = (line for title, f in zip(titles, figures, strict=True) for line in (title, *figure_lines(f)))
+    check_told("pictures/overlay", reported)
 
 
 def test_signals_that_only_one_run_has_are_not_overlaid():
@@ -583,8 +583,8 @@ def test_a_windowed_picture_has_the_range_of_its_window():
 @pytest.mark.parametrize(("held", "values"), [(True, [1.0, 2.0, 2.0]), (False, [1.5, 2.0, 3.0])])
 def test_a_curve_is_cut_at_the_edges_of_its_window(held, values):
     t = np.array([0.0, 1.0, 2.0, 3.0])
-    found = inside(Curve("", "V", t, t + 1.0, held), (0.5, 2.0))
-    assert (list(found.x), list(found.y)) == ([0.5, 1.0, 2.0], values)
+    result = inside(Curve("", "V", t, t + 1.0, held), (0.5, 2.0))
+    assert (list(result.x), list(result.y)) == ([0.5, 1.0, 2.0], values)
 
 
 def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
@@ -608,8 +608,8 @@ def test_the_pictures_of_several_systems_stand_under_their_own_each_with_its_run
     monkeypatch.setattr("softrig_bringup.report.several._signals", lambda bag: None if bag.parent.name == "e" else {})
     systems = {"a": "lag", "b": "motor", "c": "lag", "d": "motor", "e": "motor"}
     runs = [(tmp_path / name, run_of(system=system)) for name, system in systems.items()]
-    said = ["".join(element.itertext()) for element in overlaid(runs, [*systems])]
-    assert said == [
+    messages = ["".join(element.itertext()) for element in overlaid(runs, [*systems])]
+    assert messages == [
         *("lag: signals", "a and c"),
         *("motor: signals", "b and d", "Not drawn here, for want of a bag: e"),
     ]

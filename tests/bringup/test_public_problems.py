@@ -39,10 +39,10 @@ def test_the_first_gear_is_that_of_the_equations_by_another_hand(bench):
     from scipy.integrate import solve_ivp
 
     *_, car = bench
-    found = car.drive(np.full(car.SEGMENTS, 100.0), np.zeros(car.SEGMENTS))
-    t = np.arange(len(found)) * car.PERIOD
-    first = found[:, 0] < car.UP[-1, 0]  # mph up to which it stays in first gear
-    ratio = found[:, 0] / car.MPH * 3.23 * 2.393 / found[:, 1]
+    result = car.drive(np.full(car.SEGMENTS, 100.0), np.zeros(car.SEGMENTS))
+    t = np.arange(len(result)) * car.PERIOD
+    first = result[:, 0] < car.UP[-1, 0]  # mph up to which it stays in first gear
+    ratio = result[:, 0] / car.MPH * 3.23 * 2.393 / result[:, 1]
     first[np.argmin(first & (ratio < car.RATIOS[-1])) :] = False  # numpy does not go on beyond the tables
 
     def slopes(_, x):
@@ -56,8 +56,8 @@ def test_the_first_gear_is_that_of_the_equations_by_another_hand(bench):
 
     other = solve_ivp(slopes, (0.0, t[first][-1]), (1000.0, 0.0), t_eval=t[first], rtol=1e-9, atol=1e-9, max_step=0.01)
     assert first.sum() > 20
-    assert found[first, 1] == pytest.approx(other.y[0], rel=2e-4)
-    assert found[first, 0] == pytest.approx(other.y[1] * 2 * np.pi * 60 / 5280, abs=2e-3)
+    assert result[first, 1] == pytest.approx(other.y[0], rel=2e-4)
+    assert result[first, 0] == pytest.approx(other.y[1] * 2 * np.pi * 60 / 5280, abs=2e-3)
 
 
 def test_cars_keep_the_distances_of_their_modes(bench):
@@ -107,8 +107,8 @@ def test_the_condenser_is_its_block_diagram_by_another_hand(bench):
 )
 def test_the_aircraft_flies_as_in_the_public_python_version(bench, start, altitudes):
     """Altitudes after 1 to 15 s of that version (its modes each 10 ms, too), run outside."""
-    found = bench[3].fly(*start)
-    assert [found[20 * t] for t in (1, 2, 3, 5, 8, 15)] == pytest.approx(altitudes, abs=0.1)
+    result = bench[3].fly(*start)
+    assert [result[20 * t] for t in (1, 2, 3, 5, 8, 15)] == pytest.approx(altitudes, abs=0.1)
 
 
 def test_no_steam_violates_the_condenser(bench):

@@ -42,20 +42,20 @@ def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkey
     printed = capsys.readouterr()
     assert status == 0, printed.err  # another law: compared with our figures, not judged
     assert "not judged" in printed.out
-    told = [line.strip() for line in printed.err.splitlines()]  # a line for each thing to do
-    assert any(line.startswith("dc_motor_smc must publish motor/command") for line in told)
+    messages = [line.strip() for line in printed.err.splitlines()]  # a line for each thing to do
+    assert any(line.startswith("dc_motor_smc must publish motor/command") for line in messages)
     assert len(list(tmp_path.glob("runs/dc_motor_smc_b2-external_dc_motor_smc/report.html"))) == 1
 
 
 def test_every_command_of_the_readme_exists():
     verbs = set(make_parser()._subparsers._group_actions[0].choices)
     scenarios = set(list_scenarios())
-    for verb, rest in re.findall(r"scripts/softrig (\w+)([^#\n]*)", README):
+    for verb, remaining in re.findall(r"scripts/softrig (\w+)([^#\n]*)", README):
         assert verb in verbs, verb
         if verb == "run":
-            assert rest.split()[0] in scenarios, rest
+            assert remaining.split()[0] in scenarios, remaining
         if verb == "node":
-            assert find_executable(*rest.split()[:2])
+            assert find_executable(*remaining.split()[:2])
     for package, executable in re.findall(r"ros2 run (\w+) (\w+)", README):
         assert find_executable(package, executable)
     for path in [*re.findall(r"\]\((\S+?)\)", README), *re.findall(r'src="(.+?)"', README)]:
@@ -85,8 +85,8 @@ def test_the_version_is_the_same_everywhere():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert (citation["version"], citation["license"]) == (project["version"], project["license"])
-    found = re.findall(r"^## (\S+)(?: \((\d{4}-\d\d-\d\d)\))?$", (ROOT / "CHANGELOG.md").read_text(), re.M)
-    assert next(pair for pair in found if pair[1])[0] == project["version"]
+    result = re.findall(r"^## (\S+)(?: \((\d{4}-\d\d-\d\d)\))?$", (ROOT / "CHANGELOG.md").read_text(), re.M)
+    assert next(pair for pair in result if pair[1])[0] == project["version"]
     for manifest in ROOT.glob("ros_pkgs/*/package.xml"):  # with setup.cfg: test_workspace.py
         assert f"<version>{project['version']}</version>" in manifest.read_text(), manifest
 

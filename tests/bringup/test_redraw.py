@@ -47,9 +47,9 @@ def test_a_run_is_drawn_again_as_it_ran(run, tmp_path, capsys):
 
 
 def test_width_letters_and_title_are_as_asked(run, tmp_path):
-    rig, found = rig_of_run(run)
+    rig, result = rig_of_run(run)
     entry = rig.scenario.plots[0]
-    figure = plot_entry(found, rig, entry, title=False, font=8.0, inches=88.0 / 25.4)
+    figure = plot_entry(result, rig, entry, title=False, font=8.0, inches=88.0 / 25.4)
     assert figure.get_size_inches()[0] == pytest.approx(88.0 / 25.4)
     assert not figure._suptitle
     sizes = {t.get_fontsize() for ax in figure.axes for t in (*ax.get_legend().get_texts(), ax.yaxis.label)}
@@ -120,9 +120,9 @@ def test_no_pdf_of_softrig_has_type_3_letters(run, tmp_path, monkeypatch):
     study = ["study", "dc_motor_smc_b2", "--draw", "dc_motor_plant.R=0.3..0.5", "--draws", "5", "--duration", "0.1"]
     assert main([*study, "--format", "pdf", "--workers", "1", "--out", "s"]) == 0
     assert main(["draw", "plot", str(run), "--out", "p"]) == 0
-    found = [path for folder in "asp" for path in (tmp_path / folder).glob("*.pdf")]
-    assert len(found) > 6
-    assert [path.name for path in found if b"/Type3" in path.read_bytes()] == []
+    results = [path for folder in "asp" for path in (tmp_path / folder).glob("*.pdf")]
+    assert len(results) > 6
+    assert [path.name for path in results if b"/Type3" in path.read_bytes()] == []
 
 
 @pytest.mark.parametrize(

@@ -211,11 +211,11 @@ def test_units_are_set_as_printed(unit, printed):
 
 def test_commands_are_steps_and_states_are_lines(whole):
     speed, volts = whole[1]["Speed and command"].axes
-    found = lines(speed)
-    assert found["speed"].get_drawstyle() == "default"
-    assert found["reference"].get_drawstyle() == "steps-post"
-    assert found["reference"].get_linestyle() == "--"
-    assert found["reference"].get_zorder() > found["speed"].get_zorder()
+    result = lines(speed)
+    assert result["speed"].get_drawstyle() == "default"
+    assert result["reference"].get_drawstyle() == "steps-post"
+    assert result["reference"].get_linestyle() == "--"
+    assert result["reference"].get_zorder() > result["speed"].get_zorder()
     assert (speed.get_ylabel(), volts.get_ylabel()) == ("Speed, rad/s", "Voltage, V")
     (command,) = volts.lines
     assert command.get_drawstyle() == "steps-post"

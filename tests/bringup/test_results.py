@@ -151,8 +151,8 @@ def test_pages_of_results_are_as_told(folder, monkeypatch):
     marked, whole = (
         make(claiming(), rows, "3 more are of studies", *to) for make, to in ((markdown, ()), (html, (out,)))
     )
-    told = [*marked.splitlines(), *page_lines(whole), *page_lines(html(claiming(), rows[:1]))]
-    check_told("pages/results", [line.replace(str(folder), "HERE") for line in told])
+    messages = [*marked.splitlines(), *page_lines(whole), *page_lines(html(claiming(), rows[:1]))]
+    check_told("pages/results", [line.replace(str(folder), "HERE") for line in messages])
 
 
 def test_results_are_told_to_machines(folder):
@@ -167,7 +167,7 @@ def test_results_are_told_to_machines(folder):
 def test_an_unknown_system_is_refused(folder, capsys):
     assert main(["results", "leg"]) == 2
     assert "`results` is `check --claims` now; the old form works until softrig 0.4" in capsys.readouterr().err
-    for words, said in (
+    for words, text in (
         (["check"], "check: expected scenarios (names or files), --claims or --golden"),
         (["check", "--claims", "mine.yaml"], "expected a system; `check mine.yaml` judges a file's claims"),
         (["check", "lag", "--studies"], "--studies belongs to `check` of --claims"),
@@ -178,7 +178,7 @@ def test_an_unknown_system_is_refused(folder, capsys):
         (["locate", "x.cfg"], "`softrig locate` is `softrig node softrig_power locate` now"),
     ):
         assert main(words) == 2
-        assert said in capsys.readouterr().err
+        assert text in capsys.readouterr().err
     assert main(["check", "--claims", "leg"]) == 2
     assert "no system 'leg'; there are lag" in capsys.readouterr().err
 

@@ -277,8 +277,8 @@ def finding(claim, figures):
     ],
 )
 def test_a_verdict_holds_or_is_false(verdict, keys, value, agrees):
-    found = finding(claim(verdict=verdict, **keys), {"test": {"last": value}, "other": {"last": 5.0}})
-    assert found.holds is (agrees != (verdict == "refuted"))
+    result = finding(claim(verdict=verdict, **keys), {"test": {"last": value}, "other": {"last": 5.0}})
+    assert result.holds is (agrees != (verdict == "refuted"))
 
 
 def test_what_was_not_measured_stays_open_and_what_cannot_be_checked_holds():
@@ -322,8 +322,8 @@ def test_units_of_figures_follow_from_the_signals():
 
 
 def test_yaml_is_read_as_1_2():
-    found = read_yaml("{a: 1e-5, b: 1.0e+6, c: on, d: 010, e: 12:30, f: ~, g: .inf, h: 0x10, i: -.5, j: 'x'}", "t")
-    assert found == {
+    result = read_yaml("{a: 1e-5, b: 1.0e+6, c: on, d: 010, e: 12:30, f: ~, g: .inf, h: 0x10, i: -.5, j: 'x'}", "t")
+    assert result == {
         "a": 1e-5,
         "b": 1e6,
         "c": "on",

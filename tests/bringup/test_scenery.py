@@ -23,9 +23,10 @@ def run(scenario, mode, out, duration="0.2"):
 
 
 def messages(bag, topic):
-    found = bag.recording.topics[topic]
+    result = bag.recording.topics[topic]
     return [
-        (t, typestore().deserialize_cdr(data, found.msgtype)) for t, data in zip(found.times, found.data, strict=True)
+        (t, typestore().deserialize_cdr(data, result.msgtype))
+        for t, data in zip(result.times, result.data, strict=True)
     ]
 
 
@@ -84,8 +85,8 @@ def test_the_bag_is_the_same_from_processes_containers_and_memory(tmp_path):
     bags = [run("manipulator_adsmc", mode, tmp_path / mode, "0.1") for mode in modes]
     topics = [signals(b).recording.topics for b in bags]
     digests = [
-        {name: hashlib.sha256(b"".join(t.data)).hexdigest() for name, t in found.items() if name != "/clock"}
-        for found in topics
+        {name: hashlib.sha256(b"".join(t.data)).hexdigest() for name, t in result.items() if name != "/clock"}
+        for result in topics
     ]
     assert {"tf", "tf_static", "robot_description", "markers"} <= set(digests[0])
     assert digests[0] == digests[1] == digests[2]
@@ -104,8 +105,8 @@ def test_record_all_adds_descriptions_health_and_figures_and_nothing_else_change
     plain, whole = (read_bag(tmp_path / name / "bag") for name in ("plain", "all"))
     assert all(whole.topics[name].data == topic.data for name, topic in plain.topics.items())
     assert whole.topics.keys() - plain.topics.keys() == {"robot_description", "diagnostics", "dc_motor_metrics/metrics"}
-    (said,) = whole.topics["diagnostics"].data
-    health = typestore().deserialize_cdr(said, "diagnostic_msgs/msg/DiagnosticArray")
+    (message,) = whole.topics["diagnostics"].data
+    health = typestore().deserialize_cdr(message, "diagnostic_msgs/msg/DiagnosticArray")
     members = rig_of("dc_motor_smc").members
     assert [s.name for s in health.status] == sorted(f"/{m.name}" for m in members)
     assert {s.message for s in health.status} == {"done"}

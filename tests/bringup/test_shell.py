@@ -10,14 +10,14 @@ SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "text"),
     [
         ("PYTHONHOME", "/usr", "PYTHONHOME=/usr is left out: it belongs to another Python"),
         ("PYTHONPATH", "{}/broken:{}/mine", "PYTHONPATH: {}/broken is left out: numpy in it would replace"),
         ("LD_LIBRARY_PATH", "/conda/lib:/mine", "LD_LIBRARY_PATH: /conda/lib is left out: conda's libraries"),
     ],
 )
-def test_what_would_replace_a_package_of_the_set_up_is_left_out(tmp_path, name, value, said):
+def test_what_would_replace_a_package_of_the_set_up_is_left_out(tmp_path, name, value, text):
     (tmp_path / "broken" / "numpy").mkdir(parents=True)
     (tmp_path / "broken" / "numpy" / "__init__.py").write_text("raise ImportError('broken')\n")
     (tmp_path / "mine").mkdir()
@@ -30,7 +30,7 @@ def test_what_would_replace_a_package_of_the_set_up_is_left_out(tmp_path, name, 
         user["PYTHONPATH"] = str(tmp_path / "mine")
     done = subprocess.run([SOFTRIG, "python", "-c", code], env=user, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert said.replace("{}", str(tmp_path)) in done.stderr
+    assert text.replace("{}", str(tmp_path)) in done.stderr
     if name == "LD_LIBRARY_PATH":
         assert "/conda/lib" not in done.stdout
         assert "/mine" in done.stdout

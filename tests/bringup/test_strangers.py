@@ -78,10 +78,10 @@ def test_code_runs_only_once_it_is_confirmed(sources, tmp_path, capsys, monkeypa
     files = {"pack.json": about()} | sources | {plant: sources[plant] + TOUCH.format(place=str(touched))}
     file = zipped(tmp_path / "x.softrig.zip", files)
     assert run(file) == 2
-    said = capsys.readouterr().err
-    assert "has code that would run here" in said
-    assert f"package {NAME} 0.0.1: 10 files, " in said
-    assert "its code runs only when somebody confirms it; read it first, then add --trust" in said
+    printed = capsys.readouterr().err
+    assert "has code that would run here" in printed
+    assert f"package {NAME} 0.0.1: 10 files, " in printed
+    assert "its code runs only when somebody confirms it; read it first, then add --trust" in printed
     for answer in ("\n", "n\n", "yes please\n"):
         monkeypatch.setattr(sys, "stdin", Terminal(answer))
         monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
@@ -151,9 +151,9 @@ def test_who_looks_runs_nothing_of_it(made, tmp_path, capsys, monkeypatch):
 def test_a_confirmed_pack_repeats_number_for_number(made, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(zipped(tmp_path / "x.zip", made), "--trust") == 0
-    said = capsys.readouterr().err.splitlines()
-    assert said[-1].startswith("softrig: repeats ")
-    assert not [line for line in said if "the bag gives" in line or "belong" in line]
+    printed = capsys.readouterr().err.splitlines()
+    assert printed[-1].startswith("softrig: repeats ")
+    assert not [line for line in printed if "the bag gives" in line or "belong" in line]
 
 
 @pytest.mark.long
@@ -186,7 +186,7 @@ def test_a_study_brings_its_code_and_repeats_once_that_is_confirmed(made, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "text"),
     [
         ("yaml", "a library's that softrig uses"),
         ("numba", "a library's that softrig uses"),
@@ -202,12 +202,12 @@ def test_a_study_brings_its_code_and_repeats_once_that_is_confirmed(made, tmp_pa
         ("PyYAML", "a library's that is installed here"),
     ],
 )
-def test_a_package_with_the_name_of_another_is_refused(name, said, sources, tmp_path, capsys):
+def test_a_package_with_the_name_of_another_is_refused(name, text, sources, tmp_path, capsys):
     files = {k.replace(NAME, name): v.replace(NAME, name) for k, v in sources.items()}
     file = zipped(tmp_path / "x.zip", {"pack.json": about(scenario=name, packages={name: "1"})} | files)
     path = list(sys.path)
     assert run(file, "--trust") == 2
-    assert said in capsys.readouterr().err
+    assert text in capsys.readouterr().err
     assert sys.path == path
 
 
@@ -216,7 +216,7 @@ SETUP = f"packages/{NAME}/setup.cfg"
 
 
 @pytest.mark.parametrize(
-    ("place", "old", "new", "said"),
+    ("place", "old", "new", "message"),
     [
         (SETUP, f"share/{NAME} =", "../../../../home =", "expected them in share/"),
         (SETUP, f"share/{NAME} =", "/etc/cron.d =", "expected them in share/"),
@@ -233,19 +233,19 @@ SETUP = f"packages/{NAME}/setup.cfg"
         (f"scenario/{NAME}.yaml", "nodes:", OUTSIDE, "names '/etc/passwd', a file outside of the pack"),
     ],
 )  # fmt: skip
-def test_what_reaches_out_of_its_folder_is_refused(place, old, new, said, sources, tmp_path, capsys):
+def test_what_reaches_out_of_its_folder_is_refused(place, old, new, message, sources, tmp_path, capsys):
     assert place != SETUP or old in sources[place]
     text = sources[place].replace(old, new)
     file = zipped(tmp_path / "x.zip", {"pack.json": about()} | sources | {place: text})
     path = list(sys.path)
     assert run(file, "--trust") == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert sys.path == path
     assert not list((tmp_path / "cache/packs").glob("*-code*"))
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "text"),
     [
         ({"packages/other_rig/other_rig/__init__.py": ""}, "pack.json names no such package"),
         ({f"packages/{NAME}/{NAME}/__pycache__/x.pyc": ""}, "expected sources alone"),
@@ -257,12 +257,12 @@ def test_what_reaches_out_of_its_folder_is_refused(place, old, new, said, source
         ({"scenario/zeros": bytes(packed.SMALL + 1)}, "expected at most 100 times its own size"),
     ],
 )
-def test_a_refused_pack_leaves_nothing_behind(more, said, sources, tmp_path, capsys):
+def test_a_refused_pack_leaves_nothing_behind(more, text, sources, tmp_path, capsys):
     files = {k: v for k, v in ({"pack.json": about()} | sources | more).items() if v is not None}
     assert run(zipped(tmp_path / "x.zip", files), "--trust") == 2
-    assert said in capsys.readouterr().err
+    assert text in capsys.readouterr().err
     left = [f for f in (tmp_path / "cache").rglob("*") if f.is_file()]
-    assert left == [] or "sources alone" in said
+    assert left == [] or "sources alone" in text
 
 
 def test_a_list_of_entries_is_bounded_before_it_is_read(tmp_path):
@@ -392,8 +392,8 @@ def test_a_package_needs_no_setup_cfg(listed, sources, tmp_path, capsys, monkeyp
 def test_a_package_that_is_here_runs_in_place_of_the_packs(sources, tmp_path, monkeypatch):
     monkeypatch.setattr(cargo, "_is_rig_package", lambda name: name == NAME)
     folder = packed.opened(zipped(tmp_path / "x.zip", {"pack.json": about()} | sources))
-    found = cargo.cargo_of(folder, packed.about(folder))
-    assert (found.packages, found.kept_out, bool(found)) == ((), (NAME,), False)
+    result = cargo.cargo_of(folder, packed.about(folder))
+    assert (result.packages, result.kept_out, bool(result)) == ((), (NAME,), False)
 
 
 def test_entry_points_and_data_files_are_laid_out_from_what_was_read(sources, tmp_path):
@@ -432,8 +432,8 @@ def sent(tmp_path_factory):
 def forged(sent, place, change):
     """The same with one file changed, the list of files as well."""
     content = {**sent, place: change(sent[place].decode()).encode()}
-    said = json.loads(content["pack.json"]) | {"files": {}}
-    return content | {"pack.json": json.dumps(said)}
+    text = json.loads(content["pack.json"]) | {"files": {}}
+    return content | {"pack.json": json.dumps(text)}
 
 
 def first_figure(text):
@@ -448,7 +448,7 @@ def other_run(text):
 
 
 @pytest.mark.parametrize(
-    ("place", "change", "said"),
+    ("place", "change", "text"),
     [
         (None, None, None),
         ("metrics.json", first_figure, "0.125 in metrics.json, the bag gives "),
@@ -456,17 +456,17 @@ def other_run(text):
         ("scenario/mine.yaml", lambda t: t.replace("delta: 5.0", "delta: 5.5"), "its scenario is not that of its run"),
     ],
 )
-def test_figures_are_computed_and_what_does_not_belong_together_is_said(place, change, said, sent, tmp_path, capsys):
+def test_figures_are_computed_and_what_does_not_belong_together_is_said(place, change, text, sent, tmp_path, capsys):
     files = sent if place is None else forged(sent, place, change)
     file = zipped(tmp_path / "x.zip", files)
     assert main(["report", str(file), "--out", str(tmp_path / "report.html")]) == 0
-    told, page = capsys.readouterr().err, (tmp_path / "report.html").read_text()
-    assert told == "" if said is None else said in told
-    assert ("Doubt: " in page) is (said is not None)
+    printed, page = capsys.readouterr().err, (tmp_path / "report.html").read_text()
+    assert printed == "" if text is None else text in printed
+    assert ("Doubt: " in page) is (text is not None)
     status = run(file, out=str(tmp_path / "again"))
     last = capsys.readouterr().err.splitlines()
     assert status == (1 if place == "scenario/mine.yaml" else 0)
-    assert said is None or any(said in line for line in last)
+    assert text is None or any(text in line for line in last)
 
 
 def test_bag_and_figures_of_two_runs_are_no_run(sent, tmp_path, capsys):
@@ -544,8 +544,8 @@ print(os.path.exists(os.path.expanduser("~/.ssh")) or os.path.exists(os.path.exp
 print(of(lambda: open("scratch", "w").write("abc")))
 print(of(lambda: os.mkdir("/run/x")))
 """
-        found = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
-    assert found.stdout.split() == ["x", "OSError", "OSError", "OSError", "False", "3", "OSError"], found
+        result = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
+    assert result.stdout.split() == ["x", "OSError", "OSError", "OSError", "False", "3", "OSError"], result
 
 
 def test_without_namespaces_it_is_said(sources, tmp_path, capsys, monkeypatch):
@@ -554,8 +554,8 @@ def test_without_namespaces_it_is_said(sources, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(trust, "need", lambda *_: None)
     files = {"pack.json": about(), "scenario/0a/m.fmu": fmu.read_bytes()} | sources
     assert run(zipped(tmp_path / "x.zip", files)) == 2
-    said = capsys.readouterr().err
-    assert "the system allows no namespaces (Operation not permitted): an FMU runs with all your rights" in said
+    printed = capsys.readouterr().err
+    assert "the system allows no namespaces (Operation not permitted): an FMU runs with all your rights" in printed
 
 
 @pytest.mark.long

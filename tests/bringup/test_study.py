@@ -84,13 +84,13 @@ def test_runs_are_cases_times_grid_times_draws_times_seeds():
         seeds=2,
         draws={"count": 4, "parameters": {"plant.limit": {"uniform": [1, 2]}}},
     )
-    found = list(cases(demo))
-    assert count(demo) == len(found) == 2 * 3 * 4 * 2
-    assert [c.number for c in found] == list(range(48))
-    assert {(c.case, c.overrides["gain.k"], c.seed) for c in found} == {
+    gathered = list(cases(demo))
+    assert count(demo) == len(gathered) == 2 * 3 * 4 * 2
+    assert [c.number for c in gathered] == list(range(48))
+    assert {(c.case, c.overrides["gain.k"], c.seed) for c in gathered} == {
         (case, k, s) for case in "ab" for k in (1, 2, 3) for s in (0, 1)
     }
-    assert all(("plant.gain" in c.overrides) == (c.case == "b") for c in found)
+    assert all(("plant.gain" in c.overrides) == (c.case == "b") for c in gathered)
 
 
 @pytest.mark.parametrize("method", ["random", "latin_hypercube", "sobol"])
@@ -343,14 +343,14 @@ def test_rows_are_read_as_far_as_they_are_right_and_nothing_of_them_is_lost(kind
     content, right = damaged(file.read_bytes().splitlines(keepends=True))[kind]
     file.write_bytes(content)
     capsys.readouterr()
-    found = rows_of(demo, folder / "out")
-    assert [(r["number"], r["overrides"], r["figures"]) for r in found] == [
+    result = rows_of(demo, folder / "out")
+    assert [(r["number"], r["overrides"], r["figures"]) for r in result] == [
         (r["number"], r["overrides"], r["figures"]) for r in whole
     ]
     assert ("are no rows of this study" in capsys.readouterr().err) == (kind != "without its last newline")
     assert file.read_bytes().startswith(content)
     assert len(file.read_bytes()[len(content) :].splitlines()) >= 3 - right
-    assert rows_of(demo, folder / "out") == found  # nothing is left to run
+    assert rows_of(demo, folder / "out") == result  # nothing is left to run
 
 
 def test_two_studies_do_not_write_into_one_folder(folder):
@@ -369,8 +369,8 @@ def test_a_study_writes_over_nothing_that_is_not_its_own(name, folder, capsys):
         name = "plot_01_figures_over_gain_k.svg"
         (folder / "out" / name).write_text("theirs")
     assert main(command) == 2
-    said = capsys.readouterr().err
-    assert "not written by a run of softrig" in said or "holds another study" in said
+    printed = capsys.readouterr().err
+    assert "not written by a run of softrig" in printed or "holds another study" in printed
     assert (folder / "out" / name).read_text() == "theirs"
 
 
@@ -461,14 +461,14 @@ def test_the_page_of_a_study_and_what_is_printed_are_as_told(name, keys, made, f
     demo, rows = study(**keys), [row | {"wall_s": 0.25, "ticks": 10} for row in many(**made)]
     if name != "best":
         rows[2] |= {"error": "node gain: RuntimeError: gone", "figures": {}}
-    found = results(demo, rows, UNITS)
-    held, over = claims(demo, found), statistics(demo, rows, UNITS)
+    result = results(demo, rows, UNITS)
+    held, over = claims(demo, result), statistics(demo, rows, UNITS)
     monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
     monkeypatch.delenv("COLUMNS", raising=False)
-    page._print(demo, rows, found, held, over, Path("out"))
-    said = capsys.readouterr().out.replace(str(folder), "HERE").splitlines()
-    text = make_page("Demo", page._page(demo, rows, found, held, over, [], UNITS)).replace(str(folder), "HERE")
-    check_told(f"studies/page_{name}", [*said, *page_lines(text)])
+    page._print(demo, rows, result, held, over, Path("out"))
+    printed = capsys.readouterr().out.replace(str(folder), "HERE").splitlines()
+    text = make_page("Demo", page._page(demo, rows, result, held, over, [], UNITS)).replace(str(folder), "HERE")
+    check_told(f"studies/page_{name}", [*printed, *page_lines(text)])
 
 
 def test_expectations_and_claims_of_a_study_are_held(folder, capsys):
@@ -559,7 +559,7 @@ def test_a_study_says_never_where_a_figure_never_comes(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "result"),
     [
         ("1:5:1", [1, 2, 3, 4, 5]),
         ("0:0.3:0.1", [0.0, 0.1, 0.2, 0.3]),
@@ -569,8 +569,8 @@ def test_a_study_says_never_where_a_figure_never_comes(folder, capsys):
         ("[1, 2],[3, 4]", [[1, 2], [3, 4]]),
     ],
 )
-def test_ranges_have_both_ends(text, found):
-    assert values("gain.k", text) == found
+def test_ranges_have_both_ends(text, result):
+    assert values("gain.k", text) == result
 
 
 @pytest.mark.parametrize("text", ["1:5:0", "1:0:1", "0:1:1e-9"])
@@ -698,11 +698,11 @@ def test_pictures_of_studies_are_as_told(name, keys, rows):
 def test_the_history_of_a_search_holds_the_best_so_far():
     search = {"figure": "settling", "count": 3, "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}
     rows = [a_row(0, 1.0, 0.5), a_row(1, 2.0, 0.7), a_row(2, 3.0, 0.3)]
-    for aim, found in (("minimise", [0.5, 0.5, 0.3]), ("maximise", [0.5, 0.7, 0.7])):
+    for aim, result in (("minimise", [0.5, 0.5, 0.3]), ("maximise", [0.5, 0.7, 0.7])):
         (ax,) = on_paper(pictures._history(study(search=search | {"aim": aim}).search, rows, {})).axes
         assert [line.get_xydata().tolist() for line in ax.lines] == [
             [[0.0, 0.5], [1.0, 0.7], [2.0, 0.3]],
-            [[float(number), value] for number, value in enumerate(found)],
+            [[float(number), value] for number, value in enumerate(result)],
         ]
 
 
@@ -727,10 +727,10 @@ def test_what_is_drawn_has_the_forms_that_the_page_lists_and_no_option_swallows_
     given = {"gain.k": "log 0.1..10", "plant.gain": "1..2*2", "plant.limit": "1,2:4"}
     words = [part for name, text in given.items() for part in ("--draw", f"{name}={text}")]
     options = make_parser().parse_args(["study", *words, "--grid", "source.value=1,2", "lag"])
-    found = study_of(options)
-    assert found.scenario == "lag"
-    assert found.grid == {"source.value": [1, 2]}
-    assert {k: d.model_dump(exclude_none=True) for k, d in found.draws.parameters.items()} == {
+    result = study_of(options)
+    assert result.scenario == "lag"
+    assert result.grid == {"source.value": [1, 2]}
+    assert {k: d.model_dump(exclude_none=True) for k, d in result.draws.parameters.items()} == {
         "gain.k": {"log_uniform": (0.1, 10.0)},
         "plant.gain": {"uniform": ([1.0, 1.0], [2.0, 2.0])},
         "plant.limit": {"choice": [1, 2, 3, 4]},

@@ -59,7 +59,7 @@ def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
     assert main(["pack", "r", "--out", "r.softrig.zip", "--published", "2026-11-28", *whose]) == 0
     assert main(["run", "--like", "a.softrig.zip"]) == 2
     assert "holds a study, expected a run; `softrig study --like a.softrig.zip`" in capsys.readouterr().err
-    for words, said in (
+    for words, text in (
         (["--published", "28.11.2026"], "expected a date as 2026-11-28"),
         (["--author", "0000-0002-1825-0097"], "expected a name, as"),
         (["--author", "Ann Example 0000-0002-1825-0098"], "its last digit does not belong to the others"),
@@ -70,7 +70,7 @@ def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
         (["--license", "CC-BY-4"], "'CC-BY-4': expected one identifier"),
     ):
         assert main(["pack", "r", *words]) == 2
-        assert said in capsys.readouterr().err
+        assert text in capsys.readouterr().err
     for name in ("a", "r"):
         with zipfile.ZipFile(f"{name}.softrig.zip") as archive:
             crate = json.loads(archive.read("ro-crate-metadata.json"))
@@ -100,14 +100,14 @@ def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
 def test_what_is_no_study_or_not_whole_is_refused(folder, capsys):
     lines = (folder / "s" / "rows.jsonl").read_text().splitlines(keepends=True)
     (folder / "s" / "rows.jsonl").write_text("".join(lines[:3]))
-    for words, said in (
+    for words, text in (
         (["pack", "s"], "s: 3 of 4 rows are there; run the study to its end first"),
         (["study", "--like", "s"], "--like s: expected a file that `softrig pack` has written of a study"),
         (["study", "--like", "x.zip", "--seeds", "2"], "--like repeats a study as it was: expected no seeds beside it"),
         (["study"], "expected a study or a scenario, or --like FILE"),
     ):
         assert main(words) == 2
-        assert said in capsys.readouterr().err
+        assert text in capsys.readouterr().err
     (folder / "mine.yaml").write_text("title: mine\nextends: dc_motor_smc_b2\nseed: 4\n")
     assert main(["pack", "s"]) == 2
     assert "holds another study (scenario" in capsys.readouterr().err
@@ -134,8 +134,8 @@ def test_a_bag_in_a_pack_is_that_of_the_run_but_for_folders(folder, monkeypatch)
 
 
 def test_folders_go_and_what_looks_like_one_stays():
-    told = {"a": ["/tmp/ann/my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "/tmp/b/c": 1.5}
-    assert placeless(told) == {"a": ["my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "c": 1.5}
+    entries = {"a": ["/tmp/ann/my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "/tmp/b/c": 1.5}
+    assert placeless(entries) == {"a": ["my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "c": 1.5}
 
 
 def test_a_row_that_broke_keeps_no_folder_of_its_machine():

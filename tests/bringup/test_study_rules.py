@@ -49,8 +49,8 @@ U = [0.0, 0.125, 0.5, 0.75, 0.999]
     ],
 )
 def test_a_number_of_the_unit_interval_is_a_value_of_the_distribution(given, values):
-    found = _values(Distribution.model_validate(given), np.array(U))
-    assert found == (pytest.approx(values, rel=1e-12) if isinstance(values[0], float) else values)
+    result = _values(Distribution.model_validate(given), np.array(U))
+    assert result == (pytest.approx(values, rel=1e-12) if isinstance(values[0], float) else values)
     assert _values(Distribution.model_validate({"normal": [0.0, 1.0]}), np.array([1.0])) == pytest.approx(
         [-stats.norm.ppf(1e-12)], rel=1e-4
     )
@@ -72,7 +72,7 @@ def test_points_take_their_numbers_in_the_order_of_their_parameters():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "text"),
     [
         ({}, "expected one of uniform, log_uniform, normal, integers, choice, got none"),
         ({"uniform": [0, 1], "choice": [1]}, "got uniform, choice"),
@@ -84,8 +84,8 @@ def test_points_take_their_numbers_in_the_order_of_their_parameters():
         ({"integers": [2, 1]}, "integers: expected a lower and an upper bound"),
     ],
 )
-def test_a_distribution_that_is_none_is_refused(given, said):
-    with pytest.raises(ValueError, match=said):
+def test_a_distribution_that_is_none_is_refused(given, text):
+    with pytest.raises(ValueError, match=text):
         Distribution.model_validate(given)
     for fine in ({"uniform": [1, 1]}, {"integers": [2, 2]}, {"log_uniform": [1e-9, 1.0]}, {"normal": [5.0, 0.0]}):
         Distribution.model_validate(fine)
@@ -179,8 +179,8 @@ def test_a_search_goes_over_numbers_and_choices_alone(given):
     ],
 )  # fmt: skip
 def test_how_far_a_figure_is_beyond_its_limits(value, limits, by):
-    found = row(figures={"f": value if value != math.inf else None}, never=["f"] if value == math.inf else [])
-    assert engine.beyond(found, "f", Expectation.model_validate(limits)) == pytest.approx(by)
+    result = row(figures={"f": value if value != math.inf else None}, never=["f"] if value == math.inf else [])
+    assert engine.beyond(result, "f", Expectation.model_validate(limits)) == pytest.approx(by)
 
 
 def test_a_folder_of_other_content_is_refused_with_what_has_changed(tmp_path):
@@ -324,8 +324,8 @@ def test_a_run_that_breaks_leaves_why_and_bad_input_goes_on(monkeypatch):
         monkeypatch.setattr(work, "simulate", simulate)
 
     breaks(RunError("gone"))
-    found = work.run(work.Work(case(0), figures=("a",)))
-    assert (found["error"], found["figures"], found["passed"]) == ("gone", {}, False)
+    result = work.run(work.Work(case(0), figures=("a",)))
+    assert (result["error"], result["figures"], result["passed"]) == ("gone", {}, False)
     margins = work.run(work.Work(case(0), figures=("a",), margins=True))
     assert (margins["error"], margins["figures"]) == ("gone", {"a": None})
     breaks(ScenarioError("does not fit"))
@@ -348,8 +348,8 @@ def test_margins_are_of_requirements_and_of_figures_with_a_bound(monkeypatch):
     monkeypatch.setattr(work, "evaluate", evaluate)
     ran = done([], wanted=[SimpleNamespace(name=n) for n in (*numbers, "other")])
     ran.rig = SimpleNamespace(scenario=scenario)
-    found = work._margins(ran, ("req", "both", "fig", "far"))
-    assert found == {"figures": {"req": 0.25, "both": 0.5, "fig": -0.5, "far": 1e300}, "passed": False, "error": ""}
+    result = work._margins(ran, ("req", "both", "fig", "far"))
+    assert result == {"figures": {"req": 0.25, "both": 0.5, "fig": -0.5, "far": 1e300}, "passed": False, "error": ""}
     assert evaluated == [["req", "both", "fig", "far"]]
     assert work._margins(ran, ("req", "far"))["passed"] is True
     numbers["req"] = 0.0
@@ -376,9 +376,9 @@ def test_how_many_runs_have_no_value(values, text):
      ([True, 1], ["true", "1"]), ([[1, 2], None], ["[1, 2]", None]), (["a", 1], ['"a"', "1"]), ([None], [None])],
 )  # fmt: skip
 def test_a_column_is_of_numbers_texts_or_flags_or_is_told(values, column):
-    found = table._column(values)
-    assert found == column
-    assert [type(v) for v in found] == [type(v) for v in column]
+    result = table._column(values)
+    assert result == column
+    assert [type(v) for v in result] == [type(v) for v in column]
 
 
 def test_each_statistic_is_that_of_its_name():
@@ -412,13 +412,13 @@ def test_summaries_are_held_to_what_is_expected_and_published():
         summaries={"a": about, "b": about, "c": {"figure": "g"}}, expect={"a": "at most 1", "c": "at most 9"},
         claims={"a": claim, "other": claim | {"figure": "b", "published": 7.0}},
     )  # fmt: skip
-    found = {r.name: r for r in table.results(given, [row(figures={"f": 2.0})], {"f": "s"})}
-    assert {n: (r.value, r.published, r.passed, r.error) for n, r in found.items()} == {
+    results = {r.name: r for r in table.results(given, [row(figures={"f": 2.0})], {"f": "s"})}
+    assert {n: (r.value, r.published, r.passed, r.error) for n, r in results.items()} == {
         "a": (2.0, 2.0, False, ""), "b": (2.0, 7.0, True, ""), "c": (None, None, False, "the result is nan"),
     }  # fmt: skip
-    assert [r.unit for r in found.values()] == ["s", "s", ""]
-    assert (found["a"].at_most, found["b"].at_most) == (1.0, None)
-    held = {f.key: f.holds for f in table.claims(given, list(found.values()))}
+    assert [r.unit for r in results.values()] == ["s", "s", ""]
+    assert (results["a"].at_most, results["b"].at_most) == (1.0, None)
+    held = {f.key: f.holds for f in table.claims(given, list(results.values()))}
     assert held == {"a": True, "other": False}
 
 
@@ -430,8 +430,8 @@ def test_the_best_candidate_has_all_its_seeds_within_the_limits():
     values = [(0.1, 0.1, 3.0), (0.4, 0.6, 2.0), (0.3, 0.5, 1.0), (0.2, None, 1.0), (0.9, 0.8, 1.0)]
     rows = [row(2 * k + j, figures={"f": v[j], "g": v[2]}, seed=j) for k, v in enumerate(values) for j in range(2)]
     for aim, numbers in (("minimise", [4, 5]), ("maximise", [8, 9])):
-        found = page.best(study(search=given | {"aim": aim}, seeds=2), rows)
-        assert [r["number"] for r in found] == numbers
+        result = page.best(study(search=given | {"aim": aim}, seeds=2), rows)
+        assert [r["number"] for r in result] == numbers
     assert [r["number"] for r in page.best(study(search=given, seeds=2), rows[:5])] == [2, 3]  # the third lacks one
     assert page.best(study(search=given | {"subject_to": {"g": "at most 0"}}, seeds=2), rows) == []
     assert page.best(study(), rows) == []
@@ -451,11 +451,11 @@ def test_a_figure_is_written_or_why_it_is_none():
 
 def test_a_run_is_labelled_by_what_was_changed():
     drawn = study(draws={"count": 1, "parameters": {"b.y": {"uniform": [0, 1]}}}, grid={"a.x": [1]})
-    found = row(case="one", overrides={"a.x": 1, "b.y": 0.123456, "c.z": "w"})
-    assert page._changes(drawn, found) == "one, x 1, y 0.1235, z w"
-    assert table.label(drawn, found) == "one, x 1"
+    result = row(case="one", overrides={"a.x": 1, "b.y": 0.123456, "c.z": "w"})
+    assert page._changes(drawn, result) == "one, x 1, y 0.1235, z w"
+    assert table.label(drawn, result) == "one, x 1"
     gridded = study(grid={"a.x": [1], "b.y": [2]})
-    assert page._changes(gridded, found) == table.label(gridded, found) == "one, x 1, y 0.123456"
+    assert page._changes(gridded, result) == table.label(gridded, result) == "one, x 1, y 0.123456"
     assert table.label(study(), row(overrides={"a.x": 1})) == "all runs"
     assert page._changes(study(search={"figure": "f", "count": 1, "parameters": {"a": {"uniform": [0, 1]}}}),
                          row(overrides={"a.x": [1, 2]})) == "x [1, 2]"  # fmt: skip
@@ -493,9 +493,9 @@ def test_a_band_over_a_parameter_is_explained_where_there_is_one(seeds):
     rows = [row(figures={"f": 1.0 * k}, overrides={"x": 1.0 * (k % 2)}, seed=k) for k in range(2 * seeds)]
     for banded in (True, False):
         figure = on_paper(pictures._over(rows, "x", ["f"], {}, banded=banded))
-        said = "" if figure._supxlabel is None else figure._supxlabel.get_text()
-        assert said.endswith(f"band: least to greatest of up to {seeds} runs" if banded and seeds > 1 else "")
-        assert bool(said) == (banded and seeds > 1)
+        text = "" if figure._supxlabel is None else figure._supxlabel.get_text()
+        assert text.endswith(f"band: least to greatest of up to {seeds} runs" if banded and seeds > 1 else "")
+        assert bool(text) == (banded and seeds > 1)
 
 
 def test_in_parallel_coordinates_the_best_is_drawn_last():
@@ -575,7 +575,7 @@ def changes(words):
 
 
 @pytest.mark.parametrize(
-    ("words", "found"),
+    ("words", "result"),
     [
         ("", {}),
         ("--seeds 3 --duration 0.5 --figures a b --signals s", {"seeds": 3, "duration": 0.5, "figures": ["a", "b"],
@@ -589,18 +589,18 @@ def changes(words):
                      "subject_to": {"g": "at most 5", "h": "at least -1e-3"}}}),
     ],
 )  # fmt: skip
-def test_options_of_a_study_are_its_keys(words, found):
-    assert changes(words) == found
+def test_options_of_a_study_are_its_keys(words, result):
+    assert changes(words) == result
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         ("--search f --subject-to g=5", "--subject-to 'g=5': expected FIGURE <= NUMBER or FIGURE >= NUMBER"),
         ("--draw a.x=1..2~3", "a.x=1..2~3: a parameter has no course, expected LOW..HIGH*N for a list"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(words, said):
+def test_options_that_do_not_fit_are_refused(words, text):
     with pytest.raises(ScenarioError) as refused:
         changes(words)
-    assert str(refused.value) == said
+    assert str(refused.value) == text

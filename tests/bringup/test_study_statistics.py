@@ -49,8 +49,8 @@ def test_a_requirement_counts_in_the_runs_that_it_judges(folder):  # noqa: F811
     assert [(s.requirement, s.held, s.n) for s in one.shares] == [(name, 1, 2) for name in required]
     none = [row | other for row in rows]
     assert statistics(given, none, {}).shares == []
-    said = f"not judged in 4 of 4 runs: {', '.join(required)}, published for pv_plant.N = 1 (--strict judges them)"
-    assert not_judged(none) == said
+    text = f"not judged in 4 of 4 runs: {', '.join(required)}, published for pv_plant.N = 1 (--strict judges them)"
+    assert not_judged(none) == text
     assert not_judged(rows) == ""
 
 
@@ -83,8 +83,8 @@ def test_the_interval_of_a_quantile_covers_it_by_the_binomial_distribution(n, q)
 
 
 def test_what_never_happens_is_the_largest():
-    found = estimate.quantile(np.array([math.inf] * 3 + [1.0, 2.0] * 20), 0.99)
-    assert (found.value, found.high) == (math.inf, pytest.approx(math.nan, nan_ok=True))
+    result = estimate.quantile(np.array([math.inf] * 3 + [1.0, 2.0] * 20), 0.99)
+    assert (result.value, result.high) == (math.inf, pytest.approx(math.nan, nan_ok=True))
     assert estimate.quantile(np.array([1.0] * 30 + [math.inf]), 0.5) == (1.0, 1.0, 1.0)
 
 
@@ -104,8 +104,8 @@ def test_intervals_cover_what_they_are_of(estimator, draws, true, least, monkeyp
     """200 samples; the bounds are three standard errors of such a simulation below what is promised, or published."""
     monkeypatch.setattr(estimate, "RESAMPLES", 599)
     rng = np.random.default_rng(66)
-    found = [estimator(draws(rng)) for _ in range(200)]
-    covered = np.mean([low <= true <= high for _, low, high in found])
+    gathered = [estimator(draws(rng)) for _ in range(200)]
+    covered = np.mean([low <= true <= high for _, low, high in gathered])
     assert least <= covered <= 0.99 + 0.01 * (estimator.__name__ == "<lambda>")
 
 
@@ -113,9 +113,9 @@ def test_the_interval_of_a_difference_is_that_of_scipys_bootstrap_for_many_pairs
     pairs = np.random.default_rng(1).gamma(2.0, 1.0, 1500)
     plain = stats.bootstrap((pairs,), np.mean, n_resamples=4999, method="percentile", rng=np.random.default_rng(0),
                             batch=500).confidence_interval  # fmt: skip
-    found = estimate.difference(pairs)
-    assert found == pytest.approx((pairs.mean(), plain.low, plain.high), abs=0.005)
-    assert estimate.difference(pairs) == found
+    result = estimate.difference(pairs)
+    assert result == pytest.approx((pairs.mean(), plain.low, plain.high), abs=0.005)
+    assert estimate.difference(pairs) == result
 
 
 def test_p_values_are_adjusted_as_holm_wrote_it():
@@ -152,20 +152,20 @@ def test_sobol_indices_of_ishigamis_function_are_its_closed_form():
         return math.sin(x[0]) + 7.0 * math.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * math.sin(x[0])
 
     assert count(given) == points_of(given) == 512 * 5
-    found = statistics(given, list(rows_of(given, ishigami)), {"f": "m"})
+    result = statistics(given, list(rows_of(given, ishigami)), {"f": "m"})
     a, b, pi4, pi8 = 7.0, 0.1, math.pi**4, math.pi**8
     variances = (0.5 * (1.0 + b * pi4 / 5.0) ** 2, a**2 / 8.0, 0.0), b**2 * pi8 * 8.0 / 225.0
     total = sum(variances[0]) + variances[1]
     first = [v / total for v in variances[0]]
     whole = [first[0] + variances[1] / total, first[1], variances[1] / total]
-    assert [i.parameter for i in found.indices] == list(parameters)
-    for index, alone, together in zip(found.indices, first, whole, strict=True):
+    assert [i.parameter for i in result.indices] == list(parameters)
+    for index, alone, together in zip(result.indices, first, whole, strict=True):
         assert index.first.low < alone < index.first.high
         assert index.total.low < together < index.total.high
         assert index.first.value == pytest.approx(alone, abs=0.05)
         assert index.total.value == pytest.approx(together, abs=0.05)
         assert 0.0 < index.total.high - index.total.low < 0.3
-    (line,) = found.lines
+    (line,) = result.lines
     assert line.n == 1024  # the mixed points are no independent ones
     assert line.mean.value == pytest.approx(3.5, abs=0.1)
     assert line.deviation.value == pytest.approx(math.sqrt(total), rel=0.03)
@@ -180,9 +180,9 @@ def test_cases_are_held_against_each_other_draw_by_draw():
         return 10.0 * point["n.x"] + (0.02 if case == "b" else 0.0) + noise[int(case == "b"), k]
 
     rows = list(rows_of(given, figure, "ab"))
-    found = statistics(given, rows, {"f": "s"})
+    result = statistics(given, rows, {"f": "s"})
     pairs = np.array([rows[60 + k]["figures"]["f"] - rows[k]["figures"]["f"] for k in range(60)])
-    (d,) = found.differences
+    (d,) = result.differences
     assert (d.group, d.base, d.unit, d.n) == ("b", "a", "s", 60)
     assert d.difference.value == pytest.approx(pairs.mean())
     assert d.difference.low < 0.02 < d.difference.high < 0.03
@@ -190,18 +190,18 @@ def test_cases_are_held_against_each_other_draw_by_draw():
     assert d.smaller == pytest.approx(((pairs < 0).mean(), wanted.low, wanted.high))
     assert d.effect == pytest.approx(pairs.mean() / pairs.std(ddof=1))
     assert d.p == pytest.approx(stats.ttest_1samp(pairs, 0.0).pvalue)
-    assert [(line.group, line.n, line.unit) for line in found.lines] == [("a", 60, "s"), ("b", 60, "s")]
-    assert found.lines[1].mean.high - found.lines[1].mean.low > 30 * (d.difference.high - d.difference.low)
+    assert [(line.group, line.n, line.unit) for line in result.lines] == [("a", 60, "s"), ("b", 60, "s")]
+    assert result.lines[1].mean.high - result.lines[1].mean.low > 30 * (d.difference.high - d.difference.low)
 
 
 def test_what_never_happens_counts_in_the_shares_and_not_in_the_differences():
     given = study(cases={"a": {}, "b": {}}, draws={"count": 8, "parameters": {"n.x": UNIFORM}})
     values = {"a": [1.0] * 8, "b": [math.inf, None, 1.0, 0.5, 0.5, 0.5, 2.0, math.inf]}
-    found = statistics(given, list(rows_of(given, lambda case, k, point, seed: values[case][k], "ab")), {})
-    (d,) = found.differences
+    result = statistics(given, list(rows_of(given, lambda case, k, point, seed: values[case][k], "ab")), {})
+    (d,) = result.differences
     assert (d.n, d.difference.value) == (5, pytest.approx((0.0 - 1.5 + 1.0) / 5))
     assert d.smaller.value == pytest.approx(3.5 / 7)  # of seven that are known, one is equal
-    b = found.lines[1]
+    b = result.lines[1]
     assert (b.n, b.lost, b.median.value) == (5, "2 of 8 never, 1 of 8 not measured", 1.0)
 
 
@@ -209,21 +209,21 @@ def test_seeds_of_a_draw_belong_together():
     """Five seeds that hardly differ are no five draws: the interval is that of the draws."""
     given = study(seeds=5, draws={"count": 30, "method": "random", "parameters": {"n.x": UNIFORM}})
     rows = list(rows_of(given, lambda case, k, point, seed: point["n.x"] + 1e-6 * seed))
-    found = statistics(given, rows, {})
-    (line,) = found.lines
+    result = statistics(given, rows, {})
+    (line,) = result.lines
     singly = estimate.mean(np.array([rows[5 * k]["figures"]["f"] for k in range(30)]))
     assert line.n == 30
     assert line.mean == pytest.approx(singly, abs=1e-5)
     assert line.median.high - line.median.low > 0.1
-    assert found.notes == ["n counts draws: the 5 seeds of a draw belong together, and the intervals go by draws"]
+    assert result.notes == ["n counts draws: the 5 seeds of a draw belong together, and the intervals go by draws"]
 
 
 @pytest.mark.parametrize("draws", [{}, {"draws": {"count": 4, "method": "random", "parameters": {"n.x": UNIFORM}}}])
 def test_seeds_that_change_nothing_are_one_run(draws):
     given = study(seeds=40, **draws)
-    found = statistics(given, list(rows_of(given, lambda case, k, point, seed: 1.0 + k)), {})
-    assert [line.n for line in found.lines] == ([4] if draws else [])
-    assert found.notes[0] == "the 40 seeds are one run: its nodes draw no random number that a figure depends on"
+    result = statistics(given, list(rows_of(given, lambda case, k, point, seed: 1.0 + k)), {})
+    assert [line.n for line in result.lines] == ([4] if draws else [])
+    assert result.notes[0] == "the 40 seeds are one run: its nodes draw no random number that a figure depends on"
     only = statistics(
         study(seeds=3, cases={"a": {}, "b": {}}),
         list(rows_of(study(seeds=3), lambda case, k, point, seed: seed if case == "b" else 1.0, "ab")),
@@ -240,8 +240,8 @@ def test_a_grid_point_is_a_sample_of_its_own():
         for j, k in enumerate((0.01, 0.010001))
         for row in rows_of(given, lambda c, j, p, seed, k=k: k + seed)
     ]
-    found = statistics(given, rows, {})
-    assert [(line.group, line.n) for line in found.lines] == [("k 0.01", 4), ("k 0.010001", 4)]
+    result = statistics(given, rows, {})
+    assert [(line.group, line.n) for line in result.lines] == [("k 0.01", 4), ("k 0.010001", 4)]
     assert statistics(study(grid={"n.k": [1, 2]}), [rows[0], rows[4]], {}).lines == []  # single runs are no sample
 
 
@@ -252,8 +252,8 @@ def test_a_summary_that_chooses_no_case_is_one_of_each():
         expect={"m": "at most 2"},
     )
     rows = [*rows_of(given, lambda case, k, point, seed: 1.0 if case == "a" else 5.0, "ab")]
-    found = results(given, rows, {"f": "m/s"})
-    assert [(r.name, r.value, r.passed, r.unit) for r in found] == [
+    result = results(given, rows, {"f": "m/s"})
+    assert [(r.name, r.value, r.passed, r.unit) for r in result] == [
         ("m (a)", 1.0, True, "m/s"), ("m (b)", 5.0, False, "m/s"), ("of_b", 5.0, True, "m/s"),
     ]  # fmt: skip
     claim = {"m": {"published": 1.0, "where": "Table I", "verdict": "reproduced"}}
@@ -277,7 +277,7 @@ def test_a_map_of_each_case():
 
 
 @pytest.mark.parametrize(
-    ("found", "text"),
+    ("result", "text"),
     [
         (Estimate(0.71234, 0.70123, 0.72345), "0.712 [0.701, 0.723]"),
         (Estimate(1234.5, 1200.0, 1300.0), "1234 [1200, 1300]"),
@@ -288,8 +288,8 @@ def test_a_map_of_each_case():
         (Estimate(0.0, -1e-9, 1e-9), "0 [-1.0e-09, 1.0e-09]"),
     ],
 )  # fmt: skip
-def test_an_estimate_is_written_as_finely_as_its_interval_allows(found, text):
-    assert tabled.written_estimate(found) == text
+def test_an_estimate_is_written_as_finely_as_its_interval_allows(result, text):
+    assert tabled.written_estimate(result) == text
 
 
 # the command ------------------------------------------------------------------------------------------------------
@@ -300,9 +300,9 @@ def test_a_study_of_two_laws_says_all_this_unasked(folder, capsys):  # noqa: F81
              "last <= 0.1", "--width", "last=0.001", "--duration", "0.1", "--workers", "1", "--out", "out"]  # fmt: skip
     assert main(words) == 0
     out = capsys.readouterr().out
-    for said in ("Statistics, 95 % intervals", "last <= 0.1", "Differences at the same draws and seeds",
+    for text in ("Statistics, 95 % intervals", "last <= 0.1", "Differences at the same draws and seeds",
                  "a width of 0.001 needs some", "plant.gain=2.0"):  # fmt: skip
-        assert said in out
+        assert text in out
     content = json.loads((folder / "out" / "summaries.json").read_text())
     assert [(d["group"], d["base"], d["n"]) for d in content["differences"]] == [("plant.gain=2.0", "lag", 6)]
     with (folder / "out" / "table.csv").open() as file:
@@ -332,7 +332,7 @@ def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder,
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "text"),
     [
         (
             "--draw gain.k=1..2 --method sobol --draws 100",
@@ -345,8 +345,8 @@ def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder,
         ("--against lag", "--against lag: it is that scenario itself"),
     ],
 )
-def test_what_is_asked_and_makes_no_sense_is_refused(words, said):
-    with pytest.raises(ScenarioError, match=said):
+def test_what_is_asked_and_makes_no_sense_is_refused(words, text):
+    with pytest.raises(ScenarioError, match=text):
         study_of(make_parser().parse_args(["study", "lag", *words.split()]))
 
 

@@ -70,9 +70,9 @@ def test_ticks_and_their_texts_are_those_of_matplotlib(a, b, power, most, whole)
         numbers.create_dummy_axis()
         numbers.axis.set_view_interval(low, high)
         numbers.set_locs(ours)
-        said = [re.sub("^\N{MINUS SIGN}(?=0\\.?0*$)", "", numbers(t)) for t in ours]
+        messages = [re.sub("^\N{MINUS SIGN}(?=0\\.?0*$)", "", numbers(t)) for t in ours]
     assert power_of(ours) == numbers.orderOfMagnitude
-    assert texts(ours, power_of(ours), (low, high)) == said
+    assert texts(ours, power_of(ours), (low, high)) == messages
 
 
 def test_one_tick_has_the_digits_of_its_limits_and_none_has_none():
@@ -82,12 +82,12 @@ def test_one_tick_has_the_digits_of_its_limits_and_none_has_none():
 
 
 @pytest.mark.parametrize(
-    ("title", "power", "unit", "found"),
+    ("title", "power", "unit", "result"),
     [("Cost, $/h", 7, False, "Cost, 10⁷ $/h"), ("Cost", -4, False, "Cost, 10⁻⁴"), ("V", 12, True, "10¹² V"),
      ("", 7, False, "10⁷"), ("a, b, V", 5, False, "a, b, 10⁵ V"), ("V", 0, True, "V")],
 )  # fmt: skip
-def test_a_factor_stands_before_the_unit(title, power, unit, found):
-    assert with_power(title, power, unit) == found
+def test_a_factor_stands_before_the_unit(title, power, unit, result):
+    assert with_power(title, power, unit) == result
 
 
 @pytest.mark.parametrize("name", ["cividis", "viridis"])
@@ -207,11 +207,11 @@ def test_nothing_lies_outside_of_the_picture_or_over_another_text(drawn):
             flat = (x - before, y - 0.8 * size, x - before + long, y + 0.2 * size)
             turned = (x - 0.8 * size, y + before - long, x + 0.2 * size, y + before)
             boxes.append((turned if element.get("transform") else flat, element.text))
-        for k, ((a, b, c, d), said) in enumerate(boxes):
-            assert -1.0 <= a <= c <= wide + 1.0, said
-            assert -1.0 <= b <= d <= high + 1.0, said
+        for k, ((a, b, c, d), message) in enumerate(boxes):
+            assert -1.0 <= a <= c <= wide + 1.0, message
+            assert -1.0 <= b <= d <= high + 1.0, message
             for (e, f, g, h), other in boxes[:k]:
-                assert min(c, g) - max(a, e) < 2.0 or min(d, h) - max(b, f) < 2.0, (said, other)
+                assert min(c, g) - max(a, e) < 2.0 or min(d, h) - max(b, f) < 2.0, (message, other)
 
 
 def inner(text):

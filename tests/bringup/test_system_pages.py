@@ -30,15 +30,15 @@ def parts(name):
     """Text of a page by heading; what stands before the first one under an empty name."""
     text = pages()[name].read_text()
     bare = _FENCED.sub(lambda m: re.sub("^#", " ", m[0], flags=re.M), text)
-    found = re.split(r"^## (.+)\n", bare, flags=re.M)
-    return {"": found[0]} | dict(zip(found[1::2], found[2::2], strict=True))
+    result = re.split(r"^## (.+)\n", bare, flags=re.M)
+    return {"": result[0]} | dict(zip(result[1::2], result[2::2], strict=True))
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_page_has_its_parts_in_their_order(name):
-    found = parts(name)
-    assert list(found)[1:] == ORDER
-    lead, trying, model, corrected, measured, changing, speed, sources = found.values()
+    result = parts(name)
+    assert list(result)[1:] == ORDER
+    lead, trying, model, corrected, measured, changing, speed, sources = result.values()
     assert re.search(r"^!\[.+\]\(\w+\.(png|svg|gif|webp)\)$", lead, re.M)
     prose = " ".join(_COMMENT.sub("", re.sub(r"^[#!].*$", "", lead, flags=re.M)).split())
     assert len(re.findall(r"[.!?](?= [A-Z]|$)", prose)) in range(3, 9), prose
@@ -59,9 +59,9 @@ def test_a_page_has_its_parts_in_their_order(name):
 def test_what_a_page_says_to_set_can_be_set():
     tried = []
     for name in SYSTEMS:
-        found = parts(name)
-        scenario = re.search(r"softrig run (\w+)", found["Try it"])[1]
-        for key, value in re.findall(r"`--set ([\w.]+)=([\w.+-]+)`", found["What you can change and see"]):
+        result = parts(name)
+        scenario = re.search(r"softrig run (\w+)", result["Try it"])[1]
+        for key, value in re.findall(r"`--set ([\w.]+)=([\w.+-]+)`", result["What you can change and see"]):
             if value != "...":
                 rig = rig_of(scenario, overrides={key: _parsed(value)})
                 tried.append((rig.scenario.name, key))

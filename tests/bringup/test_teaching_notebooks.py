@@ -16,8 +16,8 @@ NOTEBOOKS = KINDS["notebooks"][2]
 
 
 def cells(name, kind):
-    found = json.loads(pages()[name].read_text())["cells"]
-    return ["".join(cell["source"]) for cell in found if cell["cell_type"] == kind]
+    result = json.loads(pages()[name].read_text())["cells"]
+    return ["".join(cell["source"]) for cell in result if cell["cell_type"] == kind]
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)

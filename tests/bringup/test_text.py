@@ -53,10 +53,10 @@ def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
     ]
     for arguments, status in calls:
         assert main(arguments) == status, capsys.readouterr().err
-        said = " ".join("".join(capsys.readouterr()).split())  # as it stood before it was wrapped
-        assert "\x1b" not in said
-        assert "\x9b" not in said
-        assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in said or arguments[0] in ("check", "report")
+        printed = " ".join("".join(capsys.readouterr()).split())  # as it stood before it was wrapped
+        assert "\x1b" not in printed
+        assert "\x9b" not in printed
+        assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in printed or arguments[0] in ("check", "report")
 
 
 def test_control_characters_are_shown_and_nothing_else_is_changed():

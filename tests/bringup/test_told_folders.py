@@ -95,27 +95,27 @@ SITUATIONS = {
 
 
 def test_what_a_run_finds_in_its_folder_is_replaced_kept_or_refused_as_told(tmp_path):
-    told = [
+    messages = [
         f"{kind}: {' '.join(n for n in NAMES if of.fullmatch(n))}"
         for kind, of in (("a run writes", RUN), ("a study writes", STUDY), ("a falsification writes", FALSIFICATION))
     ]
     for k, (name, files) in enumerate(SITUATIONS.items()):
         tree(place := tmp_path / str(k), files)
-        told.append(name)
+        messages.append(name)
         try:
             folder = ResultsFolder(place)
         except ScenarioError as error:
-            told.append(f"  refused: {error}".replace(str(place), "HERE"))
+            messages.append(f"  refused: {error}".replace(str(place), "HERE"))
             assert files_in(place) == sorted(files) if files else True
             continue
-        told.append(f"  replaces {folder.replaced or 'nothing'}")
+        messages.append(f"  replaces {folder.replaced or 'nothing'}")
         folder.clear("why")
-        told.append(f"  left: {' '.join(files_in(place))}, list {json.loads((place / MANIFEST).read_text())}")
+        messages.append(f"  left: {' '.join(files_in(place))}, list {json.loads((place / MANIFEST).read_text())}")
         tree(place, {"log/new.txt": "", "metrics.json": ""})
         folder.close()
         folder.let_go()
-        told.append(f"  then listed: {' '.join(json.loads((place / MANIFEST).read_text()))}")
-    check_told("folders/found", told)
+        messages.append(f"  then listed: {' '.join(json.loads((place / MANIFEST).read_text()))}")
+    check_told("folders/found", messages)
 
 
 def test_why_what_is_there_cannot_be_made_again_is_as_told(tmp_path):
@@ -129,15 +129,17 @@ def test_why_what_is_there_cannot_be_made_again_is_as_told(tmp_path):
         "broken off and left": {"log/b.shard": "", "left_2.yaml": "", "left_1.yaml": "", MANIFEST: [MANIFEST, "*"]},
         "broken off in real time": {"log/b.shard": "", MANIFEST: [MANIFEST, "*in real time"]},
     }
-    told = []
+    messages = []
     for k, (name, files) in enumerate(cases.items()):
         tree(place := tmp_path / str(k), {**files, MANIFEST: files.get(MANIFEST, [*files, MANIFEST])})
-        found = ResultsFolder(place).once(lambda shards: [f"of {s.name}" for s in shards])
-        told.append(f"{name}: {found or 'it can'}".replace(str(place), "HERE"))
+        result = ResultsFolder(place).once(lambda shards: [f"of {s.name}" for s in shards])
+        messages.append(f"{name}: {result or 'it can'}".replace(str(place), "HERE"))
     tree(tmp_path / "0", {"log/a.shard": "", MANIFEST: [MANIFEST, "*"]})
     (tmp_path / "0/metrics.json").unlink()
-    told.append(f"nothing was done while it ran: {ResultsFolder(tmp_path / '0').once(lambda shards: []) or 'it can'}")
-    check_told("folders/once", told)
+    messages.append(
+        f"nothing was done while it ran: {ResultsFolder(tmp_path / '0').once(lambda shards: []) or 'it can'}"
+    )
+    check_told("folders/once", messages)
 
 
 def test_new_files_take_the_places_of_the_old_when_all_are_written(tmp_path):
@@ -181,9 +183,9 @@ def test_a_folder_is_held_by_one_call_at_a_time(tmp_path):
     first, second = ResultsFolder(tmp_path / "x"), ResultsFolder(tmp_path / "x")
     here = f"process {os.getpid()}"
     assert (first.hold(), first.hold(), second.hold()) == (None, None, here)
-    told = f"{tmp_path / 'x'}: {here} is writing there; wait for it, or choose another folder"
+    text = f"{tmp_path / 'x'}: {here} is writing there; wait for it, or choose another folder"
     for call in (second.begin, second.alone().__enter__, folders.alone_in(tmp_path / "x").__enter__):
-        with pytest.raises(ScenarioError, match=f"^{re.escape(told)}$"):
+        with pytest.raises(ScenarioError, match=f"^{re.escape(text)}$"):
             call()
     first.let_go()
     with second.alone():
@@ -275,29 +277,29 @@ def test_a_repetition_is_held_against_the_run_as_told(run):
         "nothing of one": changed(run, "motor/command", last=0),
         "nothing": Recording((name, run.recording.topics[name].msgtype) for name in ends),
     }
-    told = []
+    messages = []
     for name, recording in cases.items():
-        told.append(name)
+        messages.append(name)
         for late in ({}, {"law": {"missed_deadlines": 2}}):
             again = Run(run.rig, 0, recording)
-            same, said = like.compared(recalled(run, late=late), again, {"versions": {"numpy": "2"}})
-            told += [f"  {same}: {line}" for line in said]
-    same, said = like.compared(recalled(run, recording=Recording(())), run, {})
-    told += ["a bag without a topic", *(f"  {same}: {line}" for line in said)]
+            same, text = like.compared(recalled(run, late=late), again, {"versions": {"numpy": "2"}})
+            messages += [f"  {same}: {line}" for line in text]
+    same, text = like.compared(recalled(run, recording=Recording(())), run, {})
+    messages += ["a bag without a topic", *(f"  {same}: {line}" for line in text)]
     digests = like.digests(run)
     for name, known in {
         "digests": digests,
         "one that differs": digests | {"motor/command": digests["motor/state"]},
     }.items():
-        same, said = like.compared(
+        same, text = like.compared(
             recalled(run, recording=Recording(()), digests=known), run, {"versions": {"numpy": "1"}}
         )
-        told += [name, *(f"  {same}: {line}" for line in said)]
+        messages += [name, *(f"  {same}: {line}" for line in text)]
     other = Run(run.rig, 0, changed(run, "motor/command", 30, (1.5,)))
     for at in (0.0, 0.2, 0.4):
-        same, said = began_as(recalled(run), other, at, {"versions": {"numpy": "1"}})
-        told += [f"up to {at:g} s", *(f"  {same}: {line}" for line in said)]
-    check_told("folders/compared", told)
+        same, text = began_as(recalled(run), other, at, {"versions": {"numpy": "1"}})
+        messages += [f"up to {at:g} s", *(f"  {same}: {line}" for line in text)]
+    check_told("folders/compared", messages)
 
 
 def test_a_stamp_that_differs_is_a_difference_whichever_run_has_it(run):
@@ -305,14 +307,14 @@ def test_a_stamp_that_differs_is_a_difference_whichever_run_has_it(run):
     topic = late.topics["motor/command"]
     topic.data[:] = [layout.encode(0, (float(v),)) for v in run.signals["motor/command/armature/effort"].x]
     for before, after in ((run.recording, late), (late, run.recording)):
-        same, said = like.compared(recalled(run, recording=before), Run(run.rig, 0, after), {})
-        assert (same, "motor/command from t = 0.01 s" in said[-1]) == (False, True)
+        same, text = like.compared(recalled(run, recording=before), Run(run.rig, 0, after), {})
+        assert (same, "motor/command from t = 0.01 s" in text[-1]) == (False, True)
 
 
 def test_a_digest_is_that_of_ticks_stamps_and_numbers_without_the_sign_of_zero(run):
-    found = like.digests(run)
-    assert found.keys() == {p.topic for m in run.rig.members for p in m.outputs}
-    for topic, digest in found.items():
+    result = like.digests(run)
+    assert result.keys() == {p.topic for m in run.rig.members for p in m.outputs}
+    for topic, digest in result.items():
         table, hashed = run.signals.table(topic), hashlib.sha256()
         rows = zip(
             run.recording.topics[topic].times, table.stamp, zip(*table.columns.values(), strict=True), strict=True
@@ -323,7 +325,7 @@ def test_a_digest_is_that_of_ticks_stamps_and_numbers_without_the_sign_of_zero(r
             )
         assert (digest.messages, digest.sha256) == (len(table.t), hashed.hexdigest()[:32])
     zeros = [like.digests(Run(run.rig, 0, changed(run, "motor/command", 10, (zero,)))) for zero in (0.0, -0.0)]
-    assert zeros[0] == zeros[1] != found
+    assert zeros[0] == zeros[1] != result
 
 
 def test_what_a_node_has_counted_in_real_time_is_said():
@@ -364,7 +366,7 @@ def test_the_version_that_is_told_is_the_likeliest_as_told():
         "code": {"softrig_core": "z", "mine": "z"},
         "contents": {"n": {"file": "b"}},
     }
-    told, now = [], dict(here)
+    messages, now = [], dict(here)
     for key in (
         "all",
         "code.mine",
@@ -378,17 +380,17 @@ def test_the_version_that_is_told_is_the_likeliest_as_told():
         part, _, name = key.partition(".")
         if key != "all":
             now[part] = now[part] | {name: there[part][name]} if name else there[part]
-        told.append(f"{key} the same: {like.first_version(there, now)}")
-    told.append(f"no commit: {like.first_version(there, here | {'versions': {}})}")
-    told.append(f"not there: {like.first_version({'versions': {'numpy': '1'}}, {'versions': {}})}")
-    check_told("folders/versions", told)
+        messages.append(f"{key} the same: {like.first_version(there, now)}")
+    messages.append(f"no commit: {like.first_version(there, here | {'versions': {}})}")
+    messages.append(f"not there: {like.first_version({'versions': {'numpy': '1'}}, {'versions': {}})}")
+    check_told("folders/versions", messages)
 
 
 # what is recorded of a run --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("kept", "said"),
+    ("kept", "text"),
     [
         ((0, 100), ""),
         ((1, 100), "motor/command: 99 messages of 100, first gap at t = 0 s"),
@@ -396,14 +398,14 @@ def test_the_version_that_is_told_is_the_likeliest_as_told():
         ((0, 0), "motor/command: 0 messages of 100, first gap at t = 0 s"),
     ],
 )
-def test_a_topic_that_lacks_a_tick_is_named_with_its_first(kept, said):
+def test_a_topic_that_lacks_a_tick_is_named_with_its_first(kept, text):
     rig = rig_of("dc_motor_smc_b2", duration=1.0)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     schedules = {p.topic: m.schedule for m in rig.members for p in m.outputs} | {"/clock": rig.clock.schedule}
     for topic, schedule in schedules.items():
         times = [schedule.time(k) for k in range(schedule.count())]
         recording.topics[topic].times.extend(times[slice(*kept)] if topic == "motor/command" else times)
-    assert runs.gaps(rig, recording) == said
+    assert runs.gaps(rig, recording) == text
 
 
 def test_what_somebody_turned_is_told_from_what_the_scenario_changes(run):
@@ -414,15 +416,15 @@ def test_what_somebody_turned_is_told_from_what_the_scenario_changes(run):
         "another time": (20_000_000, {"delta": 3.0}),
         "another name": (10_000_000, {"k": 3.0}),
     }
-    found = {}
+    results = {}
     for name, (t, values) in events.items():
         recording = Recording([*((n, p.msgtype) for n, p in rig.topics.items()), (TOPIC, TYPE)])
         recording.topics[TOPIC].times.append(t)
         recording.topics[TOPIC].data.append(encode(t, "/dc_motor_smc", values))
         done = Run(rig, 0, recording)
-        found[name] = runs.turned(done)
-        assert runs._once(done) == ([runs.CHANGED] if found[name] else [])
-    assert found == {
+        results[name] = runs.turned(done)
+        assert runs._once(done) == ([runs.CHANGED] if results[name] else [])
+    assert results == {
         "the scenario's": [],
         "another value": ["dc_motor_smc.delta=2.0 from 0.01 s"],
         "another time": ["dc_motor_smc.delta=3.0 from 0.02 s"],
@@ -628,12 +630,12 @@ def test_a_bag_is_left_out_where_its_scenario_makes_it_again(run, monkeypatch, e
 
 def test_packages_that_are_missing_are_named():
     packed.need_packages("x", ["json", "os"])
-    for names, said in (
+    for names, text in (
         (["json", "pump_rig"], "x: it needs package pump_rig, not installed here"),
         (["pump_rig", "json", "tank_rig"], "x: it needs packages pump_rig, tank_rig, not installed here"),
         (["<stdin>", "pump_rig"], "x: <stdin> was typed, not imported: only a package can be repeated"),
     ):
-        with pytest.raises(ScenarioError, match=f"^{said}"):
+        with pytest.raises(ScenarioError, match=f"^{text}"):
             packed.need_packages("x", names)
 
 
@@ -654,54 +656,54 @@ def kept(tmp_path_factory):
 
 def test_what_goes_into_a_file_of_a_run_is_as_told(kept, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    told = []
+    messages = []
     for name, bag in (("with its bag", True), ("without", False)):
         made = pack.collect(kept / "run", kept / f"aside_{bag}", bag=bag)
-        told.append(f"{name}: lacks {list(made.lacks)}")
-        told += [f"  {place}" for place in made.files]
+        messages.append(f"{name}: lacks {list(made.lacks)}")
+        messages += [f"  {place}" for place in made.files]
         about = made.about
-        told.append(f"  {about.scenario}, packages {about.packages}, code of {' '.join(about.code)}")
-        told.append(f"  digests of {len(about.digests)} topics")
+        messages.append(f"  {about.scenario}, packages {about.packages}, code of {' '.join(about.code)}")
+        messages.append(f"  digests of {len(about.digests)} topics")
         assert about.versions == json.loads((kept / "run/metrics.json").read_text())["versions"]
         content = json.loads(made.files["metrics.json"])
-        told.append(f"  {content['command']}")
-        told += [
+        messages.append(f"  {content['command']}")
+        messages += [
             f"    {line}"
             for line in made.files[f"scenario/{about.scenario}.yaml"].decode().splitlines()
             if "delta" in line or line.startswith("  at")
         ]
     lone = pack.collect(next((kept / "run/bag").glob("*.mcap")), kept / "aside_one")
-    told += ["a single file", *(f"  {place}" for place in lone.files)]
+    messages += ["a single file", *(f"  {place}" for place in lone.files)]
     for words in (["--out", "x.zip"], ["--no-bag"]):
         assert cli.main(["pack", str(kept / "run"), *words]) == 0
-        said = capsys.readouterr()
-        told += [
+        printed = capsys.readouterr()
+        messages += [
             f"pack {' '.join(words)}",
-            *(f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in (said.out + said.err).splitlines()),
+            *(f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in (printed.out + printed.err).splitlines()),
         ]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.softrig.zip", "x.zip"]
     assert cli.main(["pack", str(kept / "run"), "--out", str(tmp_path)]) == 2
     assert "is a folder, expected a file" in capsys.readouterr().err
-    check_told("folders/packed", told)
+    check_told("folders/packed", messages)
 
 
 def test_a_file_of_code_that_is_no_longer_that_of_the_run_says_so(kept, capsys, monkeypatch):
     real = pack.recall
 
     def other(run, parse):
-        found = real(run, parse)
+        result = real(run, parse)
         return with_other(
-            found, made_with=found.made_with | {"code": found.made_with["code"] | {"softrig_core": "0123"}}
+            result, made_with=result.made_with | {"code": result.made_with["code"] | {"softrig_core": "0123"}}
         )
 
     monkeypatch.setattr(pack, "recall", other)
     now = pack.fingerprints([])["softrig_core"] if pack.fingerprints([]) else None
     made = pack.collect(kept / "run", kept / "aside")
-    said = capsys.readouterr().err
-    assert said.startswith("softrig: the code of softrig_core is no longer that of the run (0123 then, ")
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith("softrig: the code of softrig_core is no longer that of the run (0123 then, ")
+    assert printed.count("\n") == 1
     assert made.about.code["softrig_core"] == "0123"
-    assert now is None or now in said
+    assert now is None or now in printed
     rig = rig_of("dc_motor_smc_b2")
     pack._unchanged(Path("r"), rig, {})
     pack._unchanged(Path("r"), rig, {"parameters": {"dc_motor_smc": {"gone": 1}, "nobody": {"k": 1}}})
@@ -731,9 +733,9 @@ def spoken(run, topic, times, values=None):
     recording = Recording((t.name, t.msgtype) for t in run.recording.topics.values())
     for name, old in run.recording.topics.items():
         if name == topic:
-            said = [port.layout().encode(t, values or (1.0,) * port.size) for t in times]
+            messages = [port.layout().encode(t, values or (1.0,) * port.size) for t in times]
             recording.topics[name].times.extend(times)
-            recording.topics[name].data.extend(said)
+            recording.topics[name].data.extend(messages)
         else:
             recording.topics[name].times.extend(old.times)
             recording.topics[name].data.extend(map(bytes, old.data))
@@ -762,10 +764,10 @@ def test_what_came_from_outside_is_said_by_a_node_once_more(lag):
     assert runs._once(Run(rig, 0, run.recording)) == []
     assert runs._once(Run(rig, 0, run.recording, epoch=3)) == ["in real time"]
     branch = {"at_s": 0.1, "from_s": 0.2}
-    for left, found in (("", []), ("x", [runs.CHANGED])):
+    for left, result in (("", []), ("x", [runs.CHANGED])):
         done = Run(rig, 0, run.recording)
         done.branched = [branch | {"left": left}]
-        assert runs._once(done) == found
+        assert runs._once(done) == result
 
 
 def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
@@ -775,8 +777,8 @@ def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
         options.parsed.append(words)
         return "options"
 
-    found = like.recall(kept / "run", parse)
-    assert (found.path, found.options, found.bag, found.epoch, found.late) == (
+    result = like.recall(kept / "run", parse)
+    assert (result.path, result.options, result.bag, result.epoch, result.late) == (
         kept / "run",
         "options",
         kept / "run/bag",
@@ -785,14 +787,14 @@ def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
     )
     assert options.parsed[0][:3] == [str(kept / "mine.yaml"), "--mode", "inprocess"]
     content = json.loads((kept / "run/metrics.json").read_text())
-    assert {k: dict(v) for k, v in found.made_with.items()} == {k: content[k] for k in ("versions", "code")} | (
+    assert {k: dict(v) for k, v in result.made_with.items()} == {k: content[k] for k in ("versions", "code")} | (
         {"contents": content["contents"]} if content["contents"] else {"contents": {}}
     )
-    assert like._reached(found.recording, 0) == 100_000_000
+    assert like._reached(result.recording, 0) == 100_000_000
     assert like._reached(Recording(()), 7) == 0
     (tmp_path / "bare").mkdir()
     (tmp_path / "bare/metrics.json").write_text("{}")
-    for place, said in (
+    for place, message in (
         (
             tmp_path / "bare",
             "that run has no bag, so changes made during the run are unknown; rerun it without --no-record",
@@ -800,7 +802,7 @@ def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
         (tmp_path, "expected the directory of a run, the bag of a run"),
         (tmp_path / "none", "expected the directory of a run"),
     ):
-        with pytest.raises(ScenarioError, match=said):
+        with pytest.raises(ScenarioError, match=message):
             like.recall(place, parse)
 
     def unknown(words):
@@ -830,5 +832,5 @@ def test_a_topic_on_which_somebody_speaks_now_and_then_has_no_message_twice(lag)
         ([0, 5_000_000], "0.005"),
         ([20_000_000, 10_000_000], "0.01"),
     ):
-        said = runs.gaps(rig, spoken(run, sporadic, times))
-        assert said == (f"{sporadic}: a message at t = {wrong} s, which is no tick or not a later one" if wrong else "")
+        text = runs.gaps(rig, spoken(run, sporadic, times))
+        assert text == (f"{sporadic}: a message at t = {wrong} s, which is no tick or not a later one" if wrong else "")

@@ -55,7 +55,7 @@ def test_numbers_are_written_with_all_their_digits_and_measured_ones_with_six(va
 
 
 @pytest.mark.parametrize(
-    ("value", "tolerance", "said"),
+    ("value", "tolerance", "message"),
     [
         (1.23456789, None, "1.23457"),
         (-1.23456789, 0.0, "−1.23457"),
@@ -67,12 +67,12 @@ def test_numbers_are_written_with_all_their_digits_and_measured_ones_with_six(va
         (123456.0, 1e5, "123456"),
     ],
 )
-def test_a_measured_value_has_a_hundredth_of_its_tolerance(value, tolerance, said):
-    assert measured(result(value=value, tolerance=tolerance)) == said
+def test_a_measured_value_has_a_hundredth_of_its_tolerance(value, tolerance, message):
+    assert measured(result(value=value, tolerance=tolerance)) == message
 
 
 @pytest.mark.parametrize(
-    ("error", "said", "here"),
+    ("error", "message", "here"),
     [
         ("never", "never", True),
         ("never <settles>", "never", True),
@@ -83,14 +83,14 @@ def test_a_measured_value_has_a_hundredth_of_its_tolerance(value, tolerance, sai
         ("", "not measured", False),
     ],
 )
-def test_what_stands_in_place_of_a_value(error, said, here):
+def test_what_stands_in_place_of_a_value(error, message, here):
     none = result(value=None, passed=False, error=error)
-    assert (in_words(none), measured(none), measured_here(none)) == (said, said, here)
+    assert (in_words(none), measured(none), measured_here(none)) == (message, message, here)
     assert (in_words(result(error=error)), measured_here(result(error=error))) == ("", True)
 
 
 @pytest.mark.parametrize(
-    ("value", "published", "said"),
+    ("value", "published", "message"),
     [
         (1.1, 1.0, "+10.00 %"),
         (-1.1, -1.0, "−10.00 %"),
@@ -102,8 +102,8 @@ def test_what_stands_in_place_of_a_value(error, said, here):
         (1.0, None, "–"),
     ],
 )
-def test_how_far_a_value_is_from_the_published_one(value, published, said):
-    assert difference(value, published) == said
+def test_how_far_a_value_is_from_the_published_one(value, published, message):
+    assert difference(value, published) == message
 
 
 def test_the_interval_that_passes_is_written():
@@ -162,16 +162,16 @@ RUNS = {
 
 
 def test_what_stands_below_the_title_of_a_run_is_as_told():
-    told = []
+    messages = []
     for name, more in RUNS.items():
         of = run(**more | {"metrics": [m.model_dump(by_alias=True) for m in more.get("metrics", ())]})
         missed = [m.name for m in of.missed]
-        told += [
+        messages += [
             f"{name}: {of.simulated_s:g} s, compared {of.compared}, missed {missed}",
             f"  {text(run_page._facts(of))}",
         ]
-        told += [f"  {line}" for line in lines(run_page.metrics(of))]
-    check_told("pages/facts", told)
+        messages += [f"  {line}" for line in lines(run_page.metrics(of))]
+    check_told("pages/facts", messages)
 
 
 @pytest.mark.parametrize(
@@ -229,12 +229,12 @@ def test_a_diagram_wider_than_a_phone_says_that_it_moves(n, wide):
         {"topic": f"t{k}", "type": "T", "source": f"node_{k}", "readers": [f"node_{k + 1}"] if k < n - 1 else []}
         for k in range(n)
     ]
-    found, note = run_page._rig(run(wiring={"nodes": nodes, "wires": wires}))
-    assert found.get("class") == ("scroll wide" if wide else "scroll")
-    said = (
+    actual, note = run_page._rig(run(wiring={"nodes": nodes, "wires": wires}))
+    assert actual.get("class") == ("scroll wide" if wide else "scroll")
+    message = (
         "The plant, shaded, owns time. Dashed: a node outside, its parameters unknown. A ring ends a topic that no node"
     )
-    assert note.text.startswith(said)
+    assert note.text.startswith(message)
     assert columns(Wiring()) == []
     (_, plain) = run_page._rig(run())
     assert not plain.text
@@ -265,7 +265,7 @@ def test_folders_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("said", "parted"),
+    ("message", "parted"),
     [
         ("law.k=3", ("law.k", "3")),
         ("k=a=b", ("k", "a=b")),
@@ -274,12 +274,12 @@ def test_folders_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_pat
         ("law outside, its parameters unknown", ("law outside, its parameters unknown", "yes")),
     ],
 )
-def test_what_was_changed_is_parted_into_what_and_how(said, parted):
-    assert apart._said(said) == parted
+def test_what_was_changed_is_parted_into_what_and_how(message, parted):
+    assert apart._said(message) == parted
 
 
 def test_parameters_are_taken_apart_to_their_leaves():
-    found = dict(
+    results = dict(
         apart._leaves(
             "n",
             {
@@ -293,7 +293,7 @@ def test_parameters_are_taken_apart_to_their_leaves():
             },
         )
     )
-    assert found == {
+    assert results == {
         "n.k": "1.5",
         "n.rule": "soft",
         "n.list": "[1, 2]",
@@ -316,13 +316,13 @@ def test_lists_of_runs_and_of_differences_end_somewhere():
 
 def test_draws_are_named_by_what_their_names_share():
     runs = [run(seed=k) for k in range(4)]
-    for named, found in (
+    for named, actual in (
         (["a-1", "a-2", "a-3", "a-4"], ["a"] * 4),
         (["1", "2", "3", "4"], ["lag"] * 4),
         (["a", "a-2", "a-3", "a-4"], ["a"] * 4),
         (["run_1", "run_2", "run_3", "other"], ["lag"] * 4),
     ):
-        assert several.groups(runs, named) == found
+        assert several.groups(runs, named) == actual
     assert several.groups(runs[:2], ["a-1", "a-2"]) == ["a-1", "a-2"]  # a band needs three
     assert several.groups([*runs[:3], runs[0]], list("abcd")) == list("abcd")  # of another seed each
     for more in ({"error": "x"}, {"stopped": "x"}, {"code": {}}, {"mode": "processes"}):
@@ -374,22 +374,22 @@ def test_what_differs_between_runs_is_as_told():
         "code": [{}, {"code": {"softrig_core": "y", "mine": "z"}, "versions": {"python": "3.14"}}],
         "another scenario": [{}, {"scenario": "lag_slow", "parameters": {"gain": {"k": 9.0}}}],
     }
-    told = []
+    messages = []
     for name, runs in pairs.items():
-        told.append(name)
+        messages.append(name)
         records = [run(**more) for more in runs]
-        told += [f"  {line}" for line in lines(*several.differences(records, ["a", "b", "c"][: len(runs)]))]
-    check_told("pages/differences", told)
+        messages += [f"  {line}" for line in lines(*several.differences(records, ["a", "b", "c"][: len(runs)]))]
+    check_told("pages/differences", messages)
 
 
 # tables, papers, reports ----------------------------------------------------------------------------------------------
 
 
 def test_a_table_has_its_numbers_to_the_right_and_says_where_nothing_is():
-    found = table(["a", "b", "c"], [["1", "2", "–"], [e("b", "x"), "–", ""]], " n")
-    assert [c.get("class") for c in found.iter("td")] == [None, "number", "none", None, "number none", None]
-    assert [c.get("class") for c in found.iter("th")] == [None, "number", None]
-    assert [c.get("data-label") for c in found.iter("td")] == list("abcabc")
+    actual = table(["a", "b", "c"], [["1", "2", "–"], [e("b", "x"), "–", ""]], " n")
+    assert [c.get("class") for c in actual.iter("td")] == [None, "number", "none", None, "number none", None]
+    assert [c.get("class") for c in actual.iter("th")] == [None, "number", None]
+    assert [c.get("data-label") for c in actual.iter("td")] == list("abcabc")
     assert (
         text(e("p", "a", "b", e("i", "c"), "d", "e", e("i", "f"), title="", class_="x"))
         == "p.x /   'ab' /   i: c /   'de' /   i: f"
@@ -431,9 +431,15 @@ def test_of_two_entries_of_one_key_the_first_folders_counts_and_a_wrong_file_is_
         (folder / "references.bib").write_text(entry.format(folder.name), encoding="utf-8")
     monkeypatch.setattr("softrig_bringup.page.citations.scenario_folders", lambda: iter(folders))
     assert cited(()) == ()
-    (found,) = cited(["k"])
-    assert (found.title, found.authors, found.place, found.year, found.doi) == ("one", ("A. Noël",), "P", "2020", "")
-    assert found.bibtex.startswith("@book{k,")
+    (actual,) = cited(["k"])
+    assert (actual.title, actual.authors, actual.place, actual.year, actual.doi) == (
+        "one",
+        ("A. Noël",),
+        "P",
+        "2020",
+        "",
+    )
+    assert actual.bibtex.startswith("@book{k,")
     with pytest.raises(
         ScenarioError, match=r"cites: no entry 'kk' in any references.bib beside scenarios \(did you mean 'k'"
     ):
@@ -492,8 +498,8 @@ def test_claims_are_counted_once_and_by_system():
     assert counts(rows[:2]) == "2 claims: 1 reproduced, 1 not checkable; every verdict holds"
     assert counts(rows) == "3 claims in 4 rows: 2 reproduced, 1 not checkable; 1 verdicts are not borne out"
     scenarios = [SimpleNamespace(name=n, system=n[0]) for n in ("b_1", "b_2", "a_1")]
-    found = [
+    results = [
         (system, [s.name for s in mine], [r.key for r in group]) for system, mine, group in by_system(scenarios, rows)
     ]
-    assert found == [("a", ["a_1"], ["y"]), ("b", ["b_1", "b_2"], ["x", "x", "z"])]
+    assert results == [("a", ["a_1"], ["y"]), ("b", ["b_1", "b_2"], ["x", "x", "z"])]
     assert math.isnan(result().number)

@@ -38,23 +38,25 @@ ROWS = [
 
 
 def test_tables_of_verdicts_are_as_told_on_terminals_of_any_width():
-    told = []
+    messages = []
     for width in (60, 49, 48, 20):
-        told.append(f"{width} wide")
-        told += [f"  {line}" for line in shown(width, lambda c: tables.print_judged(c, HEADS, ROWS))]
-    check_told("terminal/judged", told)
+        messages.append(f"{width} wide")
+        messages += [f"  {line}" for line in shown(width, lambda c: tables.print_judged(c, HEADS, ROWS))]
+    check_told("terminal/judged", messages)
 
 
 def test_tables_of_many_columns_go_on_below_as_told():
     heads = ["case", "law.gain_of_speed", "noise.k", "rise_time", "unit"]
     rows = [["0", "1.5", "0.001", "0.607", "s"], ["1", "12.25", "0.5", "", "s"]]
-    told = []
+    messages = []
     for width, keys in ((60, 1), (39, 1), (24, 1), (24, 2), (12, 1), (10, 1)):
-        told.append(f"{width} wide, {keys} again")
-        told += [f"  {line}" for line in shown(width, lambda c, keys=keys: tables.print_columns(c, heads, rows, keys))]
-    told.append("as it is by itself")
-    told += [f"  {line}" for line in shown(24, lambda c: tables.print_columns(c, heads, rows))]
-    check_told("terminal/columns", told)
+        messages.append(f"{width} wide, {keys} again")
+        messages += [
+            f"  {line}" for line in shown(width, lambda c, keys=keys: tables.print_columns(c, heads, rows, keys))
+        ]
+    messages.append("as it is by itself")
+    messages += [f"  {line}" for line in shown(24, lambda c: tables.print_columns(c, heads, rows))]
+    check_told("terminal/columns", messages)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ def listed(monkeypatch, tmp_path):
 
 
 def test_the_list_is_as_told(listed, monkeypatch, capsys):
-    told = []
+    messages = []
     for columns, part in (
         ("70", ""),
         ("70", "a"),
@@ -138,10 +140,10 @@ def test_the_list_is_as_told(listed, monkeypatch, capsys):
     ):
         monkeypatch.delenv("COLUMNS", raising=False) if columns is None else monkeypatch.setenv("COLUMNS", columns)
         status = listing.list_scenarios_of(part)
-        said = capsys.readouterr()
-        told.append(f"{'in a pipe' if columns is None else f'COLUMNS {columns}'}, {part!r}: status {status}")
-        told += [f"  {line.rstrip()}" for line in (said.out + said.err).splitlines()]
-    check_told("terminal/list", told)
+        printed = capsys.readouterr()
+        messages.append(f"{'in a pipe' if columns is None else f'COLUMNS {columns}'}, {part!r}: status {status}")
+        messages += [f"  {line.rstrip()}" for line in (printed.out + printed.err).splitlines()]
+    check_told("terminal/list", messages)
 
 
 def test_a_list_with_what_is_no_scenario_ends_with_2(listed, monkeypatch, capsys):
@@ -171,14 +173,14 @@ def test_lines_are_as_long_as_they_are_in_a_pipe(monkeypatch, terminal, columns,
 
 
 def test_signals_and_figures_are_listed_as_told(capsys):
-    told = []
+    messages = []
     for show in (lambda: parts.list_signals("dc_motor_smc_faults"), lambda: parts.list_figures("final_value")):
         assert show() == 0
-        told += capsys.readouterr().out.splitlines()
-    (signature,) = (line for line in told if line.startswith("final_value("))
+        messages += capsys.readouterr().out.splitlines()
+    (signature,) = (line for line in messages if line.startswith("final_value("))
     assert re.findall(r"\w+(?=:)", signature) == ["signals", "signal", "start", "end"]
-    told.remove(signature)  # Python writes annotations in its own way
-    check_told("terminal/signals", told)
+    messages.remove(signature)  # Python writes annotations in its own way
+    check_told("terminal/signals", messages)
     assert parts.list_figures("") == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
     assert {len(r) for r in rows} == {3}
@@ -214,11 +216,11 @@ def test_a_long_run_says_every_ten_seconds_how_far_it_is(monkeypatch, capsys):
 def test_a_bar_in_a_notebook_is_drawn_ten_times_a_second_and_goes(monkeypatch):
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     monkeypatch.setattr(progress, "time", clock)
-    told = []
-    cell = SimpleNamespace(update=lambda what, raw: told.append(what["text/plain"] or what["text/html"] or "gone"))
+    messages = []
+    cell = SimpleNamespace(update=lambda what, raw: messages.append(what["text/plain"] or what["text/html"] or "gone"))
 
     def display(what, raw, display_id):
-        told.append((what["text/html"], raw, display_id))
+        messages.append((what["text/html"], raw, display_id))
         return cell
 
     monkeypatch.setattr(progress, "_notebook", lambda: display)
@@ -226,7 +228,7 @@ def test_a_bar_in_a_notebook_is_drawn_ten_times_a_second_and_goes(monkeypatch):
         for now, t in ((0.1, 1), (0.11, 500_000_000), (0.2, 700_000_000), (0.22, 1_234_567_890)):
             clock.now = now
             tell(t)
-    assert told == [
+    assert messages == [
         ('a &lt;b&gt; <progress value="0" max="2"></progress> 0 of 2 s', True, True),
         "a <b>: 0.5 of 2 s",
         "a <b>: 1.23 of 2 s",
@@ -362,7 +364,7 @@ def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_told(monkeypatch)
         "log": {"missed_deadlines": 0},
     }
     work = {"plan": {"reports": {UNFINISHED: [1, "x", 3]}, "ticks": 5}}
-    told = []
+    messages = []
     for words, status, trips, broken in (
         ("", late, {}, False),
         ("", {"plant": late["plant"]}, {}, False),
@@ -375,14 +377,14 @@ def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_told(monkeypatch)
         ("", {}, {"plant": "too hot"}, True),
     ):
         monkeypatch.setattr(run_verb, "tripped", lambda rig, status, trips=trips: trips)
-        said = run_verb.too_slow(options(*words.split()), None, status, broken)
-        told.append(
+        text = run_verb.too_slow(options(*words.split()), None, status, broken)
+        messages.append(
             f"{words or 'plain'}, {', '.join(status) or 'nobody'}{', broken' * broken}{', tripped' * bool(trips)}:"
         )
-        told.append(f"  {said or 'nothing'}")
+        messages.append(f"  {text or 'nothing'}")
     monkeypatch.setattr(run_verb, "tripped", lambda rig, status: {})
-    told.append(run_verb.too_slow(options(), None, late, container="place:=container"))
-    check_told("terminal/slow", told)
+    messages.append(run_verb.too_slow(options(), None, late, container="place:=container"))
+    check_told("terminal/slow", messages)
 
 
 def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypatch, capsys, tmp_path):
@@ -396,9 +398,9 @@ def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypa
         (Path("/else"), {"stopped": 2, "stopped_at": "stopped"}),
     ):
         run_verb._speak(kept, done(**more), out)
-    said = capsys.readouterr()
-    assert said.out == "figures\n"
-    assert said.err.splitlines() == [
+    printed = capsys.readouterr()
+    assert printed.out == "figures\n"
+    assert printed.err.splitlines() == [
         "softrig: the run broke: gone",
         "softrig: what was recorded up to there is in runs/x, the output of the nodes in its log/",
         "softrig: the run broke: gone",
@@ -417,8 +419,8 @@ def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypa
             "OTHER": "y",
         },
     )
-    said = "to connect: export ROS_DOMAIN_ID=3 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST RMW_IMPLEMENTATION=x"
-    assert run_verb._how_to_connect(3, tmp_path) == said
+    printed = "to connect: export ROS_DOMAIN_ID=3 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST RMW_IMPLEMENTATION=x"
+    assert run_verb._how_to_connect(3, tmp_path) == printed
 
 
 # other verbs ----------------------------------------------------------------------------------------------------------
@@ -433,8 +435,8 @@ def test_what_check_says_of_a_run_is_a_case_a_figure_and_a_claim():
         len(JUDGED),
     )
     suite = check.suite_of(outcome)
-    told = [f"{c.name}: {c.text}{f' / {c.failure}' if c.failure else ''}" for c in suite.cases]
-    assert told == [
+    messages = [f"{c.name}: {c.text}{f' / {c.failure}' if c.failure else ''}" for c in suite.cases]
+    assert messages == [
         "rise_time: 0.6069512 s",
         "cost: 15459.5 / 15459.5, expected ≤ 15459",
         "late: no sample after 2 s / no sample after 2 s, expected ≤ 1",

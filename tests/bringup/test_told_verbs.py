@@ -110,8 +110,8 @@ KEPT = ("mode", "seed", "start_timeout", "frames", "status", "shard")
 def parameters(process):
     """What a file of parameters says of the run, of what a launch gives."""
     text = Path(process.parameters[0]).read_text()
-    found = dict(line.strip().split(": ", 1) for line in text.splitlines() if ": " in line)
-    kept = [f"{k} {found[f'run.{k}']}" for k in KEPT if f"run.{k}" in found]
+    gathered = dict(line.strip().split(": ", 1) for line in text.splitlines() if ": " in line)
+    kept = [f"{k} {gathered[f'run.{k}']}" for k in KEPT if f"run.{k}" in gathered]
     return ", ".join([*kept, *(["waits for a recorder"] if "rosbag2_recorder" in text else [])])
 
 
@@ -128,10 +128,12 @@ LAUNCHES = {
 
 
 def test_the_processes_of_a_launch_are_as_told(launch, lag):
-    told = []
+    messages = []
     for name, values in LAUNCHES.items():
         made = launch(**values)
-        told.append(f"{name}: {made._placement}, keeps {made._record}, judges {made._judge}, {made._running} running")
+        messages.append(
+            f"{name}: {made._placement}, keeps {made._record}, judges {made._judge}, {made._running} running"
+        )
         for p in made.processes:
             about = [
                 f"{p.package}/{p.executable}",
@@ -140,14 +142,14 @@ def test_the_processes_of_a_launch_are_as_told(launch, lag):
                 p.kind,
             ]
             more = f"{dict(p.remappings)} {sorted(p.variables)} {' '.join(p.arguments)}"
-            told.append(f"  {' '.join(filter(None, about))} {more}".rstrip())
+            messages.append(f"  {' '.join(filter(None, about))} {more}".rstrip())
             if p.kind == "rig" and p.parameters:
-                told.append(f"    {parameters(p)}")
-    check_told("verbs/launched", (line.replace(str(lag), "HERE") for line in told))
+                messages.append(f"    {parameters(p)}")
+    check_told("verbs/launched", (line.replace(str(lag), "HERE") for line in messages))
 
 
 @pytest.mark.parametrize(
-    ("values", "ends", "said", "concluded"),
+    ("values", "ends", "text", "concluded"),
     [
         ({}, [("a", 0, False), ("b", 0, False), ("c", 0, False)], ["", "", ""], None),
         ({"judge": "true"}, [("a", 0, False), ("b", 0, False), ("c", 0, False)], ["", "", "judged: status 1"], ("", 0)),
@@ -169,13 +171,13 @@ def test_the_processes_of_a_launch_are_as_told(launch, lag):
         ({}, [("a", 1, False), ("b", 0, True), ("c", 0, True)], ["a ended with status 1", "", ""], None),
     ],
 )
-def test_the_end_of_a_launch_is_that_of_its_last_process(launch, monkeypatch, values, ends, said, concluded):
+def test_the_end_of_a_launch_is_that_of_its_last_process(launch, monkeypatch, values, ends, text, concluded):
     made, asked = launch(**values), []
     monkeypatch.setattr(launched, "gathered", lambda rig, log, names, prefix: (Recording(()), {}))
     monkeypatch.setattr(launched, "tripped", lambda rig, nodes: {})
     monkeypatch.setattr(launched, "gaps", lambda rig, recording: "")
     monkeypatch.setattr(run_verb, "conclude", lambda options, run, folder: asked.append((run.error, run.stopped)) or 1)
-    assert [made.ended(*end) for end in ends] == said
+    assert [made.ended(*end) for end in ends] == text
     assert asked == ([concluded] if concluded else [])
 
 
@@ -188,11 +190,11 @@ def test_a_launch_in_lockstep_that_has_gaps_or_tripped_ends_with_that(launch, mo
     monkeypatch.setattr(run_verb, "too_slow", lambda options, rig, nodes, container: f"too slow, {container}")
     errors = []
     monkeypatch.setattr(run_verb, "conclude", lambda options, run, folder: errors.append(run.error) or 0)
-    found = {}
+    gathered = {}
     for mode in ("lockstep", "realtime"):
         made = launch(mode=mode, judge="true")
-        found[mode] = [made.ended(n, 0, False) for n in "abc"][-1]
-    assert found == {"lockstep": "plant: too hot", "realtime": "too slow, place:=container"}
+        gathered[mode] = [made.ended(n, 0, False) for n in "abc"][-1]
+    assert gathered == {"lockstep": "plant: too hot", "realtime": "too slow, place:=container"}
     made = launch(judge="true")
     [made.ended(*end) for end in (("a", 2, False), ("b", 0, False), ("c", 0, False))]
     assert errors == ["u: a gap", "", "a ended with status 2; gain: no answer"]
@@ -211,15 +213,15 @@ def test_the_file_of_a_viewer_is_as_told():
     plain = type("Plain", (), {"markers": Block.markers})
     robot = type("Robot", (), {"scene": staticmethod(lambda params: "a robot"), "markers": Block.markers})
     drawn = type("Drawn", (), {"markers": "its own"})
-    told = []
+    messages = []
     for classes, namespace in (((plain, robot, drawn), "/a"), ((robot,), ""), ((plain,), "")):
         members = [SimpleNamespace(name=f"node_{k}", block_class=c, params=None) for k, c in enumerate(classes)]
         rig = SimpleNamespace(members=members)
         manager = json.loads(viewer.rviz_file(rig, namespace))
         displays = manager["Visualization Manager"].pop("Displays")
-        told += [f"{len(classes)} nodes in {namespace!r} {viewer.seen(rig)}", *(f"  {shape(d)}" for d in displays)]
-    told.append(shape(manager))
-    check_told("verbs/viewer", told)
+        messages += [f"{len(classes)} nodes in {namespace!r} {viewer.seen(rig)}", *(f"  {shape(d)}" for d in displays)]
+    messages.append(shape(manager))
+    check_told("verbs/viewer", messages)
 
 
 # as a control engineer sees it ----------------------------------------------------------------------------------------
@@ -265,7 +267,7 @@ def view(n=2, **more):
 
 def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("COLUMNS", "400")  # the folder's name may be long
-    told, asked = [], []
+    messages, asked = [], []
     cases = {
         "a loop": ({}, []),
         "nine modes, opened where it is unstable": (
@@ -299,16 +301,16 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
             linear, "linear_view", lambda *what, more=more, **how: asked.append((what, how)) or view(**more)
         )
         assert main(["linearise", "x", *words]) == 0
-        told += [
+        messages += [
             name,
             *(f"  {line.rstrip()}" for line in capsys.readouterr().out.replace(str(tmp_path), "HERE").splitlines()),
         ]
-    check_told("verbs/linear", told)
+    check_told("verbs/linear", messages)
     assert asked[0] == (("x", None), {"at": None, "inputs": None, "outputs": None, "overrides": {}})
     assert asked[4] == (("x", "u"), {"at": 2.0, "inputs": ["i"], "outputs": ["o"], "overrides": {"a.k": 1}})
     assert (tmp_path / "lin/linear.png").read_text() == "120"
-    found = json.loads((tmp_path / "lin/linear.json").read_text())
-    assert found["margins"] == {
+    content = json.loads((tmp_path / "lin/linear.json").read_text())
+    assert content["margins"] == {
         "gain": 2.5,
         "gain_down": 0.0,
         "phase": math.pi / 4,
@@ -316,7 +318,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
         "disk": 0.75,
         "crossover": 31.4159,
     }
-    assert found["opened"] == {
+    assert content["opened"] == {
         "states": ["x"],
         "A": [[0.5]],
         "B": [[1.0]],
@@ -324,7 +326,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
         "D": [[0.0]],
         "poles": [[0.5, 0.25]],
     }
-    assert found["closed"] == {
+    assert content["closed"] == {
         "states": ["a", "b"],
         "inputs": ["u"],
         "outputs": ["y"],
@@ -333,7 +335,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
         "C": [[1.0, 1.0]],
         "D": [[0.0]],
     }
-    assert found["modes"][1] == {"pole": [0.8, 0.25], "rate": [-2.0, 0.5], "states": {"a": 0.75, "b": 0.25}}
+    assert content["modes"][1] == {"pole": [0.8, 0.25], "rate": [-2.0, 0.5], "states": {"a": 0.75, "b": 0.25}}
     assert linear.numbers(view(margins=Margins(math.inf, 0, 1, 1, 1, 1)))["margins"]["gain"] is None
     assert "margins" not in json.loads((tmp_path / "other/linear.json").read_text())
     assert not (tmp_path / "other/linear.png").exists()
@@ -384,13 +386,13 @@ def test_what_decides_the_bits_says_how_a_golden_bag_is_compared(monkeypatch, th
     now = {"machine": "x", "math": "a", "numpy": "1", "python": "3.13.0"}
     monkeypatch.setattr(golden, "versions", lambda: now)
     recipe = golden.Recipe(scenario="dc_motor_smc_b2", duration=0.1, made_with=now | there)
-    found = golden.Golden(Path("x"), recipe, rig_of("dc_motor_smc_b2"))
+    result = golden.Golden(Path("x"), recipe, rig_of("dc_motor_smc_b2"))
     changed = {k: (v, now[k]) for k, v in there.items() if k != "python"}
-    assert found.others == changed
-    assert found.made_here == (not changed)
-    said = ", ".join(f"{k} {a} there, {b} here" for k, (a, b) in found.others.items())
-    assert found.how == (f"within tolerances: {said}" if changed else "byte for byte")
-    assert golden.line(found.others) == line
+    assert result.others == changed
+    assert result.made_here == (not changed)
+    text = ", ".join(f"{k} {a} there, {b} here" for k, (a, b) in result.others.items())
+    assert result.how == (f"within tolerances: {text}" if changed else "byte for byte")
+    assert golden.line(result.others) == line
     assert golden.line(["python"]) == "another Python, and blocks of your own"
 
 
@@ -479,7 +481,7 @@ def measured(name, error="", missed=(), kept=False, seconds=0.0):
 
 
 @pytest.mark.parametrize(
-    ("rows", "runs_of", "status", "said"),
+    ("rows", "runs_of", "status", "text"),
     [
         ([finding("a")], [measured("x")], 0, []),
         ([finding("a")], [measured("x", missed=["f", "g"])], 1, ["x: missed: f, g"]),
@@ -498,7 +500,7 @@ def measured(name, error="", missed=(), kept=False, seconds=0.0):
     ],
 )
 def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
-    lag, monkeypatch, capsys, rows, runs_of, status, said
+    lag, monkeypatch, capsys, rows, runs_of, status, text
 ):
     pages = []
     monkeypatch.setattr(results, "claiming", lambda systems: ["a scenario"])
@@ -508,10 +510,10 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
     monkeypatch.setattr(
         results,
         "html",
-        lambda scenarios, found, without, out: pages.append((scenarios, len(found), without, out)) or "h",
+        lambda scenarios, result, without, out: pages.append((scenarios, len(result), without, out)) or "h",
     )
     monkeypatch.setattr(
-        results, "markdown", lambda scenarios, found, without: pages.append((scenarios, len(found), without)) or "m"
+        results, "markdown", lambda scenarios, result, without: pages.append((scenarios, len(result), without)) or "m"
     )
     modes = []
     access = os.access
@@ -519,7 +521,7 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
     assert main(["check", "--claims", "lag", "two", "--out", "o", "--json", "j.json"]) == status
     assert ("o", os.W_OK | os.X_OK) in modes
     printed = capsys.readouterr()
-    assert printed.err.splitlines() == [f"softrig: {line}" for line in said]
+    assert printed.err.splitlines() == [f"softrig: {line}" for line in text]
     kept = ["1 of 1 runs are kept: neither code nor scenario has changed"] if runs_of[0].kept else []
     assert printed.out.splitlines() == [
         *kept,
@@ -541,11 +543,11 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
 
 def test_claims_are_cases_of_their_scenario_and_a_run_that_broke_an_error():
     other = finding("c").model_copy(update={"scenario": "study_x"})
-    found = results.suites(
+    result = results.suites(
         [finding("a"), finding("b", False), other],
         {"lag": measured("lag", seconds=2.5), "gone": measured("gone", "no", seconds=1.0)},
     )
-    assert [(s.name, s.seconds, s.error, [(c.name, c.failure, c.text) for c in s.cases]) for s in found] == [
+    assert [(s.name, s.seconds, s.error, [(c.name, c.failure, c.text) for c in s.cases]) for s in result] == [
         (
             "lag",
             2.5,
@@ -667,7 +669,7 @@ def taken(monkeypatch):
 
 def test_a_new_package_is_as_told(lag, taken, monkeypatch, capsys):
     """Its files, and the lines of them that say what it is; in a checkout and without one."""
-    told = []
+    messages = []
     for kind, command in ((None, None), ("law", "/s/softrig"), ("plant", None)):
         monkeypatch.setenv("SOFTRIG_COMMAND", command) if command else monkeypatch.delenv(
             "SOFTRIG_COMMAND", raising=False
@@ -675,15 +677,15 @@ def test_a_new_package_is_as_told(lag, taken, monkeypatch, capsys):
         name = f"my_{kind or 'rig'}"
         assert main(["new", name, *(["--only", kind] if kind else []), "--into", "here"]) == 0
         folder = lag / "here" / name
-        told += [f"{kind or 'both'}", *(f"  says {line}" for line in capsys.readouterr().out.splitlines())]
+        messages += [f"{kind or 'both'}", *(f"  says {line}" for line in capsys.readouterr().out.splitlines())]
         for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-            told.append(f"  {file.relative_to(folder)}{'' if file.stat().st_size else ', empty'}")
+            messages.append(f"  {file.relative_to(folder)}{'' if file.stat().st_size else ', empty'}")
         texts = {p.name: p.read_text() for p in folder.rglob("*") if p.is_file()}
-        told += [f"  depends {line.strip()}" for line in texts["package.xml"].splitlines() if "exec_depend" in line]
-        told += [f"  {line.strip()}" for line in texts["setup.cfg"].splitlines() if ".main" in line]
-        told += [f"  {line.strip()}" for line in texts["README.md"].splitlines() if "softrig" in line]
+        messages += [f"  depends {line.strip()}" for line in texts["package.xml"].splitlines() if "exec_depend" in line]
+        messages += [f"  {line.strip()}" for line in texts["setup.cfg"].splitlines() if ".main" in line]
+        messages += [f"  {line.strip()}" for line in texts["README.md"].splitlines() if "softrig" in line]
         assert not [n for n, text in texts.items() if "$name" in text or "${" in text]
-    check_told("verbs/new", told)
+    check_told("verbs/new", messages)
     assert new.first("/a") == "pip install /a && softrig"
 
 
@@ -693,9 +695,9 @@ def test_a_second_scenario_of_a_package_is_installed_with_it(lag, taken):
     second = folder / "scenarios" / "my_second.yaml"
     text = (folder / "scenarios" / "my_rig.yaml").read_text()
     second.write_text("".join(f"{line}\n" for line in text.splitlines() if not line.startswith("source:")))
-    found = canonic_data_files({"scenarios": ["scenarios/*.yaml"]}, root_dir=folder)
+    result = canonic_data_files({"scenarios": ["scenarios/*.yaml"]}, root_dir=folder)
     assert "share/my_rig/scenarios = scenarios/*.yaml" in (folder / "setup.cfg").read_text()
-    assert found == [("scenarios", ["scenarios/my_rig.yaml", "scenarios/my_second.yaml"])]
+    assert result == [("scenarios", ["scenarios/my_rig.yaml", "scenarios/my_second.yaml"])]
     assert load_scenario(str(second)).source == ""
 
 
@@ -727,7 +729,7 @@ def test_where_a_run_goes_is_as_told(lag, monkeypatch, capsys):
             )
         ),
     )
-    told = []
+    messages = []
 
     def kept(name, once=("in real time",)):
         (lag / name).mkdir(parents=True)
@@ -739,11 +741,11 @@ def test_where_a_run_goes_is_as_told(lag, monkeypatch, capsys):
         try:
             folder = run_verb.results_folder(options, of)
             listed = json.loads((folder.path / "softrig_files.json").read_text())
-            told.append(f"{' '.join(words)}: {folder.path}, list {listed}")
+            messages.append(f"{' '.join(words)}: {folder.path}, list {listed}")
             folder.let_go()
         except ScenarioError as error:
-            told.append(f"{' '.join(words)}: refused: {error}")
-        told.extend(f"  {line}" for line in capsys.readouterr().err.splitlines())
+            messages.append(f"{' '.join(words)}: refused: {error}")
+        messages.extend(f"  {line}" for line in capsys.readouterr().err.splitlines())
 
     go("lag")
     go("lag", "--realtime")
@@ -765,7 +767,8 @@ def test_where_a_run_goes_is_as_told(lag, monkeypatch, capsys):
     held.hold()
     go("lag", "--out", "held")
     check_told(
-        "verbs/where", (line.replace(str(lag), "HERE").replace(f"process {os.getpid()}", "process N") for line in told)
+        "verbs/where",
+        (line.replace(str(lag), "HERE").replace(f"process {os.getpid()}", "process N") for line in messages),
     )
 
 
@@ -797,17 +800,17 @@ def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
     )
     asked = []
     monkeypatch.setattr(runs, "run_processes", lambda *what: asked.append(what) or outcome)
-    found = runs.execute(rig, Placement("processes", "realtime"), tmp_path)
-    assert (found.error, found.epoch, found.status, found.mode) == (
+    result = runs.execute(rig, Placement("processes", "realtime"), tmp_path)
+    assert (result.error, result.epoch, result.status, result.mode) == (
         "",
         7,
         {"a": {}},
         "realtime",
     )  # no ticks to miss
     assert asked[0][:3] == (rig, 0, tmp_path)
-    assert runs._plant_ticks(found) == 0  # which has said nothing
-    found.status = {"plant": {"ticks": 5}}
-    assert runs._plant_ticks(found) == 5
+    assert runs._plant_ticks(result) == 0  # which has said nothing
+    result.status = {"plant": {"ticks": 5}}
+    assert runs._plant_ticks(result) == 5
     assert "first gap" in runs.execute(rig, Placement("processes"), tmp_path).error
     outcome.stopped = 15
     assert (
@@ -826,9 +829,9 @@ def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
         return part.run_part(rig, make_parser().parse_args([*words, *more]))
 
     assert go() == 0
-    said = capsys.readouterr().err.splitlines()
-    assert said[0] == "softrig: gain here, domain 7; elsewhere: plant, source"
-    assert said[1].startswith("softrig: recorded in runs/lag-gain/log; a bag of the whole rig: the .shard files")
+    printed = capsys.readouterr().err.splitlines()
+    assert printed[0] == "softrig: gain here, domain 7; elsewhere: plant, source"
+    assert printed[1].startswith("softrig: recorded in runs/lag-gain/log; a bag of the whole rig: the .shard files")
     (of, seed, log, placement, listener) = asked[0]
     assert (of, seed, log, placement.only, placement.domain, placement.wait) == (
         rig,
@@ -900,13 +903,13 @@ def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
         5,
     ]
     assert capsys.readouterr().out == "bag ['info', 'x']\nplay ['x', '--y']\n"
-    for words, said in (
+    for words, message in (
         (["plot", "x"], "`softrig plot` is `softrig draw plot RUN` now"),
         (["setup"], "are of scripts/softrig"),
         (["env"], "are of scripts/softrig"),
     ):
         assert main(words) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     for shell, text in (("zsh", "#compdef softrig"), ("fish", "complete --command softrig"), ("bash", "complete ")):
         assert main(["env", "--completion", shell]) == 0
         assert text in capsys.readouterr().out
@@ -953,9 +956,9 @@ def test_words_become_scenarios_settings_nodes_packages_and_executables(lag, mon
     scenario = {"title": "t", "system": "s", "source": "n", "extends": "lag", "shared": {"v": 1.0}}
     (lag / "more.yaml").write_text(json.dumps(scenario))
     for given in ({"scenario": "more"}, {"study": "more", "scenario": ""}, {"what": "more"}):
-        found = completion._settings(of(**given))
-        assert found[0] == "v="
-        assert {"gain.k=", "plant.period=", "gain.noise="} <= {*found}
+        result = completion._settings(of(**given))
+        assert result[0] == "v="
+        assert {"gain.k=", "plant.period=", "gain.noise="} <= {*result}
         assert list(completion._nodes(of(**given))) == ["plant", "source", "gain"]
     assert completion._settings(of(scenario="none")) == []
     for prefix, package, manifest in (
@@ -1075,7 +1078,7 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
     run, asked, name = simulate("lag"), [], "lag/state/x/position"
     plotted = rig_of(run.rig.scenario.having(plots=[{"title": "Position", "signals": {name: "x"}}]))
 
-    def drawn(found, rig, entry, **how):
+    def drawn(result, rig, entry, **how):
         asked.append((entry.title, [*entry.signals], entry.window, how))
         return SimpleNamespace(
             savefig=lambda file, format, dpi, metadata: file.write(f"{dpi} {format} {metadata}".encode())
@@ -1115,16 +1118,16 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
 def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
     """Made, made again, another length, checked here and as if elsewhere, and the file that says how."""
     words = ["dc_motor_smc_b2", "--bags", str(tmp_path)]
-    told = []
+    messages = []
 
     def go(*more, verb=("golden",)):
         status = main([*verb, *words, *more])
-        said = capsys.readouterr()
-        told.append(f"{' '.join([*verb, *more])}: status {status}")
-        told.extend(
-            f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in said.out.splitlines() if "CPython" not in line
+        printed = capsys.readouterr()
+        messages.append(f"{' '.join([*verb, *more])}: status {status}")
+        messages.extend(
+            f"  {re.sub(r'[0-9]+ kB', 'N kB', line)}" for line in printed.out.splitlines() if "CPython" not in line
         )
-        told.extend(f"  {line}" for line in said.err.splitlines())
+        messages.extend(f"  {line}" for line in printed.err.splitlines())
 
     go("--duration", "0.02", "--seed", "3")
     go(verb=("check", "--golden"))
@@ -1144,8 +1147,8 @@ def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
     made = golden.load(tmp_path / "dc_motor_smc_b2", seed=4)
     assert (made.recipe.seed, made.recipe.duration, made.bag) == (4, 0.01, bag)
     text = file.read_text().replace(made.recipe.made_with["softrig_core"], "V").splitlines()
-    told += ["golden.yaml", *(f"  {line}" for line in text[: text.index("made_with:")])]
-    check_told("verbs/golden", told)
+    messages += ["golden.yaml", *(f"  {line}" for line in text[: text.index("made_with:")])]
+    check_told("verbs/golden", messages)
     assert max(map(len, text)) <= 110
     assert all(
         golden.load(tmp_path / "dc_motor_smc_b2").open_loop(m.name).equal
@@ -1230,13 +1233,13 @@ def test_the_steps_of_a_run_are_in_order(flow, lag, capsys):
     steps.clear()
     assert main(["run", "lag", "--only", "gain", "--domain", "5"]) == 8
     assert steps == [("prepare",), ("part", ["gain"])]
-    for words, said in (
+    for words, text in (
         (["run", "lag", "--realtime", "--mode", "inprocess"], "blocks in process know no wall clock"),
         (["view", "lag", "--only", "gain"], "view shows a whole rig, which --only is not"),
     ):
         steps.clear()
         assert main(words) == 2
-        assert (said in capsys.readouterr().err, steps) == (True, [])
+        assert (text in capsys.readouterr().err, steps) == (True, [])
 
 
 def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch, capsys):
@@ -1244,7 +1247,7 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
     done, drawn = simulate("lag"), []
     done.wall_s = 0.5
     monkeypatch.setattr(run_verb, "illustrate", lambda run, folder, form: drawn.append((folder.path.name, form)))
-    told = []
+    messages = []
 
     def go(name, *words, **more):
         options = make_parser().parse_args(["run", "lag", *words])
@@ -1255,20 +1258,20 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
             folder.clear()
         kept = run_verb._keep(options, done, folder)
         content = kept.content
-        said = f"changed {list(content['changed'])}, same {kept.same}, told {list(kept.told)}"
-        told.append(f"{' '.join(words) or 'plain'}: {said}")
-        told.append(f"  {content['title']}, label {content['label']!r}, {content['command']}")
+        text = f"changed {list(content['changed'])}, same {kept.same}, told {list(kept.told)}"
+        messages.append(f"{' '.join(words) or 'plain'}: {text}")
+        messages.append(f"  {content['title']}, label {content['label']!r}, {content['command']}")
         if folder:
-            told.append(f"  {sorted(p.name for p in (lag / name).iterdir())}")
+            messages.append(f"  {sorted(p.name for p in (lag / name).iterdir())}")
 
     go("a", "--mode", "inprocess")
     go("b", "--set", "gain.k=2", "--label", "soft", "--junit", "unit.xml", "--no-record", "--format", "pdf")
-    told += [f"    {line.strip()}" for line in (lag / "unit.xml").read_text().splitlines() if "suite" in line]
+    messages += [f"    {line.strip()}" for line in (lag / "unit.xml").read_text().splitlines() if "suite" in line]
     go("c", "--external", "gain", "--no-plots")
     go(None, "--seed", "3")
     go("d", branched=[{"at_s": 0.02, "from_s": 0.03, "left": ""}])
-    told.append(f"drawn {drawn}")
-    check_told("verbs/kept", (line.replace(str(lag), "HERE") for line in told))
+    messages.append(f"drawn {drawn}")
+    check_told("verbs/kept", (line.replace(str(lag), "HERE") for line in messages))
     assert run_verb.conclude(make_parser().parse_args(["run", "lag", "--no-plots"]), simulate("lag"), None) == 0
 
 
@@ -1280,7 +1283,7 @@ def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
     monkeypatch.setattr(
         check, "sweep", lambda do, names, title, workers: asked.append((names, title, workers)) or outcomes
     )
-    for found, status, said in (
+    for result, status, text in (
         ([good | {"claims": [claim]}], 0, ["lag: 1 hold, 0 do not"]),
         (
             [good | {"claims": [claim, claim | {"key": "b", "false": "no"}]}],
@@ -1294,9 +1297,9 @@ def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
         ),
         ([good], 2, ["lag: nothing is judged: it has no expectations"]),
     ):
-        outcomes[:] = found
+        outcomes[:] = result
         assert main(["check", "lag", "--workers", "2"]) == status
-        assert capsys.readouterr().out.splitlines() == said
+        assert capsys.readouterr().out.splitlines() == text
     assert asked == [([check.Judged("lag", "lag", "")], "check", 2)] * 4
     assert main(["check", "lag", "--json", "nowhere/x.json"]) == 2
     assert "nowhere/x.json: there is no folder" in capsys.readouterr().err
@@ -1358,7 +1361,7 @@ def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):
     )
     monkeypatch.setattr(results, "without_signals", list)
     monkeypatch.setattr(results, "results", lambda study, done, units: (study.name, done))
-    monkeypatch.setattr(results, "claims", lambda study, found: [found])
+    monkeypatch.setattr(results, "claims", lambda study, result: [result])
     scenarios, rows = results.study_findings([], Path("o"), 2)
     assert ran == [("a_1", Path("o/a_1"), 2), ("b_1", Path("o/b_1"), 2), ("b_1", Path("o/b_1"), 2)]
     assert (cleared, rows) == ([(Path("o/b_1"), results.STUDY)], [("a_1", ["row"]), ("b_1", ["row"])])
@@ -1372,21 +1375,21 @@ def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):
 def test_a_checkout_is_told_by_its_commit_and_its_lock_file(tmp_path, monkeypatch):
     (tmp_path / "locks").mkdir()
     monkeypatch.setenv("SOFTRIG_COMMAND", str(tmp_path / "softrig"))
-    said = {"rev-parse": "abc\n", "status": " M x\n"}
+    messages = {"rev-parse": "abc\n", "status": " M x\n"}
     asked = []
 
     def git(command, **how):
         asked.append((command[:3], how))
-        return SimpleNamespace(stdout=said[command[6] if command[6] in said else command[7]])
+        return SimpleNamespace(stdout=messages[command[6] if command[6] in messages else command[7]])
 
     monkeypatch.setattr(runs.subprocess, "run", git)
-    look = runs.checkout.__wrapped__
-    assert look() == {}
+    style = runs.checkout.__wrapped__
+    assert style() == {}
     (tmp_path / "locks/run.lock").write_text("x")
     lock = {"run.lock": "sha256:2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881"}
-    assert look() == {"commit": "abc+"} | lock
-    said["status"] = ""
-    assert look() == {"commit": "abc"} | lock
+    assert style() == {"commit": "abc+"} | lock
+    messages["status"] = ""
+    assert style() == {"commit": "abc"} | lock
     assert asked[0] == (
         ["git", "-C", str(tmp_path)],
         {"capture_output": True, "text": True, "timeout": 10, "check": True},
@@ -1396,7 +1399,7 @@ def test_a_checkout_is_told_by_its_commit_and_its_lock_file(tmp_path, monkeypatc
         raise FileNotFoundError
 
     monkeypatch.setattr(runs.subprocess, "run", none)
-    assert look() == lock
+    assert style() == lock
 
 
 def test_records_do_not_change_and_libraries_take_one_core():

@@ -222,8 +222,8 @@ def widget_lines(model, depth=1):
     if shown.get("text", "").startswith("<svg"):
         shown["text"] = "a drawing"
     name = [kind, model.name or "", model.sizing_mode or "", f"{n} sheets" if (n := len(model.stylesheets)) else ""]
-    said = " ".join(f"{n} {number_or_text(v)}" for n, v in shown.items())
-    yield f"{indent}{' '.join(filter(None, name))}{': ' if said else ''}{said}"
+    text = " ".join(f"{n} {number_or_text(v)}" for n, v in shown.items())
+    yield f"{indent}{' '.join(filter(None, name))}{': ' if text else ''}{text}"
     for child in () if model.name == "knobs drift" else getattr(model, "children", ()):  # a fault's are told elsewhere
         yield from widget_lines(child, depth + 1)
 
@@ -355,7 +355,7 @@ def test_what_cannot_be_held_or_paced_has_no_button_for_it(monkeypatch, held, pa
 
 
 def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeypatch):
-    asked, told = [], []
+    asked, messages = [], []
     source, control = live(make(monkeypatch, plots=ONE), asked)
     control.goes_back = True
     control._now = lambda: 0.5
@@ -366,19 +366,19 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeyp
     def after(what, answer=None):
         """What was asked of the nodes and said on the pages, and what the page shows once they have answered."""
         nonlocal lines
-        told.extend([what, *(f"  asks {request}" for request, _ in asked)])
+        messages.extend([what, *(f"  asks {request}" for request, _ in asked)])
         for _, answered in asked:
             answered(answer is None, answer or "")
         asked.clear()
         new, lines = control.lines - lines, control.lines
-        told.extend(
+        messages.extend(
             f"  {s.t:g} s, {s.who}: {s.text}{' (wrong)' if s.wrong else ''}" for s in [*control.said][-new:] if new
         )
         named(document, "echo").text = named(document, "beat").text
         page.update()
 
     def shows(*names):
-        told.extend(f"  {n} shows {number_or_text(getattr(named(document, n), 'value', None))}" for n in names)
+        messages.extend(f"  {n} shows {number_or_text(getattr(named(document, n), 'value', None))}" for n in names)
 
     def press(name):
         named(document, name)._trigger_event(ButtonClick(named(document, name)))
@@ -391,7 +391,7 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeyp
     def switches(name, answer=None):
         named(document, name).active = not named(document, name).active
         after(f"{name}: switches", answer)
-        told.append(f"  {name} shows {named(document, name).active}")
+        messages.append(f"  {name} shows {named(document, name).active}")
 
     def slides(name, value):
         slider = named(document, f"{name} slider")
@@ -418,17 +418,17 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeyp
     after("somebody else turns")
     shows("law.steps", "law.rule")
     slider = named(document, "law.steps slider")
-    told.append(f"  its slider shows {slider.value} of {slider.start} to {slider.end}")
+    messages.append(f"  its slider shows {slider.value} of {slider.start} to {slider.end}")
     for name in ("step", "hold", "hold", "law/flush"):
         press(name)
         after(f"presses {name}", None if name != "step" else "it runs")
-        told.append(
+        messages.append(
             f"  hold says {named(document, 'hold').label}; {named(document, 'state').text.partition('process')[2]}"
         )
     for pace in ("0.5", "full"):
         named(document, "pace").value = pace
         after(f"pace {pace}")
-        told.append(f"  {control.pace:g} {named(document, 'pace').value}")
+        messages.append(f"  {control.pace:g} {named(document, 'pace').value}")
     types("back to", "0.3")
     shows("back to slider")
     press("go back")
@@ -441,8 +441,8 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeyp
     named(document, "back to slider").value = 1.25
     after("moves the line")
     shows("back to")
-    told.append(f"  the line is at {page._cursor.location:g}")
-    check_told("view/people", told)
+    messages.append(f"  the line is at {page._cursor.location:g}")
+    check_told("view/people", messages)
 
 
 class Plain:
@@ -466,13 +466,13 @@ def drawn(monkeypatch):
 def test_the_window_of_time_is_that_which_is_chosen_until_somebody_moves_it(drawn):
     source, control = live(drawn)
     document, page = page_of(source, control)
-    told = []
+    messages = []
 
     def now(what):
         named(document, "echo").text = named(document, "beat").text
         page.update()
         points = len(named(document, "Level: tank/state/level/position").data["x"])
-        told.append(
+        messages.append(
             f"{what}: {page.time.start:.6g} to {page.time.end:.6g} s, {points} points, "
             f"follows {named(document, 'follow').active}, window {named(document, 'window').value}"
         )
@@ -483,7 +483,7 @@ def test_the_window_of_time_is_that_which_is_chosen_until_somebody_moves_it(draw
         now(f"up to {end:g} s")
     for window in ("2", "0.1", "10", "all"):
         named(document, "window").value = window
-        told.append(f"at once from {page.time.start:.6g} s")
+        messages.append(f"at once from {page.time.start:.6g} s")
         now(f"chosen {window}")
     page.time.start = 0.25
     now("moved")
@@ -496,8 +496,8 @@ def test_the_window_of_time_is_that_which_is_chosen_until_somebody_moves_it(draw
     source.changes.append((0.15, "law", {"k": 1.0}))
     source.version += 1
     now("something changed")
-    told.append(f"changes at {named(document, 'changes').data['t']}")
-    check_told("view/window", told)
+    messages.append(f"changes at {named(document, 'changes').data['t']}")
+    check_told("view/window", messages)
 
 
 def test_the_drawing_goes_on_from_look_to_look_in_equal_steps(drawn):
@@ -569,14 +569,14 @@ def test_a_recording_is_played_at_its_pace_and_says_its_values_at_the_line(drawn
     page.update()
     assert line.value == 0.0
     play.active = True
-    found = []
+    results = []
     for pace, frames in (("1", 5), ("0.5", 2), ("full", 2), ("2", 2)):
         named(document, "pace").value = pace
         for _ in range(frames):
             page.update()
-            found.append(line.value)
+            results.append(line.value)
     # from the beginning after the end, which is shown
-    assert found == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0, 0.05, 0.1, 0.104, 0.108, 0.308, 0.0])
+    assert results == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0, 0.05, 0.1, 0.104, 0.108, 0.308, 0.0])
     line.value = 0.2
     assert page._cursor.location == line.value
     assert named(document, "values").text == (
@@ -593,8 +593,8 @@ def test_a_drawing_that_fails_is_the_last_one(drawn, monkeypatch):
     empty = Recorded(drawn, Signals(Recording([])), {})
     document, page = page_of(empty, Control(drawn, None, lambda: 0.0, lambda: ""))
     assert named(document, "cursor").end == 1e-9
-    said = "<p class=wrong>Tank: no drawing: ValueError(&#x27;no &lt;level&gt;&#x27;)</p>"
-    assert named(document, "drawing").text == said
+    text = "<p class=wrong>Tank: no drawing: ValueError(&#x27;no &lt;level&gt;&#x27;)</p>"
+    assert named(document, "drawing").text == text
     monkeypatch.setattr(Plain, "frame", lambda *_: pytest.fail("it is asked again"))
     page._draw_plant(0.1)
 
@@ -686,31 +686,31 @@ KIND = {
 def test_the_head_says_how_far_it_is_and_how_it_goes(more, state, look):
     about = SimpleNamespace(**KIND | more)
     about.rig = SimpleNamespace(scenario=SimpleNamespace(name="x_1", title="Mine", duration=6.0))
-    found = words.head(about, "container", about).replace("&#x27;", "'")
-    assert found == f'<h1>x_1</h1><p>Mine</p><p class="{look}">container: {state}</p>'
+    result = words.head(about, "container", about).replace("&#x27;", "'")
+    assert result == f'<h1>x_1</h1><p>Mine</p><p class="{look}">container: {state}</p>'
 
 
 def test_the_head_says_the_last_line_and_the_log_all_of_them_the_newest_first():
-    said = [Said(0.5, "me", "k = 1 <V>", False), Said(12.3456789, "law", "no", True)]
-    about = SimpleNamespace(**KIND | {"said": said})
+    messages = [Said(0.5, "me", "k = 1 <V>", False), Said(12.3456789, "law", "no", True)]
+    about = SimpleNamespace(**KIND | {"said": messages})
     about.rig = SimpleNamespace(scenario=SimpleNamespace(name="x", title="Mine", duration=6.0))
     assert words.head(about, "here", about).endswith('</p><p class="wrong">law: no</p>')
-    assert words.log(said) == (
+    assert words.log(messages) == (
         '<h2>What was done</h2><table><tr><td class="n">12.3457 s</td><td>law</td><td class="wrong">no</td></tr>'
         '<tr><td class="n">0.5 s</td><td>me</td><td class="">k = 1 &lt;V&gt;</td></tr></table>'
     )
 
 
 def test_values_that_are_none_are_dashes():
-    found = words.values({"a <b>": (1234567.0, "m^2"), "c": (None, ""), "d": (math.nan, "s")}, 0.1234567)
-    assert found == (
+    result = words.values({"a <b>": (1234567.0, "m^2"), "c": (None, ""), "d": (math.nan, "s")}, 0.1234567)
+    assert result == (
         '<h2>At 0.123457 s</h2><table><tr><td>a &lt;b&gt;</td><td class="n">1.23457e+06</td><td>m²</td></tr>'
         '<tr><td>c</td><td class="n">-</td><td></td></tr><tr><td>d</td><td class="n">-</td><td>s</td></tr></table>'
     )
 
 
 @pytest.mark.parametrize(
-    ("kind", "value", "text", "found"),
+    ("kind", "value", "text", "result"),
     [
         (str, "soft", "hard: 1", "hard: 1"),
         (float, 1.0, "2", 2.0),
@@ -722,14 +722,14 @@ def test_values_that_are_none_are_dashes():
         (tuple, (1.0,), "", "expected a value"),
     ],
 )
-def test_what_is_typed_is_read_as_the_knob_is(kind, value, text, found):
+def test_what_is_typed_is_read_as_the_knob_is(kind, value, text, result):
     knob = Knob("n", "p", "", "", value, kind, (-math.inf, math.inf))
     assert knob.key == "n.p"
-    if isinstance(found, str) and kind is not str:
-        with pytest.raises(ScenarioError, match=rf"^n\.p.*{found}$"):
+    if isinstance(result, str) and kind is not str:
+        with pytest.raises(ScenarioError, match=rf"^n\.p.*{result}$"):
             knob.read(text)
     else:
-        assert (knob.read(text), type(knob.read(text))) == (found, type(found))
+        assert (knob.read(text), type(knob.read(text))) == (result, type(result))
 
 
 def test_a_hundred_lines_are_kept_and_all_are_counted(rig):
@@ -795,7 +795,7 @@ def test_what_cannot_be_asked_is_refused_by_its_name(rig, ask, over, why):
 def test_a_page_takes_its_session_up_again_by_loading_itself(drawn):
     document, _ = page_of(*live(drawn))
     assert document.template is look.TEMPLATE
-    calls = {name: [c.code for c in found] for name, found in document.callbacks._js_event_callbacks.items()}
+    calls = {name: [c.code for c in result] for name, result in document.callbacks._js_event_callbacks.items()}
     assert calls == {"document_ready": ["echo.text = beat.text"], "connection_lost": [look.COME_BACK]}
     sheets = {name: [s.css for s in named(document, name).stylesheets] for name in ("state", "law.k")}
     assert sheets == {"state": [look.WIDGETS], "law.k": [look.WIDGETS, look.BESIDE]}
@@ -819,6 +819,6 @@ def test_a_curve_has_at_most_four_points_a_column_of_pixels(monkeypatch):
 
 def test_how_both_looks_are_drawn_is_as_told():
     attrs = {name: look.theme(name)["attrs"] for name in ("light", "dark")}
-    told = [f"{name} {kind}: {shown}" for name, kinds in attrs.items() for kind, shown in kinds.items()]
-    told += [f"{name} curves: {' '.join(colours)}" for name, colours in look.COLOURS.items()]
-    check_told("view/look", told)
+    messages = [f"{name} {kind}: {shown}" for name, kinds in attrs.items() for kind, shown in kinds.items()]
+    messages += [f"{name} curves: {' '.join(colours)}" for name, colours in look.COLOURS.items()]
+    check_told("view/look", messages)

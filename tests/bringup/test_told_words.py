@@ -47,17 +47,17 @@ def words(of, verb):
             for name, sub in a.choices.items():
                 yield from (f"    {line}" for line in words(sub, name))
         elif not isinstance(a, argparse._HelpAction):
-            said = [" ".join(a.option_strings) or a.dest, KINDS.get(type(a), type(a).__name__), kind(a)]
+            messages = [" ".join(a.option_strings) or a.dest, KINDS.get(type(a), type(a).__name__), kind(a)]
             named = a.option_strings[-1][2:].replace("-", "_") if a.option_strings else a.dest
-            said += [f"into {a.dest}"] if named != a.dest else []
-            said += [f"one of {' '.join(a.choices)}"] if a.choices else []
-            said += [f"times {a.nargs}"] if a.nargs not in (None, 0) else []
-            said += [f"alone {a.const!r}"] if a.nargs == "?" and a.const is not None else []
-            said += [f"else {a.default!s}".strip()] if a.default not in (None, False, argparse.SUPPRESS) else []
-            said += ["nothing where it is not said"] if a.default is argparse.SUPPRESS else []
-            said += ["wanted"] if a.required and a.option_strings else []
-            said += [f"one of group {together[a.dest]}"] if a.dest in together else []
-            yield f"  {', '.join(filter(None, said))}"
+            messages += [f"into {a.dest}"] if named != a.dest else []
+            messages += [f"one of {' '.join(a.choices)}"] if a.choices else []
+            messages += [f"times {a.nargs}"] if a.nargs not in (None, 0) else []
+            messages += [f"alone {a.const!r}"] if a.nargs == "?" and a.const is not None else []
+            messages += [f"else {a.default!s}".strip()] if a.default not in (None, False, argparse.SUPPRESS) else []
+            messages += ["nothing where it is not said"] if a.default is argparse.SUPPRESS else []
+            messages += ["wanted"] if a.required and a.option_strings else []
+            messages += [f"one of group {together[a.dest]}"] if a.dest in together else []
+            yield f"  {', '.join(filter(None, messages))}"
 
 
 def test_all_verbs_and_options_are_as_told():
@@ -67,10 +67,10 @@ def test_all_verbs_and_options_are_as_told():
 def answer(function, *arguments):
     """What a function gives, or how it refuses."""
     try:
-        found = function(*arguments)
+        result = function(*arguments)
     except (ScenarioError, argparse.ArgumentTypeError) as error:
         return f"refused: {error}"
-    return found if isinstance(found, str) else repr(found).replace("PosixPath", "Path")
+    return result if isinstance(result, str) else repr(result).replace("PosixPath", "Path")
 
 
 READ = [
@@ -200,15 +200,15 @@ READ = [
 
 
 def test_what_is_typed_is_read_as_told():
-    told = []
+    messages = []
     for function, cases in READ:
-        told.append(f"{function.__module__.rpartition('.')[2]}.{function.__name__}")
+        messages.append(f"{function.__module__.rpartition('.')[2]}.{function.__name__}")
         for case in cases:
-            found = answer(function, *(("n", case) if function in (grammar.span, grammar.values) else (case,)))
-            if function is grammar.values and found.startswith("[") and found.count(",") > 20:
-                found = f"{found.count(',') + 1} values, {found[:10]} to {found[-12:]}"
-            told.append(f"  {case!r} -> {found or 'nothing'}")
-    check_told("words_read", told)
+            result = answer(function, *(("n", case) if function in (grammar.span, grammar.values) else (case,)))
+            if function is grammar.values and result.startswith("[") and result.count(",") > 20:
+                result = f"{result.count(',') + 1} values, {result[:10]} to {result[-12:]}"
+            messages.append(f"  {case!r} -> {result or 'nothing'}")
+    check_told("words_read", messages)
 
 
 @trying(max_examples=60, deadline=None)
@@ -218,8 +218,8 @@ def test_a_range_has_both_ends_and_equal_steps(low, count, tenths):
     step = Fraction(tenths, 10)
     for beyond in (Fraction(0), step / 2):
         high = low + count * step + beyond
-        found = grammar.values("n", f"{low}:{float(high)!r}:{float(step)!r}")
-        assert found == [pytest.approx(float(low + k * step), abs=1e-12) for k in range(count + 1)]
+        result = grammar.values("n", f"{low}:{float(high)!r}:{float(step)!r}")
+        assert result == [pytest.approx(float(low + k * step), abs=1e-12) for k in range(count + 1)]
         assert grammar.values("n", f"{low}:{low + count}") == list(range(low, low + count + 1))
 
 
@@ -235,15 +235,15 @@ def test_params_files_are_read_as_told(tmp_path):
         "no map": "law: 3",
         "empty": "law: {ros__parameters: {}}",
     }
-    told = []
+    messages = []
     for name, text in cases.items():
         file = tmp_path / "p.yaml"
         file.write_text(text)
-        told.append(
+        messages.append(
             f"{name}: {answer(params_file.params_of, file, iter(['law', 'plant']))}".replace(str(tmp_path), "HERE")
         )
-    told.append(answer(params_file.params_of, tmp_path / "none", []).replace(str(tmp_path), "HERE"))
-    check_told("words_params", told)
+    messages.append(answer(params_file.params_of, tmp_path / "none", []).replace(str(tmp_path), "HERE"))
+    check_told("words_params", messages)
 
 
 SAID = [
@@ -259,19 +259,19 @@ SAID = [
 def test_a_run_is_named_changed_and_repeated_as_told(monkeypatch):
     """Of each command what of the scenario it changes, where the results go, and the words that repeat it."""
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
-    told = []
+    messages = []
     for text in SAID:
         given = [w.replace("~", " ") for w in text.replace("[1, 2]", "[1,~2]").split()]
         options = parser().parse_args(["run", *given])
-        told.append(f"run {text}")
-        told.append(f"  changed: {run_options.changed_words(options)}")
-        told.append(f"  folder: {run_options.folder_name('x', options)}")
-        told.append(f"  again: {repeating.joined(run_options.repeat(options))}")
+        messages.append(f"run {text}")
+        messages.append(f"  changed: {run_options.changed_words(options)}")
+        messages.append(f"  folder: {run_options.folder_name('x', options)}")
+        messages.append(f"  again: {repeating.joined(run_options.repeat(options))}")
         placement = run_options.placement_of(options)
-        told.append(
+        messages.append(
             f"  where: {placement}, domain {placement.domain}, wait {placement.wait}, restart {placement.restart}"
         )
-    check_told("words_again", told)
+    check_told("words_again", messages)
     long = parser().parse_args(["run", "x", *["--set", f"a.k={'1' * 200}"]])
     assert re.fullmatch(r"x-[0-9a-f]{8}", run_options.folder_name("x", long))  # no half of a number
 
@@ -279,7 +279,7 @@ def test_a_run_is_named_changed_and_repeated_as_told(monkeypatch):
 def test_what_the_options_change_of_a_scenario_is_as_told(tmp_path):
     """Nothing, its length, seed and nodes; what cannot be is refused by its name."""
     (tmp_path / "p.yaml").write_text("dc_motor_smc: {ros__parameters: {delta: 1.5, k: 70.0}}")
-    told = []
+    messages = []
     for text in (
         "dc_motor_smc_b2",
         "dc_motor_smc_b2 --duration 2.5 --seed 4",
@@ -294,13 +294,13 @@ def test_what_the_options_change_of_a_scenario_is_as_told(tmp_path):
         "--from x@1 --params-file p",
         "--from x@1 --only a",
     ):
-        found = answer(lambda text=text: run_options.scenario_of(parser().parse_args(["run", *text.split()])))
-        if not found.startswith("refused"):
+        result = answer(lambda text=text: run_options.scenario_of(parser().parse_args(["run", *text.split()])))
+        if not result.startswith("refused"):
             scenario = run_options.scenario_of(parser().parse_args(["run", *text.split()]))
             law = scenario.nodes["dc_motor_smc"]
-            found = f"{scenario.duration:g} s, seed {scenario.seed}, outside {law.external}, {dict(law.parameters)}"
-        told.append(f"{text} -> {found}".replace(str(tmp_path), "HERE"))
-    check_told("words_scenario", told)
+            result = f"{scenario.duration:g} s, seed {scenario.seed}, outside {law.external}, {dict(law.parameters)}"
+        messages.append(f"{text} -> {result}".replace(str(tmp_path), "HERE"))
+    check_told("words_scenario", messages)
 
 
 def test_a_command_of_a_later_version_does_not_end_the_process(monkeypatch):

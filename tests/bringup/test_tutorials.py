@@ -59,14 +59,14 @@ def blocks(page: str) -> list[Block]:
     return result
 
 
-def script(found: list[Block]) -> str:
+def script(result: list[Block]) -> str:
     lines = ["set -eo pipefail", "trap 'jobs -p | xargs -r kill' EXIT"]  # else what runs in the background goes on
     lines += [f"cd {shlex.quote(str(ROOT))}", 'eval "$(scripts/softrig env)"', 'cd "$FOLDER"']
-    for number, block in enumerate(found):
+    for number, block in enumerate(result):
         if block.kind == "file":
-            first, _, rest = block.text.partition("\n")
+            first, _, remaining = block.text.partition("\n")
             name = re.search(r"[\w/]+\.\w+", first)[0]
-            text = rest if name.endswith(".urdf") else block.text  # no comment of XML
+            text = remaining if name.endswith(".urdf") else block.text  # no comment of XML
             lines += [f"cat > {name} <<'@@ end'", text.rstrip("\n"), "@@ end"]
         elif block.kind == "commands":
             lines += [f"echo '{MARK} {number}'", block.text.rstrip("\n")]
@@ -90,13 +90,13 @@ def shown(expected: str, printed: str) -> str:
 def test_a_tutorial_does_what_it_says(name, tmp_path):
     if name == "board_tutorial" and not (shutil.which("avr-gcc") and CORE.is_dir() and HEADER.is_file()):
         pytest.skip(f"needs an AVR compiler and simavr (Debian: {DEBIAN})")
-    found = blocks(pages()[name].read_text())
-    assert sum(block.kind == "commands" for block in found) >= 2
+    result = blocks(pages()[name].read_text())
+    assert sum(block.kind == "commands" for block in result) >= 2
     with free_domain() as domain:
         pass  # `run --domain` takes its lock itself
     work = tmp_path / "work"
     work.mkdir()
-    text = script(found).replace("ROS_DOMAIN_ID=42", f"ROS_DOMAIN_ID={domain}")
+    text = script(result).replace("ROS_DOMAIN_ID=42", f"ROS_DOMAIN_ID={domain}")
     text = text.replace("--domain 42", f"--domain {domain}")
     environment = os.environ | {
         "FOLDER": str(work),
@@ -122,7 +122,7 @@ def test_a_tutorial_does_what_it_says(name, tmp_path):
     parts = dict(re.findall(rf"^{MARK} (\w+)\n(.*?)(?=^{MARK}|\Z)", printed, re.S | re.M))
     assert "end" in parts, printed
     last = ""
-    for number, block in enumerate(found):
+    for number, block in enumerate(result):
         if block.kind == "commands":
             last = parts[str(number)]
         elif block.kind == "output":
@@ -152,9 +152,9 @@ def test_a_table_of_a_tutorial_expects_what_the_scenario_expects():
         scenario = None
         for block in blocks(pages()[name].read_text()):
             if block.kind == "commands" and (
-                found := re.findall(r"^softrig (?:--workspace \S+ )?run (\S+)", block.text, re.M)
+                result := re.findall(r"^softrig (?:--workspace \S+ )?run (\S+)", block.text, re.M)
             ):
-                scenario = found[-1] if found[-1] in list_scenarios() else None
+                scenario = result[-1] if result[-1] in list_scenarios() else None
             if block.kind != "output" or scenario is None:
                 continue
             for line in block.text.splitlines():
@@ -179,6 +179,6 @@ def test_what_an_example_shows_is_held_against_what_was_printed():
 
 def test_rounded_gains_settle_late():
     gains = {"dc_motor_pid.kp": 8.3, "dc_motor_pid.ki": 1.64, "dc_motor_pid.kd": 0.59}
-    found = simulate("dc_motor_smc_b4", overrides=gains).figures
-    assert found["settling_time"] == pytest.approx(0.835623, rel=1e-5)
-    assert found["overshoot"] == pytest.approx(2.45958, rel=1e-5)
+    result = simulate("dc_motor_smc_b4", overrides=gains).figures
+    assert result["settling_time"] == pytest.approx(0.835623, rel=1e-5)
+    assert result["overshoot"] == pytest.approx(2.45958, rel=1e-5)

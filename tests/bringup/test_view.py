@@ -63,8 +63,8 @@ def running(*words, start=("-m", "softrig_bringup")):
 def address(process):
     """Where the page is."""
     for line in process.stderr:
-        if found := re.search(r"the page is (http[^\s;]+)", line):
-            return found[1]
+        if match := re.search(r"the page is (http[^\s;]+)", line):
+            return match[1]
     raise AssertionError("it ended without a page")
 
 
@@ -194,10 +194,10 @@ def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_pa
         page.says("step: one step")
         page.press("hold")
         page.until(lambda: "the run is over" in page["state"].text)
-        for asked, said in (("0,04", "expected a time"), ("0.2", "at most 0.1 s")):
+        for asked, text in (("0,04", "expected a time"), ("0.2", "at most 0.1 s")):
             page["back to"].value = asked
             page.press("go back")
-            page.says(said)
+            page.says(text)
         page["back to"].value = "0.04"
         page.press("go back")
         page.says("back to 0.04 s from 0.1 s")
@@ -372,9 +372,9 @@ def test_only_who_says_the_token_is_let_in(tmp_path, at):
         ):
             with pytest.raises(HTTPError, match="403: the address of the page with its token is wanted"):
                 urlopen(base + wanted)
-        for said in ({}, {"token": "wrong"}):
+        for text in ({}, {"token": "wrong"}):
             with pytest.raises(OSError, match="error code: 403"):
-                Browser(base, **said)
+                Browser(base, **text)
         kept = build_opener(HTTPCookieProcessor())
         assert b"dc_motor_smc - softrig" in kept.open(f"{base}?token={token}").read()
         assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()  # as the browser loads it again
@@ -574,8 +574,8 @@ def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_p
     monkeypatch.setattr(page, "_start", lambda: subprocess.Popen(["false"], stdin=subprocess.PIPE, text=True))
     page.open(7)
     page.keeper.join(PATIENCE)
-    said = capsys.readouterr().err
-    assert said.count("the page has broken (status 1): it is started again") == 3
-    assert said.count("the page has broken (status 1): the run continues without it") == 1
+    printed = capsys.readouterr().err
+    assert printed.count("the page has broken (status 1): it is started again") == 3
+    assert printed.count("the page has broken (status 1): the run continues without it") == 1
     assert asked == [{"node": "dc_motor_plant", "call": "resume"}]
     page.close()

@@ -117,15 +117,15 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
     assert turned["speed_controller", "kp"] == 2.5
     assert ("offset", "active") in turned
     assert marks == sorted(c["at_s"] for c in changes)
-    found = signals(out / "bag")
-    t, velocity = found["joint_states/shaft/velocity"]
+    result = signals(out / "bag")
+    t, velocity = result["joint_states/shaft/velocity"]
     assert speed == [t[-1], velocity[-1]]
-    assert found["joint_states/offset/toggle/data"].x.max() == 1.0
+    assert result["joint_states/offset/toggle/data"].x.max() == 1.0
     capsys.readouterr()
     assert main(["run", "--like", str(out), "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / "again")]) == 0
-    said = capsys.readouterr().err
-    late = pace == "real time" and "that run was late: " in said  # a machine that does not keep up
-    assert "run number for number: " in said or (late and "differs from" in said), said
+    printed = capsys.readouterr().err
+    late = pace == "real time" and "that run was late: " in printed  # a machine that does not keep up
+    assert "run number for number: " in printed or (late and "differs from" in printed), printed
 
 
 @pytest.mark.long
@@ -136,9 +136,9 @@ def test_a_page_whose_server_is_killed_comes_back_and_the_run_goes_on(tmp_path):
             browser.until(f"return {MODEL}.label === 'resume'", "hold")
             browser.driver.execute_script("window.before = true")
             (page,) = (
-                int(found.parent.name)
-                for found in Path("/proc").glob("[0-9]*/cmdline")
-                if b"softrig_bringup.view.serve" in (line := found.read_bytes()) and str(tmp_path).encode() in line
+                int(result.parent.name)
+                for result in Path("/proc").glob("[0-9]*/cmdline")
+                if b"softrig_bringup.view.serve" in (line := result.read_bytes()) and str(tmp_path).encode() in line
             )
             os.kill(page, signal.SIGKILL)
             browser.until("return window.before === undefined && window.Bokeh !== undefined && Bokeh.documents.length")

@@ -214,8 +214,8 @@ def test_a_run_under_way_is_what_its_nodes_have_written(run, tmp_path, clock):
     written(tmp_path, run, 100_000_000)
     version = source.version
     source.look()
-    spoken = sum(bool(run.recording.topics[t].times and p.labels) for t, p in run.rig.topics.items())
-    assert source.version == version + spoken + 1  # a topic each, and a change
+    published = sum(bool(run.recording.topics[t].times and p.labels) for t, p in run.rig.topics.items())
+    assert source.version == version + published + 1  # a topic each, and a change
     source.look()
     assert source.waited == 0.0  # all are there
     assert source.end == pytest.approx(0.1)
@@ -256,10 +256,10 @@ def test_a_recording_is_cut_to_a_window_with_the_message_before_it(run):
         assert Recorded(run.rig, run.signals, {key: f"{key} so"}).outcome == f"{key} so"
     whole = run.signals["motor/state/shaft/velocity"]
     for first, last in ((0.0, math.inf), (-1.0, 0.1), (0.05, 0.1), (0.05002, 0.05003), (0.2, 0.3), (0.0, 0.2)):
-        found = source.pane(first, last)["motor/state/shaft/velocity"]
+        result = source.pane(first, last)["motor/state/shaft/velocity"]
         i = max([k for k, t in enumerate(whole.t) if t <= first], default=0)
-        assert found.t.tolist() == [t for t in whole.t[i:] if t <= last]
-        assert found.x.tolist() == whole.x[i : i + len(found.t)].tolist()
+        assert result.t.tolist() == [t for t in whole.t[i:] if t <= last]
+        assert result.x.tolist() == whole.x[i : i + len(result.t)].tolist()
     empty = Recorded(run.rig, Signals(Recording([])), {})
     assert (empty.end, empty.length, len(empty.pane(0.0, 1.0))) == (0.0, 1e-9, 0)
 
@@ -290,14 +290,14 @@ def test_the_part_of_a_tick_that_was_waited_for_stays_over_a_pause(clock):
     """A tick begins with each second of the wall; 0.9 s of one are over when somebody pauses for 5 s."""
     source = Here(Session("dc_motor_smc", duration=0.1), False, 1e-4)
     source.turn()
-    first, found = source.session.t, []
+    first, results = source.session.t, []
     for now, what in ((0.05, ""), (0.9, "pause"), (5.9, "resume"), (5.95, ""), (6.05, "")):
         clock.now = now
         source.turn()
-        found.append(round((source.session.t - first) / 1e-4))
+        results.append(round((source.session.t - first) / 1e-4))
         if what:
             source.control.hold("me", what)
-    assert found == [1, 1, 1, 1, 2]
+    assert results == [1, 1, 1, 1, 2]
 
 
 def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, clock):
@@ -305,7 +305,7 @@ def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, cloc
     control = source.control
     assert (control.goes_back, control.buttons, control.held, control.pace) == (True, [], False, 1.0)
     assert Here(Session("dc_motor_smc_faults", duration=0.01), True, 0.0).control.buttons == []  # messages from outside
-    said = []
+    messages = []
     for act in (
         lambda: control.hold("me", "step"),
         lambda: control.hold("me", "pause"),
@@ -317,18 +317,18 @@ def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, cloc
         lambda: control.go_back("me", 0.0001),
     ):
         act()
-        said.append((control.said[-1].text, control.said[-1].wrong, round(source.session.t, 9)))
-    assert said[:4] == [
+        messages.append((control.said[-1].text, control.said[-1].wrong, round(source.session.t, 9)))
+    assert messages[:4] == [
         ("step refused: it runs: pause it first", True, 1e-4),
         ("pause: paused", False, 1e-4),
         ("step: one step", False, 2e-4),
         ("resume: goes on", False, 2e-4),
     ]
-    assert said[4][0].startswith("dc_motor_smc.delta = -1 ")
-    assert said[4][1:] == (True, 2e-4)
-    assert said[5][0].startswith("dc_motor_smc.delta = 0.5")
-    assert said[6][1:] == (True, 2e-4)
-    assert said[7] == ("back to 0.0001 s from 0.0002 s: what is turned holds from there on", False, 1e-4)
+    assert messages[4][0].startswith("dc_motor_smc.delta = -1 ")
+    assert messages[4][1:] == (True, 2e-4)
+    assert messages[5][0].startswith("dc_motor_smc.delta = 0.5")
+    assert messages[6][1:] == (True, 2e-4)
+    assert messages[7] == ("back to 0.0001 s from 0.0002 s: what is turned holds from there on", False, 1e-4)
     assert control.held
     assert source.status["dc_motor_plant"]["state"] == "running"
     assert source.branched == [{"at_s": 1e-4, "from_s": 2e-4, "left": ""}]  # without a folder nothing is kept
@@ -373,9 +373,9 @@ def quiet(monkeypatch, tmp_path):
     loop.close()
 
 
-def concluding(found, status=7):
+def concluding(result, status=7):
     def conclude(run, folder):
-        found.append((folder.path.name, run))
+        result.append((folder.path.name, run))
         (folder.path / "metrics.json").write_text(json.dumps({"metrics": [], "nodes": {}}))
         return status
 
@@ -401,16 +401,16 @@ def test_a_run_in_the_process_of_its_page_is_concluded_once_and_gives_its_status
 
 def test_what_goes_back_from_a_run_that_is_over_goes_beside_and_ctrl_c_ends_it_there(quiet, monkeypatch, tmp_path):
     """A look at a time: back, a knob and a step, and Ctrl-C, which gets out of the loop as a signal's does."""
-    done, told = [], []
+    done, messages = [], []
 
     def left(pages):
         control, outcome = pages.control, pages.source.outcome
-        if len(done) == 1 and outcome and not told:
-            told.append(control.go_back("me", 0.01))
-        elif len(told) == 1 and not outcome:
-            told.append(control.turn("me", "dc_motor_smc.delta", 0.5))
+        if len(done) == 1 and outcome and not messages:
+            messages.append(control.go_back("me", 0.01))
+        elif len(messages) == 1 and not outcome:
+            messages.append(control.turn("me", "dc_motor_smc.delta", 0.5))
             control.hold("me", "step")
-        elif len(told) == 2:
+        elif len(messages) == 2:
             pages.loop.add_callback(struck)
         return False
 
@@ -428,12 +428,12 @@ def test_what_goes_back_from_a_run_that_is_over_goes_beside_and_ctrl_c_ends_it_t
 
 
 def test_ctrl_c_after_the_way_back_and_before_a_tick_leaves_nothing_beside(quiet, monkeypatch, tmp_path):
-    done, told = [], []
+    done, messages = [], []
 
     def left(pages):
-        if done and not told:
-            told.append(pages.control.go_back("me", 0.01))
-        elif told and not pages.source.outcome:
+        if done and not messages:
+            messages.append(pages.control.go_back("me", 0.01))
+        elif messages and not pages.source.outcome:
             pages.loop.add_callback(struck)
         return False
 
@@ -455,11 +455,11 @@ def test_ctrl_c_after_the_way_back_and_before_a_tick_leaves_nothing_beside(quiet
 )
 def test_a_free_port_is_found_at_an_address(address, host):
     try:
-        found, port = free_address(address)
+        result, port = free_address(address)
     except ScenarioError:
         assert host == "::1"  # a machine without it
         return
-    assert found == host
+    assert result == host
     assert 1023 < port < 65536
 
 
@@ -507,15 +507,15 @@ def asked(host="127.0.0.1", token="", cookie=""):
 def test_who_says_the_token_is_let_in_and_a_cookie_keeps_it(names, request_of, refused, kept):
     handler, given = asked(**request_of)
     guard = _Token("right", names)
-    come = guard.get_user_async(handler)
+    arrived = guard.get_user_async(handler)
     if refused:
         with pytest.raises(serve.HTTPError, match=refused) as error:
-            come.send(None)
+            arrived.send(None)
         assert error.value.status_code == 403
     else:
-        with pytest.raises(StopIteration) as found:
-            come.send(None)
-        assert found.value.value == "token"
+        with pytest.raises(StopIteration) as result:
+            arrived.send(None)
+        assert result.value.value == "token"
     assert given == ({"softrig_token": ("right", {"httponly": True, "samesite": "Strict"})} if kept else {})
     assert guard.login_url == "/"
 
@@ -555,10 +555,10 @@ class NoServer:
 def pages(run, monkeypatch):
     monkeypatch.setattr(serve, "Server", NoServer)
     source = Recorded(run.rig, run.signals, {})
-    found = Pages(source, "control", "inprocess", "127.0.0.1:0", "word", Loop())
-    yield found
-    found.close()
-    assert not found.server.started
+    result = Pages(source, "control", "inprocess", "127.0.0.1:0", "word", Loop())
+    yield result
+    result.close()
+    assert not result.server.started
 
 
 def test_a_server_is_asked_for_what_the_address_says(pages, monkeypatch):
@@ -581,11 +581,11 @@ def test_a_server_is_asked_for_what_the_address_says(pages, monkeypatch):
 
 
 def test_a_run_that_is_over_is_shown_until_the_last_browser_has_gone(pages):
-    found = []
+    results = []
     for connections in ([], [0], [], [0, 1], [1], [0], []):
         pages.server.sessions = [SimpleNamespace(connection_count=n) for n in connections]
-        found.append(pages.left())
-    assert found == [False] * 6 + [True]  # who only asked was nobody; who is away may load the page again
+        results.append(pages.left())
+    assert results == [False] * 6 + [True]  # who only asked was nobody; who is away may load the page again
 
 
 def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatch, run):
@@ -605,12 +605,12 @@ def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatc
         (call, words) = pages.server.io_loop.calls.pop()
         call(*words)
 
-    for took, pause in ((0.05, 1.0), (0.3, 3.0)):
+    for elapsed, pause in ((0.05, 1.0), (0.3, 3.0)):
         before = len(measured)
         pages.measure()
         pages.measure()  # one at a time
         assert pages._figures() == (["a result"] if before else (), True)
-        done(took)
+        done(elapsed)
         assert len(measured) == before + 1
         clock.now += pause - 0.01
         pages.measure()
@@ -626,14 +626,14 @@ def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatc
     assert len(measured) == 2
     for outcome, so_far in (("ended", False), ("stopped by a signal", True)):
         pages._source.outcome = outcome
-        results, found = pages._figures()
-        assert ([r.name for r in results], found) == ([r.name for r in run.results], so_far)
+        results, result = pages._figures()
+        assert ([r.name for r in results], result) == ([r.name for r in run.results], so_far)
 
 
 def test_each_browser_has_a_number_and_the_look_that_it_asks_for(pages, monkeypatch):
     made = []
     monkeypatch.setattr(
-        serve, "Page", lambda document, source, control, figures, who, how, look: made.append((who, how, look))
+        serve, "Page", lambda document, source, control, figures, who, how, style: made.append((who, how, style))
     )
 
     def document(**arguments):
@@ -642,7 +642,7 @@ def test_each_browser_has_a_number_and_the_look_that_it_asks_for(pages, monkeypa
     for each in (document(), document(look=[b"dark"]), document(look=[b"pink"]), SimpleNamespace(session_context=None)):
         pages._page(each)
     assert made == [
-        (f"browser {k}", "inprocess", look) for k, look in enumerate(("light", "dark", "light", "light"), 1)
+        (f"browser {k}", "inprocess", style) for k, style in enumerate(("light", "dark", "light", "light"), 1)
     ]
 
 
@@ -699,7 +699,7 @@ def test_a_page_beside_a_run_follows_what_the_nodes_write_until_it_is_over(
 
     class Hand(Loop):
         def start(self):
-            (page,), (look,) = made, looks
+            (page,), (style,) = made, styles
 
             def state():
                 return page.control.held, page.control.pace, page.source.outcome, self.stopped
@@ -707,8 +707,8 @@ def test_a_page_beside_a_run_follows_what_the_nodes_write_until_it_is_over(
             seen.append(state())
             epoch = 1_700_000_000_000_000_000 if more.get("realtime") else 0
             written(tmp_path, run, 200_000_000, epoch, {"held": not held, "pace": 9.0} if not epoch else None)
-            look()
-            look()
+            style()
+            style()
             seen.append(state())
             lines.put(json.dumps({"over": "broke: so", "folder": "", "wrong": True}))
             lines.put(None)
@@ -716,18 +716,18 @@ def test_a_page_beside_a_run_follows_what_the_nodes_write_until_it_is_over(
             for call, words in self.calls:
                 call(*words)
             seen.append(state())
-            look()
+            style()
             seen.append(page.control.said[-1][1:])
             seen.append([s.text for s in page.control.said if s.who == "dc_motor_smc"])
 
-    made, looks, listeners, lines = [], [], [], queue.Queue()
+    made, styles, listeners, lines = [], [], [], queue.Queue()
     monkeypatch.setattr(serve, "Pages", lambda *words: made.append(Beside(*words)) or made[-1])
     monkeypatch.setattr(serve, "Remote", Asks)
     monkeypatch.setattr(serve, "IOLoop", SimpleNamespace(current=Hand))
     monkeypatch.setattr(serve.os, "nice", lambda n: seen.append(n))
     monkeypatch.setattr(
         "tornado.ioloop.PeriodicCallback",
-        lambda look, every: seen.append(every) or looks.append(look) or SimpleNamespace(start=lambda: None),
+        lambda style, every: seen.append(every) or styles.append(style) or SimpleNamespace(start=lambda: None),
     )
 
     def thread(target, daemon):
@@ -781,10 +781,10 @@ def test_the_page_is_told_how_the_run_ended_and_waited_for(tmp_path, capsys, run
             json.dumps({"over": line["over"], "folder": str(tmp_path / "out"), "wrong": line["wrong"]}) + "\n",
             "flushed",
         ]
-        said = capsys.readouterr().err
+        printed = capsys.readouterr().err
         stays = "softrig: the page stays until it is closed, or Ctrl-C\n"
         stays += "softrig: the page has broken (status 3); the results are there\n"
-        assert said == (stays if waits else "")
+        assert printed == (stays if waits else "")
     assert ended == ([None] if waits else []) + [5.0]
     assert beside._ends
 
@@ -804,19 +804,22 @@ def test_the_process_of_a_page_is_told_what_it_must_know(tmp_path, monkeypatch):
     beside = Beside(load_scenario("dc_motor_smc"), tmp_path, placement, ":0")
     monkeypatch.setattr(beside.keeper, "start", lambda: started.append("kept"))
     beside.open(7)
-    told = told_of(beside)
-    assert (told["domain"], told["realtime"], told["paused"], told["pace"], told["how"]) == (
+    reported = told_of(beside)
+    assert (reported["domain"], reported["realtime"], reported["paused"], reported["pace"], reported["how"]) == (
         7,
         True,
         True,
         0.5,
         str(placement),
     )
-    assert (told["directory"], told["scenario"]["title"]) == (str(tmp_path), load_scenario("dc_motor_smc").title)
-    assert told["address"].startswith("127.0.0.1:")
-    assert not told["address"].endswith(":0")
-    assert len(told["token"]) == 22
-    assert Watched.model_validate(told).domain == 7
+    assert (reported["directory"], reported["scenario"]["title"]) == (
+        str(tmp_path),
+        load_scenario("dc_motor_smc").title,
+    )
+    assert reported["address"].startswith("127.0.0.1:")
+    assert not reported["address"].endswith(":0")
+    assert len(reported["token"]) == 22
+    assert Watched.model_validate(reported).domain == 7
     (command, how), kept = started
     assert command[1:] == ["-P", "-m", "softrig_bringup.view.serve", str(tmp_path / "view.json")]
     assert (how["text"], how["process_group"], kept) == (True, 0, "kept")
@@ -870,23 +873,23 @@ def test_answers_of_nodes_go_to_whoever_asked(piped, tmp_path):
     assert process.command[1:] == ["-P", "-m", "softrig_nodes.ros.remote"]
     assert process.asked["env"] == {"D": "3", "F": str(tmp_path)}
     assert (process.asked["text"], process.asked["process_group"], daemon) == (True, 0, True)
-    found = []
+    results = []
     for k in range(3):
-        asks.ask({"node": f"n{k}"}, lambda ok, why, k=k: found.append((k, ok, why)))
+        asks.ask({"node": f"n{k}"}, lambda ok, why, k=k: results.append((k, ok, why)))
     assert [json.loads(line) for line in process.wrote] == [{"id": k, "node": f"n{k}"} for k in range(3)]
     assert all(line.endswith("}\n") for line in process.wrote)
     process.stdout = iter(
         ['{"id": 2, "ok": false, "reason": "no"}\n', "a library says hello\n", '{"id": 0, "ok": true, "reason": ""}\n']
     )
     listen()
-    assert found == [(2, False, "no"), (0, True, "")]
+    assert results == [(2, False, "no"), (0, True, "")]
 
     def broken(text):
         raise BrokenPipeError
 
     process.stdin.write = broken
-    asks.ask({"node": "n"}, lambda ok, why: found.append((9, ok, why)))
-    assert found[-1] == (9, False, "what asks the nodes has ended")
+    asks.ask({"node": "n"}, lambda ok, why: results.append((9, ok, why)))
+    assert results[-1] == (9, False, "what asks the nodes has ended")
     assert list(asks._asked) == [1]
 
 
@@ -901,16 +904,16 @@ def test_a_process_that_is_let_go_ends_by_itself_or_by_force(piped):
 
 
 def test_the_process_of_a_page_reads_what_it_must_know_and_ignores_ctrl_c(tmp_path, monkeypatch, capsys):
-    told, asked = [], []
+    messages, asked = [], []
     (tmp_path / "view.json").write_text(json.dumps(WATCHED | {"directory": str(tmp_path), "scenario": {}}))
     monkeypatch.setattr(serve.sys, "argv", ["serve", str(tmp_path / "view.json")])
-    monkeypatch.setattr(serve.signal, "signal", lambda *what: told.append(what))
+    monkeypatch.setattr(serve.signal, "signal", lambda *what: messages.append(what))
     monkeypatch.setattr(serve.asyncio, "set_event_loop", lambda loop: loop.close())
     monkeypatch.setattr(
         serve, "beside", lambda watched, lines: asked.append((watched.domain, lines is serve.sys.stdin))
     )
     assert serve.main() == 0
-    assert (told, asked) == ([(serve.signal.SIGINT, serve.signal.SIG_IGN)], [(3, True)])
+    assert (messages, asked) == ([(serve.signal.SIGINT, serve.signal.SIG_IGN)], [(3, True)])
 
     def refused(watched, lines):
         raise ScenarioError("no such address")
@@ -971,5 +974,5 @@ def test_a_page_that_ends_with_its_run_is_not_started_again(tmp_path, monkeypatc
 )
 def test_knobs_of_laws_that_are_not_chosen_are_idle(scenario, node, used, idle):
     control = Control(rig_of(load_scenario(scenario)), lambda *_: None, lambda: 0.0, lambda: "")
-    found = {knob.name: knob.idle for knob in control.knobs.values() if knob.node == node}
-    assert {name for name in used | idle if found[name]} == idle
+    results = {knob.name: knob.idle for knob in control.knobs.values() if knob.node == node}
+    assert {name for name in used | idle if results[name]} == idle

@@ -175,9 +175,9 @@ def test_pip_brings_all_that_it_needs(wheel, tmp_path):
 )
 def test_what_only_a_checkout_has_is_refused_with_the_reason(words, capsys):
     assert main(words.split()) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert "scripts/softrig" in said
-    assert "pip install ./my_rig" in said
+    (text,) = capsys.readouterr().err.splitlines()
+    assert "scripts/softrig" in text
+    assert "pip install ./my_rig" in text
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_a_new_package_names_what_is_there(where, first, tmp_path, monkeypatch, 
     text = (tmp_path / "my_rig" / "README.md").read_text()
     assert first in text
     assert ("--workspace" in text, "env colcon" in text) == (bool(where), bool(where))
-    said = capsys.readouterr().out.splitlines()[-1].strip()
-    assert said == (
+    printed = capsys.readouterr().out.splitlines()[-1].strip()
+    assert printed == (
         "/x/softrig --workspace my_rig run my_rig" if where else "pip install ./my_rig && softrig run my_rig"
     )

@@ -39,15 +39,15 @@ def test_a_page_uses_standard_terms(page):
 
 
 def test_messages_use_standard_terms():
-    found = [
+    results = [
         (name, text) for name, source in SOURCES.items() for text in LITERAL.findall(source) if AVOIDED.search(text)
     ]
-    assert found == []
+    assert results == []
 
 
 def test_a_docstring_begins_with_what_its_function_does():
-    found = [(name, text) for name, source in SOURCES.items() for text in FIRST.findall(source)]
-    assert found == []
+    results = [(name, text) for name, source in SOURCES.items() for text in FIRST.findall(source)]
+    assert results == []
 
 
 def test_the_words_are_found_in_prose_and_in_literals_only():

@@ -60,9 +60,9 @@ def test_rviz_shows_what_the_nodes_publish_in_frames_that_they_publish(name, tmp
             poses = scene.moving([0.0] * len(moving))
             assert links(scene) <= {WORLD, *(pose.child for pose in (*still, *poses))}
             assert "/a/robot_description" in [d.get("Description Topic", {}).get("Value") for d in shown["Displays"]]
-    assert {frame for found in drawn.values() for frame in found} <= there
+    assert {frame for result in drawn.values() for frame in result} <= there
     topics = {d["Topic"]["Value"] for d in shown["Displays"] if "Topic" in d}
-    assert {f"/a/{node}/markers" for node, found in drawn.items() if found} <= topics
+    assert {f"/a/{node}/markers" for node, result in drawn.items() if result} <= topics
     assert ("/tf", "/a/tf") in rviz.remappings
 
 
@@ -91,8 +91,8 @@ def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, con
     states = next(p for p in plant.outputs if f"/{p.topic}" == system["joint_states_topic"])
     commands = next(p for m in rig.members for p in m.inputs if f"/{p.topic}" == system["joint_commands_topic"])
     known = set(commands.also or commands.channels)
-    told = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall("state_interface")}
-    assert told == set(states.labels)
+    names = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall("state_interface")}
+    assert names == set(states.labels)
     wanted = {f"{j.get('name')}/{i.get('name')}" for j in tag.findall("joint") for i in j.findall("command_interface")}
     assert wanted == {f"{name}/{field}" for name in known for field in commands.fields}
     assert float(system["trigger_joint_command_threshold"]) < 0  # or a command that does not change is not sent
@@ -107,7 +107,7 @@ def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, con
         joints = given.get("joints") or given["dof_names"]
         assert {f"{j}/{k}" for j in joints for k in kinds} <= wanted
         kinds = given.get("state_interfaces", given.get("reference_and_state_interfaces", []))
-        assert {f"{j}/{k}" for j in joints for k in kinds} <= told
+        assert {f"{j}/{k}" for j in joints for k in kinds} <= names
 
 
 def test_the_scenario_of_the_page_takes_an_array_in_place_of_a_law(tmp_path):

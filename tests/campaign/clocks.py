@@ -59,19 +59,19 @@ def attack(seed: int, directory: Path) -> None:
         over.set()
         stepping.join()
         left = orphans(directory)
-    said = done.stderr[-1500:]
-    assert done.returncode in (0, 1), f"status {done.returncode}: {said}"
-    assert "Traceback" not in done.stderr, said
+    text = done.stderr[-1500:]
+    assert done.returncode in (0, 1), f"status {done.returncode}: {text}"
+    assert "Traceback" not in done.stderr, text
     assert left == [], f"{len(left)} processes live on"
-    found = read_bag(out / "bag")
+    recording = read_bag(out / "bag")
     if realtime:
-        for topic in found.topics.values():
+        for topic in recording.topics.values():
             assert topic.times == sorted(topic.times), f"{topic.name}: goes back"
-        times = [t for topic in found.topics.values() for t in topic.times]
+        times = [t for topic in recording.topics.values() for t in topic.times]
         assert abs(max(times) - min(times) - duration * 1e9) < 0.2e9, f"{(max(times) - min(times)) / 1e9} s recorded"
         return
     rig = rig_of(load_scenario(name).model_copy(update={"duration": duration}))
-    different = differences(in_process(rig, seed), found)
+    different = differences(in_process(rig, seed), recording)
     assert not different, f"other bits on {different}"
 
 

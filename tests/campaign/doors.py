@@ -48,9 +48,9 @@ def attack(seed: int, directory: Path) -> None:
     try:
         door(chance, directory)
     except (ScenarioError, RunError, ValueError) as error:
-        said = str(error)
-        assert len(said) <= LONGEST, f"{len(said)} letters: {said[:200]}"
-        assert not [word for word in RAW if word in said], said
+        message = str(error)
+        assert len(message) <= LONGEST, f"{len(message)} letters: {message[:200]}"
+        assert not [word for word in RAW if word in message], message
     assert not [p for p in {*Path("/tmp").iterdir()} - there if p.name.startswith("softrig_fmu")], "left in /tmp"
 
 
@@ -100,10 +100,10 @@ def robot(chance: random.Random, directory: Path) -> None:
     model = load_model(text)
     moved = sum(inertia.mass for inertia in list(model.inertias)[1:])
     links = re.findall(r"<link[^>]*?[^/]>.*?</link>", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL), re.DOTALL)
-    told = [float(m) for link in links for m in re.findall(r'<mass\s+value\s*=\s*"([^"]*)"', link)]
-    assert not told or moved <= sum(told) * (1.0 + 1e-9), f"{moved} kg of {told}"
-    if len(told) == 2:  # both links move: nothing is dropped in silence
-        assert abs(moved - sum(told)) <= 1e-9 * sum(told), f"{moved} kg of {told}"
+    messages = [float(m) for link in links for m in re.findall(r'<mass\s+value\s*=\s*"([^"]*)"', link)]
+    assert not messages or moved <= sum(messages) * (1.0 + 1e-9), f"{moved} kg of {messages}"
+    if len(messages) == 2:  # both links move: nothing is dropped in silence
+        assert abs(moved - sum(messages)) <= 1e-9 * sum(messages), f"{moved} kg of {messages}"
 
 
 def record(chance: random.Random, directory: Path) -> None:
@@ -153,8 +153,8 @@ def signals(chance: random.Random, directory: Path) -> None:
     file = directory / "a.dbc"
     text = printed("law", inputs, outputs, 0x100, build).encode("cp1252", "replace")
     file.write_bytes(damaged(text, chance) if chance.random() < 0.9 else text)
-    found = messages_of(file, "law", inputs, outputs, build)
-    assert {k for frame in found.back for k, _ in frame.signals} == {0}
+    result = messages_of(file, "law", inputs, outputs, build)
+    assert {k for frame in result.back for k, _ in frame.signals} == {0}
 
 
 def unit(chance: random.Random, directory: Path) -> None:
@@ -189,14 +189,14 @@ def flag(chance: random.Random, directory: Path) -> None:
 def comment(chance: random.Random, directory: Path) -> None:
     """A text of a user in exported code."""
     text = "".join(chance.choices(("*", "/", "(", ")", "?", "\\", "\n", " ", "a", *STRANGE), k=chance.randint(0, 40)))
-    found = remark(text)
-    assert not [end for end in ("*/", "/*", "*)", "(*", "??", "\n") if end in found]
-    assert not found.endswith("\\")
+    result = remark(text)
+    assert not [end for end in ("*/", "/*", "*)", "(*", "??", "\n") if end in result]
+    assert not result.endswith("\\")
 
 
 def with_law(parameters: dict[str, Any]) -> Rig:
     """Wire a rig whose controller is the law of the tests of C members."""
-    found = load_scenario("dc_motor_smc_b4").model_dump(exclude={"name"})
+    result = load_scenario("dc_motor_smc_b4").model_dump(exclude={"name"})
     speed, place = "motor/state/shaft/velocity [rad/s] = speed", ROOT / "tests/control/c_laws"
     law = {
         "period": 0.01, "sources": [str(place / "pi.c")], "header": str(place / "pi.h"),
@@ -204,12 +204,12 @@ def with_law(parameters: dict[str, Any]) -> Rig:
         "inputs": ["motor/reference/shaft/velocity [rad/s] = reference", speed],
         "values": ["kp [V s/rad] = 0.5", "ki [V/rad] = 2.0", "limit [V] = 12", "period [s] = 0.01"],
     }  # fmt: skip
-    found["nodes"]["dc_motor_pid"] = {
+    result["nodes"]["dc_motor_pid"] = {
         "package": "softrig_control", "executable": "c_controller", "parameters": law | parameters,
     }  # fmt: skip
-    del found["nodes"]["dc_motor_metrics"]
-    found |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": 0.25}
-    return rig_of(Scenario(name="doors", **found))
+    del result["nodes"]["dc_motor_metrics"]
+    result |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": 0.25}
+    return rig_of(Scenario(name="doors", **result))
 
 
 def library(chance: random.Random, directory: Path) -> None:

@@ -74,8 +74,8 @@ def attack(seed: int, directory: Path) -> None:
     os.environ.update(environment(domain, directory))
     command = [sys.executable, "-m", "softrig_bringup", "run", "dc_motor_smc", "--duration", "20000", "--no-record"]
     command += ["--mode", *place, "--domain", str(domain), "--no-plots", "--out", str(directory / "run")]
-    said = directory / "said"
-    with said.open("wb") as output:
+    text = directory / "said"
+    with text.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
     call = Client(domain)
     try:
@@ -95,7 +95,7 @@ def attack(seed: int, directory: Path) -> None:
                 f"ticks a second: {rates}; {len(clients)} clients left; the longest stand {watch.longest:.1f} s; "
             )
             case.write(f"said {sorted(watch.said)}\n")
-        assert process.poll() is None, said.read_text()[-2000:]
+        assert process.poll() is None, text.read_text()[-2000:]
         assert after > 0.2 * before, f"{before:.0f} ticks a second before, {after:.0f} after"
         assert what == "pauses" or during > 0.05 * before, f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
         late = STANDS * max(
@@ -103,12 +103,12 @@ def attack(seed: int, directory: Path) -> None:
         )  # a loaded machine is slow, and says so late
         assert watch.unexplained < late, f"it stood for {watch.unexplained:.1f} s and did not say why"
         process.send_signal(signal.SIGINT)
-        assert process.wait(60.0) == 130, said.read_text()[-2000:]
+        assert process.wait(60.0) == 130, text.read_text()[-2000:]
     finally:
         call.close()
         process.kill()
         process.wait()
-    judge(said)
+    judge(text)
     logs = sum(len(log.read_text(errors="replace")) for log in (directory / "run/log").glob("*.log"))
     assert logs < 200_000, f"{logs} characters of logs"
 

@@ -43,11 +43,11 @@ def attack(seed: int, directory: Path) -> None:
     chance = random.Random(seed)
     name = drawn(chance)
     mode = chance.choice(("processes", "processes", "container"))
-    out, said = directory / "out", directory / "said"
+    out, text = directory / "out", directory / "said"
     command = ["run", name, "--mode", mode, "--no-plots", "--seed", str(seed), "--out", str(out)]
     (directory / "case").write_text(" ".join(command) + "\n")
     before = segments()
-    runner = fork(command, said)
+    runner = fork(command, text)
     handle = os.pidfd_open(runner)  # a number alone may be another process's by then
     try:
         strike_and_judge(chance, runner, name, seed, directory, before)
@@ -62,7 +62,7 @@ def strike_and_judge(
     chance: random.Random, runner: int, name: str, seed: int, directory: Path, before: set[str]
 ) -> None:
     """Kill at some moment and look at everything that is left."""
-    out, said = directory / "out", directory / "said"
+    out, message = directory / "out", directory / "said"
     if chance.random() < 0.7:  # in the midst of it; else whatever it is then doing
         deadline = time.monotonic() + 60.0
         while not any((out / "log").glob("*.shard")) and time.monotonic() < deadline:
@@ -73,7 +73,7 @@ def strike_and_judge(
         case.write(f"{victim} {signal.Signals(number).name}\n")
     domain = next((int(v["ROS_DOMAIN_ID"]) for _, v in of_run(directory) if "ROS_DOMAIN_ID" in v), None)
     status = ended(runner)
-    text = said.read_text(errors="replace")
+    text = message.read_text(errors="replace")
     assert "Traceback" not in text, text[-2000:]
     assert (left := orphans(directory)) == [], f"{len(left)} processes of the run live on"
     judge_status(status, victim, number, text, out)
@@ -81,7 +81,7 @@ def strike_and_judge(
     assert (files := left_in_memory(before, domain)) == [], f"left in shared memory: {files[:3]}"
 
 
-def fork(command: list[str], said: Path) -> int:
+def fork(command: list[str], path: Path) -> int:
     """Run the command line in a process of its own without importing everything again."""
     runner = os.fork()
     if runner:
@@ -90,7 +90,7 @@ def fork(command: list[str], said: Path) -> int:
         signal.alarm(0)
         for number in ENDINGS:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
-        output = os.open(said, os.O_WRONLY | os.O_CREAT)
+        output = os.open(path, os.O_WRONLY | os.O_CREAT)
         os.dup2(output, 1)
         os.dup2(output, 2)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w", buffering=1)

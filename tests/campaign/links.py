@@ -75,10 +75,10 @@ def damaged(chance: random.Random, directory: Path, files: dict[str, bytes]) -> 
     try:
         simulate(rig_of(replace(draft, raw=merge(draft.raw, {"nodes": {NODE: {"link": link}}})), duration=0.02))
     except (ScenarioError, RunError) as error:
-        said = str(error)
+        message = str(error)
     else:
         raise AssertionError(f"{file.name} ran without a port")
-    assert "\n" not in said, said
+    assert "\n" not in message, message
 
 
 def session(line, layout: Layout) -> None:
@@ -90,9 +90,9 @@ def session(line, layout: Layout) -> None:
             answer = line.try_ask(Kind.STEP, values, WAIT)
         except RunError:
             return
-        took = time.monotonic() - begun
+        elapsed = time.monotonic() - begun
         assert answer is None, f"an answer was taken: {answer!r}"
-        assert k == 0 or took < SLOWEST, f"tick {k} took {took:.2f} s"  # the first one opens
+        assert k == 0 or elapsed < SLOWEST, f"tick {k} took {elapsed:.2f} s"  # the first one opens
 
 
 def plc(chance: random.Random, member) -> None:

@@ -129,14 +129,14 @@ def attack(seed: int, directory: Path) -> None:
     package, executable, block = blocks()[seed % len(blocks())]
     live = chance.random() < 0.7
     (directory / "case").write_text(f"{package} {executable} {'realtime' if live else 'lockstep'}\n")
-    said, status = directory / "said", directory / "status.json"
+    message, status = directory / "said", directory / "status.json"
     with free_domain() as domain:
         os.environ.update(environment(domain, directory))
         command = [str(find_executable(package, executable)), "--ros-args", "-r", "__node:=victim"]
         options = {"mode": "realtime" if live else "lockstep", "status": status, "timeout": 60.0, "start_timeout": 0.0}
         for name, value in options.items():
             command += ["-p", f"run.{name}:={value}"]
-        with said.open("wb") as output:
+        with message.open("wb") as output:
             process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
         try:
             bombard(chance, process, block, status, domain, live)
@@ -144,7 +144,7 @@ def attack(seed: int, directory: Path) -> None:
             if process.poll() is None:
                 process.kill()
                 process.wait()
-    text = said.read_text(errors="replace")
+    text = message.read_text(errors="replace")
     assert "Traceback" not in text, text[-2000:]
     assert len(text.splitlines()) < 200, f"{len(text.splitlines())} lines of log"
 
@@ -205,14 +205,14 @@ def _judge(attacker: Attacker, process: subprocess.Popen, status: Path, live: bo
     while status.stat().st_mtime_ns <= before and process.poll() is None:
         assert time.monotonic() < deadline, "it does nothing any more"
         attacker.executor.spin_once(0.05)
-    found = json.loads(status.read_text())
-    assert process.poll() is None, f"it ended with status {process.returncode}: {found.get('error')}"
+    content = json.loads(status.read_text())
+    assert process.poll() is None, f"it ended with status {process.returncode}: {content.get('error')}"
     assert attacker.garbage == "", attacker.garbage
     peak = int(Path(f"/proc/{process.pid}/status").read_text().split("VmHWM:")[1].split()[0]) // 1024
     assert peak < MEMORY, f"{peak} MB"
     if live:
         for name, count in attacker.bad.items():
-            counted = found["refused"].get(name, [0])[0]
+            counted = content["refused"].get(name, [0])[0]
             assert counted or count < 10, f"{count} bad messages on {name}, none refused"
     process.send_signal(signal.SIGINT)
     try:

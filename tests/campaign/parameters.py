@@ -91,13 +91,13 @@ def feeder(ports: list[Port], seed: int) -> type[Block]:
 
         def update(self, x: object, t: int, **inputs: object) -> tuple:
             chance = random.Random(seed + t)
-            found: dict = {}
+            results: dict = {}
             for port in self.OUTPUTS:
                 size = 10.0 ** chance.randint(-6, 4)
                 drawn = tuple(max(-most, min(most, chance.gauss(0, size))) for most in port.limits)
                 values = port.safe if chance.random() < 0.3 else drawn
-                found[port.name] = Sample(t, values) if port.delayed else values
-            return x, found
+                results[port.name] = Sample(t, values) if port.delayed else values
+            return x, results
 
     return Feeder
 

@@ -120,17 +120,17 @@ class Target:
 
     def get(self, names: Sequence[str]) -> dict[str, ParameterValue]:
         """Return the present values: of those that have one."""
-        found = {}
+        results = {}
         for name in names:  # rclpy answers a list with one that has no value by an empty list
             for one in self.call(GetParameters, f"{self.name}/get_parameters", names=[name]).values:
-                found[name] = one
-        return found
+                results[name] = one
+        return results
 
     def describe(self, names: Sequence[str]) -> dict[str, ParameterDescriptor]:
         """Return the descriptors."""
-        found = self.call(DescribeParameters, f"{self.name}/describe_parameters", names=names).descriptors
-        assert len(found) == len(names)
-        return {one.name: one for one in found}
+        result = self.call(DescribeParameters, f"{self.name}/describe_parameters", names=names).descriptors
+        assert len(result) == len(names)
+        return {one.name: one for one in result}
 
     def set(self, parameters: list[Parameter], together: bool) -> list[Any]:
         """Set; the result of each."""
@@ -219,8 +219,8 @@ def check(where: str, now: ParameterValue, kept: ParameterValue, descriptor: Any
 
 def content(one: ParameterValue) -> Any:
     """Return what a value holds."""
-    found = getattr(one, FIELDS[one.type]) if 0 < one.type < len(FIELDS) else None
-    return list(found) if one.type > Type.PARAMETER_STRING else found
+    result = getattr(one, FIELDS[one.type]) if 0 < one.type < len(FIELDS) else None
+    return list(result) if one.type > Type.PARAMETER_STRING else result
 
 
 def shown(one: ParameterValue) -> str:
@@ -276,8 +276,8 @@ def attack(seed: int, directory: Path) -> None:
 @contextmanager
 def alone(package: str, executable: str, mode: str, directory: Path) -> Iterator[tuple]:
     """Start one node by hand; gives its domain and what checks that it lives."""
-    status, said = directory / "status.json", directory / "said"
-    with free_domain() as domain, said.open("wb") as output:
+    status, message = directory / "status.json", directory / "said"
+    with free_domain() as domain, message.open("wb") as output:
         os.environ.update(environment(domain, directory))
         command = [str(find_executable(package, executable)), "--ros-args", "-r", "__node:=victim"]
         for name, option in {"mode": mode, "status": status, "timeout": 600.0, "start_timeout": 0.0}.items():
@@ -288,7 +288,7 @@ def alone(package: str, executable: str, mode: str, directory: Path) -> Iterator
                 time.sleep(0.02)
 
             def alive() -> list[str]:
-                assert process.poll() is None, f"ended with status {process.returncode}: {said.read_text()[-500:]}"
+                assert process.poll() is None, f"ended with status {process.returncode}: {message.read_text()[-500:]}"
                 assert json.loads(status.read_text())["error"] == ""
                 return ["/victim"]
 
@@ -298,18 +298,18 @@ def alone(package: str, executable: str, mode: str, directory: Path) -> Iterator
                 process.send_signal(signal.SIGINT)
                 assert process.wait(20.0) == 0, f"stopped, it ended with status {process.returncode}"
             else:
-                assert process.returncode == 2, said.read_text()[-2000:]
+                assert process.returncode == 2, message.read_text()[-2000:]
                 yield None, alive
         finally:
             process.kill()
             process.wait()
-    judge(said)
+    judge(message)
 
 
 @contextmanager
 def rig(scenario: str, state: str, directory: Path) -> Iterator[tuple]:
     """Run a scenario for long; gives its domain and what checks that it goes on."""
-    said, files = directory / "said", directory / "run"
+    message, files = directory / "said", directory / "run"
     with free_domain() as domain:
         pass  # the run reserves it
     os.environ.update(environment(domain, directory))
@@ -317,26 +317,26 @@ def rig(scenario: str, state: str, directory: Path) -> Iterator[tuple]:
     command += ["--mode", "processes" if state == "processes" else "container", "--domain", str(domain), "--no-plots"]
     command += ["--out", str(files), *(["--realtime"] if state == "realtime" else [])]
     names = sorted(f"/{name}" for name in load_scenario(scenario).nodes)
-    with said.open("wb") as output:
+    with message.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
     try:
 
         def alive() -> list[str]:
-            assert process.poll() is None, f"ended with status {process.returncode}: {said.read_text()[-1500:]}"
+            assert process.poll() is None, f"ended with status {process.returncode}: {message.read_text()[-1500:]}"
             return names
 
         yield domain, alive
         alive()
         process.send_signal(signal.SIGINT)
-        assert process.wait(60.0) == 130, f"{process.returncode}: {said.read_text()[-1500:]}"
+        assert process.wait(60.0) == 130, f"{process.returncode}: {message.read_text()[-1500:]}"
     finally:
         process.kill()
         process.wait()
-    judge(said)
+    judge(message)
 
 
-def judge(said: Path) -> None:
+def judge(path: Path) -> None:
     """Check what was printed."""
-    text = said.read_text(errors="replace")
+    text = path.read_text(errors="replace")
     assert "Traceback" not in text, text[-3000:]
     assert len(text) < 100_000, f"{len(text)} characters of log"

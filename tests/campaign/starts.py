@@ -83,14 +83,14 @@ def attack(seed: int, directory: Path) -> None:
     wrong = []
     deadline = time.monotonic() + 150.0
     for k, runner in enumerate(started):
-        while not (found := os.waitpid(runner, os.WNOHANG))[0] and time.monotonic() < deadline:
+        while not (result := os.waitpid(runner, os.WNOHANG))[0] and time.monotonic() < deadline:
             time.sleep(0.02)
-        if not found[0]:
+        if not result[0]:
             os.kill(runner, signal.SIGKILL)
             os.waitpid(runner, 0)
-        if not found[0] or found[1]:
+        if not result[0] or result[1]:
             text = (directory / f"{k}.said").read_text(errors="replace")
-            wrong.append(f"rig {k}: {text[-1500:] if found[0] else 'no end within 150 s'}")
+            wrong.append(f"rig {k}: {text[-1500:] if result[0] else 'no end within 150 s'}")
     assert not wrong, "\n".join(wrong)
     assert (left := orphans(directory)) == [], f"{len(left)} processes live on"
 
@@ -107,7 +107,7 @@ def _fork(directory: Path, rig: Rig, containers: list[list[str]], seed: int) -> 
         os.dup2(output, 2)
         outcome = run_processes(rig, seed, directory, Placement(containers=containers))
         assert outcome.error == "", outcome.error
-        assert (found := differences(in_process(rig, seed), outcome.recording)) == [], f"other bits on {found}"
+        assert (result := differences(in_process(rig, seed), outcome.recording)) == [], f"other bits on {result}"
         status = 0
     except BaseException:
         os.write(2, traceback.format_exc().encode())

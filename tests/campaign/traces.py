@@ -23,9 +23,9 @@ def of_run(directory: Path) -> Iterator[tuple[int, dict[str, str]]]:
             pairs = (entry / "environ").read_text(errors="replace").split("\0")
         except OSError:  # somebody else's, or gone
             continue
-        found = dict(p.split("=", 1) for p in pairs if "=" in p)
-        if found.get("ROS_LOG_DIR", "").startswith(str(directory)):
-            yield int(entry.name), found
+        results = dict(p.split("=", 1) for p in pairs if "=" in p)
+        if results.get("ROS_LOG_DIR", "").startswith(str(directory)):
+            yield int(entry.name), results
 
 
 def orphans(directory: Path, seconds: float = 15.0) -> list[int]:

@@ -68,14 +68,14 @@ def rig_with(
     plant: dict[str, Any] | None = None,
 ) -> Rig:
     """Make the rig of a scenario, one node of it in C; as it is without parameters."""
-    found = copy.deepcopy(contents_of(scenario))
+    result = copy.deepcopy(contents_of(scenario))
     if parameters:
-        found["nodes"][node] = {"package": "softrig_control", "executable": executable, "parameters": parameters}
+        result["nodes"][node] = {"package": "softrig_control", "executable": executable, "parameters": parameters}
     if plant:
-        found["nodes"]["dc_motor_plant"]["parameters"] = plant
-    del found["nodes"]["dc_motor_metrics"]
-    found |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": duration}
-    return rig_of(Scenario(name="c_test", **found))
+        result["nodes"]["dc_motor_plant"]["parameters"] = plant
+    del result["nodes"]["dc_motor_metrics"]
+    result |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": duration}
+    return rig_of(Scenario(name="c_test", **result))
 
 
 def faulty(fault: str, **more: Any) -> dict[str, Any]:
@@ -92,12 +92,12 @@ def test_the_law_is_what_its_text_says_in_single_precision() -> None:
     one = np.float32
     integral, kp, step, limit = one(0.0), one(0.5), one(2.0) * one(0.01), one(12.0)
     for k, (reference, speed) in enumerate([(10.0, 0.0), (10.0, 3.3), (40.0, 3.4), (10.0, 9.9), (-50.0, 2.0)]):
-        found = law.update(k * 10**7, motor_reference=(reference,), motor_state=(speed,))
+        outputs = law.update(k * 10**7, motor_reference=(reference,), motor_state=(speed,))
         e = one(reference) - one(speed)
         u = kp * e + integral
         if abs(u) <= limit:
             integral += step * e
-        assert found == {"to_motor_command": (float(np.clip(u, -limit, limit)),)}
+        assert outputs == {"to_motor_command": (float(np.clip(u, -limit, limit)),)}
         assert law.x == (float(integral), k + 1, int(abs(u) > limit))
         assert type(law.x.ticks) is int
     assert law.x._fields == ("integral", "ticks", "saturated")
@@ -124,9 +124,9 @@ def test_what_export_writes_comes_back_with_the_same_bits(exported: Path, node: 
         "description": str(exported / f"{node}.json"),
     }
     wanted = simulate(rig_with({}, scenario=scenario, duration=duration)).recording
-    found = simulate(rig_with(parameters, node, executable, scenario, duration))
-    assert found.recording.topics == wanted.topics
-    assert len(found.blocks[node].block._names) > 2
+    result = simulate(rig_with(parameters, node, executable, scenario, duration))
+    assert result.recording.topics == wanted.topics
+    assert len(result.blocks[node].block._names) > 2
 
 
 @pytest.mark.parametrize("make", [plain, pytest.param(engine.compiled, marks=pytest.mark.long)])
@@ -197,8 +197,8 @@ def test_the_linear_view_sees_through_it() -> None:
     motor = sampled_motor()
     loop = control.ss(control.ss(motor.A, motor.B, [[1, 0]], [[0]], T) * control.ss(law))
     exact = np.linalg.eigvals(loop.A - loop.B @ loop.C)
-    found = sorted(abs(p) for p in view.loop_poles if abs(p) > 1e-3)
-    assert found == pytest.approx(sorted(map(abs, exact)), rel=1e-6)
+    results = sorted(abs(p) for p in view.loop_poles if abs(p) > 1e-3)
+    assert results == pytest.approx(sorted(map(abs, exact)), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -216,9 +216,9 @@ def test_what_breaks_ends_the_run_by_name(fault: str, message: str, isolated: bo
     if isolated and fault != "CRASH":
         return
     message = message.replace(" in pi_step", "") if isolated else message
-    with pytest.raises(RunError, match="dc_motor_pid: ") as found:
+    with pytest.raises(RunError, match="dc_motor_pid: ") as result:
         simulate(rig_with(faulty(fault, isolated=isolated)))
-    assert message in str(found.value)
+    assert message in str(result.value)
 
 
 def test_one_that_hangs_is_given_up_when_it_is_isolated() -> None:
@@ -298,9 +298,9 @@ def test_giving_up_publishes_its_outputs_keeps_its_state_and_is_counted() -> Non
     ],
 )
 def test_what_does_not_fit_is_refused_before_a_run(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises((ParameterError, ValueError)) as found:
+    with pytest.raises((ParameterError, ValueError)) as result:
         CController(CParams(**(PI | changes)), "pi")
-    assert message in str(found.value)
+    assert message in str(result.value)
 
 
 def test_a_library_of_another_machine_is_refused(tmp_path: Path) -> None:

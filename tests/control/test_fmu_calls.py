@@ -230,7 +230,7 @@ DISCARDED = FMICallException("fmi2DoStep", 2)
 
 
 @pytest.mark.parametrize(
-    ("version", "exchange", "answers", "said"),
+    ("version", "exchange", "answers", "text"),
     [
         (3, False, {"doStep": [(False, True, False, 0.25)]}, "fmi3DoStep: asks to end the simulation at 0.25 s"),
         (3, False, {"doStep": [(False, False, True, 0.125)]}, "fmi3DoStep: returned early at 0.125 s"),
@@ -264,18 +264,18 @@ DISCARDED = FMICallException("fmi2DoStep", 2)
         ),
     ],
 )
-def test_what_is_refused_is_told_and_the_next_begin_makes_another(played, version, exchange, answers, said):
+def test_what_is_refused_is_told_and_the_next_begin_makes_another(played, version, exchange, answers, text):
     kind = "Float64" if version == 3 else "Real"
     one, fmu = played(version, exchange, tolerance="", inputs=((kind, 1, 0, 1),), **answers)
     one.begin()
-    if not said:
+    if not text:
         assert one.advance(0.0, 0.5, (1.0,)) == ()
         return
     for line in (b"first", b"second", b"", b"third"):  # the newest two
         fmu.logger(None, 0, line)
     with pytest.raises(Refusal) as refused:
         one.advance(0.0, 0.5, (1.0,))
-    assert str(refused.value) == f"{said}; it says: third"
+    assert str(refused.value) == f"{text}; it says: third"
     fmu.calls.clear()
     one.begin()  # the one before is not touched: in which state it is nobody knows
     assert fmu.calls[0].startswith("instantiate")
@@ -290,7 +290,7 @@ def test_what_an_fmu_asks_of_its_status_is_its_last_time_and_whether_it_has_ende
 
 
 @pytest.mark.parametrize(
-    ("kind", "x", "found"),
+    ("kind", "x", "result"),
     [
         ("Boolean", 0.0, False),
         ("Boolean", -0.5, True),
@@ -301,23 +301,23 @@ def test_what_an_fmu_asks_of_its_status_is_its_last_time_and_whether_it_has_ende
         ("Integer", 2.5, "an input is a whole number, got 2.5"),
     ],
 )
-def test_numbers_become_what_a_variable_is(played, kind, x, found):
+def test_numbers_become_what_a_variable_is(played, kind, x, result):
     one, fmu = played(2, inputs=((kind, 1, 0, 1),))
     one.begin()
-    if isinstance(found, str):
-        with pytest.raises(Refusal, match=f"^{found}$"):
+    if isinstance(result, str):
+        with pytest.raises(Refusal, match=f"^{result}$"):
             one.advance(0.0, 1.0, (x,))
         return
     one.advance(0.0, 1.0, (x,))
-    assert f"set{kind}([1], [{word(found)}])" in fmu.calls
+    assert f"set{kind}([1], [{word(result)}])" in fmu.calls
 
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_state_is_freed_also_where_it_cannot_be_kept_or_put_back(played, version):
     serialize = "serializeFMUState" if version == 3 else "serializeFMUstate"
     one, fmu = played(version, **{serialize: [OSError("full")]}, setFMUState=[OSError("old")])
-    for call, said, freed in ((one.keep, "full", "'state'"), (lambda: one.restore(b"bytes"), "old", "'restored'")):
+    for call, text, freed in ((one.keep, "full", "'state'"), (lambda: one.restore(b"bytes"), "old", "'restored'")):
         one.begin()
-        with pytest.raises(Refusal, match=said):
+        with pytest.raises(Refusal, match=text):
             call()
         assert fmu.calls[-1] == f"freeFMUState({freed})"

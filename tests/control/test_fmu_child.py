@@ -236,7 +236,7 @@ def test_a_start_may_take_as_long_as_a_call_where_that_is_longer():
 
 
 @pytest.mark.parametrize(
-    ("pipe", "ready", "code", "said"),
+    ("pipe", "ready", "code", "text"),
     [
         (Pipe((False, "too hard")), True, 0, "too hard"),
         (Pipe(), False, 0, "gave no answer within 2.5 s"),
@@ -247,13 +247,13 @@ def test_a_start_may_take_as_long_as_a_call_where_that_is_longer():
         (Pipe(EOFError()), True, None, "crashed: its process closed the pipe by which it is asked"),
     ],
 )
-def test_what_is_not_answered_is_told_and_ends_it(pipe, ready, code, said):
+def test_what_is_not_answered_is_told_and_ends_it(pipe, ready, code, text):
     one, _, waited = isolated(pipe, ready, code)
     with pytest.raises(Refusal) as refused:
         one.keep()
-    assert str(refused.value) == said
+    assert str(refused.value) == text
     assert one._end.count == 1
-    assert waited == ([3.0] if "crashed" in said else [])
+    assert waited == ([3.0] if "crashed" in text else [])
     with pytest.raises(Refusal, match=r"^has ended before$"):
         one.keep()
     assert one._end.count == 1

@@ -134,11 +134,11 @@ def port_words(port):
     return f"{port.name}: {kind} on {port.topic}{frame}: {labels}"
 
 
-def answers(found, entries, outward, **more):
+def answers(result, entries, outward, **more):
     """A side of an FMU, or why there is none."""
     yield f"  {'says' if outward else 'reads'} {'; '.join(entries)}{''.join(f', {k} {v}' for k, v in more.items())}"
     try:
-        ports, places = mapped(found, entries, outward, **more)
+        ports, places = mapped(result, entries, outward, **more)
     except ValueError as error:
         yield f"    refused: {error}"
         return
@@ -211,18 +211,18 @@ STARTS = [
 
 def told(fmu):
     for version in ("2.0", "3.0"):
-        found = describe(str(fmu(version, f"made{version[0]}")))
-        state = "keeps" if found.serialises else "does not keep"
-        yield f"FMI {found.version}: {', '.join(found.interfaces)}, {state} its state"
-        yield from (f"  {variable_words(v)}" for v in found.variables.values())
+        result = describe(str(fmu(version, f"made{version[0]}")))
+        state = "keeps" if result.serialises else "does not keep"
+        yield f"FMI {result.version}: {', '.join(result.interfaces)}, {state} its state"
+        yield from (f"  {variable_words(v)}" for v in result.variables.values())
         for outward, entries, *more in ENTRIES if version == "2.0" else ARRAYS:
-            yield from answers(found, entries, outward, **(more[0] if more else {}))
+            yield from answers(result, entries, outward, **(more[0] if more else {}))
         for entries in (
             STARTS if version == "2.0" else [("A[1,2] = 20", "A[2,3] = 60", "u = 1"), ("A = 1",), ("B[2] = 9",)]
         ):
             yield f"  starts {'; '.join(entries)}"
             try:
-                given = start_values(found, entries)
+                given = start_values(result, entries)
             except ValueError as error:
                 yield f"    refused: {error}"
                 continue
@@ -265,12 +265,12 @@ def test_what_a_description_says_and_what_is_made_of_it_is_as_told(fmu):
     ],
 )
 def test_interfaces_and_whether_a_state_is_kept(fmu, about, interfaces, serialises):
-    found = describe(str(fmu(**about)))
-    assert (found.interfaces, found.serialises) == (interfaces, serialises)
+    result = describe(str(fmu(**about)))
+    assert (result.interfaces, result.serialises) == (interfaces, serialises)
 
 
 @pytest.mark.parametrize(
-    ("version", "files", "said"),
+    ("version", "files", "text"),
     [
         (
             "2.0",
@@ -291,14 +291,14 @@ def test_interfaces_and_whether_a_state_is_kept(fmu, about, interfaces, serialis
         ("2.0", ("a..b/c", "binaries/here/m.so"), ""),
     ],
 )
-def test_files_that_are_none_for_us(fmu, version, files, said):
+def test_files_that_are_none_for_us(fmu, version, files, text):
     path = fmu(version, files=files)
-    if not said:
+    if not text:
         assert describe(str(path)).version == version
         return
     with pytest.raises(ValueError, match=r"made\.fmu") as refused:
         describe(str(path))
-    assert said in str(refused.value)
+    assert text in str(refused.value)
 
 
 def test_an_fmu_is_unpacked_once_and_refused_beyond_its_bounds(fmu, tmp_path, monkeypatch):
@@ -355,9 +355,9 @@ def test_units_become_each_other_by_factor_and_offset():
 def test_many_variables_are_named_by_the_first_thirty(tmp_path):
     def refused(count):
         known = {f"x{k}": Variable(f"x{k}", k, "Real", "input", None, None, None, None) for k in range(count)}
-        with pytest.raises(ValueError, match="has no variable 'q'") as found:
+        with pytest.raises(ValueError, match="has no variable 'q'") as result:
             Description(tmp_path / "many.fmu", "2.0", (), False, known, "").variable("q")
-        return str(found.value)
+        return str(result.value)
 
     assert refused(30).endswith("it has " + ", ".join(f"x{k}" for k in range(30)))
     assert refused(31).endswith("x28, x29 and 1 more")

@@ -122,8 +122,8 @@ X, SPEED = "cart.state.x.position", "cart.state.x.velocity"
 
 
 def lines(element, depth=0):
-    told = {k: v for k, v in element.attrib.items() if not k.startswith("generation") and k != "guid"}
-    yield "  " * depth + " ".join([element.tag, *(f"{k}={v!r}" for k, v in told.items())])
+    entries = {k: v for k, v in element.attrib.items() if not k.startswith("generation") and k != "guid"}
+    yield "  " * depth + " ".join([element.tag, *(f"{k}={v!r}" for k, v in entries.items())])
     for part in element:
         if element.tag != "LogCategories" and part.tag != "LogCategories":
             yield from lines(part, depth + 1)
@@ -171,7 +171,7 @@ def test_an_input_that_may_stay_without_a_value_has_none_until_it_is_set(made):
 
 
 @pytest.mark.parametrize(
-    ("block", "values", "step", "said"),
+    ("block", "values", "step", "text"),
     [
         (Cart, {}, 0.5 * PERIOD, "it: a step of 0.0625 s, expected a whole number of periods of 0.125 s"),
         (Cart, {}, 0.0, "it: a step of 0.0 s, expected"),
@@ -186,7 +186,7 @@ def test_an_input_that_may_stay_without_a_value_has_none_until_it_is_set(made):
         (Law, {"x": 9.5}, PERIOD, "it is far"),
     ],
 )
-def test_a_step_that_cannot_be_is_refused(made, block, values, step, said):
+def test_a_step_that_cannot_be_is_refused(made, block, values, step, text):
     """By an exception: PythonFMU makes fmi2Fatal of it, which every tool reports."""
     fmu = made(block)
     put(fmu, **values)
@@ -196,12 +196,12 @@ def test_a_step_that_cannot_be_is_refused(made, block, values, step, said):
         fmu.exit_initialization_mode()
         fmu.do_step(0.0, step)
 
-    if said:
-        with pytest.raises(ValueError, match=re.escape(said)):
+    if text:
+        with pytest.raises(ValueError, match=re.escape(text)):
             run()
     else:
         run()
-    assert (get(fmu, X) == before) == (bool(said) or block is Law)
+    assert (get(fmu, X) == before) == (bool(text) or block is Law)
 
 
 def test_the_clock_is_that_of_the_tool_from_its_start_time_on(made):
@@ -250,14 +250,14 @@ def test_a_state_goes_back_and_into_another_instance(made, block):
 
     go(fmu, 0, 3)
     kept = fmu._fmu_state_from_bytes(fmu._fmu_state_to_bytes(fmu._get_fmu_state()))
-    told = [v.getter() for v in fmu.vars.values()]
-    rest = go(fmu, 3, 3)
+    messages = [v.getter() for v in fmu.vars.values()]
+    remaining = go(fmu, 3, 3)
     fmu._set_fmu_state(kept)
-    assert [v.getter() for v in fmu.vars.values()] == told
-    assert go(fmu, 3, 3) == rest
+    assert [v.getter() for v in fmu.vars.values()] == messages
+    assert go(fmu, 3, 3) == remaining
     other = made(block)
     other._set_fmu_state(kept)
-    assert go(other, 3, 3) == rest
+    assert go(other, 3, 3) == remaining
 
 
 def test_names_and_contents():
@@ -266,9 +266,9 @@ def test_names_and_contents():
     member = SimpleNamespace(
         name="it", package="p", executable="e", params=CartParams(period=PERIOD), remap={"a": "b"}.items()
     )
-    found = content(member, 7, {"push": [1.0]})
-    assert found.pop("parameters")["gain"] == 2.0
-    assert found == {
+    result = content(member, 7, {"push": [1.0]})
+    assert result.pop("parameters")["gain"] == 2.0
+    assert result == {
         "node": "it",
         "package": "p",
         "executable": "e",

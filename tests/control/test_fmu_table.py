@@ -92,7 +92,7 @@ def test_the_offset_of_a_unit_does_not_count_for_a_difference(tmp_path, given):
     [("declared = 5", 5.0), ("own = 9", 9.0), ("n = 9", 9), ("mode = 3", 3), ("mode = fast", 3), ("mode = slow", 1)],
 )
 def test_values_within_the_bounds_of_a_variable_or_its_type(tmp_path, given, entry, value):
-    assert [found for _, found in start_values(fmu(tmp_path, given), [entry])] == [value]
+    assert [result for _, result in start_values(fmu(tmp_path, given), [entry])] == [value]
 
 
 @pytest.mark.parametrize(

@@ -78,11 +78,11 @@ def test_the_seed_and_the_first_values_are_those_of_the_scenario(asked, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("stderr", "said"), [("", "no reason given"), ("first\nlast one\n", "last one"), ("  \n", "no reason given")]
+    ("stderr", "text"), [("", "no reason given"), ("first\nlast one\n", "last one"), ("  \n", "no reason given")]
 )
-def test_why_there_is_none_is_the_last_that_the_tool_said(asked, motor, tmp_path, stderr, said):
+def test_why_there_is_none_is_the_last_that_the_tool_said(asked, motor, tmp_path, stderr, text):
     asked.answer = SimpleNamespace(returncode=1, stderr=stderr)
-    with pytest.raises(ScenarioError, match=f"^node dc_motor_plant: no FMU: {said}$"):
+    with pytest.raises(ScenarioError, match=f"^node dc_motor_plant: no FMU: {text}$"):
         export(motor, "dc_motor_plant", tmp_path)
 
 

@@ -60,17 +60,17 @@ def matrices(kind, rng):
 def right_expm(a):
     """By the Taylor series of mpmath after many halvings: another way to the same as `exact` takes."""
     n, halvings = len(a), 60
-    x, found, term = high(a) / mpmath.mpf(2) ** halvings, mpmath.eye(len(a)), mpmath.eye(len(a))
+    x, result, term = high(a) / mpmath.mpf(2) ** halvings, mpmath.eye(len(a)), mpmath.eye(len(a))
     for k in range(1, 9):
         term = term * x / k
-        found += term
+        result += term
     for _ in range(halvings):
-        found = found * found
-    return np.array([[float(found[i, j]) for j in range(n)] for i in range(n)])
+        result = result * result
+    return np.array([[float(result[i, j]) for j in range(n)] for i in range(n)])
 
 
-def off(found, right):
-    return float(np.max(np.abs(np.asarray(found, dtype=float) - right)) / np.max(np.abs(right)))
+def off(result, right):
+    return float(np.max(np.abs(np.asarray(result, dtype=float) - right)) / np.max(np.abs(right)))
 
 
 def worst_of_exponentials(kind):
@@ -152,8 +152,8 @@ def test_no_kernel_is_ten_times_worse_than_scipys_and_the_page_has_the_errors(ke
     assert ours <= max(10.0 * theirs, 4e-15)
     row = re.search(rf"^\| {kernel} \| {kind} \| (\S+) \| (\S+) \|$", PAGE.read_text(), re.M)
     assert row, f"| {kernel} | {kind} | {ours:.0e} | {theirs:.0e} |"
-    for shown, found in zip(row.groups(), (ours, theirs), strict=True):
-        assert max(found, 1e-17) == pytest.approx(max(float(shown), 1e-17), rel=9.0), f"{ours:.0e} {theirs:.0e}"
+    for shown, result in zip(row.groups(), (ours, theirs), strict=True):
+        assert max(result, 1e-17) == pytest.approx(max(float(shown), 1e-17), rel=9.0), f"{ours:.0e} {theirs:.0e}"
 
 
 def test_an_exponential_has_its_closed_form():
@@ -212,10 +212,10 @@ def modal(modes, damping):
 def test_a_transfer_function_of_high_order_has_the_response_of_its_residues(modes, damping, period):
     den, step = modal(modes, damping)
     samples = 2000
-    found = transfer.sample_transfer_function((1.0,), den, period).step_response(samples)
+    result = transfer.sample_transfer_function((1.0,), den, period).step_response(samples)
     at = range(1, samples + 1, 37)
     right = [step(mpmath.mpf(period) * k) for k in at]
-    assert [found[k - 1] for k in at] == pytest.approx(right, abs=1e-9 * max(map(abs, right)))
+    assert [result[k - 1] for k in at] == pytest.approx(right, abs=1e-9 * max(map(abs, right)))
 
 
 def test_sampling_does_not_depend_on_units():
@@ -308,9 +308,9 @@ def test_gains_of_a_plant_in_other_units_are_those_gains_in_other_units(order):
     poles = [-1.0 - k for k in range(order + 1)]
     right = place(a.tolist(), b.tolist(), c.tolist(), poles)
     units = 2.0 ** rng.integers(-40, 40, order)
-    found = place((a * units[:, None] / units).tolist(), (b * units).tolist(), (c / units).tolist(), poles)
-    assert np.array(found.k) * units == pytest.approx(np.array(right.k), rel=1e-9)
-    assert found.ki == pytest.approx(right.ki, rel=1e-9)
+    result = place((a * units[:, None] / units).tolist(), (b * units).tolist(), (c / units).tolist(), poles)
+    assert np.array(result.k) * units == pytest.approx(np.array(right.k), rel=1e-9)
+    assert result.ki == pytest.approx(right.ki, rel=1e-9)
 
 
 def test_gains_that_do_not_give_the_wanted_poles_are_not_returned(monkeypatch):

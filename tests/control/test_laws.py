@@ -56,13 +56,13 @@ def test_a_fuzzy_surface_is_the_mean_of_its_rules(first, second, constants, conj
 def test_rules_of_a_fuzzy_controller():
     assert sum_rules(3) == [[-1, -1, 0], [-1, 0, 1], [0, 1, 1]]
     assert sum_rules(5)[0] == [-2, -2, -2, -1, 0]
-    for peaks, rules, said in (
+    for peaks, rules, text in (
         (([0.0], [0.0, 1.0]), [[0.0, 0.0]], r"^peaks \[0.0\]: expected at least two increasing numbers$"),
         (([0.0, 1.0], [0.0, 0.0]), [[0.0] * 2] * 2, r"^peaks \[0.0, 0.0\]: expected"),
         (([0.0, 1.0], [0.0, 1.0]), [[0.0] * 2], r"^rules: expected 2 rows of 2 constants$"),
         (([0.0, 1.0], [0.0, 1.0, 2.0]), [[0.0] * 3, [0.0] * 2], r"^rules: expected 2 rows of 3 constants$"),
     ):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=text):
             TakagiSugeno(peaks, rules)
 
 
@@ -140,13 +140,13 @@ def test_a_swing_has_ended_after_three_times_the_longest_of_the_newest_eight():
         return [(2.0 * (k % 2), samples) for k in range(times)]
 
     for samples in (2, 3, 5):  # the last swing, up to 2, is known with the first sample of the rest at 0
-        found = fed(held(*up_and_down(samples, 12), (0.0, 40)), 50.0)
-        assert found[12 * samples :] == [2.0] * (3 * samples + 1) + [0.0] * (39 - 3 * samples)
+        result = fed(held(*up_and_down(samples, 12), (0.0, 40)), 50.0)
+        assert result[12 * samples :] == [2.0] * (3 * samples + 1) + [0.0] * (39 - 3 * samples)
     for later in range(13):  # one swing of five samples among those of two: while it is one of the eight
         levels = [*up_and_down(2, 10), (0.0, 2), (2.0, 5), *up_and_down(2, later), (2.0 * (later % 2), 40)]
-        found = fed(held(*levels), 50.0)
+        result = fed(held(*levels), 50.0)
         longest = 5 if later < 8 else 2
-        assert found.count(0.0) == fed(held(*levels[:-1]), 50.0).count(0.0) + 39 - 3 * longest, later
+        assert result.count(0.0) == fed(held(*levels[:-1]), 50.0).count(0.0) + 39 - 3 * longest, later
 
 
 @pytest.mark.parametrize("anew", ["reference", "rest"])
@@ -155,13 +155,13 @@ def test_swings_before_a_new_reference_or_a_rest_have_no_time_any_more(anew):
     slow = held(*[(2.0 * (k % 2), 8) for k in range(6)])
     quick = [0.0, 2.0] * 3
     for pause, swings in ((6, True), (20, False)):
-        x, found = Swinging(), []
+        x, results = Swinging(), []
         for y in slow + [0.0] * (53 if anew == "rest" else 0):
             x, _ = limit_cycle(x, y, 50.0)
         for y in quick + [0.0] * pause + quick[1:] + [0.0]:
             x, size = limit_cycle(x, y, 50.0 if anew == "rest" else 60.0)
-            found.append(size)
-        assert (found[-1] == 2.0) == swings, pause
+            results.append(size)
+        assert (results[-1] == 2.0) == swings, pause
 
 
 def test_a_pid_is_its_difference_equations():
@@ -174,11 +174,11 @@ def test_a_pid_is_its_difference_equations():
             error = Fraction(e, 8)
             d = (d + Fraction(p.kd) * 16 * (error - last)) / (1 + 16 * ts)
             u = Fraction(p.kp) * error + integral + d
-            x, found = law(x, float(error))
+            x, result = law(x, float(error))
             if not (anti_windup and abs(u) > 4 and u * error > 0):
                 integral += 3 * error * ts
             last = error
-            assert found == pytest.approx(float(u), rel=1e-12, abs=1e-12)
+            assert result == pytest.approx(float(u), rel=1e-12, abs=1e-12)
             assert x == pytest.approx((float(integral), float(d), float(error)), rel=1e-12, abs=1e-12)
 
 
@@ -232,8 +232,8 @@ def test_a_phase_locked_loop_is_its_formula():
             error = cmath.phase(u * cmath.exp(-1j * theta))
             summed += error
             omega = w0 + 20.0 * error + 300.0 * T * summed
-        x, found = loop(x, u, lost) if lost else loop(x, u)
-        assert found == pytest.approx(math.remainder(theta, 2.0 * math.pi), abs=1e-9)
+        x, result = loop(x, u, lost) if lost else loop(x, u)
+        assert result == pytest.approx(math.remainder(theta, 2.0 * math.pi), abs=1e-9)
         theta += T * omega
         assert x == pytest.approx((math.remainder(theta, 2.0 * math.pi), omega, 300.0 * T * summed), abs=1e-9)
     edge = loop(loop.first(0.0), 0.5j)[0]
@@ -255,8 +255,8 @@ def test_a_filter_is_made_where_it_is_stable(step, damping):
     for sample in (1.0, 0.0, 2j):
         speed += period * (omega**2 * (sample - y) - 2.0 * damping * omega * speed)
         y += period * speed
-        x, found = law(x, sample)
-        assert (found, x.rate) == (pytest.approx(y), pytest.approx(speed))
+        x, result = law(x, sample)
+        assert (result, x.rate) == (pytest.approx(y), pytest.approx(speed))
 
 
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=6, unique=True).map(sorted), st.integers(-2, 45))
@@ -408,26 +408,26 @@ def test_a_predictive_law_trips_beyond_its_edges_and_at_the_third_bad_sample():
     model = {"a": (1.0, -0.5), "b": (1.0,), "trip_low": 1.0, "trip_high": 3.0, "u_safe": 7.0, "set_point": 2.0}
     for y, trips in ((3.0, False), (3.0000001, True), (1.0, True), (1.0000001, False)):
         law = ByHand(GpcController(**model))
-        said = law.update(0, measured=(y,), reference=None)
-        assert (said["health"][0] == 3.0) == trips
+        outputs = law.update(0, measured=(y,), reference=None)
+        assert (outputs["health"][0] == 3.0) == trips
         assert ("trip" in law.reports) == trips
         again = law.update(10_000_000, measured=(2.0,), reference=None)
         assert (again["command"] == (7.0,)) == trips
     law = ByHand(GpcController(**model, u_min=-0.25, u_max=0.25))
-    said = law.update(0, measured=(1.5,), reference=(2.0,))
-    assert said == {"command": (0.25,), "health": (1.0, 1.0, 0.0)}
+    outputs = law.update(0, measured=(1.5,), reference=(2.0,))
+    assert outputs == {"command": (0.25,), "health": (1.0, 1.0, 0.0)}
     states = [law.refused(k * 10_000_000)["health"] for k in (1, 2, 3, 4)]
     assert states == [(2.0, 0.0, 0.0), (2.0, 0.0, 0.0), (3.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
     assert law.reports["bad_input"][1] == "a measurement or reference was refused; the last command is held"
     assert law.reports["trip"][1] == "3 bad samples in a row: tripped to 7 V for good"
     patient = ByHand(GpcController(**model))
     for k in range(8):
-        said = (
+        outputs = (
             patient.refused(k * 10_000_000)
             if k % 3
             else patient.update(k * 10_000_000, measured=(2.0,), reference=None)
         )
-        assert said["health"][0] == (2.0 if k % 3 else 0.0)
+        assert outputs["health"][0] == (2.0 if k % 3 else 0.0)
 
 
 def test_a_predictive_law_takes_a_bad_sample_for_the_last_one_under_the_held_command():
@@ -437,12 +437,12 @@ def test_a_predictive_law_takes_a_bad_sample_for_the_last_one_under_the_held_com
     for k, y in enumerate((1.5, 1.0, None, 1.25, None, None, 0.5)):
         if y is None:
             x = gpc.applied(gpc.measure(x, last), x.u)
-            said = law.refused(k * 10_000_000)
+            answer = law.refused(k * 10_000_000)
         else:
             x, last = gpc.measure(x, y), y
             x = gpc.applied(x, x.u + gpc.move(x, 2.0))
-            said = law.update(k * 10_000_000, measured=(y,), reference=None)
-        assert said["command"] == (x.u,)
+            answer = law.update(k * 10_000_000, measured=(y,), reference=None)
+        assert answer["command"] == (x.u,)
     first = ByHand(GpcController(**given))
     assert first.refused(0)["command"] == (0.0,)  # nothing was there before
     assert first.update(10_000_000, measured=(1.5,), reference=None) == ByHand(GpcController(**given)).update(
@@ -476,13 +476,13 @@ def test_a_link_that_cannot_be(given, text):
 def test_a_watched_margin_of_zero_holds_and_what_is_below_is_told_once():
     watched = ByHand(RequirementMonitor(formula="always x <= 1"))
     watched.block.ages = lambda name: 0
-    found = []
+    results = []
     for k, x in enumerate((0.5, 1.0, 1.25, 2.0, 0.0)):
-        found.append(watched.update(k * 10_000_000, state=(x,))["margin"])
+        results.append(watched.update(k * 10_000_000, state=(x,))["margin"])
         assert ("violated" in watched.reports) == (k > 1)
-    assert found == [(-1e12, upper, 0.0) for upper in (0.5, 0.0, -0.25, -1.0, -1.0)]
-    said = "always x <= 1 is violated, its margin is at most -0.25 m, known at t = 0.02 s"
-    assert watched.reports["violated"][1] == said
+    assert results == [(-1e12, upper, 0.0) for upper in (0.5, 0.0, -0.25, -1.0, -1.0)]
+    text = "always x <= 1 is violated, its margin is at most -0.25 m, known at t = 0.02 s"
+    assert watched.reports["violated"][1] == text
     ends = ByHand(RequirementMonitor(formula="always x <= 1", ends=True, name="limit"))
     ends.block.ages = lambda name: 0
     ends.update(0, state=(1.0,))

@@ -27,8 +27,8 @@ MASSES = (  # two carts, a spring and a damper: four states
 )
 def test_the_loop_has_the_wanted_poles(plant, poles):
     gains = place(*plant, poles)
-    found = np.poly(closed_loop_poles(*plant, gains.k, gains.ki))
-    assert found == pytest.approx(np.poly(poles).real, rel=1e-9)
+    result = np.poly(closed_loop_poles(*plant, gains.k, gains.ki))
+    assert result == pytest.approx(np.poly(poles).real, rel=1e-9)
 
 
 def test_the_gains_are_those_of_scipy():

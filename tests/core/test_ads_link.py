@@ -88,7 +88,7 @@ def test_real_time_takes_the_answer_to_its_tick_or_none(calls, seed):
 
     rng = random.Random(seed)
     net = Net(Plc(law()[0], work=work), rng, 0.3, pulled=0.005)
-    line, taken = line_of(net), 0
+    line, used = line_of(net), 0
     while line.counts.sent < calls:
         begun, u = net.time, rng.random()
         answer = line.try_ask(Kind.STEP, request(0, u), 0.003)
@@ -97,9 +97,9 @@ def test_real_time_takes_the_answer_to_its_tick_or_none(calls, seed):
         if rng.random() < 0.005:
             net.plc.power()
         if answer is not None:
-            taken += 1
+            used += 1
             assert command(answer) == u
-    assert taken > calls / 3
+    assert used > calls / 3
     assert min(line.counts.lost, line.counts.rejoined, line.counts.reopened, line.counts.damaged) > 0
 
 
@@ -200,11 +200,11 @@ def test_a_law_on_a_plc_over_ads_is_the_law_without_to_the_bit(exported):
     pytest.importorskip("pyads", reason="needs pyads (scripts/softrig setup hardware)")
     host = "127.0.0.71"
     with Served(host):
-        found = [simulate(linked_rig(exported, f"ads:{host}.1.1/851")).signals for _ in range(2)]
+        results = [simulate(linked_rig(exported, f"ads:{host}.1.1/851")).signals for _ in range(2)]
     plain = simulate(rig_of(SCENARIO, duration=0.3)).signals
     for name in ("motor/state/shaft/velocity", "motor/command/armature/effort"):
-        assert list(found[0][name].x) == list(plain[name].x)
-        assert list(found[1][name].x) == list(plain[name].x)
+        assert list(results[0][name].x) == list(plain[name].x)
+        assert list(results[1][name].x) == list(plain[name].x)
 
 
 def test_an_answer_that_is_too_short_ends_a_run_in_one_line(exported):

@@ -66,12 +66,12 @@ def test_what_a_law_takes_for_granted_may_differ_and_is_told():
 
 
 def test_an_argument_of_a_figure_is_what_a_node_says():
-    said = spoken(Rig.from_blocks({"one": Judge(mass=3.0)}, 1.0).members)
+    text = spoken(Rig.from_blocks({"one": Judge(mass=3.0)}, 1.0).members)
     agreed = {"mass": "cart/mass"}
-    assert agreeing(said, {"band": 0.1}, agreed) == {"band": 0.1, "mass": 3.0}
-    assert agreeing(said, {"mass": 3}, agreed) == {"mass": 3}
+    assert agreeing(text, {"band": 0.1}, agreed) == {"band": 0.1, "mass": 3.0}
+    assert agreeing(text, {"mass": 3}, agreed) == {"mass": 3}
     with pytest.raises(ScenarioError, match="argument mass = 2, but one has 3; leave it out"):
-        agreeing(said, {"mass": 2.0}, agreed)
+        agreeing(text, {"mass": 2.0}, agreed)
     assert agreeing({}, {"mass": 2.0}, agreed) == {"mass": 2.0}  # of a recording without such a node
     with pytest.raises(ScenarioError, match="argument mass is missing, since no node of the rig defines its cart/mass"):
         agreeing({}, {}, agreed)
@@ -123,7 +123,7 @@ def test_levels_of_a_step_come_from_signals():
     by_hand = rise_time(signals, "x", final=6.0, initial=2.0, start=1.0)
     assert rise_time(signals, "x", final="asked", initial="asked", start=1.0) == by_hand
     assert by_hand == pytest.approx(0.1 * math.log(9.0), rel=0.01)
-    told = Figure("rise", rise_time, {"signal": "x", "final": "asked", "initial": "asked", "start": 1.0}, "s", 1.0)
-    assert told.at(signals).arguments == {"signal": "x", "final": 6.0, "initial": 2.0, "start": 1.0}
+    reported = Figure("rise", rise_time, {"signal": "x", "final": "asked", "initial": "asked", "start": 1.0}, "s", 1.0)
+    assert reported.at(signals).arguments == {"signal": "x", "final": 6.0, "initial": 2.0, "start": 1.0}
     with pytest.raises(ValueError, match="asked has no value before the begin of the window"):
         rise_time(signals, "x", final=6.0, initial="asked")

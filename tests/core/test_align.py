@@ -20,11 +20,11 @@ EPOCH_NS = 1_700_000_000_123_456_789
 
 def bag(folder, function, period, *, epoch=0, left=False, until=4.0, topic="plant/state", begin=0.0):
     """A bag of one topic with two values, stamped from `epoch` on; `left`: the bag says so."""
-    found = Recording([(topic, STATE)])
+    recording = Recording([(topic, STATE)])
     for k in range(round(begin / period), round(until / period) + 1):
         stamp = epoch + round(k * period * 1e9)
-        found.add(0, stamp, LAYOUT.encode(stamp, (float(function(k * period)), 1.0)))
-    write_bag(folder, found, custom_data={EPOCH: str(epoch)} if left else {})
+        recording.add(0, stamp, LAYOUT.encode(stamp, (float(function(k * period)), 1.0)))
+    write_bag(folder, recording, custom_data={EPOCH: str(epoch)} if left else {})
     return signals(folder)
 
 
@@ -76,9 +76,9 @@ def test_the_time_shift_is_found(tmp_path, late):
 )  # fmt: skip
 def test_an_epoch_is_a_whole_number_that_64_bits_may_hold(tmp_path, left, epoch):
     """As a bag has it; anything else is none, and times count as they stand."""
-    found = Recording([("plant/state", STATE)])
-    found.add(0, 5, LAYOUT.encode(5, (1.0, 1.0)))
-    write_bag(tmp_path / "bag", found, custom_data={EPOCH: left})
+    recording = Recording([("plant/state", STATE)])
+    recording.add(0, 5, LAYOUT.encode(5, (1.0, 1.0)))
+    write_bag(tmp_path / "bag", recording, custom_data={EPOCH: left})
     read = signals(tmp_path / "bag")
     assert (read._epoch, read.from_start) == (epoch, True)
 
@@ -86,12 +86,12 @@ def test_an_epoch_is_a_whole_number_that_64_bits_may_hold(tmp_path, left, epoch)
 def test_the_start_is_that_of_the_first_message_that_is_compared(tmp_path):
     """A bag of somebody else begins with a topic that the other one lacks."""
     a = bag(tmp_path / "a", wave, 0.01)
-    found = Recording([("before", STATE), ("plant/state", STATE)])
+    recording = Recording([("before", STATE), ("plant/state", STATE)])
     for topic, offset in ((0, 0.0), (1, 0.7)):
         for k in range(401):
             stamp = EPOCH_NS + round((k * 0.01 + offset) * 1e9)
-            found.add(topic, stamp, LAYOUT.encode(stamp, (float(wave(k * 0.01)), 1.0)))
-    write_bag(tmp_path / "b", found)
+            recording.add(topic, stamp, LAYOUT.encode(stamp, (float(wave(k * 0.01)), 1.0)))
+    write_bag(tmp_path / "b", recording)
     result = align(a, signals(tmp_path / "b"))
     assert result.span == (0.0, pytest.approx(4.0))
     assert result.deviations[0].largest < 1e-6

@@ -68,7 +68,7 @@ def test_a_use_works_here_and_one_that_is_otherwise_falls_back(name, monkeypatch
 
 def test_nothing_else_in_the_packages_goes_below():
     """By imports, and ctypes; private attributes are ruff's (SLF001), which exempts this room alone."""
-    found = []
+    results = []
     for file in PACKAGES.glob("softrig_*/softrig_*/**/*.py"):
         if "below" in file.parts or not {"softrig_nodes", "softrig_bags"} & set(file.parts):
             continue
@@ -78,8 +78,8 @@ def test_nothing_else_in_the_packages_goes_below():
                 [f"{one.module}.{a.name}" for a in one.names] if isinstance(one, ast.ImportFrom) and one.module else []
             )
             place = "/".join(file.parts[-3:])
-            found += [(place, n) for n in names if n.startswith(BELOW) or (n == "ctypes" and place not in C)]
-    assert found == [("softrig_nodes/softrig_nodes/preloaded.py", "rclpy.experimental.events_executor")]
+            results += [(place, n) for n in names if n.startswith(BELOW) or (n == "ctypes" and place not in C)]
+    assert results == [("softrig_nodes/softrig_nodes/preloaded.py", "rclpy.experimental.events_executor")]
 
 
 def test_the_public_way_gives_the_same(node, public):

@@ -163,8 +163,8 @@ def test_sines_and_hypot_of_arrays_are_the_c_librarys_at_every_level(features):
 
 
 def test_the_digest_tells_another_math_library(monkeypatch):
-    found = bits.math_digest.__wrapped__
-    assert found() == found() == bits.math_digest()
+    result = bits.math_digest.__wrapped__
+    assert result() == result() == bits.math_digest()
     assert all(low < high for low, high in bits.FUNCTIONS.values())  # its arguments differ
     exact, calls = math.log1p, []
 
@@ -174,5 +174,5 @@ def test_the_digest_tells_another_math_library(monkeypatch):
         return math.nextafter(value, 9.0) if len(calls) == 500 else value  # one argument in a thousand, one last digit
 
     monkeypatch.setattr(math, "log1p", nearly)
-    assert found() != bits.math_digest()
+    assert result() != bits.math_digest()
     assert len(calls) == bits.ARGUMENTS

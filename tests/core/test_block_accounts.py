@@ -83,8 +83,8 @@ def test_a_schedule_is_a_list_of_stamps(seed):
         )
         begin = max(0, min(begin, math.floor((1 << 63) / ns) - 7))
         wanted = [math.floor(k * ns + Fraction(1, 2)) for k in range(begin, begin + 6)]
-        found = schedule.times(begin, begin + 6)
-        assert (found.dtype, found.tolist()) == (np.int64, wanted)
+        result = schedule.times(begin, begin + 6)
+        assert (result.dtype, result.tolist()) == (np.int64, wanted)
 
 
 def test_runs_that_are_too_short_or_have_no_end():
@@ -156,8 +156,8 @@ def test_ports_are_as_told():
         {"fields": ()},
         {"units": ("m", "m"), "also": ("p", "q")},
     ):
-        told = said(Port, "a", "t", "sensor_msgs/msg/JointState", **kinds | keys)
-        lines.append(f"{keys}: {told if 'Error' in told else 'a port'}")
+        reported = said(Port, "a", "t", "sensor_msgs/msg/JointState", **kinds | keys)
+        lines.append(f"{keys}: {reported if 'Error' in reported else 'a port'}")
     lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), partial=True))
     lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), also=("x",)))
     lines.append(said(Port, "a", "t", "std_msgs/msg/Float64MultiArray", fields=("data",), units=()))
@@ -167,8 +167,8 @@ def test_ports_are_as_told():
 def test_what_a_port_takes_is_finite_and_within_its_limits():
     port = all_ports()["command"]
     for value in (2.0, -2.0, 2.0000001, -2.1, math.inf, -math.inf, math.nan):
-        taken = math.isfinite(value) and abs(value) <= 2.0
-        assert (port.beyond((value, 0.0)) == "") == taken
+        used = math.isfinite(value) and abs(value) <= 2.0
+        assert (port.beyond((value, 0.0)) == "") == used
     assert port.beyond((0.0, 3.5)) == "v/effort is 3.5 A, expected at most 3 in magnitude"
     assert all_ports()["button"].beyond((2e12,)) == "data is 2e+12 1, expected at most 1e+12 in magnitude"
     assert port.beyond((math.nan, 0.0)) == "u/effort is nan, expected a finite number"
@@ -191,9 +191,9 @@ def test_what_one_port_sends_another_reads_by_the_names_of_its_values(seed):
         values = tuple(rng.random() for _ in source.labels)
         by_label = dict(zip(source.labels, values, strict=True))
         expected = tuple(by_label.get(label, s) for label, s in zip(sink.labels, sink.safe, strict=True))
-        take = selection(source, sink)
-        assert picked(take, values) == expected
-        assert (take is None) == (source.labels == sink.labels)
+        accept = selection(source, sink)
+        assert picked(accept, values) == expected
+        assert (accept is None) == (source.labels == sink.labels)
         message = source.layout().encode(1_500_000_000, values)
         decoder = Decoder(sink)
         assert [decoder(message) for _ in range(2)] == [(1_500_000_000, expected)] * 2
@@ -258,16 +258,16 @@ def test_what_does_not_fit_is_told():
 
 def test_what_was_heard_in_one_go_is_a_row_of_messages():
     stamps, values = np.array([3, 5, 9]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
-    heard, row = Heard(stamps, values), ((3, (1.0, 2.0)), (5, (3.0, 4.0)), (9, (5.0, 6.0)))
-    assert (tuple(heard), len(heard), repr(heard)) == (row, 3, repr(row))
-    assert heard == row
-    assert heard == Heard(stamps, values)
-    assert heard != row[:2]
-    assert heard != list(row)
+    received, row = Heard(stamps, values), ((3, (1.0, 2.0)), (5, (3.0, 4.0)), (9, (5.0, 6.0)))
+    assert (tuple(received), len(received), repr(received)) == (row, 3, repr(row))
+    assert received == row
+    assert received == Heard(stamps, values)
+    assert received != row[:2]
+    assert received != list(row)
     for k in (*range(-3, 3), slice(1, None), slice(None, None, -2), slice(0, 0)):
-        assert heard[k] == row[k]
-    assert type(heard[0][0]) is int
-    assert all(type(v) is float for _, numbers in heard for v in numbers)
+        assert received[k] == row[k]
+    assert type(received[0][0]) is int
+    assert all(type(v) is float for _, numbers in received for v in numbers)
 
 
 @pytest.mark.parametrize(
@@ -360,15 +360,15 @@ def test_parameters_are_as_told():
     for values in GIVEN:
         short = ", ".join(f"{k} = {v if len(said(lambda v=v: v)) < 40 else 'much'}" for k, v in values.items())
         try:
-            found = build(Every, values)
+            result = build(Every, values)
         except ParameterError as error:
             lines.append(f"{short}: {error}")
             continue
-        assert build(Every, flatten(found)) == found
-        new = {k: v for k, v in flatten(found).items() if v != flatten(Every())[k] and len(repr(v)) < 100}
+        assert build(Every, flatten(result)) == result
+        new = {k: v for k, v in flatten(result).items() if v != flatten(Every())[k] and len(repr(v)) < 100}
         lines.append(f"{short}: changes {new}")
-        if len(differing(found)) < 300:
-            lines.append(f"  {differing(found)!r}")
+        if len(differing(result)) < 300:
+            lines.append(f"  {differing(result)!r}")
     lines += [f"{steps} steps: {said(check_steps, steps / 1024, 1 / 1024, 'substep')}" for steps in (100_000, 100_001)]
     check_told("parameters", lines)
 

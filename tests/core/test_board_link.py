@@ -136,8 +136,8 @@ def lockstep(firmware, wire, steps):
 
 def test_a_quiet_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
     folder, _, _, steps, answers = firmware
-    line, found = lockstep(firmware, QuietWire(Board(folder / "board.so", tmp_path)), steps)
-    assert found == answers
+    line, result = lockstep(firmware, QuietWire(Board(folder / "board.so", tmp_path)), steps)
+    assert result == answers
     assert line.counts.told() == ""
 
 
@@ -145,12 +145,12 @@ def test_a_quiet_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
 def test_no_damaged_frame_brings_a_wrong_answer_in_lockstep(frames, seed, firmware, tmp_path, drawn):
     folder, _, _, steps, answers = firmware
     rng = random.Random(seed)
-    taken, happened, counted = 0, {}, 0
-    while taken < frames:
+    used, happened, counted = 0, {}, 0
+    while used < frames:
         wire = NoisyWire(rng, 0.3, Board(folder / "board.so", tmp_path), pulled=0.01)
-        line, found = lockstep(firmware, wire, steps)
-        assert found == answers
-        taken += line.counts.sent
+        line, result = lockstep(firmware, wire, steps)
+        assert result == answers
+        used += line.counts.sent
         counted += line.counts.damaged + line.counts.repeated + line.counts.strays
         happened = {k: happened.get(k, 0) + v for k, v in wire.happened.items()}
         assert line.counts.reopened >= min(1, wire.happened["pulled"])
@@ -163,14 +163,14 @@ def test_real_time_takes_an_answer_of_the_request_or_none(frames, seed, firmware
     folder, _, _, steps, _ = firmware
     rng = random.Random(seed)
     board = Board(folder / "board.so", tmp_path)
-    said = {}  # by session and number: what the board has answered
+    messages = {}  # by session and number: what the board has answered
 
     def feed(data, of=board.feed):
         answer = of(data)
         for piece in Splitter().take(answer):
             frame = read(piece, line._session)
             if frame is not None and frame.kind == Kind.ANSWER:
-                said.setdefault((line._session, frame.number), frame.values)
+                messages.setdefault((line._session, frame.number), frame.values)
         return answer
 
     board.feed = feed
@@ -178,7 +178,7 @@ def test_real_time_takes_an_answer_of_the_request_or_none(frames, seed, firmware
     build, params = build_of(firmware)
     line = Line("wire", wire.opened, build, 0.5, wire.now, wire.sleep)
     line.begin(params)
-    taken = 0
+    used = 0
     for k in range(frames):
         begun = wire.time
         answer = line.try_ask(Kind.STEP, steps[k % len(steps)], 0.005)
@@ -187,9 +187,9 @@ def test_real_time_takes_an_answer_of_the_request_or_none(frames, seed, firmware
             board.power()  # it restarts
         wire.time = max(wire.time, begun + 0.01)
         if answer is not None:
-            taken += 1
-            assert answer == said[line._session, line._number]
-    assert taken > frames / 10
+            used += 1
+            assert answer == messages[line._session, line._number]
+    assert used > frames / 10
     assert line.counts.lost > 0
     assert line.counts.late > 0
     assert line.counts.rejoined > 0
@@ -203,9 +203,9 @@ def test_two_boards_at_one_port_are_refused(firmware, tmp_path, drawn):
 
 def test_a_second_board_that_comes_later_is_not_heard(firmware, tmp_path, drawn):
     wire = QuietWire(Board(firmware[0] / "board.so", tmp_path))
-    line, found = lockstep(firmware, wire, firmware[3][:10])
+    line, result = lockstep(firmware, wire, firmware[3][:10])
     wire.boards = (*wire.boards, Board(firmware[0] / "board.so", tmp_path))
-    assert [*found, *(line.ask(Kind.STEP, s) for s in firmware[3][10:20])] == firmware[4][:20]
+    assert [*result, *(line.ask(Kind.STEP, s) for s in firmware[3][10:20])] == firmware[4][:20]
 
 
 def test_another_build_is_refused_by_name(firmware, tmp_path, drawn):
@@ -243,13 +243,13 @@ def test_a_rig_with_a_board_over_a_pty_is_the_rig_without(firmware):
     tty.setraw(there)
     board = subprocess.Popen([folder / name], stdin=here, stdout=here)
     try:
-        found = recorded(linked_rig(firmware, os.ttyname(there)), duration=1.0)
+        result = recorded(linked_rig(firmware, os.ttyname(there)), duration=1.0)
     finally:
         board.kill()
         board.wait()
         os.close(here)
         os.close(there)
-    assert found == recorded(SCENARIO, duration=1.0)
+    assert result == recorded(SCENARIO, duration=1.0)
 
 
 def recorded(rig, **more):
@@ -288,13 +288,13 @@ def test_gains_that_view_changes_count_from_the_next_tick_on(realtime, firmware,
             x, y = board.go_on(x, member.params), python.go_on(y, member.params)
         inputs = {"state": (0.5 * k,), "sensors": (0.0, 0.1 * k), "reference": (10.0,)}
         y, wanted = python.update(y, k * 10**7, **inputs)
-        x, found = board.update(x, k * 10**7, **inputs)
+        x, result = board.update(x, k * 10**7, **inputs)
         while not line.joined:  # in real time a board that is greeted still has nothing to say
             assert realtime
-            assert found["command"] == (0.0,)
+            assert result["command"] == (0.0,)
             wire.sleep(0.01)
-            x, found = board.update(x, k * 10**7, **inputs)
-        assert found == wanted
+            x, result = board.update(x, k * 10**7, **inputs)
+        assert result == wanted
         voltages.append(wanted["command"])
     assert len(set(voltages)) == len(voltages)
     assert line.told() == ""
@@ -310,16 +310,16 @@ def test_a_run_in_real_time_whose_board_is_silent_at_its_end_is_not_judged(ticks
     block = link_module.linked(member.block_class, entry, member.params, "test")(member.params, NODE)
     line = Line("wire", wire.opened, block._build, 0.1, wire.now, wire.sleep)
     monkeypatch.setattr(link_module, "_line", lambda *_: line)
-    block.realtime, x, said = True, block.first(), []
+    block.realtime, x, messages = True, block.first(), []
     for k in range(60):
         if k == 30 + ticks:
             wire.write = lambda data: None  # unplugged behind the port
-            said.append(block.void(x))
+            messages.append(block.void(x))
         if k >= 30 + ticks or ticks:
-            x, found = block.update(x, k * 10**7, state=(1.0,), sensors=(0.0, 0.0), reference=(10.0,))
+            x, result = block.update(x, k * 10**7, state=(1.0,), sensors=(0.0, 0.0), reference=(10.0,))
             wire.sleep(0.01)
-    assert found["command"] == (0.0,)
-    assert said == [""]
+    assert result["command"] == (0.0,)
+    assert messages == [""]
     since = "at any time" if not ticks else f"after {(29 + ticks) * 0.01:g} s"
     assert block.void(x) == f"no answer came from wire {since}, so the run says nothing of this node"
 
@@ -354,7 +354,7 @@ def test_a_parameter_that_is_compiled_in_is_refused(firmware):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     {
         "of another node": ({"nodes": {NODE: {"executable": "dc_motor_smc_kalman"}}}, "is firmware of softrig_drives"),
         "external": ({"nodes": {NODE: {"external": True}}}, "it is external and has a link; remove one of the two"),
@@ -363,11 +363,11 @@ def test_a_parameter_that_is_compiled_in_is_refused(firmware):
         "unknown key": ({"nodes": {NODE: {"link": {"speed": 9600}}}}, "speed"),
     }.values(),
 )
-def test_a_link_that_cannot_work_is_refused_before_the_run(change, told, firmware):
+def test_a_link_that_cannot_work_is_refused_before_the_run(change, reported, firmware):
     folder = firmware[0]
     link = {"nodes": {NODE: {"link": {"port": "program:x", "firmware": str(folder)}}}}
     draft = read_draft(SCENARIO)
-    with pytest.raises(ScenarioError, match=told):
+    with pytest.raises(ScenarioError, match=reported):
         rig_of(replace(draft, raw=merge(merge(draft.raw, link), change)))
 
 
@@ -445,21 +445,21 @@ def test_a_description_says_what_it_must_or_is_refused_at_its_place(place, tmp_p
     file = tmp_path / "law.json"
     strange = (None, True, -1, 10**400, math.inf, math.nan, "", "\0", "a b", [], [1], [[]], {}, {"a": 1}, "x" * 400)
     for value in strange:
-        found = copy.deepcopy(DESCRIBED)
-        part = found
+        result = copy.deepcopy(DESCRIBED)
+        part = result
         for key in place[:-1]:
             part = part[key]
         if place:
             part[place[-1]] = value
-        file.write_text(json.dumps(found if place else value))
+        file.write_text(json.dumps(result if place else value))
         try:
-            taken = read_description(file)
+            used = read_description(file)
         except ValueError as error:
             refused = str(error)
         else:  # a text where a text belongs, a number where a number does
             refused = ""
-            assert {type(v.safe) for p in taken.ports for v in p.values} <= {float}
-            assert all(isinstance(taken.parameters[name], bool | int | float) for name in taken.settable)
+            assert {type(v.safe) for p in used.ports for v in p.values} <= {float}
+            assert all(isinstance(used.parameters[name], bool | int | float) for name in used.settable)
         assert "Error" not in refused
         assert len(refused) <= 300
 

@@ -93,7 +93,7 @@ def test_real_time_takes_the_answer_to_its_tick_or_none(own, frames, seed):
     node = node_of(own, lambda x, tick, given: (x, {"y_w_position": given["u_v_position"], "y_i_position": tick}))
     bus = Bus(rng, 0.2, node, pulled=0.002)
     line = line_of(own, bus)
-    taken = 0
+    used = 0
     while line.counts.sent < frames:
         begun, u = bus.time, float(rng.randrange(-4, 5))
         answer = line.try_ask(Kind.STEP, layout_of(ports).step.pack(0, u), 0.005)
@@ -102,9 +102,9 @@ def test_real_time_takes_the_answer_to_its_tick_or_none(own, frames, seed):
         if rng.random() < 0.002:
             node.power()
         if answer is not None:
-            taken += 1
+            used += 1
             assert layout_of(ports).answer.unpack(answer)[1] == pytest.approx(u, abs=1e-6)
-    assert taken > frames / 10
+    assert used > frames / 10
     counts = line.counts
     assert min(counts.lost, counts.late, counts.rejoined, counts.reopened, counts.damaged) > 0
 
@@ -216,7 +216,7 @@ def test_what_is_not_finite_is_refused(own, value):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "text"),
     [
         ("u_v", "u_w", "is none of u_v"),
         ("n_to_1", "m_to_1", "has the signal u_v"),
@@ -234,11 +234,11 @@ def test_what_is_not_finite_is_refused(own, value):
         ("SG_ tick : 0", "SG_ tick M : 0", "multiplexed"),
     ],
 )
-def test_a_dbc_that_does_not_fit_is_refused(own, old, new, said):
+def test_a_dbc_that_does_not_fit_is_refused(own, old, new, text):
     file, ports = own
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
-    with pytest.raises(ScenarioError, match=said) as refused:
+    with pytest.raises(ScenarioError, match=text) as refused:
         messages_of(file, "n", *ports, BUILD)
     assert "\n" not in str(refused.value)
 
@@ -287,8 +287,8 @@ def test_a_damaged_file_is_read_or_refused_in_a_line(own, seed):
 def test_long_names_and_letters_that_a_dbc_has_not_come_back(tmp_path):
     labels = {"x" * 40: "V", "x" * 40 + "y": "V", "größe": "A", 'a" SG_ b': "A"}
     ports = (scalars("u", "u", labels),), (scalars("y", "y", {"w": "rad/s"}),)
-    found = messages_of(file_of(tmp_path, ports), "n", *ports, BUILD)
-    assert sorted(place for frame in found.to for place, _ in frame.signals) == [0, 1, 2, 3]
+    result = messages_of(file_of(tmp_path, ports), "n", *ports, BUILD)
+    assert sorted(place for frame in result.to for place, _ in frame.signals) == [0, 1, 2, 3]
 
 
 def test_two_nodes_may_share_a_bus_but_no_identifier(tmp_path):
@@ -327,9 +327,9 @@ class Peer(threading.Thread):
         for p in self.inputs:
             row = tuple(read[f"{p.name}_{label}".replace("/", "_")] for label in p.labels)
             given[p.name] = None if p.held and not read[f"{p.name}_given"] else row
-        x, said = self.block.update(x, tick * self.period, **given)
+        x, outputs = self.block.update(x, tick * self.period, **given)
         for p in self.outputs:
-            row = said.get(p.name)
+            row = outputs.get(p.name)
             values |= {f"{p.name}_given": row is not None} if p.sporadic else {}
             row = p.safe if row is None else row
             values |= {f"{p.name}_{label}".replace("/", "_"): v for label, v in zip(p.labels, row, strict=True)}
@@ -355,14 +355,14 @@ def test_a_law_on_the_bus_is_the_law_without_to_the_digits_of_a_float(law):
     peer = Peer(channel, law)
     peer.start()
     try:
-        found = [simulate(linked_rig(law, channel)).signals for _ in range(2)]  # the second one begins another run
+        results = [simulate(linked_rig(law, channel)).signals for _ in range(2)]  # the second one begins another run
     finally:
         peer.going = False
         peer.join()
     plain = simulate(rig_of(SCENARIO, duration=0.5)).signals
     for name in ("motor/state/shaft/velocity", "motor/command/armature/effort"):
-        assert list(found[0][name].x) == list(found[1][name].x)
-        assert found[0][name].x == pytest.approx(plain[name].x, rel=1e-3, abs=1e-3)
+        assert list(results[0][name].x) == list(results[1][name].x)
+        assert results[0][name].x == pytest.approx(plain[name].x, rel=1e-3, abs=1e-3)
 
 
 def test_a_silent_bus_ends_a_lockstep_run_in_one_line(law):
@@ -370,9 +370,9 @@ def test_a_silent_bus_ends_a_lockstep_run_in_one_line(law):
         simulate(linked_rig(law, f"silent{next(channels)}", timeout=0.001))
 
 
-@pytest.mark.parametrize(("port", "said"), [("can:nonsense/0", "cannot be opened"), ("can:slcan//dev/none", "No such")])
-def test_an_interface_that_is_none_ends_a_run_in_one_line(law, port, said):
-    with pytest.raises(RunError, match=said):
+@pytest.mark.parametrize(("port", "text"), [("can:nonsense/0", "cannot be opened"), ("can:slcan//dev/none", "No such")])
+def test_an_interface_that_is_none_ends_a_run_in_one_line(law, port, text):
+    with pytest.raises(RunError, match=text):
         simulate(linked_rig(law, 0, port=port, timeout=0.01))
 
 

@@ -40,9 +40,9 @@ from softrig_core.wire.parameter_event import decode, encode, recorded
 
 def changed_rig(name, duration, changes, overrides=None, **keys):
     """A scenario with changes, ``{time: {node.parameter: value}}``."""
-    found = load_scenario(name, overrides).changed(duration=duration)
+    result = load_scenario(name, overrides).changed(duration=duration)
     entries = [{"at": at, "set": values} for at, values in changes.items()]
-    return rig_of(type(found).model_validate({**dict(found), **keys, "changes": entries}))
+    return rig_of(type(result).model_validate({**dict(result), **keys, "changes": entries}))
 
 
 OFFSET = {"offset": {"link": "motor/state -> dc_motor_smc", "kind": "offset", "value": [2.0], "active": False}}
@@ -110,7 +110,7 @@ def test_other_gains_of_a_pid_do_not_move_its_output():
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "text"),
     [
         ({"dc_motor_smc.period": 0.1}, "parameter period may not change while running; these may: "),
         ({"dc_motor_smc.kk": 0.1}, "parameter kk is unknown"),
@@ -121,10 +121,10 @@ def test_other_gains_of_a_pid_do_not_move_its_output():
         ({"dc_motor_smc": 60.0}, "expected node.parameter with node one of"),
     ],
 )
-def test_a_change_that_cannot_be_is_refused_before_the_run(changes, said):
+def test_a_change_that_cannot_be_is_refused_before_the_run(changes, text):
     with pytest.raises(ScenarioError, match=r"^dc_motor_smc_b2: change at 0\.05 s: ") as error:
         changed_rig("dc_motor_smc_b2", 0.1, {0.05: changes})
-    assert said in str(error.value)
+    assert text in str(error.value)
 
 
 def test_what_only_another_change_allows_is_checked_in_the_order_of_time():
@@ -161,9 +161,9 @@ def test_ports_and_what_nodes_agree_on_do_not_change():
 def test_metrics_and_report_show_what_changed_and_when(tmp_path):
     changes = {0.0501: {"dc_motor_smc.k": 60.0}, 0.5: {"dc_motor_smc.delta": 0.5}}
     run = simulate(changed_rig("dc_motor_smc_b2", 0.1, changes))
-    found = summary(run, run.results, "softrig run dc_motor_smc_b2")
-    assert found["changes"] == [{"at_s": 0.06, "node": "dc_motor_smc", "set": {"k": 60.0}}]  # a period of 10 ms
-    (tmp_path / "metrics.json").write_text(json.dumps(found))
+    result = summary(run, run.results, "softrig run dc_motor_smc_b2")
+    assert result["changes"] == [{"at_s": 0.06, "node": "dc_motor_smc", "set": {"k": 60.0}}]  # a period of 10 ms
+    (tmp_path / "metrics.json").write_text(json.dumps(result))
     write_report([tmp_path], tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert "Changed while it ran" in page
@@ -197,11 +197,11 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
         world.at(start + rng.randrange(20_002_000, 20_085_000), partial(turn, "dc_motor_smc", values))
     world.at(start + 20_040_000, partial(turn, "offset", {"active": True, "value": [0.5]}))
     assert set(run.run().values()) == {"done"}
-    found = events(run.recording)
-    assert found[0] == (0.0, {"dc_motor_smc.c": 6.0})
-    assert {k for _, values in found for k in values} >= {"dc_motor_smc.k", "offset.active", "dc_motor_smc.set_point"}
+    result = events(run.recording)
+    assert result[0] == (0.0, {"dc_motor_smc.c": 6.0})
+    assert {k for _, values in result for k in values} >= {"dc_motor_smc.k", "offset.active", "dc_motor_smc.set_point"}
     script = {}
-    for at, values in found:
+    for at, values in result:
         script.setdefault(at, {}).update(values)
     assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.3, script, faults=OFFSET), seed))
 
@@ -209,7 +209,7 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
 @pytest.mark.parametrize("late", [-1, 0, 1])
 def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_has_the_same_bytes(late):
     """Of two people who turn one knob between the same two ticks the later one counts, and the other is told."""
-    rig, world, told = changed_rig("dc_motor_smc_b2", 0.1, {}), World(), []
+    rig, world, messages = changed_rig("dc_motor_smc_b2", 0.1, {}), World(), []
     run = SimulatedRig(rig, world, "lockstep")
     law = run.adapters["dc_motor_smc"]
     publish, seen = law.publish, []
@@ -218,33 +218,33 @@ def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_h
         publish(t, rows, numbers)
         if len(seen) == 4:
             for value in (30.0, 40.0):
-                world.at(world.now + max(late, 0), lambda value=value: told.append(law.step.set({"k": value})))
+                world.at(world.now + max(late, 0), lambda value=value: messages.append(law.step.set({"k": value})))
             if late < 0:  # within the tick itself
-                told.append(law.step.set({"k": 20.0}))
+                messages.append(law.step.set({"k": 20.0}))
         seen.append(t)
 
     law.publish = tick
     assert set(run.run().values()) == {"done"}
     script = dict(events(run.recording))
     assert [*script.values()][-1] == {"dc_motor_smc.k": 40.0}
-    assert sum(map(bool, told)) == len(told) - len(script)
+    assert sum(map(bool, messages)) == len(messages) - len(script)
     assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.1, script)))
 
 
 def test_of_a_flood_of_sets_each_holds_from_a_tick_or_is_named_as_replaced():
     """Also before the first tick, where each set once checked all that waited: a rig that was flooded never began."""
-    rig, world, rng, told = changed_rig("dc_motor_smc_b2", 0.3, {}), World(), random.Random(1), []
+    rig, world, rng, messages = changed_rig("dc_motor_smc_b2", 0.3, {}), World(), random.Random(1), []
     run = SimulatedRig(rig, world, "lockstep")
 
     def turn(k):
-        told.append((k, run.adapters["dc_motor_smc"].step.set({"k": k})))
+        messages.append((k, run.adapters["dc_motor_smc"].step.set({"k": k})))
 
     moments = [0] * 300 + [rng.randrange(20_002_000, 20_085_000) for _ in range(300)]
     for k, moment in enumerate(moments):
         world.at(world.now + moment, partial(turn, 10.0 + k / 10))
     assert set(run.run().values()) == {"done"}
     held = [values["dc_motor_smc.k"] for _, values in events(run.recording)]
-    expected = [k for (k, _), (_, replaced) in zip(told, [*told[1:], (0.0, [])], strict=True) if not replaced]
+    expected = [k for (k, _), (_, replaced) in zip(messages, [*messages[1:], (0.0, [])], strict=True) if not replaced]
     assert held == expected
     assert 2 < len(held) < 300
     script = dict(events(run.recording))
@@ -289,13 +289,13 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
 def test_of_nothing_no_repetition_is_said(tmp_path):
     run = simulate("dc_motor_smc_b2", duration=0.1)
     before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {}, {})
-    same, told = compared(before, run, {})
+    same, reported = compared(before, run, {})
     assert not same
-    assert told == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
+    assert reported == [f"nothing of {tmp_path} could be compared: no message of any node that runs here"]
 
 
-@pytest.mark.parametrize(("at", "told"), [(0.17, True), (0.18, True), (0.19, False)])
-def test_a_sporadic_sender_is_compared_up_to_two_of_its_ticks_before_the_end(tmp_path, at, told):
+@pytest.mark.parametrize(("at", "reported"), [(0.17, True), (0.18, True), (0.19, False)])
+def test_a_sporadic_sender_is_compared_up_to_two_of_its_ticks_before_the_end(tmp_path, at, reported):
     """In real time its last ticks may be over before it has answered them."""
     nodes = {"plant": "plant", "burst": {"executable": "burst", "parameters": {"at": [0.05, at]}}, "gain": "burst_gain"}
     rig = rig_of(make_scenario(nodes, 0.2))
@@ -304,17 +304,17 @@ def test_a_sporadic_sender_is_compared_up_to_two_of_its_ticks_before_the_end(tmp
     del cut.topics["lag/burst"].times[-1], cut.topics["lag/burst"].data[-1]
     for there, here in ((whole, cut), (cut, whole)):
         before = Recalled(tmp_path, Namespace(), tmp_path, there, 0, {}, {})
-        same, said = compared(before, Run(rig, 0, here), {})
-        assert same is not told, said
-        assert (f"differs from {tmp_path}: lag/burst from t = {at:g} s; " in said[0]) is told
+        same, text = compared(before, Run(rig, 0, here), {})
+        assert same is not reported, text
+        assert (f"differs from {tmp_path}: lag/burst from t = {at:g} s; " in text[0]) is reported
 
 
 def test_what_is_refused_while_it_runs_changes_nothing():
     rig = changed_rig("dc_motor_smc_b2", 0.3, {})
     run = SimulatedRig(rig, World(), "lockstep")
     step = run.adapters["dc_motor_smc"].step
-    for values, said in (({"k": 5.0, "c": -1.0}, "c = -1.0"), ({"k": 5.0, "period": 0.1}, "period may not change")):
-        with pytest.raises(ParameterError, match=said):
+    for values, text in (({"k": 5.0, "c": -1.0}, "c = -1.0"), ({"k": 5.0, "period": 0.1}, "period may not change")):
+        with pytest.raises(ParameterError, match=text):
             step.set(values)
     assert set(run.run().values()) == {"done"}
     assert not differences(run.recording, in_process(rig))

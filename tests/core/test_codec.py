@@ -48,15 +48,15 @@ def joint_message(stamp, names, position=(), velocity=(), effort=(), frame=""):
 @given(data=st.data(), stamp=STAMPS)
 def test_what_a_port_writes_it_reads_back_bit_for_bit(port, data, stamp):
     values = tuple(data.draw(FLOATS) for _ in range(port.size))
-    found = Decoder(port)(port.layout().encode(stamp, values))
-    assert struct.pack(f"{port.size}d", *found[1]) == struct.pack(f"{port.size}d", *values)
-    assert found[0] == (-1 if port.msgtype == "std_msgs/msg/Float64" else stamp)
+    result = Decoder(port)(port.layout().encode(stamp, values))
+    assert struct.pack(f"{port.size}d", *result[1]) == struct.pack(f"{port.size}d", *values)
+    assert result[0] == (-1 if port.msgtype == "std_msgs/msg/Float64" else stamp)
 
 
 def test_a_message_is_of_the_world_where_its_port_names_no_other_frame():
-    said = joint_state("a", "t", ("x",), position="m").layout().encode(5, (1.0,))
-    assert parse("sensor_msgs/msg/JointState", said).frame_id == "world"
-    for theirs in (said, joint_message(5, ["x"], (1.0,)), joint_message(5, ["x"], (1.0,), frame="map")):
+    text = joint_state("a", "t", ("x",), position="m").layout().encode(5, (1.0,))
+    assert parse("sensor_msgs/msg/JointState", text).frame_id == "world"
+    for theirs in (text, joint_message(5, ["x"], (1.0,)), joint_message(5, ["x"], (1.0,), frame="map")):
         assert Decoder(joint_state("b", "t", ("x",), position="m"))(theirs) == (5, (1.0,))
     placed = wrench("a", "t", "foot").layout().encode(5, (0.0,) * 6)
     assert parse("geometry_msgs/msg/WrenchStamped", placed).frame_id == "foot"
@@ -186,11 +186,11 @@ def test_any_numbers_are_refused_or_what_they_are(port, numbers):
     """Whole messages, so that most of them come to be read."""
     values = struct.unpack(f"<{port.size}d", b"".join(numbers)[: 8 * port.size])
     try:
-        _, found = Decoder(port)(port.layout().encode(5, values))
+        _, result = Decoder(port)(port.layout().encode(5, values))
     except Refused:
         assert not all(abs(v) < 1e5 for v in values)
     else:
-        assert tuple(found) == values
+        assert tuple(result) == values
 
 
 @given(st.data())
@@ -364,16 +364,16 @@ def test_a_layout_is_known_by_each_of_its_bytes_but_stamp_number_values_and_padd
         for k in range(0, len(little), 1 + len(little) // 99):
             other = bytearray(little)
             other[k] ^= 1
-            taken = layout.decode(bytes(other)) is not None
+            used = layout.decode(bytes(other)) is not None
             same = layout.same_shape(np.frombuffer(bytes(other), np.uint8)[None])
             if k in free:
-                assert taken
+                assert used
                 assert same
             elif little[k] or k < 2:
-                assert not taken, (msgtype, k)
+                assert not used, (msgtype, k)
                 assert not same
             else:  # a zero may be padding, of which both think alike
-                assert taken == same
+                assert used == same
         assert layout.same_shape(np.repeat(block, 3, 0))
 
 
@@ -387,8 +387,8 @@ def test_many_messages_at_once_are_each_what_they_are_singly():
         block = layout.encode_block(marks, values)
         rows = [layout.encode(mark, row) for mark, row in zip(marks.tolist(), values.tolist(), strict=True)]
         assert [bytes(row) for row in block] == rows
-        said = [layout.decode(row)[1] for row in rows]
-        assert [list(map(float, row)) for row in said] == [
+        messages = [layout.decode(row)[1] for row in rows]
+        assert [list(map(float, row)) for row in messages] == [
             [float(c[k]) for c in layout.columns(block)] for k in range(4)
         ]
         assert all(c.dtype == np.float64 and c.flags.c_contiguous for c in layout.columns(block))
@@ -400,7 +400,7 @@ def test_a_number_has_at_most_twelve_digits_and_others_may_leave_zeros_out():
     for too_many in (-1, 10**12):
         with pytest.raises(ValueError, match=f"message number {too_many}, expected one of at most 12 digits"):
             layout.encode(too_many, (1.0,))
-    for label, found in (
+    for label, result in (
         ("row; sequence 7", ("row", 7)),
         ("row; sequence " + "9" * 18, ("row", 10**18 - 1)),
         ("row; sequence " + "9" * 19, ("row; sequence " + "9" * 19, None)),
@@ -410,7 +410,7 @@ def test_a_number_has_at_most_twelve_digits_and_others_may_leave_zeros_out():
     ):
         theirs = Layout(layout.msgtype, dims=((label, 1),), counts={"data": 1}).encode(0, (1.0,))
         message = parse(layout.msgtype, theirs)
-        assert (message.dims[0][0], message.number) == found
+        assert (message.dims[0][0], message.number) == result
     second = Layout(layout.msgtype, dims=(("a", 1), ("b; sequence 3", 1)), counts={"data": 1}).encode(0, (1.0,))
     assert parse(layout.msgtype, second).number is None  # of the first dimension only
 
@@ -439,15 +439,15 @@ def test_a_message_that_is_cut_anywhere_says_inside_which_of_its_parts():
     assert len(whole) == 52
     for ends, at, text in CUT:
         for n in ends:
-            said = text.format(n=n) if text else f"{n} bytes end inside a field at byte {at}"
+            message = text.format(n=n) if text else f"{n} bytes end inside a field at byte {at}"
             with pytest.raises(CdrError) as error:
                 parse("sensor_msgs/msg/JointState", whole[:n])
-            assert str(error.value) == f"sensor_msgs/msg/JointState: {said}"
+            assert str(error.value) == f"sensor_msgs/msg/JointState: {message}"
     assert parse("sensor_msgs/msg/JointState", whole + b"more").fields["effort"] == (1.0,)
 
 
 @pytest.mark.parametrize(
-    ("msgtype", "at", "count", "said"),
+    ("msgtype", "at", "count", "text"),
     [
         ("sensor_msgs/msg/JointState", 12, 0, "a string of 0 bytes at byte 16 does not fit in 52"),
         ("sensor_msgs/msg/JointState", 20, 11, "claims 11 names in 52 bytes"),  # each of 5 bytes at least
@@ -460,7 +460,7 @@ def test_a_message_that_is_cut_anywhere_says_inside_which_of_its_parts():
         ("trajectory_msgs/msg/JointTrajectory", 32, 0, "0 points, expected exactly one"),
     ],
 )
-def test_a_message_that_claims_more_than_it_has_is_refused(msgtype, at, count, said):
+def test_a_message_that_claims_more_than_it_has_is_refused(msgtype, at, count, text):
     if "Array" in msgtype:
         whole = Layout(msgtype, dims=(("a", 1),), counts={"data": 1}).encode(0, (1.0,))
     else:
@@ -468,15 +468,15 @@ def test_a_message_that_claims_more_than_it_has_is_refused(msgtype, at, count, s
     other = whole[:at] + struct.pack("<I", count) + whole[at + 4 :]
     with pytest.raises(CdrError) as error:
         parse(msgtype, other)
-    assert str(error.value) == f"{msgtype}: {said}"
+    assert str(error.value) == f"{msgtype}: {text}"
 
 
 def test_as_many_values_as_a_message_has_bytes_may_be_claimed_and_are_not_there():
     whole = Layout("sensor_msgs/msg/JointState", "abcdef", ["q"], {"effort": 1}).encode(5, (1.0,))
     assert len(whole) == 60
     whole += bytes(4)
-    for count, said in ((8, "64 bytes end inside a field at byte 52"), (9, "claims 9 values of effort in 64 bytes")):
-        with pytest.raises(CdrError, match=said):
+    for count, text in ((8, "64 bytes end inside a field at byte 52"), (9, "claims 9 values of effort in 64 bytes")):
+        with pytest.raises(CdrError, match=text):
             parse("sensor_msgs/msg/JointState", whole[:44] + struct.pack("<I", count) + whole[48:])
 
 

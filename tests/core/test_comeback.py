@@ -127,7 +127,7 @@ def watched(tmp_path):
         )
         for m in rig.members
     ]
-    again, said = [], []
+    again, messages = [], []
 
     def start(k):
         again.append(children[k].member.name)
@@ -141,24 +141,24 @@ def watched(tmp_path):
                 os.utime(child.status, ns=(clock := next(times), clock))
 
     times = iter(range(10**18, 2 * 10**18, 10**9))
-    yield {c.member.name: c for c in children}, children, Restarts(1, start, said.append), write, again, said
+    yield {c.member.name: c for c in children}, children, Restarts(1, start, messages.append), write, again, messages
     for child in children:
         os.close(child.end)
 
 
 def test_a_node_is_started_again_when_all_others_stand(watched):
-    by_name, children, restarts, write, again, said = watched
+    by_name, children, restarts, write, again, text = watched
     write(plant=3, source=3, watcher=3)
     by_name["gain"].process.code = -9
     all_of_them = {"plant": 4, "source": 4, "watcher": 4}
-    looks = [all_of_them, {"plant": 4, "source": 4}, {"watcher": -4}, {"watcher": 4}]
-    for ticks in looks:
+    styles = [all_of_them, {"plant": 4, "source": 4}, {"watcher": -4}, {"watcher": 4}]
+    for ticks in styles:
         assert restarts.look(children) == []
         assert again == []
         write(**ticks)
     assert restarts.look(children) == []
     assert again == ["gain"]
-    assert said == ["node gain was killed by SIGKILL after t = 0 s; it is started again (1 of 1)"]
+    assert text == ["node gain was killed by SIGKILL after t = 0 s; it is started again (1 of 1)"]
     assert restarts.counts == {"gain": 1}
     new = next(c for c in children if c.member.name == "gain")
     assert restarts.look(children) == []

@@ -104,15 +104,15 @@ class Moving(Plant[Params]):
      (Again, "update", "gain"), (Swallowing, "update", "n"), (Moving, "advance", "n")],
 )  # fmt: skip
 def test_a_tick_that_writes_an_attribute_is_refused_at_its_line(block, method, name):
-    with pytest.raises(RunError) as said:
+    with pytest.raises(RunError) as message:
         run(block)
     lines, first = getsourcelines(Law if block is Again else block)
     line = next(k for k, text in enumerate(lines, first) if text.endswith("# here\n"))
-    assert str(said.value) == (
+    assert str(message.value) == (
         f"law: `{method}` writes self.{name} ({__file__}, line {line}); make what the block remembers a field of x "
         "and return the new x"
     )
-    assert said.value.node == "law"
+    assert message.value.node == "law"
 
 
 def test_by_hand_and_in_a_session_too():
@@ -185,9 +185,9 @@ def test_a_tick_that_changes_one_in_place_is_named_after_the_second(habit, sessi
     noted = frozenset({"done"})
     bad, done = law(lambda one, t: done.append(t) or does(one, t), setup=setup, seen=[], number=0, SCRATCH=noted), []
     rig = Rig.from_blocks({"law": bad()}, 1.0)
-    with pytest.raises(RunError) as said:
+    with pytest.raises(RunError) as text:
         Session(rig).go() if session else simulate(rig)
-    assert str(said.value) == (
+    assert str(text.value) == (
         f"law: its ticks change {name} in place (Bad); make what the block remembers a field of x, or name the "
         "attribute in SCRATCH if no answer depends on it"
     )

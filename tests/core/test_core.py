@@ -233,9 +233,9 @@ def test_a_run_tells_of_its_progress_about_a_hundred_times_and_at_its_end(monkey
     monkeypatch.setattr(choice, "unwanted", lambda *given: choice.SHORT)  # on a busy machine ticks would look dear
     monkeypatch.setattr(choice, "writes", lambda *given: False)
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.05))
-    told = []
-    run_inprocess(rig, 0, progress=told.append)
-    assert told == [*range(0, 2_041_000_000, 30_000_000), 2_050_000_000]
+    messages = []
+    run_inprocess(rig, 0, progress=messages.append)
+    assert messages == [*range(0, 2_041_000_000, 30_000_000), 2_050_000_000]
 
 
 def test_how_deep_a_file_is_counts_what_is_closed_no_more():
@@ -328,11 +328,11 @@ def test_a_shard_cut_anywhere_gives_back_all_whole_messages(tmp_path_factory, me
     path.write_bytes(whole[: max(head, len(whole) - cut)])
     recording = Recording(topics)
     lost = recording.read_shard(path)
-    found = sum(len(t.times) for t in recording.topics.values())
-    size = sum(14 + len(d) for _, _, d in messages[:found])
+    result = sum(len(t.times) for t in recording.topics.values())
+    size = sum(14 + len(d) for _, _, d in messages[:result])
     assert size + lost == max(0, len(whole) - head - cut)
     for index, (name, _) in enumerate(topics):
-        expected = [(t, d) for i, t, d in messages[:found] if i == index]
+        expected = [(t, d) for i, t, d in messages[:result] if i == index]
         assert list(zip(recording.topics[name].times, recording.topics[name].data, strict=True)) == expected
 
 

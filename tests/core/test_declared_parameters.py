@@ -133,12 +133,12 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
             for kind in (SetParameters, SetParametersAtomically):
                 response = node.offered[kind](parameters=[message])
                 (result,) = response.results if kind is SetParameters else [response.result]
-                found = node._parameters[name]
+                actual = node._parameters[name]
                 named = any(other in result.reason for other in before)  # what no longer fits may be another one
-                assert result.successful or (plain(found) == kept and named), (name, hostile, result)
+                assert result.successful or (plain(actual) == kept and named), (name, hostile, result)
                 first = type_ == Parameter.Type.NOT_SET and result.successful  # one without a value gets one
-                assert first or found.type_ == type_, (name, hostile, found.type_)
-                kept, type_ = plain(found), found.type_
+                assert first or actual.type_ == type_, (name, hostile, actual.type_)
+                kept, type_ = plain(actual), actual.type_
             number = plain(node._parameters[name])
             if isinstance(number, float | int):
                 assert math.isfinite(number)

@@ -44,14 +44,14 @@ def public(package):
     for module in pkgutil.walk_packages(import_module(package).__path__, f"{package}."):
         if module.name in LAZY:
             continue
-        for name, found in sorted(vars(import_module(module.name)).items()):
-            if getattr(found, "__module__", "") != module.name or name.startswith("_"):
+        for name, result in sorted(vars(import_module(module.name)).items()):
+            if getattr(result, "__module__", "") != module.name or name.startswith("_"):
                 continue
-            if inspect.isfunction(found):
-                yield f"{module.name}.{name}", found
-            if inspect.isclass(found):
-                yield f"{module.name}.{name}", found
-                for method, function in sorted(vars(found).items()):
+            if inspect.isfunction(result):
+                yield f"{module.name}.{name}", result
+            if inspect.isclass(result):
+                yield f"{module.name}.{name}", result
+                for method, function in sorted(vars(result).items()):
                     function = getattr(function, "__func__", function)
                     if inspect.isfunction(function) and (method == "__init__" or not method.startswith("_")):
                         yield f"{module.name}.{name}.{method}", function
@@ -104,28 +104,28 @@ def defaults(package):
             home = import_module(module.name)
             set_here = SET.findall(Path(home.__file__).read_text(encoding="utf-8"))
             yield from constants(module.name, home, [name for names in set_here for name in names.split(", ")])
-    for name, found in public(package):
-        if inspect.isclass(found) and not hasattr(found, "model_fields"):
-            yield from constants(name, found, [k for k in vars(found) if not k.startswith("_")])
-            named = getattr(found, "_field_defaults", {})  # of a named tuple
+    for name, result in public(package):
+        if inspect.isclass(result) and not hasattr(result, "model_fields"):
+            yield from constants(name, result, [k for k in vars(result) if not k.startswith("_")])
+            named = getattr(result, "_field_defaults", {})  # of a named tuple
             yield from (f"{name}.{k} = {told(v)}" for k, v in named.items() if isinstance(v, NUMBER))
-    for name, found in public(package):
-        if fields := getattr(found, "model_fields", None):
-            own = inspect.get_annotations(found)
+    for name, result in public(package):
+        if fields := getattr(result, "model_fields", None):
+            own = inspect.get_annotations(result)
             for k in (k for k in fields if k in own):
                 try:
                     yield f"{name}.{k} = {parameter(fields[k])}"
                 except TypeError:
                     continue
-        elif inspect.isfunction(found) and not getattr(found, "__wrapped__", None):
-            given = inspect.signature(found).parameters.values()
+        elif inspect.isfunction(result) and not getattr(result, "__wrapped__", None):
+            given = inspect.signature(result).parameters.values()
             yield from (f"{name}({p.name} = {p.default!r})" for p in given if isinstance(p.default, NUMBER))
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_default_changes_without_a_word(package):
     lines = [line for line in LIST.read_text().splitlines() if line.startswith(f"{package}.")]
-    written, now = (dict(line.split(" = ", 1) for line in found) for found in (lines, defaults(package)))
+    written, now = (dict(line.split(" = ", 1) for line in result) for result in (lines, defaults(package)))
     known = written.keys() & now.keys()
     assert {name: now[name] for name in known} == {name: written[name] for name in known}
     assert len(known) > 0.9 * len(now)  # what is new is to be written down, too

@@ -23,11 +23,11 @@ def draw(shape, kind):
 @pytest.mark.parametrize(("left", "right"), SHAPES)
 def test_product_is_the_matrix_product(left, right, kinds):
     a, b = draw(left, kinds[0]), draw(right, kinds[1])
-    found = dense.product(a, b)
-    assert np.shape(found) == np.shape(a @ b)
-    np.testing.assert_allclose(found, a @ b, rtol=1e-14, atol=1e-14)
+    result = dense.product(a, b)
+    assert np.shape(result) == np.shape(a @ b)
+    np.testing.assert_allclose(result, a @ b, rtol=1e-14, atol=1e-14)
     strided = dense.product(np.repeat(a, 2, axis=-1)[..., ::2], b)  # neither order nor strides matter
-    np.testing.assert_array_equal(strided, found)
+    np.testing.assert_array_equal(strided, result)
 
 
 @given(st.lists(st.tuples(st.floats(-1e9, 1e9), st.floats(-1e9, 1e9)), min_size=1, max_size=30))

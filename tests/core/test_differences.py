@@ -35,17 +35,17 @@ class Map:
     def __call__(self, x, added, fixed=None):
         self.asked.append(np.array(x))
         w = np.array([0.5 + added.get(name, 0.0) for name in self.inputs])
-        more, rest = added.get(self.link, 0.0), self.g(x, 0.0, w)[-1] if self.link else 0.0
+        more, remaining = added.get(self.link, 0.0), self.g(x, 0.0, w)[-1] if self.link else 0.0
         # held: what is put in its place; else what it says of itself, too
-        v = fixed[self.link] + more if fixed else (rest + more) / (1.0 - self.direct)
-        said = {self.link: rest + self.direct * v} if self.link else {}
+        v = fixed[self.link] + more if fixed else (remaining + more) / (1.0 - self.direct)
+        messages = {self.link: remaining + self.direct * v} if self.link else {}
         own = dict(zip(self.outputs, self.g(x, v, w), strict=False))
-        return self.f(x, v, w), said | own | dict(zip(self.inputs, [0.5] * len(self.inputs), strict=True))
+        return self.f(x, v, w), messages | own | dict(zip(self.inputs, [0.5] * len(self.inputs), strict=True))
 
     def go_on(self, x, periods, added=None, fixed=None):
         for _ in range(periods):
-            x, said = self(x, added or {}, fixed)
-            yield x, said
+            x, text = self(x, added or {}, fixed)
+            yield x, text
 
     def others(self):
         return self.odd
@@ -82,8 +82,8 @@ def test_of_a_linear_map_it_is_the_map_itself_in_the_states_that_count(seed, ope
         if not opened:
             b0, c0, d0 = np.zeros(n), np.zeros(n), np.zeros(3)
         moved = rng.random(n) < 0.3
-        hear, heard = reached(A0, np.flatnonzero(b0)), reached(A0.T, np.flatnonzero(c0))
-        if not opened or hear & heard:
+        hear, received = reached(A0, np.flatnonzero(b0)), reached(A0.T, np.flatnonzero(c0))
+        if not opened or hear & received:
             break
     still = [i for i in range(n) if rng.random() < 0.2]
     for i in still:  # as good as parameters
@@ -104,10 +104,10 @@ def test_of_a_linear_map_it_is_the_map_itself_in_the_states_that_count(seed, ope
     view = Differences(m, outputs, inputs, LINK if opened else "").view()
 
     on = reached(A0, {*np.flatnonzero(moved), *np.flatnonzero(b0), *np.flatnonzero(B0.any(axis=1))})
-    told = {j for j in range(n) if C0[:, j].any() or c0[j]}
+    names = {j for j in range(n) if C0[:, j].any() or c0[j]}
     within = np.zeros((n, n))
     within[np.ix_(sorted(on), sorted(on))] = A0[np.ix_(sorted(on), sorted(on))]
-    counts = on & reached(within.T, told & on)
+    counts = on & reached(within.T, names & on)
     counts -= {i for i in on if (within[i] == np.eye(n)[i]).all() and not B0[i].any() and not b0[i]}
     k = sorted(counts)
     assert view.states == tuple(f"plant.x[{i}]" for i in k)
@@ -156,10 +156,14 @@ def best_step(f, x, size):
 )
 def test_a_column_is_taken_where_two_neighbouring_steps_agree_best(f, x, size):
     m = Map(lambda s, v, w: np.array([f(s[0])]), lambda s, v, w: [s[0]], [x], [size], [True])
-    found = Differences(m, ["plant/y"], [], "")
-    view = found.view()
+    differences = Differences(m, ["plant/y"], [], "")
+    view = differences.view()
     error, slope, step = best_step(f, x, 2.0 ** round(math.log2(size)))
-    assert (view.A[0, 0], view.error, found.steps) == (pytest.approx(slope, rel=1e-14), pytest.approx(error), {0: step})
+    assert (view.A[0, 0], view.error, differences.steps) == (
+        pytest.approx(slope, rel=1e-14),
+        pytest.approx(error),
+        {0: step},
+    )
     assert view.worst == "plant.x[0]"
     # ten periods from a 256th of the step off, both ways: against the slope
     ups, downs, off, worst, largest = x + step / 256.0, x - step / 256.0, step / 256.0, 0.0, 0.0
@@ -177,10 +181,10 @@ def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
         [1.0, 0.0],
         [True] * 2,
     )
-    found = Differences(m, ["plant/y"], [], "")
-    view = found.view()
-    off = found.steps[0] / 256.0
-    up, down, worst, largest = 1.0 + off, 1.0 - off, 0.0, found.steps[1] / 512.0  # of the second, after a period
+    differences = Differences(m, ["plant/y"], [], "")
+    view = differences.view()
+    off = differences.steps[0] / 256.0
+    up, down, worst, largest = 1.0 + off, 1.0 - off, 0.0, differences.steps[1] / 512.0  # of the second, after a period
     for _ in range(10):
         up, down, off = math.sin(up), math.sin(down), view.A[0, 0] * off
         worst, largest = max(worst, abs((up - down) / 2.0 - off)), max(largest, abs(up - down) / 2.0)
@@ -191,12 +195,12 @@ def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
 def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
     m = Map(lambda s, v, w: s, lambda s, v, w: [s.sum()], [1.0] * 4, [1.0, 2.0, 4.0, 8.0], [True] * 4)
     m.f = lambda s, v, w: np.roll(s, 1)
-    found = Differences(m, ["plant/y"], [], "")
-    found.states()
+    differences = Differences(m, ["plant/y"], [], "")
+    differences.states()
     m.asked.clear()
-    assert found.view().variation == 0.0
+    assert differences.view().variation == 0.0
     offs = [(x - 1.0).tolist() for x in m.asked]
-    step = np.array([found.steps[k] for k in range(4)]) / 256.0
+    step = np.array([differences.steps[k] for k in range(4)]) / 256.0
     assert step.tolist() == [2.0**-16 * s for s in (1.0, 2.0, 4.0, 8.0)]
     assert (step * [1.0, -1.0, 1.0, 1.0]).tolist() in offs
     assert (-step * [1.0, -1.0, 1.0, 1.0]).tolist() in offs
@@ -206,10 +210,10 @@ def test_what_rests_at_zero_gets_the_size_by_which_others_move_it():
     """The second is moved by 16 times the first, of size 8; the third as the second: a 64th of that is just enough."""
     A = np.array([[0.5, 0.0, 0.0], [16.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     m = Map(lambda s, v, w: A @ s, lambda s, v, w: [s.sum()], [8.0, 0.0, 0.0], [8.0, 0.0, 2.0], [True, False, False])
-    found = Differences(m, ["plant/y"], [], "")
-    assert found.view().A.tolist() == A.tolist()
+    differences = Differences(m, ["plant/y"], [], "")
+    assert differences.view().A.tolist() == A.tolist()
     assert m.sizes.tolist() == [8.0, 128.0, 2.0]
-    assert found.steps == {0: 8.0 / 256.0, 1: 128.0 / 256.0, 2: 2.0 / 256.0}
+    assert differences.steps == {0: 8.0 / 256.0, 1: 128.0 / 256.0, 2: 2.0 / 256.0}
 
 
 def fenced(limit):
@@ -222,9 +226,9 @@ def fenced(limit):
 
 
 def test_a_step_that_breaks_the_rig_is_too_long_and_where_none_is_short_enough_it_is_told():
-    found = Differences(fenced(2.0**-10), ["plant/y"], [], "")
-    assert found.view().A.tolist() == [[0.5]]
-    assert found.steps == {0: 2.0**-16}  # of 2^-12 and it
+    differences = Differences(fenced(2.0**-10), ["plant/y"], [], "")
+    assert differences.view().A.tolist() == [[0.5]]
+    assert differences.steps == {0: 2.0**-16}  # of 2^-12 and it
     with pytest.raises(RunError, match=r"^made: plant\.x\[0\] cannot be moved at 1\.5 s, however little$"):
         Differences(fenced(0.0), ["plant/y"], [], "").view()
 
@@ -232,19 +236,19 @@ def test_a_step_that_breaks_the_rig_is_too_long_and_where_none_is_short_enough_i
 def test_something_that_is_no_float_and_goes_along_is_told():
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
     m.others = lambda: [("plant.n", len(m.asked))]
-    told = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
-    with pytest.raises(RunError, match=told):
+    text = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
+    with pytest.raises(RunError, match=text):
         Differences(m, ["plant/y"], [], "").view()
     m.asked.clear()
     m.others = lambda: [("plant.n", 1)] * (len(m.asked) > 1)  # which there was none of before
-    with pytest.raises(RunError, match=told):
+    with pytest.raises(RunError, match=text):
         Differences(m, ["plant/y"], [], "").view()
     m.follows = lambda *_: False  # it does, but nothing follows from it
     assert Differences(m, ["plant/y"], [], "").view().A.tolist() == [[0.5]]
 
 
 @pytest.mark.parametrize(
-    ("count", "said"),
+    ("count", "text"),
     [
         (5, ""),
         (6, "6 numbers move, 6 of them in plant.x,"),
@@ -252,17 +256,17 @@ def test_something_that_is_no_float_and_goes_along_is_told():
         (10, "10 numbers move, 10 of them in "),
     ],
 )
-def test_too_many_states_are_told(monkeypatch, count, said):
+def test_too_many_states_are_told(monkeypatch, count, text):
     monkeypatch.setattr(linear_view, "MOST", 5)
     monkeypatch.setattr(linear_view, "TRIED", 9)
     m = Map(lambda s, v, w: 0.5 * s, lambda s, v, w: [s.sum()], [1.0] * count, [1.0] * count, [True] * count)
-    found = Differences(m, ["plant/y"], [], "")
+    differences = Differences(m, ["plant/y"], [], "")
     m.asked.clear()
-    if not said:
-        assert len(found.states()[0]) == count
+    if not text:
+        assert len(differences.states()[0]) == count
         return
-    with pytest.raises(RunError, match=f"^made: {said}.* expected at most 5 states: a long delay has one or more"):
-        found.states()
+    with pytest.raises(RunError, match=f"^made: {text}.* expected at most 5 states: a long delay has one or more"):
+        differences.states()
     assert (not m.asked) == (count > 9)  # before anything is tried
 
 

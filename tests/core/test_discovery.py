@@ -103,10 +103,10 @@ def start(kind, seed, outside=(), stalls=0, bare=False):
     wrong = [f"{m.name} has not come" for m in rig.members if not m.external and m.name not in states]
     wrong += [f"{n}: {a.state} at {a.t}: {a.error}" for n, a in run.adapters.items() if a.state != "done"]
     awaited = {p.topic for m in rig.members if not m.external for p in m.inputs}
-    said = {p.topic for m in rig.members if not m.external for p in m.outputs}
+    messages = {p.topic for m in rig.members if not m.external for p in m.outputs}
     for member in (m for m in rig.members if m.external and any(p.topic in awaited for p in m.outputs)):
-        said |= {p.topic for p in member.outputs if not p.sporadic}
-    wrong += [t for t in differences(expected, run.recording) if t in said]
+        messages |= {p.topic for p in member.outputs if not p.sporadic}
+    wrong += [t for t in differences(expected, run.recording) if t in messages]
     wrong += [
         f"{s.member.name} has not heard the first of {topic}"
         for s in strangers
@@ -177,8 +177,8 @@ class SimulatedRecorder:
         self.say(left_out("/recorder", [self.skipped]))
         for end in list(self.node._seen(self.node.world.writers)):
             if end.topic not in (self.skipped, RECORDER) and end.topic not in self.read:
-                found = self.read[end.topic] = []
-                subscribe = partial(self.node.subscribe, end.topic, end.msgtype, Listening(found.append))
+                results = self.read[end.topic] = []
+                subscribe = partial(self.node.subscribe, end.topic, end.msgtype, Listening(results.append))
                 self.node.world.at(self.node.world.now + self.rng.randrange(3_000 * MS), subscribe, self.node)
 
 
@@ -298,8 +298,8 @@ def called(kind, rng):
     outside = set(guests(kind, rng)) if rng.random() < 0.5 else set()
     for member in rig.members:
         calls = [k for k in member.links.values() if k.source.name not in outside and k.port.stamped]
-        said = all(p.stamped and not p.delayed for p in member.outputs)
-        if member.is_plant or not said or not any(not k.port.sporadic and not k.port.delayed for k in calls):
+        text = all(p.stamped and not p.delayed for p in member.outputs)
+        if member.is_plant or not text or not any(not k.port.sporadic and not k.port.delayed for k in calls):
             outside.discard(member.name)
     return tuple(sorted(outside))
 
@@ -374,10 +374,10 @@ def real_time(kind, seed, outside=(), stalls=0):
     whole = all(a.ticks == a.schedule.tick(a.schedule.last) + 1 for a in run.adapters.values())
     for member in (m for m in rig.members if m.external and whole):  # who has slept through the call answers another
         for port in (p for p in member.outputs if not p.sporadic and p.stamped and not p.delayed):
-            topic, said = run.recording.topics[port.topic], expected.topics[port.topic]
+            topic, text = run.recording.topics[port.topic], expected.topics[port.topic]
             stamps = [readable_stamp(data) - epoch for data in topic.data]
-            if stamps != said.times or (
-                topic.times != [epoch + t for t in said.times] and not rig.readers(member, port)
+            if stamps != text.times or (
+                topic.times != [epoch + t for t in text.times] and not rig.readers(member, port)
             ):
                 wrong.append(f"{port.topic} of an external node has the stamps {stamps}")
     return wrong
@@ -495,8 +495,8 @@ def trial(seed):
 
 def share(first, last):
     """Some seeds; gives a line for each that shows something wrong."""
-    found = ((seed, *trial(seed)) for seed in range(first, last))
-    return [f"seed {seed}, {what}: {wrong}" for seed, what, wrong in found if wrong]
+    result = ((seed, *trial(seed)) for seed in range(first, last))
+    return [f"seed {seed}, {what}: {wrong}" for seed, what, wrong in result if wrong]
 
 
 @pytest.mark.long
@@ -506,5 +506,5 @@ def test_a_hundred_thousand_starts():
     number = int(os.environ.get("SOFTRIG_STARTS", "100000"))
     firsts = range(0, number, 500)
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:  # this process has threads of DDS
-        found = [line for lines in pool.map(share, firsts, (min(f + 500, number) for f in firsts)) for line in lines]
-    assert found == []
+        results = [line for lines in pool.map(share, firsts, (min(f + 500, number) for f in firsts)) for line in lines]
+    assert results == []

@@ -53,11 +53,11 @@ def test_a_camera_sees_along_its_axes(azimuth, elevation):
 @pytest.mark.parametrize("points", [2, 3, 6])
 def test_rows_of_the_past_are_picked_evenly_up_to_now(count, points):
     rows = [{"k": float(k)} for k in range(count)]
-    found = [row["k"] for row in tail(rows[:-1], rows[-1], points)]
-    assert len(found) == points
-    assert (found[0], found[-1]) == (0.0, count - 1.0)
-    assert all(a <= b for a, b in pairwise(found))
-    assert all(abs(x - (count - 1) * k / (points - 1)) <= 0.5 for k, x in enumerate(found))
+    results = [row["k"] for row in tail(rows[:-1], rows[-1], points)]
+    assert len(results) == points
+    assert (results[0], results[-1]) == (0.0, count - 1.0)
+    assert all(a <= b for a, b in pairwise(results))
+    assert all(abs(x - (count - 1) * k / (points - 1)) <= 0.5 for k, x in enumerate(results))
     picked = [row["k"] for row in _newest(rows[:-1], rows[-1], points)]
     if count <= points:  # the first stands for what was before it
         assert picked == [0.0] * (points - count) + [float(k) for k in range(count)]
@@ -117,8 +117,8 @@ def test_a_quantity_is_found_at_the_plant_then_at_those_linked_to_it_then_elsewh
     assert named([far, reads, plant], "load").name == "reads/load/x"
     assert named([far, other, plant], "mass") == Quantity("", "", 3.0)
     assert named([far, plant], "state", "z") == Quantity("", "", 3.0)
-    found = ["plant/state/y", "reads/speed/x", "writes/speed/x", "far/speed/x", "reads/load/x"]
-    assert list(drawing._found) == found
+    results = ["plant/state/y", "reads/speed/x", "writes/speed/x", "far/speed/x", "reads/load/x"]
+    assert list(drawing._found) == results
 
 
 def shapes(draw):
@@ -154,10 +154,10 @@ def test_arrows_boxes_arcs_and_circles():
 
 
 def test_readings_stand_below_each_other():
-    said = shapes(
+    text = shapes(
         lambda pen: readings(pen, (10.0, 20.0), [("Speed", "3", "accent"), ("Load", "4", "line")], 50.0, 15.0)
     )
-    assert said == [
+    assert text == [
         Text((10.0, 20.0), "Speed", "muted"),
         Text((60.0, 20.0), "3", "accent", anchor="end"),
         Text((10.0, 35.0), "Load", "muted"),
@@ -186,15 +186,15 @@ def test_an_oscillogram_ends_at_its_edges():
 )
 def test_a_plane_has_its_axes_where_zero_is_inside(full, lines, place):
     row = {"x": 2.0, "y": 1.0}
-    found = shapes(
+    result = shapes(
         lambda pen: plane(
             pen, (10.0, 20.0, 40.0, 40.0), [{"x": 99.0, "y": -99.0}], row, lambda r: r["x"], lambda r: r["y"], full, 3
         )
     )
-    assert [s.points for s in found[1:-2]] == lines
-    assert found[-1] == Circle(place, 5.0, "accent", "accent")
-    assert found[-2].points == ((50.0, 60.0), (50.0, 60.0), place)
-    assert {s.role for s in found[1:-2]} <= {"faint"}
+    assert [s.points for s in result[1:-2]] == lines
+    assert result[-1] == Circle(place, 5.0, "accent", "accent")
+    assert result[-2].points == ((50.0, 60.0), (50.0, 60.0), place)
+    assert {s.role for s in result[1:-2]} <= {"faint"}
 
 
 def test_ranges_of_joints():

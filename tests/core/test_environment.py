@@ -111,12 +111,12 @@ def test_side_by_side_they_are_what_each_is_alone():
     alone = [one.step([3.0])[0].tolist() for _ in range(5)]
     many = gymnasium.vector.SyncVectorEnv([motor] * 3)
     many.reset(seed=[5, 6, 7])
-    found = [many.step(np.full((3, 1), 3.0))[0] for _ in range(5)]
-    assert [f[0].tolist() for f in found] == alone
+    results = [many.step(np.full((3, 1), 3.0))[0] for _ in range(5)]
+    assert [f[0].tolist() for f in results] == alone
     apart = gymnasium.vector.AsyncVectorEnv([motor] * 2, context="spawn")  # this process has threads: no fork
     try:
         apart.reset(seed=[5, 6])
-        assert [apart.step(np.full((2, 1), 3.0))[0].tolist() for _ in range(5)] == [f[:2].tolist() for f in found]
+        assert [apart.step(np.full((2, 1), 3.0))[0].tolist() for _ in range(5)] == [f[:2].tolist() for f in results]
         for _ in range(25):  # each ends its episode
             _, _, terminated, truncated, _ = apart.step(np.full((2, 1), 3.0))
         assert (terminated.tolist(), truncated.tolist()) == ([False] * 2, [True] * 2)
@@ -152,10 +152,10 @@ def test_many_that_native_code_moves_are_what_each_is_alone(keys, size, least):
     for _ in range(70 if "act" not in keys or keys["act"] is not LEGS else 900):
         actions = draws.uniform(-size, size, many.action_space.shape) * (draws.random((3, 1)) < 0.9)
         pairs.append((many.step(actions), one.step(actions)))
-    for found, wanted in pairs:
-        for x, y in zip(found[:-1], wanted[:-1], strict=True):
+    for result, wanted in pairs:
+        for x, y in zip(result[:-1], wanted[:-1], strict=True):
             assert (x.dtype, x.tobytes()) == (y.dtype, y.tobytes())
-        infos = [{k: (v.dtype, v.tolist()) for k, v in told.items()} for told in (found[-1], wanted[-1])]
+        infos = [{k: (v.dtype, v.tolist()) for k, v in reported.items()} for reported in (result[-1], wanted[-1])]
         assert infos[0] == infos[1]
     assert many.unwrapped.native >= least
     assert bool(many.unwrapped.reason) == (least == 0)
@@ -170,8 +170,8 @@ def test_all_begin_anew_where_they_are_reset_at_their_end():
     while not many.step(volts)[3].all():
         pass
     for seed in (5, [8, 2]):
-        for found, wanted in zip(many.reset(seed=seed), fresh.reset(seed=seed), strict=True):
-            assert str(found) == str(wanted)
+        for result, wanted in zip(many.reset(seed=seed), fresh.reset(seed=seed), strict=True):
+            assert str(result) == str(wanted)
         assert str(many.step(volts)) == str(fresh.step(volts))
     with pytest.raises(ValueError, match=r"^3 seeds, expected 2$"):
         many.reset(seed=[1, 2, 3])
@@ -329,8 +329,8 @@ def test_only_registered_policies_are_found(monkeypatch):
         Policy(policy="os:system")
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: Point())
     mine = ByHand(Policy(policy="mine", weights=(4.0,), high=(3.0,), low=(-3.0,)))
-    found = mine.update(0, state=(1.0,))
-    assert found == {"command": (3.0,)}
+    outputs = mine.update(0, state=(1.0,))
+    assert outputs == {"command": (3.0,)}
     with pytest.raises(ParameterError, match="mine:make is a int, expected a function"):
         Policy(policy="number")
     with pytest.raises(ParameterError, match=r"1 observations and 1 actions has 2 weights.*got 3"):
@@ -395,9 +395,9 @@ def test_a_policy_of_an_installed_package_runs_as_a_node_and_is_judged_as_the_la
     file.write_text(json.dumps(trained.model_dump(mode="json", exclude={"name"})))
     main(["run", str(file), "--mode", "container", "--out", str(tmp_path / "out"), "--no-plots"])
     capsys.readouterr()
-    told = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert {m["name"]: m["value"] for m in told["metrics"]} == {r.name: r.value for r in run.results}
-    assert told["mode"] == "container"
+    content = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert {m["name"]: m["value"] for m in content["metrics"]} == {r.name: r.value for r in run.results}
+    assert content["mode"] == "container"
 
 
 @pytest.mark.long

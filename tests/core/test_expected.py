@@ -63,9 +63,9 @@ def test_expectations_are_read_or_refused(text, expected):
             parse(text)
         assert str(refused.value) == expected
         return
-    found = parse(text)
-    assert found.model_dump(exclude_none=True) == pytest.approx(expected, rel=1e-15)
-    assert parse(found) is found
+    parsed = parse(text)
+    assert parsed.model_dump(exclude_none=True) == pytest.approx(expected, rel=1e-15)
+    assert parse(parsed) is parsed
     assert parse({"at_most": 1.0}) == {"at_most": 1.0}
 
 
@@ -91,7 +91,7 @@ def claim(verdict="reproduced", reason="so it is", where="Table 1", **given):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "text"),
     [
         ({"published": 2.0}, ""),
         ({"published": 2.0, "reason": ""}, ""),
@@ -114,13 +114,13 @@ def claim(verdict="reproduced", reason="so it is", where="Table 1", **given):
         ({"published": 1.0, "verdict": "seen"}, "Input should be 'reproduced', 'fitted'"),
     ],
 )
-def test_a_claim_is_whole_or_refused(given, said):
-    if not said:
+def test_a_claim_is_whole_or_refused(given, text):
+    if not text:
         assert claim(**given)
         return
     with pytest.raises(ValidationError) as refused:
         claim(**given)
-    assert said in str(refused.value)
+    assert text in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,8 @@ def test_verdicts_and_words():
     ],
 )
 def test_conditions_decide_and_are_undefined_where_what_they_ask_of_is_no_number(edge, pairs):
-    found = {pair: float(truth(Condition("x", edge), *pair)) for pair in pairs}
-    assert found == pytest.approx(pairs, nan_ok=True)
+    results = {pair: float(truth(Condition("x", edge), *pair)) for pair in pairs}
+    assert results == pytest.approx(pairs, nan_ok=True)
     assert Condition("x", edge).variable == f"_{edge or 'true'}__x"
 
 
@@ -220,16 +220,16 @@ def test_an_expectation_takes_numbers_from_nodes(text, expected):
             raise ScenarioError(f"no {name}")
         return SAID[name]
 
-    found = parse(text)
-    assert found.follows
+    parsed = parse(text)
+    assert parsed.follows
     with pytest.raises(ScenarioError, match="takes numbers from nodes"):
-        found.holds(0.0)
+        parsed.holds(0.0)
     if isinstance(expected, str):
         with pytest.raises(ScenarioError, match=expected):
-            found.resolved(said)
+            parsed.resolved(said)
         return
-    assert found.resolved(said).model_dump(exclude_none=True, exclude={"text"}) == pytest.approx(expected, rel=1e-15)
-    assert found.resolved(said).resolved(said) == found.resolved(said)
+    assert parsed.resolved(said).model_dump(exclude_none=True, exclude={"text"}) == pytest.approx(expected, rel=1e-15)
+    assert parsed.resolved(said).resolved(said) == parsed.resolved(said)
 
 
 def test_a_number_of_an_expectation_is_the_machines_unless_it_is_zero():

@@ -57,18 +57,18 @@ PARAMETERS = [
 @pytest.mark.parametrize(("scenario", "node"), PARAMETERS)
 def test_c_has_the_bits_of_python(scenario, node, tmp_path):
     done = export_c(rig_of(scenario), node, tmp_path, rows=400, drawn=300)
-    found = replayed(tmp_path, done.name)
-    assert found.rows >= 600
-    assert (found.differing, found.wrong_status) == (0, 0)
-    assert found.same
+    result = replayed(tmp_path, done.name)
+    assert result.rows >= 600
+    assert (result.differing, result.wrong_status) == (0, 0)
+    assert result.same
 
 
 def test_odd_drawn_numbers_leave_no_way_without_c(tmp_path):
     done = export_c(rig_of("induction_dtc"), "im_plant", tmp_path, rows=200, drawn=200)
     assert not done.discards
-    found = replayed(tmp_path, done.name)
-    assert found.same
-    assert found.rows >= 400
+    result = replayed(tmp_path, done.name)
+    assert result.same
+    assert result.rows >= 400
 
 
 def test_a_kept_answer_for_another_value_is_given_up_and_said(tmp_path):
@@ -77,9 +77,9 @@ def test_a_kept_answer_for_another_value_is_given_up_and_said(tmp_path):
     done = export_c(rig_of("pv_mppt", overrides=overrides), "pv_plant", tmp_path, rows=60, drawn=50)
     assert done.discards == ("a value that _source is asked for later",)
     assert done.ends == "the rows end at 0.01 s: _source is asked for another value"
-    found = replayed(tmp_path, done.name)
-    assert found.same
-    assert found.gave_up >= 1
+    result = replayed(tmp_path, done.name)
+    assert result.same
+    assert result.gave_up >= 1
     source = tmp_path / f"{done.name}.c"
     text = source.read_text()
     source.write_text(text.replace("if (!((v_conditions.f0", "if (false && !((v_conditions.f0"))
@@ -149,12 +149,12 @@ def constant_tuples(a, x):
 
 def views(a, x):
     w = a.copy()
-    rest = w[1:]
-    rest[0, 0] = x
+    remaining = w[1:]
+    remaining[0, 0] = x
     w[:1] = -x
     other = w[1:2].copy()
     other[0, 1] = 3.0
-    return w[1, 0] + w[0, 2] * rest[0, 1] + other[0, 1] * w[1, 1]
+    return w[1, 0] + w[0, 2] * remaining[0, 1] + other[0, 1] * w[1, 1]
 
 
 def nested(a, x):
@@ -211,11 +211,11 @@ RIGS = [
 @pytest.mark.parametrize(("scenario", "left"), RIGS)
 def test_a_rig_in_c_publishes_the_bits_of_the_run(scenario, left, tmp_path):
     done, without = export_rig(rig_of(scenario), tmp_path, rows=200)
-    found = replayed(tmp_path, done.name)
-    assert found.rows == 200
-    assert found.same
+    result = replayed(tmp_path, done.name)
+    assert result.rows == 200
+    assert result.same
     assert without.keys() >= left
-    assert max(scale for _, scale in found.errors) > 0.0
+    assert max(scale for _, scale in result.errors) > 0.0
     if shutil.which("c++"):
         included = f'#include "{done.name}.h"\n'
         command = ["c++", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-x", "c++", "-"]
@@ -371,10 +371,10 @@ def test_a_board_has_the_bits_of_python(law, board, tmp_path):
     _, folder, done = law
     for file in folder.iterdir():
         shutil.copy(file, tmp_path)
-    found = replayed(tmp_path, done.name, board)
-    assert found.same
-    assert found.rows >= 500
-    assert 500 < found.flash < 8000
+    result = replayed(tmp_path, done.name, board)
+    assert result.same
+    assert result.rows >= 500
+    assert 500 < result.flash < 8000
 
 
 def test_files_say_what_they_are_and_are_the_same_again(law, tmp_path):

@@ -29,9 +29,9 @@ def text_of(units, done):
 def test_the_text_computes_the_numbers_of_python(scenario, node):
     rig = rig_of(scenario)
     units, done = st_of(rig, node, rows=200, drawn=200)
-    found = executed(text_of(units, done), done, member_of(rig, node))
-    assert found.rows >= 400
-    assert (found.differing, found.wrong_status) == (0, 0)
+    result = executed(text_of(units, done), done, member_of(rig, node))
+    assert result.rows >= 400
+    assert (result.differing, result.wrong_status) == (0, 0)
 
 
 @pytest.fixture(scope="module")
@@ -208,11 +208,11 @@ def test_texts_of_a_user_stay_comments(law, monkeypatch):
 
 @given(st.text("*/()?\\ \n\x1b\u202ea"))
 def test_no_remark_ends_its_comment(text):
-    found = remark(text)
-    assert not [pair for pair in ("*/", "/*", "*)", "(*", "??", "\\\n") if pair in f"{found}\n"]
-    assert found.isprintable()
+    result = remark(text)
+    assert not [pair for pair in ("*/", "/*", "*)", "(*", "??", "\\\n") if pair in f"{result}\n"]
+    assert result.isprintable()
     letters = re.sub(r"[ \n\x1b\u202e]", "", text)
-    assert found.replace(" ", "") == letters.rstrip("\\")
+    assert result.replace(" ", "") == letters.rstrip("\\")
 
 
 def test_an_index_before_a_comparison_does_not_end_the_data_of_twincat():

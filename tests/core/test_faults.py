@@ -30,8 +30,8 @@ def through(values, seed=0, *, toggles=(), fresh=None, **params):
         if fresh is None or fresh[k]:
             last[0] = now[0]
         sent = value if isinstance(value, tuple) else (float(value),)
-        found = block.update(now[0], sent=sent, toggle=(1.0,) if k in toggles else (0.0,)).get("arrived")
-        out.append(found if found is None or len(found) > 1 else found[0])
+        result = block.update(now[0], sent=sent, toggle=(1.0,) if k in toggles else (0.0,)).get("arrived")
+        out.append(result if result is None or len(result) > 1 else result[0])
     return out
 
 
@@ -95,8 +95,8 @@ def test_the_switch_turns_it_off_and_on_at_a_press():
     assert through([1.0] * 4, kind="offset", active=False, toggles=(2,)) == [1.0, 1.0, 2.0, 2.0]
     half = ByHand(Fault(topic_in="a", topic_out="b", channels=("x",), fields=("position",)))
     half.block.ages = lambda name: 0
-    said = [half.update(k, sent=(1.0,), toggle=(x,))["arrived"] for k, x in enumerate((0.5, 0.51, 0.5))]
-    assert said == [(2.0,), (1.0,), (1.0,)]
+    messages = [half.update(k, sent=(1.0,), toggle=(x,))["arrived"] for k, x in enumerate((0.5, 0.51, 0.5))]
+    assert messages == [(2.0,), (1.0,), (1.0,)]
 
 
 def test_silence_before_it_stays_silence():
@@ -110,10 +110,10 @@ def test_silence_before_it_stays_silence():
 def test_what_is_late_arrives_once_in_order_and_never_early(seed, delay, jitter):
     for overtaking in (True, False):
         out = through(range(60), seed, kind="delay", delay=delay / 100, jitter=jitter / 100, overtaking=overtaking)
-        came = [(k, x) for k, x in enumerate(out) if x is not None]
-        assert [x for _, x in came] == sorted({x for _, x in came})
-        assert all(delay <= k - x <= delay + jitter for k, x in came) or not overtaking
-        assert all(k - x >= delay for k, x in came)
+        arrived = [(k, x) for k, x in enumerate(out) if x is not None]
+        assert [x for _, x in arrived] == sorted({x for _, x in arrived})
+        assert all(delay <= k - x <= delay + jitter for k, x in arrived) or not overtaking
+        assert all(k - x >= delay for k, x in arrived)
 
 
 def test_noise_and_losses_have_the_statistics_they_name_and_repeat_by_seed():
@@ -259,13 +259,13 @@ def by_hand(p, values, fresh, toggles, random, normal):
 
     for t, sent in enumerate(values):
         on ^= t in toggles and t - 1 not in toggles
-        said = None
+        messages = None
         if fresh[t]:
             draw, turn = random(2 * number), random(2 * number + 1)
             if kind == "loss" and "burst_begins" in p:
                 burst = turn >= p["burst_ends"] if burst else turn < p["burst_begins"]
             if not (on and start <= t < stop and (not every or (t - start) % every < lasts)):
-                begun, said, newest = None, sent, t
+                begun, messages, newest = None, sent, t
             else:
                 if begun is None:
                     begun, stuck = t, sent
@@ -275,20 +275,20 @@ def by_hand(p, values, fresh, toggles, random, normal):
                     due_before = due if p["overtaking"] else max(due, due_before)
                     line.append((due_before, t, sent))
                 elif kind == "repeat":
-                    said = before if before and draw < p["probability"] else sent
+                    messages = before if before and draw < p["probability"] else sent
                 elif kind in ("spike", "invalid") and draw >= p["probability"]:
-                    said = sent
+                    messages = sent
                 elif kind not in ("silence", "loss"):
-                    said = tuple(changed(k, x, t) for k, x in enumerate(sent))
+                    messages = tuple(changed(k, x, t) for k, x in enumerate(sent))
                 elif kind == "loss" and draw >= chance:
-                    said = sent
+                    messages = sent
             before, number = sent, number + 1
-        came = [entry for entry in line if entry[0] <= t]
+        arrived = [entry for entry in line if entry[0] <= t]
         line = [entry for entry in line if entry[0] > t]
-        if came and max(entry[1] for entry in came) > newest:
-            _, newest, said = max(came, key=lambda entry: entry[1])
-        last = said or last
-        out.append(last if said or p["holds"] else None)
+        if arrived and max(entry[1] for entry in arrived) > newest:
+            _, newest, messages = max(arrived, key=lambda entry: entry[1])
+        last = messages or last
+        out.append(last if messages or p["holds"] else None)
     return out
 
 
@@ -304,10 +304,10 @@ def hold_fault(p, values, fresh, toggles, seed):
     dice = ByHand(Fault(name="fault", topic_in="a", topic_out="b", **p))
     dice.reset(seed)
     expected = by_hand(p, values, fresh, toggles, dice.block.uniform, dice.block.standard_normal)
-    found = through(values, seed, toggles=toggles, fresh=fresh, **p)
-    assert [x is None for x in found] == [x is None for x in expected]
-    told = [(a, b) for a, b in zip(found, expected, strict=True) if a is not None]
-    assert [a for a, _ in told] == [pytest.approx(b, abs=1e-12, nan_ok=True) for _, b in told]
+    result = through(values, seed, toggles=toggles, fresh=fresh, **p)
+    assert [x is None for x in result] == [x is None for x in expected]
+    messages = [(a, b) for a, b in zip(result, expected, strict=True) if a is not None]
+    assert [a for a, _ in messages] == [pytest.approx(b, abs=1e-12, nan_ok=True) for _, b in messages]
 
 
 def test_behind_a_link_of_acquisition_times_the_first_message_is_new_whatever_its_stamp():
@@ -315,14 +315,14 @@ def test_behind_a_link_of_acquisition_times_the_first_message_is_new_whatever_it
     fault = ByHand(
         Fault(topic_in="a", topic_out="b", channels=("x",), fields=("position",), delayed=True, value=(4.0,))
     )
-    age, said = [None], []
+    age, messages = [None], []
     fault.block.ages = lambda name: age[0]
-    for k, (heard, sent) in enumerate(
+    for k, (received, sent) in enumerate(
         [(None, Sample(0, (9.0,))), (2, Sample(0, (1.0,))), (3, Sample(0, (1.0,))), (0, Sample(4, (2.0,)))]
     ):
-        age[0] = heard
-        said.append(fault.update(k * MS, sent=sent, toggle=None).get("arrived"))
-    assert said == [None, Sample(0, (5.0,)), None, Sample(4, (6.0,))]
+        age[0] = received
+        messages.append(fault.update(k * MS, sent=sent, toggle=None).get("arrived"))
+    assert messages == [None, Sample(0, (5.0,)), None, Sample(4, (6.0,))]
     about = {"topic_in": "a", "topic_out": "b", "channels": ("x",), "fields": ("position",), "holds": True}
     for kind, first in (({}, (0.0,)), ({"delayed": True}, Sample(0, (0.0,))), ({"initial": (3.0,)}, (3.0,))):
         silent = ByHand(Fault(kind="silence", **about, **kind))
@@ -391,12 +391,12 @@ def test_what_no_reader_may_take_is_refused_by_each_for_itself():
     fault = {"link": "lag/state", "kind": "invalid", "every": 0.05, "lasts": 0.01}
     rig = faulty(nodes={**BASIC, "watcher": "watcher"}, bad=fault)
     run = simulate(rig)
-    said = run.signals["lag/state/bad/x/position"].x
+    text = run.signals["lag/state/bad/x/position"].x
     u = run.signals["lag/command/u/effort"].x
     r = run.signals["lag/reference/x/position"].x
-    bad = np.isnan(said)
-    assert list(np.flatnonzero(bad)) == list(range(0, len(said), 5))
-    assert list(u[~bad]) == list(2.0 * (r - said)[~bad])
+    bad = np.isnan(text)
+    assert list(np.flatnonzero(bad)) == list(range(0, len(text), 5))
+    assert list(u[~bad]) == list(2.0 * (r - text)[~bad])
     held = np.flatnonzero(bad)[1:]
     assert list(u[held]) == list(u[held - 1])  # the answer before is held
     assert run.blocks["gain"].reports["refused state"][2] == bad.sum()

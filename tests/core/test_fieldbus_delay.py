@@ -57,13 +57,13 @@ def ages(link, seed=0, ticks=2000):
 
 def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
     link = ByHand(FieldbusDelay(name="link", delay=0.06, jitter=0.04))
-    found = ages(link, ticks=20_000)
-    assert min(found) == 6
+    result = ages(link, ticks=20_000)
+    assert min(result) == 6
     # age 6 when the sample sent 6 periods ago had no extra delay; 7 when that of 7 had at most one; ...
     expected = {6: 0.2, 7: 0.8 * 0.4, 8: 0.8 * 0.6 * 0.6, 9: 0.8 * 0.6 * 0.4 * 0.8, 10: 0.8 * 0.6 * 0.4 * 0.2}
     for age, share in expected.items():
-        assert found.count(age) / len(found) == pytest.approx(share, abs=0.015)
-    assert sum(found.count(age) for age in expected) == len(found)
+        assert result.count(age) / len(result) == pytest.approx(share, abs=0.015)
+    assert sum(result.count(age) for age in expected) == len(result)
 
 
 @pytest.mark.parametrize("spread", [0, 3, 300])
@@ -78,12 +78,12 @@ def test_a_long_line_is_a_sorted_list(spread):
         stamp, message = t ^ (spread > 0), (float(t),)
         line, row = line.put(due, stamp, message), row.put(due, stamp, message)
         insort(plain, (due, stamp, message))
-        line, *found = line.taken(t, t - 500, ())
+        line, *result = line.taken(t, t - 500, ())
         row, *same = row.taken(t, t - 500, ())
         there = [x for x in plain if x[0] <= t]
         plain = plain[len(there) :]
         late = [[stamp, message] for _, stamp, message in there if stamp >= t - 500]
-        assert found == same == max(late, default=[t - 500, ()])
+        assert result == same == max(late, default=[t - 500, ()])
     assert repr(line) == f"Line(1, {tuple(plain)})"
     assert line == row.python() == line.native().python()
     assert line != line.put(t, t, (0.0,))
@@ -98,21 +98,21 @@ def test_messages_of_several_values_are_the_same_in_one_row():
         line = line.put(*message)
     row = line.native()
     assert row.python() == line
-    for t, since, found in (
+    for t, since, result in (
         (5, 0, (0, ())),
         (10, 0, messages[1][1:]),
         (25, 0, messages[2][1:]),
         (25, 3, (3, ())),
         (30, 3, messages[0][1:]),
     ):
-        left, *said = line.taken(t, since, ())
+        left, *text = line.taken(t, since, ())
         native, *same = row.taken(t, since, ())
-        assert said == same == [*found]
+        assert text == same == [*result]
         assert native.python() == left
     assert line.numbers().tolist() == [4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 1.0, 2.0, 3.0]
     for nothing in (Line(3), Line(3).native(), line.taken(30, 0, ())[0].native()):
-        left, *said = nothing.taken(99, 0, ())
-        assert said == [0, ()]
+        left, *text = nothing.taken(99, 0, ())
+        assert text == [0, ()]
         assert (left.python() if not isinstance(nothing, Line) else left) == Line(3)
         if not isinstance(nothing, Line):
             assert left.begin == left.end
@@ -124,9 +124,9 @@ def test_stamps_never_go_back():
 
 
 def test_a_lost_sample_leaves_the_one_before():
-    found = ages(ByHand(FieldbusDelay(name="link", delay=0.02, loss=0.3)), ticks=20_000)
-    assert found.count(2) / len(found) == pytest.approx(0.7, abs=0.01)
-    assert found.count(3) / len(found) == pytest.approx(0.3 * 0.7, abs=0.01)
+    result = ages(ByHand(FieldbusDelay(name="link", delay=0.02, loss=0.3)), ticks=20_000)
+    assert result.count(2) / len(result) == pytest.approx(0.7, abs=0.01)
+    assert result.count(3) / len(result) == pytest.approx(0.3 * 0.7, abs=0.01)
 
 
 def test_random_numbers_come_from_seed_and_name_only():
@@ -134,10 +134,10 @@ def test_random_numbers_come_from_seed_and_name_only():
         return ByHand(FieldbusDelay(name=name, delay=0.02, **options))
 
     link = make("link", jitter=0.05)
-    found = ages(link, seed=3)
-    assert ages(link, seed=4) != found
-    assert ages(link, seed=3) == found  # a reset forgets everything
-    assert ages(make("other", jitter=0.05), seed=3) != found
+    result = ages(link, seed=3)
+    assert ages(link, seed=4) != result
+    assert ages(link, seed=3) == result  # a reset forgets everything
+    assert ages(make("other", jitter=0.05), seed=3) != result
 
 
 def test_values_are_rounded_to_their_steps():

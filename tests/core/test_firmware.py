@@ -27,12 +27,12 @@ arm = pytest.mark.skipif(
 @avr
 def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
     name, layout = export_firmware(rig_of("dc_motor_smc_b2"), "dc_motor_smc", tmp_path, "arduino", rows=60, drawn=30)
-    found = checked(tmp_path, name, layout, "arduino")
-    assert found.rows >= 80
-    assert found.differing == 0
-    assert 3000 < found.longest < 8000  # cycles: 3,567 at most in a prototype, which drew no subnormal numbers
-    assert found.flash < FLASH / 3
-    assert found.ram + found.stack < RAM / 2
+    result = checked(tmp_path, name, layout, "arduino")
+    assert result.rows >= 80
+    assert result.differing == 0
+    assert 3000 < result.longest < 8000  # cycles: 3,567 at most in a prototype, which drew no subnormal numbers
+    assert result.flash < FLASH / 3
+    assert result.ram + result.stack < RAM / 2
     draft = read_draft("dc_motor_smc_b2")
     link = {"nodes": {"dc_motor_smc": {"link": {"port": f"simavr:{tmp_path / name}.elf", "firmware": str(tmp_path)}}}}
     gains = {"changes": [{"at": 0.1, "set": {"dc_motor_smc.k_per_ref": 4.0}}]}
@@ -45,11 +45,11 @@ def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
 @arm
 def test_a_cortex_m_has_the_bits_of_python(tmp_path):
     name, layout = export_firmware(rig_of("dc_motor_smc_b2"), "dc_motor_smc", tmp_path, "cortex-m4", rows=60, drawn=30)
-    found = checked(tmp_path, name, layout, "cortex-m4")
-    assert found.rows >= 80
-    assert found.differing == 0
-    assert 500 < found.longest < 6000
-    assert 0 < found.stack < 2048
+    result = checked(tmp_path, name, layout, "cortex-m4")
+    assert result.rows >= 80
+    assert result.differing == 0
+    assert 500 < result.longest < 6000
+    assert 0 < result.stack < 2048
     assert json.loads((tmp_path / f"{name}.json").read_text())["machine"] == "mps2-an386"
 
 

@@ -24,10 +24,10 @@ def defined(function):
 
     def distance(s):
         try:
-            found = float(function(s))
+            result = float(function(s))
         except (ValueError, ZeroDivisionError, OverflowError):
             return math.nan
-        return found if math.isfinite(found) else math.nan
+        return result if math.isfinite(result) else math.nan
 
     return distance
 
@@ -97,10 +97,10 @@ class Loops:
     def __init__(self, samples, first, ended):
         self.samples, self.first, self.ended, self.known = samples, first, ended, {}
 
-    def at(self, tree, k, come, lost):
-        key = id(tree), k, come, lost
+    def at(self, tree, k, arrived, lost):
+        key = id(tree), k, arrived, lost
         if key not in self.known:
-            self.known[key] = self.found(tree, k, come, lost)
+            self.known[key] = self.found(tree, k, arrived, lost)
         return self.known[key]
 
     def atom(self, text, k, lost):
@@ -115,44 +115,44 @@ class Loops:
             value = defined(ATOMS[text])(now)
         return value if not math.isnan(value) else math.inf if lost else -math.inf
 
-    def found(self, tree, k, come, lost):
+    def found(self, tree, k, arrived, lost):
         kind, *parts = tree
-        unknown = math.inf if come else -math.inf
+        unknown = math.inf if arrived else -math.inf
         n = len(self.samples)
         if kind == "atom":
             return self.atom(parts[0], k, lost)
         if kind == "not":
-            return -self.at(parts[0], k, 1 - come, 1 - lost)
+            return -self.at(parts[0], k, 1 - arrived, 1 - lost)
         if kind in ("and", "or", "->"):
-            a = -self.at(parts[0], k, 1 - come, 1 - lost) if kind == "->" else self.at(parts[0], k, come, lost)
-            b = self.at(parts[1], k, come, lost)
+            a = -self.at(parts[0], k, 1 - arrived, 1 - lost) if kind == "->" else self.at(parts[0], k, arrived, lost)
+            b = self.at(parts[1], k, arrived, lost)
             return min(a, b) if kind == "and" else max(a, b)
         (low, high), *inner = parts
         if kind in (*PAST, "since"):
             window = range(0 if high is None else max(0, math.ceil(k - high)), math.floor(k - low) + 1)
             if kind == "since":
                 held = {
-                    i: min((self.at(inner[0], j, come, lost) for j in range(i + 1, k + 1)), default=math.inf)
+                    i: min((self.at(inner[0], j, arrived, lost) for j in range(i + 1, k + 1)), default=math.inf)
                     for i in window
                 }
-                return max((min(self.at(inner[1], i, come, lost), held[i]) for i in window), default=-math.inf)
-            values = [self.at(inner[0], i, come, lost) for i in window]
+                return max((min(self.at(inner[1], i, arrived, lost), held[i]) for i in window), default=-math.inf)
+            values = [self.at(inner[0], i, arrived, lost) for i in window]
             return min(values, default=math.inf) if kind == "historically" else max(values, default=-math.inf)
         if high is None and self.ended and k + low < n:  # as far as the record goes, and by what is decided
-            beyond, taken = False, (1 if kind == "always" else 0)
+            beyond, used = False, (1 if kind == "always" else 0)
         else:
             last = n - (0.0 if self.ended else 0.999)  # live, the next instant may be any after the last one
-            beyond, taken = high is None or k + high >= last, come
+            beyond, used = high is None or k + high >= last, arrived
         window = range(math.ceil(k + low), n if high is None else min(n, math.floor(k + high) + 1))
         if kind == "until":
-            found = [
-                min([self.at(inner[1], i, taken, lost)] + [self.at(inner[0], j, taken, lost) for j in range(k, i)])
+            results = [
+                min([self.at(inner[1], i, used, lost)] + [self.at(inner[0], j, used, lost) for j in range(k, i)])
                 for i in window
             ]
             if beyond:
-                found.append(min([unknown] + [self.at(inner[0], j, taken, lost) for j in range(k, n)]))
-            return max(found, default=-math.inf)
-        values = [self.at(inner[0], i, taken, lost) for i in window] + ([unknown] if beyond else [])
+                results.append(min([unknown] + [self.at(inner[0], j, used, lost) for j in range(k, n)]))
+            return max(results, default=-math.inf)
+        values = [self.at(inner[0], i, used, lost) for i in window] + ([unknown] if beyond else [])
         return min(values, default=math.inf) if kind == "always" else max(values, default=-math.inf)
 
     def window(self, tree, k):
@@ -163,27 +163,27 @@ class Loops:
             return range(0 if high is None else max(0, math.ceil(k - high)), math.floor(k - low) + 1)
         return range(math.ceil(k + low), n if high is None else min(n, math.floor(k + high) + 1))
 
-    def decides(self, tree, k, come, lost):
+    def decides(self, tree, k, arrived, lost):
         """The instant whose comparison gives a bound of an ended record: the first side, the first of equals."""
         kind, *parts = tree
         if kind == "not":
-            return self.decides(parts[0], k, 1 - come, 1 - lost)
+            return self.decides(parts[0], k, 1 - arrived, 1 - lost)
         if kind in ("and", "or", "->"):
-            first = (1 - come, 1 - lost) if kind == "->" else (come, lost)
-            a, b = self.at(parts[0], k, *first), self.at(parts[1], k, come, lost)
+            first = (1 - arrived, 1 - lost) if kind == "->" else (arrived, lost)
+            a, b = self.at(parts[0], k, *first), self.at(parts[1], k, arrived, lost)
             if a <= b if kind == "and" else (-a if kind == "->" else a) >= b:
                 return self.decides(parts[0], k, *first)
-            return self.decides(parts[1], k, come, lost)
+            return self.decides(parts[1], k, arrived, lost)
         if kind in ("atom", "until", "since"):
             return k
         window = self.window(tree, k)
         if not window:
             return k
         if kind not in PAST and parts[0][1] is None:
-            come = 1 if kind == "always" else 0
+            arrived = 1 if kind == "always" else 0
         pick = min if kind in ("always", "historically") else max
-        at = pick(window, key=lambda i: self.at(parts[1], i, come, lost))
-        return self.decides(parts[1], at, come, lost)
+        at = pick(window, key=lambda i: self.at(parts[1], i, arrived, lost))
+        return self.decides(parts[1], at, arrived, lost)
 
     def violated(self, tree):
         """First and last instants of the spans in which what must always hold surely does not."""
@@ -214,7 +214,7 @@ class Loops:
     def not_judged(self, tree):
         """Why it may hold or not."""
         lost, n = sorted(self.undefined(tree)), len(self.samples)
-        if lost and any(self.at(tree, 0, come, 0) != self.at(tree, 0, come, 1) for come in (0, 1)):
+        if lost and any(self.at(tree, 0, arrived, 0) != self.at(tree, 0, arrived, 1) for arrived in (0, 1)):
             on = len(lost) == n - lost[0]
             when = f"from t = {lost[0] / 10:.6g} s on" if on else f"at t = {lost[0] / 10:.6g} s"
             return f"not judged: undefined {when} (no number, a division by zero or a function beyond its domain)"
@@ -300,12 +300,12 @@ def hold(seed):
     for n in range(1, len(samples) + 1):
         row = ({name: column[n - 1] for name, column in group.items()} for group in (x, truths, late))
         opened = live.push(opened, times[n - 1], *row)
-        found, loops = live.bounds(opened), Loops(samples[:n], first, ended=False)
+        result, loops = live.bounds(opened), Loops(samples[:n], first, ended=False)
         expected = loops.at(tree, 0, 0, 0), loops.at(tree, 0, 1, 1)
-        assert found == pytest.approx(expected, abs=1e-12), (about, n)
-        assert not passed or (found[0] >= passed[-1][0] and found[1] <= passed[-1][1]), (about, n)
-        assert not passed or not passed[-1][2] or passed[-1][:2] == found, (about, n)
-        passed.append((*found, live.decided(opened)))
+        assert result == pytest.approx(expected, abs=1e-12), (about, n)
+        assert not passed or (result[0] >= passed[-1][0] and result[1] <= passed[-1][1]), (about, n)
+        assert not passed or not passed[-1][2] or passed[-1][:2] == result, (about, n)
+        passed.append((*result, live.decided(opened)))
     return verdict
 
 

@@ -43,7 +43,7 @@ def test_what_it_keeps_is_what_its_ticks_saw(seed):
         step.stamps = {p.name: (lambda name=p.name: newest.get(name)) for p in step.inputs}
     every = {p.name: chance.choice((1, 1, 2, 7, 20, 1000)) for p in plain.inputs}
     late = {p.name for p in plain.inputs if chance.random() < 0.3}
-    stretch, taken = STRETCH // plain.schedule.time(1), 0
+    stretch, used = STRETCH // plain.schedule.time(1), 0
     for k in range(400):
         t = plain.schedule.time(k)
         for port in plain.inputs:
@@ -57,35 +57,35 @@ def test_what_it_keeps_is_what_its_ticks_saw(seed):
         for step in (gathering, plain):
             step.bad = bad
             step.say(t)
-        taken += bad or kept(gathering) == kept(plain)
+        used += bad or kept(gathering) == kept(plain)
         if chance.random() < 0.02 or k == 399:
             assert gathering.status() == plain.status()
             assert kept(gathering) == kept(plain)
-    assert 400 / stretch <= taken < 200  # now and then, and by itself
+    assert 400 / stretch <= used < 200  # now and then, and by itself
 
 
 def test_what_a_hundredth_of_a_second_has_brought_is_taken_in_at_its_last_tick():
     gathering, plain = watchers()
     for step in (gathering, plain):
         step.stamps = {p.name: (lambda: None) for p in step.inputs}
-    taken, take = [], gathering.block.at_once
-    gathering.block.at_once = lambda x, t, messages: taken.append(t) or take(x, t, messages)
+    used, accept = [], gathering.block.at_once
+    gathering.block.at_once = lambda x, t, messages: used.append(t) or accept(x, t, messages)
     for k in range(65):
         gathering.say(plain.schedule.time(k))
-    assert taken == [plain.schedule.time(k) for k in (19, 39, 59)]  # of half a millisecond each
+    assert used == [plain.schedule.time(k) for k in (19, 39, 59)]  # of half a millisecond each
 
 
 @pytest.mark.parametrize(("period", "gathers"), [(0.0001, True), (0.006, False)])
 def test_who_is_slow_or_says_something_is_asked_at_each_tick(period, gathers):
     rig = rig_of("induction_dtc", overrides={"flux_monitor.period": period})
-    found = set()
+    results = set()
     for member in rig.members:
         step = step_of(member, member.block(0))
         before = step.respond
         gather(step, STRETCH // step.schedule.time(1))
         if step.respond != before:
-            found.add(member.name)
-    assert found == ({"flux_monitor"} if gathers else set())
+            results.add(member.name)
+    assert results == ({"flux_monitor"} if gathers else set())
 
 
 class Breaking(DcMotorPlant):
@@ -113,7 +113,7 @@ def test_a_run_in_process_that_gathers_ends_as_one_that_does_not(name, duration,
     rig = rig_of(name, duration=duration, overrides={f"{figures}.window": 0.1})
     if breaks:
         rig.members[0].block_class = Breaking
-    found = []
+    results = []
     for ticks in (1, 7, MANY):
         steps, recording, error = {}, Recording((n, port.msgtype) for n, port in rig.topics.items()), ""
         monkeypatch.setattr(
@@ -124,6 +124,6 @@ def test_a_run_in_process_that_gathers_ends_as_one_that_does_not(name, duration,
         except RunError as raised:
             error = str(raised)
         ends = {n: (s.t, repr(s.values), s.reports) for n, s in steps.items()}
-        found.append((recording.topics, error, ends, kept(steps[figures]), steps[figures].status()))
-    assert bool(found[0][1]) == breaks
-    assert found[0] == found[1] == found[2]
+        results.append((recording.topics, error, ends, kept(steps[figures]), steps[figures].status()))
+    assert bool(results[0][1]) == breaks
+    assert results[0] == results[1] == results[2]

@@ -198,8 +198,8 @@ def session_with(law):
 def test_what_cannot_be_kept_is_named_with_its_reason():
     session = session_with(Locked())
     session.go(0.5)  # it runs all the same
-    said = r"^this run cannot go back: law: its state at t = 0 s cannot be kept: RuntimeError: the lock is taken"
-    with pytest.raises(RunError, match=said):
+    text = r"^this run cannot go back: law: its state at t = 0 s cannot be kept: RuntimeError: the lock is taken"
+    with pytest.raises(RunError, match=text):
         session.rewind(0.1)
     session.go()
     assert session.over
@@ -272,8 +272,8 @@ def test_a_branch_that_is_of_another_run_says_where_it_parts():
     run = simulate("dc_motor_smc", duration=0.1)
     other = simulate("dc_motor_smc", duration=0.1, overrides={"dc_motor_smc.delta": 0.5})
     other.rig = run.rig
-    said = r"^dc_motor_smc: what ran up to t = 0.05 s is not what had run, first motor/\S+ at t = \S+ s"
-    with pytest.raises(RunError, match=said):
+    text = r"^dc_motor_smc: what ran up to t = 0.05 s is not what had run, first motor/\S+ at t = \S+ s"
+    with pytest.raises(RunError, match=text):
         other.branch(0.05, {})
 
 
@@ -314,11 +314,11 @@ class Numbered(Gain):
     OUTPUTS = (*Gain.OUTPUTS, array("row", "row", {"a": 2}, "V", sporadic=True))
 
     def update(self, x, t, state, reference):
-        x, said = super().update(x, t, state, reference)
+        x, outputs = super().update(x, t, state, reference)
         if t % 30_000_000 == 0:
             self.report(Level.WARN, "third", f"{t}")
-            return x, {**said, "row": (t * 1e-9, state[0])}
-        return x, said
+            return x, {**outputs, "row": (t * 1e-9, state[0])}
+        return x, outputs
 
 
 @pytest.mark.parametrize("seed", range(3))

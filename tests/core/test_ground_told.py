@@ -130,8 +130,8 @@ def test_nodes_agree_but_for_the_last_digits():
     lines.append(f"not zero: {said(require_agreement, 'here', [zero[0], member('two', mass=1.2e-300)])}")
     some = [member("one", mass=3.0), member("two", Assumes), member("three", Assumes, mass=3.0)]
     lines += [f"assumed: {line}" for line in assumptions(some)]
-    told = spoken([member("one"), member("two", mass=2.0)])
-    lines.append(f"spoken: {told}")
+    reported = spoken([member("one"), member("two", mass=2.0)])
+    lines.append(f"spoken: {reported}")
     for arguments, agreed in (
         ({}, {"m": "mass"}),
         ({"m": 1.0}, {"m": "mass"}),
@@ -140,7 +140,7 @@ def test_nodes_agree_but_for_the_last_digits():
         ({"m": 5}, {"m": "none"}),
         ({"k": 1}, {}),
     ):
-        lines.append(f"{arguments} with {agreed}: {said(agreeing, told, arguments, agreed)}")
+        lines.append(f"{arguments} with {agreed}: {said(agreeing, reported, arguments, agreed)}")
         assert "n" not in arguments
     check_told("agreement", lines)
 
@@ -239,10 +239,10 @@ def test_an_executable_is_one_of_its_group(monkeypatch):
         importlib.metadata.EntryPoint("peak", "math:cos", "softrig_figures"),
         importlib.metadata.EntryPoint("odd", "no_such_module_of_test:f", "console_scripts"),
     ]
-    found = SimpleNamespace(entry_points=importlib.metadata.EntryPoints(points))
-    monkeypatch.setattr(importlib.metadata, "distribution", lambda package: found)
+    result = SimpleNamespace(entry_points=importlib.metadata.EntryPoints(points))
+    monkeypatch.setattr(importlib.metadata, "distribution", lambda package: result)
     assert (load_main("some", "run"), load_main("some", "peak"), load_main("some", "none")) == (math.sin, None, None)
-    for executable, told in (
+    for executable, reported in (
         ("run", "some/run is a tool, not the node of a block"),
         ("peak", "package some has no executable 'peak'; it has odd, run"),
         ("odds", "package some has no executable 'odds' (did you mean 'odd'?); it has odd, run"),
@@ -250,7 +250,7 @@ def test_an_executable_is_one_of_its_group(monkeypatch):
     ):
         with pytest.raises(ScenarioError) as error:
             load_block("some", executable)
-        assert str(error.value).partition(" (/")[0] == told
+        assert str(error.value).partition(" (/")[0] == reported
 
 
 def test_a_fingerprint_is_that_of_the_files_but_for_what_is_made_of_them(tmp_path, monkeypatch):
@@ -273,18 +273,18 @@ def test_a_fingerprint_is_that_of_the_files_but_for_what_is_made_of_them(tmp_pat
         code._package.cache_clear()
         return code._package("some_rig_package")
 
-    found = code.fingerprints([kind])
-    assert list(found) == ["softrig_core", "softrig_other_of_test", "some_rig_package"]
+    result = code.fingerprints([kind])
+    assert list(result) == ["softrig_core", "softrig_other_of_test", "some_rig_package"]
     digest = hashlib.sha256()
     for name in sorted(files):
         digest.update(f"some_rig_package/{name}\0{len(files[name])}\0".encode() + files[name])
-    assert found["some_rig_package"] == digest.hexdigest()[:12]
+    assert result["some_rig_package"] == digest.hexdigest()[:12]
     for built in ("__pycache__/a.cpython.pyc", "deep/a.so", "deep/a.nbi", "b.nbc"):
         (folder / built).parent.mkdir(exist_ok=True)
         (folder / built).write_bytes(b"built")
-        assert now() == (found["some_rig_package"], ("softrig_other_of_test",))
+        assert now() == (result["some_rig_package"], ("softrig_other_of_test",))
     (folder / "deep/new.txt").write_bytes(b"")
-    assert now()[0] != found["some_rig_package"]
+    assert now()[0] != result["some_rig_package"]
     typed = type("Typed", (Block,), {"__module__": "__main__"})
     assert code.fingerprints([typed])["__main__.Typed"] == "unknown"
     assert set(code.fingerprints([typed], ["some_rig_package.deep", "json", "none_of_this"])) >= {
@@ -360,8 +360,8 @@ def test_each_mistake_on_a_command_line_is_one_line():
         "",
         "a --seed",
     ):
-        found = said(parser.parse_args, words.split())
-        lines.append(f"{words}: {found.partition(';')[0] if 'Error' in found else found}")
+        result = said(parser.parse_args, words.split())
+        lines.append(f"{words}: {result.partition(';')[0] if 'Error' in result else result}")
     lines.append(said(Parser(prog="softrig", add_help=False).parse_args, ["x"]))
     lines += [f"{text}: {said(named, text, '--set', 'VALUE')}" for text in ("a=1", "a=", "=1", "a", "a=b=c")]
     for words in ("a b", "--ros-args -r x:=y", "a --ros-args -r x -- b", "a -- b", "--ros-args -- --ros-args x"):
@@ -418,8 +418,8 @@ def test_each_failure_has_its_line_and_status(monkeypatch, capsys, tmp_path):
         RunError("two\nlines\x1b[31m"),
     ):
         status = guarded(fails(error))
-        told = capsys.readouterr().err
-        lines.append(f"{type(error).__name__}: {status} {told if len(told) < 300 else len(told)}".rstrip())
+        printed = capsys.readouterr().err
+        lines.append(f"{type(error).__name__}: {status} {printed if len(printed) < 300 else len(printed)}".rstrip())
     lines.append(
         f"of a package: {guarded(fails(ScenarioError('bad'), ValueError()))} {capsys.readouterr().err}".rstrip()
     )

@@ -37,8 +37,8 @@ def test_between_two_steps_is_exact_for_cubics_and_no_further():
     for degree, least, most in ((3, 0.0, 1e-13), (4, 1e-3, 1e-1)):
         c = [0.3, -1.0, 0.7, 1.5, 2.0][: degree + 1]
         x, dx = np.polynomial.Polynomial(c), np.polynomial.Polynomial(c).deriv()
-        found = [between(s, 0.5, x(1.0), x(1.5), dx(1.0), dx(1.5)) - x(1.0 + 0.5 * s) for s in np.linspace(0, 1, 21)]
-        assert least <= np.abs(found).max() <= most
+        results = [between(s, 0.5, x(1.0), x(1.5), dx(1.0), dx(1.5)) - x(1.0 + 0.5 * s) for s in np.linspace(0, 1, 21)]
+        assert least <= np.abs(results).max() <= most
 
 
 def test_constant_past_of_several_channels_and_longest_delay():
@@ -156,8 +156,8 @@ def test_delay_that_grows_with_time():
         past, x = trajectory(h, 8.0, 1.0), np.array([1.0])
         integrator(neves)(past, 0.0, x, h, n, 0.0)
         assert x[0] == pytest.approx(math.e, abs=1e-9)
-        rest = (math.e**2 - math.e) / (4 * n)
-        integrator(neves)(past, n * h, x, rest, 4 * n, 0.0)
+        remaining = (math.e**2 - math.e) / (4 * n)
+        integrator(neves)(past, n * h, x, remaining, 4 * n, 0.0)
         return abs(x[0] - math.exp(2.5))
 
     coarse, fine = solve(20), solve(40)

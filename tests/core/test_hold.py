@@ -130,10 +130,10 @@ def test_in_real_time_the_clock_of_the_rig_stands_and_nothing_is_late_for_it(gro
     for adapter in nodes:
         assert not {k: v for k, v in adapter.drive.counts().items() if v}
         assert set(adapter.step.reports) <= {"clock"}
-    expected, found = Signals(in_process(RIG)), Signals(run.recording, run.adapters[CLOCK].epoch)
+    expected, signals = Signals(in_process(RIG)), Signals(run.recording, run.adapters[CLOCK].epoch)
     for name in (f"{p.topic}/{label}" for m in RIG.members for p in m.outputs for label in p.labels):
         x = expected[name].x.tolist()
-        assert found[name].x.tolist()[: len(x)] == x, name  # sources in real time speak at the end, too
+        assert signals[name].x.tolist()[: len(x)] == x, name  # sources in real time speak at the end, too
 
 
 def test_in_real_time_a_rig_with_hardware_does_not_stand_and_none_has_a_pace():

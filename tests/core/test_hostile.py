@@ -95,9 +95,9 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
     models = {block.Params for _, _, block in blocks()} | {RunOptions}
     tried = 0
     for model, out in itertools.product(models, (-1, 1)):
-        found = [edge for edge in edges(model) if edge[2] == out]
+        results = [edge for edge in edges(model) if edge[2] == out]
 
-        def refused(sign, out=out, found=found, model=model):
+        def refused(sign, out=out, results=results, model=model):
             """Names refused for their range: so many steps beyond the bound, or NaN."""
             values = {
                 name: bound
@@ -105,18 +105,18 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
                 else bound + sign * out
                 if whole
                 else math.nextafter(bound, sign * out * math.inf)
-                for name, bound, _, _, whole in found
+                for name, bound, _, _, whole in results
             }
-            said = refusal(model, values)
-            return set(re.findall(r"parameter ([^ ;]+) = [^;]*: input should be (?:greater|less) than", said))
+            text = refusal(model, values)
+            return set(re.findall(r"parameter ([^ ;]+) = [^;]*: input should be (?:greater|less) than", text))
 
-        names = {edge[0] for edge in found}
+        names = {edge[0] for edge in results}
         assert refused(1) == names, (model, out)
-        assert refused(0) == {edge[0] for edge in found if not edge[3]}, (model, out)
+        assert refused(0) == {edge[0] for edge in results if not edge[3]}, (model, out)
         assert refused(-1) <= names - refused(0), (model, out)
-        floats = {edge[0] for edge in found if not edge[4]}
-        said = refusal(model, dict.fromkeys(floats, math.nan))
-        assert floats == set(re.findall(r"parameter ([^ ;]+) = nan: ", said)), (model, out)
+        floats = {edge[0] for edge in results if not edge[4]}
+        text = refusal(model, dict.fromkeys(floats, math.nan))
+        assert floats == set(re.findall(r"parameter ([^ ;]+) = nan: ", text)), (model, out)
         tried += len(names)
     assert tried > 300
     assert RunOptions().duration == 0.0  # by hand a node runs until it is stopped
@@ -139,16 +139,16 @@ def test_true_is_no_number_for_any_parameter_of_any_executable():
     for model in {block.Params for _, _, block in blocks()} | {RunOptions}:
         lists = {name for name, kind in numbers(model) if "tuple" in kind}
         wanted = {name: [1, True] if name in lists else True for name, _ in numbers(model)}
-        said = refusal(model, wanted)
+        text = refusal(model, wanted)
         for name, value in wanted.items():
             other = rf"parameter {re.escape(name)}(?: = {re.escape(str(value))}: |\.\d)"  # of a range or a size
-            assert re.search(other, said), (model, name)
+            assert re.search(other, text), (model, name)
         ones = {name: [1] if name in lists else 1 for name in wanted}
         assert "not true or false" not in refusal(model, ones)
         tried += len(wanted)
     assert tried > 500
-    said = refusal(RunOptions, {"pace": True})
-    assert "parameter pace = True: expected a number, not true or false" in said
+    text = refusal(RunOptions, {"pace": True})
+    assert "parameter pace = True: expected a number, not true or false" in text
     assert build(RunOptions, {"paused": True, "pace": 1}).model_dump().items() >= {"paused": True, "pace": 1.0}.items()
 
 
@@ -272,7 +272,7 @@ LONG = "x" * 5000
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (f"extends: {LONG}", "h.yaml: extends 'xxx"),
         (f"{{extends: dc_motor_smc_b2, nodes: {{dc_motor_smc: {{executable: {LONG}}}}}}}", "has no executable 'xxx"),
@@ -281,10 +281,10 @@ LONG = "x" * 5000
     ],
     ids=["scenario", "executable", "package", "file"],
 )
-def test_names_longer_than_any_file_name_are_unknown(text, said, tmp_path):
+def test_names_longer_than_any_file_name_are_unknown(text, message, tmp_path):
     path = tmp_path / "h.yaml"
     path.write_text(text)
-    with pytest.raises(ScenarioError, match=said):
+    with pytest.raises(ScenarioError, match=message):
         rig_of(load_scenario(str(path)))
 
 
@@ -424,9 +424,9 @@ def test_every_bound_that_a_node_tells_holds_at_its_edge():
                     node.declare_parameter(name, d.default, range_descriptor(d))
                     for bound, out in ((d.lower, -1), (d.upper, 1)):
                         beyond = d.type(bound + out * max(1.0, 0.01 * abs(bound)))
-                        for value, taken in ((d.type(bound), True), (beyond, False)):
+                        for value, used in ((d.type(bound), True), (beyond, False)):
                             result = node.set_parameters([Parameter(name, value=value)])[0]
-                            assert result.successful is taken, (model, d.name, value, result.reason)
+                            assert result.successful is used, (model, d.name, value, result.reason)
                         tried += 1
             assert tried > 100
         finally:

@@ -23,8 +23,8 @@ MESSAGE, PRINTED = (
 
 def located(module, name):
     """The file of a function or method of the packages, and its syntax tree."""
-    package, _, rest = module.partition("/")
-    file = PACKAGES / package / package / rest
+    package, _, remaining = module.partition("/")
+    file = PACKAGES / package / package / remaining
     node = ast.parse(file.read_text())
     for part in name.split("."):
         node = next(n for n in node.body if getattr(n, "name", "") == part)

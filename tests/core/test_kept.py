@@ -30,8 +30,8 @@ def test_a_draft_with_changed_values_is_the_scenario_that_is_checked_as_a_whole(
         if node in quick.nodes:
             assert quick.nodes[node].parameters[parameter] == value
         else:
-            found = quick.faults[node].value if parameter else quick.shared[key]
-            assert found == value
+            result = quick.faults[node].value if parameter else quick.shared[key]
+            assert result == value
     assert draft.filled() is draft.filled()  # what was changed is in no other
     assert draft.filled().model_dump() == read_draft(draft.name).filled().model_dump()
 

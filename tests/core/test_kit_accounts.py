@@ -279,8 +279,8 @@ def a_state():
 
 
 def test_the_numbers_of_a_state_by_their_names():
-    found = {name: row.tolist() for name, row in read(a_state())}
-    assert found == {
+    results = {name: row.tolist() for name, row in read(a_state())}
+    assert results == {
         "x": [1.5],
         "z": [2.0, -1.0],
         "row": [3.0, 4.0],
@@ -301,7 +301,7 @@ def test_the_numbers_of_a_state_by_their_names():
         "word": "up",
         "on": True,
     }
-    assert numbers(a_state()).tolist() == [v for row in found.values() for v in row]
+    assert numbers(a_state()).tolist() == [v for row in results.values() for v in row]
     assert [name for name, _ in leaves((1.0, 2))] == ["[0]", "[1]"]
     assert [name for name, _ in leaves(Inner(), "law")] == ["law.a", "law.k"]
     assert (numbers(3).tolist(), split(3, np.empty(0)), put(3, [])) == ([], [], 3)
@@ -453,18 +453,18 @@ def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
             gone = None
         elif not stopped:
             gone = t / 1e9 if gone is None else gone
-            found, ahead = pace.reach(now, t), gone - t / 1e9
+            result, ahead = pace.reach(now, t), gone - t / 1e9
             if abs(ahead) < 1e-6 or abs(ahead - 0.25 * rate) < 1e-6:
                 continue
             if ahead < 0:
-                assert found is None
+                assert result is None
             elif ahead > 0.25 * rate:
-                assert found == t
+                assert result == t
                 gone = t / 1e9
             else:
-                assert found == pytest.approx(gone * 1e9, abs=10)
-                t = rng.randint(t, found)
-                t = found if rng.random() < 0.5 else t
+                assert result == pytest.approx(gone * 1e9, abs=10)
+                t = rng.randint(t, result)
+                t = result if rng.random() < 0.5 else t
     assert seen is None
 
 
@@ -496,14 +496,14 @@ def test_numba_is_loaded_without_vectors_that_give_other_bits(monkeypatch):
     """What is set already stays; where numba is loaded it is too late to say so; the user's environment stays."""
     absent = Absent()
     monkeypatch.setattr(sys, "meta_path", [absent, *sys.meta_path])
-    said = "NUMBA_DISABLE_INTEL_SVML"
+    text = "NUMBA_DISABLE_INTEL_SVML"
     for loaded, before, seen in ((False, None, "1"), (False, "0", "0"), (True, None, None)):
         monkeypatch.delitem(sys.modules, "numba", raising=False)
         if loaded:
             monkeypatch.setitem(sys.modules, "numba", None)
-        monkeypatch.setenv(said, before or "")
+        monkeypatch.setenv(text, before or "")
         if before is None:
-            monkeypatch.delenv(said)
+            monkeypatch.delenv(text)
         absent.seen = None
         assert our_numba.__wrapped__() is None
-        assert (absent.seen, os.environ.get(said)) == (seen, before)
+        assert (absent.seen, os.environ.get(text)) == (seen, before)

@@ -16,14 +16,19 @@ def quartic(x, u):
 
 def test_differences_are_exact_for_polynomials_of_degree_four():
     a, b, u = 1.5, -0.5, 2.0
-    found = linearise(quartic, [a, b], [u])
+    result = linearise(quartic, [a, b], [u])
     assert (
-        pytest.approx(np.array([[4 * a**3 - 2 * b**3, -6 * a * b**2 + u], [u**2, 0.0]]), rel=1e-9, abs=1e-9) == found.A
+        pytest.approx(np.array([[4 * a**3 - 2 * b**3, -6 * a * b**2 + u], [u**2, 0.0]]), rel=1e-9, abs=1e-9) == result.A
     )
-    assert pytest.approx(np.array([[b], [2 * a * u]]), rel=1e-9, abs=1e-9) == found.B
-    assert pytest.approx(np.array([[b, a]]), rel=1e-9) == found.C
-    assert pytest.approx(np.array([[-4 * u**3]]), rel=1e-9) == found.D
-    assert (found.x.tolist(), found.u.tolist(), found.y.tolist(), found.period) == ([a, b], [u], [a * b - u**4], 0.0)
+    assert pytest.approx(np.array([[b], [2 * a * u]]), rel=1e-9, abs=1e-9) == result.B
+    assert pytest.approx(np.array([[b, a]]), rel=1e-9) == result.C
+    assert pytest.approx(np.array([[-4 * u**3]]), rel=1e-9) == result.D
+    assert (result.x.tolist(), result.u.tolist(), result.y.tolist(), result.period) == (
+        [a, b],
+        [u],
+        [a * b - u**4],
+        0.0,
+    )
 
 
 def test_each_number_is_moved_by_a_thousandth_of_its_size_or_of_one():
@@ -59,22 +64,22 @@ def linear(x, u):
     ],
 )
 def test_an_equilibrium_of_a_linear_model_is_found_in_a_step(given, x, u):
-    found = equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
+    result = equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
     held = [i for i in range(3) if i in (*given.get("held", ()), *given.get("moving", ()))]
-    rest = [i for i in range(3) if i not in given.get("moving", ())]
-    assert found[0][held].tolist() == np.array([3.0, 4.0, 5.0])[held].tolist()
-    assert (A @ found[0] + B @ found[1])[rest] == pytest.approx(np.zeros(len(rest)), abs=1e-8)
+    remaining = [i for i in range(3) if i not in given.get("moving", ())]
+    assert result[0][held].tolist() == np.array([3.0, 4.0, 5.0])[held].tolist()
+    assert (A @ result[0] + B @ result[1])[remaining] == pytest.approx(np.zeros(len(remaining)), abs=1e-8)
     if "moving" not in given:
-        assert found[0] == pytest.approx(x, abs=1e-8)
-        assert found[1] == pytest.approx(u, abs=1e-8)
+        assert result[0] == pytest.approx(x, abs=1e-8)
+        assert result[1] == pytest.approx(u, abs=1e-8)
     else:
-        assert found[0] == pytest.approx(
+        assert result[0] == pytest.approx(
             np.linalg.solve(A[:2, :2], -A[:2, 2] * 5.0 - (B @ [1.0, 2.0])[:2]).tolist() + [5.0]
         )
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "text"),
     [
         ({"held": [0]}, "2 states and 0 inputs are free, expected 3 in all: one for each derivative that is to vanish"),
         ({"free": [1]}, "3 states and 1 inputs are free, expected 3 in all"),
@@ -82,11 +87,11 @@ def test_an_equilibrium_of_a_linear_model_is_found_in_a_step(given, x, u):
         ({"moving": [0, 1], "free": [0, 1]}, "1 states and 2 inputs are free, expected 1 in all"),
     ],
 )
-def test_as_many_unknowns_as_conditions_are_needed(given, said):
-    if not said:
+def test_as_many_unknowns_as_conditions_are_needed(given, text):
+    if not text:
         equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
         return
-    with pytest.raises(ValueError, match=f"^{said}"):
+    with pytest.raises(ValueError, match=f"^{text}"):
         equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
 
 
@@ -161,9 +166,9 @@ def test_a_plant_sampled_is_its_difference_equation():
     dx, y = Sampled(box, 100)(np.array([1.0, 2.0]), np.array([3.0, 4.0, 5.0]))
     assert (dx.tolist(), y.tolist()) == ([2.0 + 3.0 + 8.0, -1.0 + 15.0], [1.0, 10.0, 1.0 - 2.0 + 7.0 + 100.0])
     assert Sampled(box)(np.array([1.0, 2.0]), np.zeros(3))[1][2] == 6.0
-    found = Sampled(box).linearise((1.0, 2.0), (3.0, 4.0, 5.0))
-    assert pytest.approx(np.array([[1.0, 0.25], [-0.25, 1.0]]), abs=1e-9) == found.A
-    assert pytest.approx(0.25 * np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 3.0]]), abs=1e-9) == found.B
-    assert pytest.approx(np.array([[1.0, 0.0], [0.0, 5.0], [1.0, -1.0]]), abs=1e-9) == found.C
-    assert pytest.approx(np.zeros((3, 3)), abs=1e-9) == found.D
-    assert found.period == 0.25
+    result = Sampled(box).linearise((1.0, 2.0), (3.0, 4.0, 5.0))
+    assert pytest.approx(np.array([[1.0, 0.25], [-0.25, 1.0]]), abs=1e-9) == result.A
+    assert pytest.approx(0.25 * np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 3.0]]), abs=1e-9) == result.B
+    assert pytest.approx(np.array([[1.0, 0.0], [0.0, 5.0], [1.0, -1.0]]), abs=1e-9) == result.C
+    assert pytest.approx(np.zeros((3, 3)), abs=1e-9) == result.D
+    assert result.period == 0.25

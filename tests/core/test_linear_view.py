@@ -178,13 +178,13 @@ def off_at(view, L):
 def test_the_whole_is_the_same_wherever_its_loop_is_opened():
     """Also where what is heard acts at once on the link or by it, and is not in the loop at all (the reference)."""
     speed, command = "motor/state/shaft/velocity", "motor/command/armature/effort"
-    heard, z = [speed, "motor/reference/shaft/velocity", command], np.exp(1j * T * np.array([1.0, 5.0, 20.0]))
+    received, z = [speed, "motor/reference/shaft/velocity", command], np.exp(1j * T * np.array([1.0, 5.0, 20.0]))
     whole, *opened = (
-        linear_view(motor_under_pid(), link, at=0.5, inputs=[speed], outputs=heard).closed(z)
+        linear_view(motor_under_pid(), link, at=0.5, inputs=[speed], outputs=received).closed(z)
         for link in ("", command, speed)
     )
-    for found in opened:
-        assert found == pytest.approx(whole, rel=1e-9, abs=1e-12)
+    for result in opened:
+        assert result == pytest.approx(whole, rel=1e-9, abs=1e-12)
 
 
 def test_the_loop_of_the_motor_under_softened_sliding_mode_is_the_analytic_one():
@@ -367,7 +367,7 @@ def test_a_loop_that_cannot_be_seen_is_told():
         linear_view("dc_motor_smc", "volt", **motor)
     with pytest.raises(
         ScenarioError,
-        match=r"said every 0.0001 s, the rig repeats itself every 0.001 s only; open the "
+        match=r"published every 0.0001 s, but the rig repeats only every 0.001 s; open the "
         r"loop where it is slow: .*force_cmd",
     ):
         linear_view("lsrm_fuzzy_pi_fast", "phase_voltage/a", at=0.1, overrides={"current_period": 1e-4})
@@ -442,10 +442,10 @@ class Peaks(Unstable):
 def test_sizes_of_states_are_the_largest_of_twenty_looks_on_the_way(at, size):
     """Of a hundred ticks the first is looked at, each fifth from there, and the last; of some fifty each second."""
     rig = Rig.from_blocks({"plant": Peaks(period=0.01), "shift": Shift(period=0.01), "law": Gain(period=0.01)}, 2.0)
-    found = StateMap(rig, at, 0, ["plant/y/data"], [], 5)
-    k = found.names.index("plant")
-    assert (found.t, found.period) == (pytest.approx(at), pytest.approx(0.01))
-    assert (found.sizes[k], found.moved[k]) == (size, True)
+    result = StateMap(rig, at, 0, ["plant/y/data"], [], 5)
+    k = result.names.index("plant")
+    assert (result.t, result.period) == (pytest.approx(at), pytest.approx(0.01))
+    assert (result.sizes[k], result.moved[k]) == (size, True)
 
 
 SYSTEMS = {
@@ -571,9 +571,9 @@ def test_the_verbs(tmp_path, capsys, undrawn):
     assert re.search(r"delay margin +1\.1\d+ s", out)
     assert "dc_motor_plant.i 88%" in out
     assert "this is not the rig" not in out
-    found = json.loads((tmp_path / "linear.json").read_text())
-    assert found["link"] == "motor/command/armature/effort"
-    assert len(found["closed"]["A"]) == len(found["closed"]["states"])
+    content = json.loads((tmp_path / "linear.json").read_text())
+    assert content["link"] == "motor/command/armature/effort"
+    assert len(content["closed"]["A"]) == len(content["closed"]["states"])
     assert (tmp_path / "linear.png").read_bytes().startswith(b"\x89PNG")
     assert main(["steady", *common, "--at", "14"]) == 0
     out = capsys.readouterr().out

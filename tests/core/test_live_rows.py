@@ -132,7 +132,7 @@ def expected(messages, links, period, patience):
     """
     law = Schedule(period)
     senders = {name: Schedule(k.period) for name, k in links.items()}
-    came = {name: [] for name in links}  # stamp and value, by their stamps
+    arrived = {name: [] for name in links}  # stamp and value, by their stamps
     expect = dict.fromkeys(links, True)
     begun, newest_begun, limit, answers = [], -1, math.inf, []
     last = None
@@ -141,10 +141,10 @@ def expected(messages, links, period, patience):
         lacking = []
         for name, sender in senders.items():
             due = sender.held(t)
-            there = bool(came[name]) and came[name][-1][0] >= due
+            there = bool(arrived[name]) and arrived[name][-1][0] >= due
             if name == "c" and not expect[name]:
                 continue
-            if not there or (name != "c" and came[name][0][0] > t):
+            if not there or (name != "c" and arrived[name][0][0] > t):
                 lacking.append(name)
         return lacking
 
@@ -152,7 +152,7 @@ def expected(messages, links, period, patience):
         nonlocal last
         values = []
         for name in links:
-            known = [value for stamp, value in came[name] if stamp <= t]
+            known = [value for stamp, value in arrived[name] if stamp <= t]
             values.append(known[-1] if known else None)
         missed = 0 if last is None else (t - last) // (law.time(1)) - 1
         answers.append(((at / MS), t, *values, max(missed, 0)))
@@ -171,7 +171,7 @@ def expected(messages, links, period, patience):
     def run_out(at):
         nonlocal newest_begun
         t = begun.pop(0)
-        if all(came[n] and came[n][0][0] <= t for n in links if n != "c"):
+        if all(arrived[n] and arrived[n][0][0] <= t for n in links if n != "c"):
             if "c" in lacks(t):
                 expect["c"] = False
             answer(at, t)
@@ -184,9 +184,9 @@ def expected(messages, links, period, patience):
             run_out(limit)
         if name is None:
             break
-        if came[name] and stamp <= came[name][-1][0]:
+        if arrived[name] and stamp <= arrived[name][-1][0]:
             continue
-        came[name].append((stamp, value))
+        arrived[name].append((stamp, value))
         expect[name] = True
         armed = limit < math.inf
         if name != "c" and stamp > newest_begun and law.held(stamp) > newest_begun:
@@ -215,13 +215,13 @@ def test_a_law_answers_a_tick_when_all_that_is_due_has_come_or_its_patience_is_o
                 messages.append((at, name, stamp, k + {"a": 0.0, "b": 0.25, "c": 0.5}[name]))
     messages.sort()
     wanted = expected(messages, links, "0.01", 8 * MS)
-    found = play(node, [(START + at, name, START + stamp, value) for at, name, stamp, value in messages], periods)
-    assert found == wanted
+    result = play(node, [(START + at, name, START + stamp, value) for at, name, stamp, value in messages], periods)
+    assert result == wanted
     assert node.drive.missed == sum(missed for *_, missed in wanted)
     assert node.adapter.ticks == len(wanted) > 10
-    stamps = [START + t for _, t, *_ in found]
+    stamps = [START + t for _, t, *_ in result]
     assert list(node.said("u")) == [
-        node.adapter.outputs[0].layout.encode(s, (a,)) for s, (_, _, a, *_) in zip(stamps, found, strict=True)
+        node.adapter.outputs[0].layout.encode(s, (a,)) for s, (_, _, a, *_) in zip(stamps, result, strict=True)
     ]
 
 
@@ -308,8 +308,8 @@ def test_a_refused_message_counts_for_its_tick_and_the_block_says_what_then():
 def test_a_stamp_is_believed_within_a_second_of_now(off, text):
     node = three(time=START)
     node.hear("a", START + off * MS, 1.0, at=START)
-    said = f"stamp is {text} s from now, expected at most 1 s" if text else ""
-    assert node.rows["a"].last_refusal == said
+    message = f"stamp is {text} s from now, expected at most 1 s" if text else ""
+    assert node.rows["a"].last_refusal == message
     wide = three(time=START, stamp_window=2.5)
     wide.hear("a", START + off * MS, 1.0, at=START)
     assert not wide.rows["a"].refused
@@ -572,24 +572,24 @@ def test_a_silence_that_lasts_is_told_each_ten_seconds():
     for k in range(10):
         timer_at(node, timer, k)
     text = "ERROR no command on lag/command for 0.05 s: safe input"
-    told = []
+    messages = []
     for tenth in range(250):
         node.hand.time = START + tenth * SECOND // 10
         node.drive.progress()
-        told += [tenth] * (len(node.hand.logs) - len(told))
-    assert told == [101, 202]
+        messages += [tenth] * (len(node.hand.logs) - len(messages))
+    assert messages == [101, 202]
     assert node.hand.logs == [text, text]
 
 
 def test_a_law_that_hears_nothing_of_who_is_there_says_so_each_ten_seconds():
     node = three(time=START)
     node.rows["a"].matched(1)
-    told = []
+    messages = []
     for tenth in range(250):
         node.hand.time = START + tenth * SECOND // 10
         node.drive.progress()
-        told += [tenth] * (len(node.hand.logs) - len(told))
-    assert told == [101, 202]
+        messages += [tenth] * (len(node.hand.logs) - len(messages))
+    assert messages == [101, 202]
     text = "ERROR has received nothing on a for 10 s, though it is published"
     assert node.hand.logs == [text, text]
     node.rows["b"].matched(1)
@@ -604,7 +604,7 @@ def test_a_law_that_hears_nothing_of_who_is_there_says_so_each_ten_seconds():
 
 def test_of_two_writers_one_is_believed_when_it_alone_has_spoken_without_a_gap_for_long():
     """Each message: number, time, whether one is believed after it; silence counts from 10 on."""
-    for said in (
+    for text in (
         [(5, 0, False), (6, 10, False), (7, 11, True), (8, 12, True)],
         [(5, 0, False), (7, 9, False), (8, 19, False), (9, 20, True)],  # one is lost
         [(5, 0, False), (6, 11, True), (6, 12, False), (7, 99, False)],  # another one repeats a number
@@ -613,9 +613,9 @@ def test_of_two_writers_one_is_believed_when_it_alone_has_spoken_without_a_gap_f
         [(1, 0, False), (None, 1, False), (2, 99, False)],
     ):
         rivals = Rivals()
-        for number, now, alone in said:
+        for number, now, alone in text:
             rivals.hear(number, now, 10)
-            assert rivals.alone is alone, (said, number)
+            assert rivals.alone is alone, (text, number)
         rivals.change()
         assert not rivals.alone
         for number, now in ((1, 100), (2, 111)):
@@ -770,30 +770,30 @@ def test_an_array_belongs_to_the_tick_at_which_it_comes_and_of_a_slower_sender_t
 
 def test_what_a_neighbour_says_goes_into_the_row_as_if_it_had_come_over_a_wire():
     node = three()
-    row, taken = node.rows["a"], []
-    node.drive.senders.take = lambda *said: taken.append(said[1:])
+    row, used = node.rows["a"], []
+    node.drive.senders.take = lambda *text: used.append(text[1:])
     tell = row.teller(None, False)
     tell(START + 10 * MS, (1.0,), START + 11 * MS)
-    assert taken == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
+    assert used == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
     assert (row.stamp, row.arrived, row.recent[-1]) == (START + 10 * MS, START + 11 * MS, (START + 10 * MS, (1.0,)))
     tell(START + 20 * MS, None, START + 21 * MS)  # silence, for which nobody waits here
-    assert len(taken) == 1
+    assert len(used) == 1
     row.teller((1, 0), False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
-    assert taken[-1][2] == (2.0, 1.0)
+    assert used[-1][2] == (2.0, 1.0)
     tell(START + 40 * MS, Sample(35 * MS, (3.0,)), START + 41 * MS)
-    assert taken[-1][:3] == (START + 40 * MS, START + 40 * MS, (3.0,))
+    assert used[-1][:3] == (START + 40 * MS, START + 40 * MS, (3.0,))
     row.teller(None, True)(START + 50 * MS, (math.nan,), START + 51 * MS)
     assert (row.refused, row.last_refusal, row.bad) == (
         1,
         "q/position is nan, expected a finite number",
         START + 50 * MS,
     )
-    assert len(taken) == 3
+    assert len(used) == 3
     row.teller(None, True)(START + 60 * MS, (4.0,), START + 61 * MS)
-    assert taken[-1][2] == (4.0,)
+    assert used[-1][2] == (4.0,)
     row.local, row.outside = True, 1  # another process writes it, too
     tell(START + 70 * MS, (5.0,), START + 71 * MS)
-    assert (len(taken), row.refused) == (4, 2)
+    assert (len(used), row.refused) == (4, 2)
     late = Node(Lag(period=0.01), epoch=START).join()
     command_row = late.rows["command"]
     command_row.teller(None, True)(START, (math.inf,), START + MS)
@@ -830,12 +830,12 @@ def test_nodes_of_a_process_that_others_read_too_hear_each_other_when_what_is_un
     for k in range(2):
         hand.time = other.time = START + k * 10 * MS
         tick.call()
-        (heard,) = hand.posted
+        (received,) = hand.posted
         hand.posted.clear()
         assert law.ticks == k
         other.heard["lag/state"](STATE.layout().encode(hand.time, (1.0, 0.0)))
         assert law.ticks == k
-        heard()
+        received()
         assert law.ticks == k + 1
     assert other.said["lag/command"][1] == COMMAND.layout().encode(START + 10 * MS, (2.0 * (0.01 - 1.0),))
     assert len(hand.said["lag/reference"]) == 2  # to others, too
@@ -846,16 +846,16 @@ def test_nodes_of_a_process_that_others_read_too_hear_each_other_when_what_is_un
 
 def test_the_clock_stands_from_the_next_tick_on_and_goes_on_from_there():
     """Words: how far it is ahead of the wall's, and between which times it stays; a twentieth of a second ahead."""
-    hand, clocks, told = Hand(time=START), [], []
+    hand, clocks, messages = Hand(time=START), [], []
     hold = Hold(paced=False)
     node = SimpleNamespace(middleware=hand, hold=hold, epoch=START - 20 * MS, schedule=Schedule("0.01"))
     stand = Stand(node, clocks.append)
-    stand.serve(told.append)
-    assert not told
+    stand.serve(messages.append)
+    assert not messages
     assert hold.ask("pause") == (True, "paused")
     hand.posted.pop()()
     until = START + LEAD + 10 * MS
-    assert told == [[f"ahead={0}", f"from={START}", f"until={until}"]]
+    assert messages == [[f"ahead={0}", f"from={START}", f"until={until}"]]
     clock = clocks[-1]
     for wall, rig in ((0, 0), (30 * MS, 30 * MS), (60 * MS, 60 * MS), (61 * MS, 60 * MS), (SECOND, 60 * MS)):
         hand.time = START + wall
@@ -863,7 +863,7 @@ def test_the_clock_stands_from_the_next_tick_on_and_goes_on_from_there():
     hold.ask("step", 3)
     hand.posted.pop()()
     now = until
-    assert told[-1] == [f"ahead={now - hand.time - LEAD}", f"from={now}", f"until={now + 30 * MS}"]
+    assert messages[-1] == [f"ahead={now - hand.time - LEAD}", f"from={now}", f"until={now + 30 * MS}"]
     clock, wall = clocks[-1], hand.time
     for past, rig in ((0, 0), (LEAD, 0), (LEAD + 10 * MS, 10 * MS), (LEAD + 40 * MS, 30 * MS)):
         hand.time = wall + past
@@ -871,7 +871,7 @@ def test_the_clock_stands_from_the_next_tick_on_and_goes_on_from_there():
     hold.ask("resume")
     hand.posted.pop()()
     now += 30 * MS
-    assert told[-1] == [f"ahead={now - hand.time - LEAD}", f"from={now}", f"until={NEVER}"]
+    assert messages[-1] == [f"ahead={now - hand.time - LEAD}", f"from={now}", f"until={NEVER}"]
     hand.time += LEAD + 5 * MS
     assert clocks[-1]() == now + 5 * MS
     before = len(clocks)
@@ -882,7 +882,7 @@ def test_the_clock_stands_from_the_next_tick_on_and_goes_on_from_there():
 
 
 def test_a_rig_that_is_held_from_the_start_stands_at_t_0_and_follows_the_clock_of_the_starter():
-    hand, clocks, told = Hand(time=START), [], []
+    hand, clocks, messages = Hand(time=START), [], []
     node = SimpleNamespace(
         middleware=hand, hold=Hold(held=True, paced=False), epoch=START + 500 * MS, schedule=Schedule("0.01")
     )
@@ -890,8 +890,8 @@ def test_a_rig_that_is_held_from_the_start_stands_at_t_0_and_follows_the_clock_o
     stand.follow(7 * SECOND)
     assert clocks[-1]() == START + 7 * SECOND
     stand.follow(-7 * SECOND)
-    stand.serve(told.append)
-    assert told == [["ahead=0", f"from={START}", f"until={START + 500 * MS}"]]
+    stand.serve(messages.append)
+    assert messages == [["ahead=0", f"from={START}", f"until={START + 500 * MS}"]]
     assert not hand.timers  # nobody waits for anybody
 
 

@@ -18,7 +18,7 @@ def view_of(a, b, c, d, link="plant/u", variation=0.0, **about):
     n = len(b)
     states = tuple(f"plant.x[{k}]" for k in range(n))
     whole = a + np.outer(b, c) / (1.0 - d)
-    told = {
+    entries = {
         "rig": "drawn",
         "at": 1.5,
         "period": T,
@@ -40,7 +40,7 @@ def view_of(a, b, c, d, link="plant/u", variation=0.0, **about):
         "worst": "",
         "variation": variation,
     }
-    return LinearView(**told | about)
+    return LinearView(**entries | about)
 
 
 def drawn(seed):

@@ -111,15 +111,15 @@ def cells(signals, reference, start, end):
             value_at(signals["r"], at * 1e-9) if isinstance(reference, str) else reference
         )
 
-    found = [error(at + CELL // 2) for at in range(since, until, CELL)]
+    results = [error(at + CELL // 2) for at in range(since, until, CELL)]
     if until > last:
-        return found, []
+        return results, []
     when = [tick(t) for t in signals["r"][0]] if isinstance(reference, str) else []
     if len(pairs) > 1 and len(when) > 1 and last >= 2 * when[-1] - when[-2]:
-        return found, []
+        return results, []
     edges = sorted({t for t in [*times, *when] if since < t < until} | {since, until})
     shortest = min([b - a for a, b in pairwise(edges)], default=CELL)
-    return found, [error(last)] * (shortest // CELL)
+    return results, [error(last)] * (shortest // CELL)
 
 
 def over_time(number):
@@ -207,15 +207,15 @@ def beyond(pairs, zero):
 OF_STEPS = {"rise_time": rise, "settling_time": settling, "overshoot": beyond}
 
 
-def compared(expected, found):
+def compared(expected, result):
     """Both the same number to rounding, or both refused."""
     try:
         wanted = expected()
     except ValueError:
         with pytest.raises(ValueError):  # noqa: PT011
-            found()
+            result()
         return
-    assert found() == pytest.approx(wanted, rel=1e-9, abs=1e-12)
+    assert result() == pytest.approx(wanted, rel=1e-9, abs=1e-12)
 
 
 MADE = [
@@ -237,12 +237,12 @@ def test_figures_of_values_and_errors():
 def hold_values(signals, cuts, reference, number):
     start, end = cuts
     limits = {"start": start, "end": end}
-    told = {} if reference is None else {"reference": reference}
+    entries = {} if reference is None else {"reference": reference}
     for name, of in OVER_TIME.items():
-        said = {} if name == "mean" else told or ({"reference": 0.0} if name == "mean_error" else {})
+        messages = {} if name == "mean" else entries or ({"reference": 0.0} if name == "mean_error" else {})
         compared(
-            lambda of=of, said=said: of(signals, said.get("reference", 0.0), start, end),
-            lambda name=name, said=said: getattr(measures, name)(signals, "y", **said, **limits),
+            lambda of=of, messages=messages: of(signals, messages.get("reference", 0.0), start, end),
+            lambda name=name, messages=messages: getattr(measures, name)(signals, "y", **messages, **limits),
         )
 
     def since(pairs):
@@ -250,7 +250,7 @@ def hold_values(signals, cuts, reference, number):
 
     for name, of in OF_ERRORS.items():
         more = {"band": number} if name == "error_settling_time" else {}
-        said = told
+        messages = entries
 
         def wanted(of=of, more=more):
             pairs = errors(signals, reference or 0.0, start, end)
@@ -258,7 +258,9 @@ def hold_values(signals, cuts, reference, number):
 
         compared(
             wanted,
-            lambda name=name, more=more, said=said: getattr(measures, name)(signals, "y", **said, **more, **limits),
+            lambda name=name, more=more, messages=messages: getattr(measures, name)(
+                signals, "y", **messages, **more, **limits
+            ),
         )
     for name, of in OF_VALUES.items():
         more = {"level": number} if name == "reach_time" else {}
@@ -286,12 +288,12 @@ def test_figures_of_steps():
 def hold_steps(signals, cuts, initial, final, levels, bands):
     start, end = cuts
     limits = {"start": start, "end": end}
-    said = {"level": {"final": initial + 2.0}, "signal": {"final": "r", "initial": "r"}, None: {}}[final]
-    arguments = {"initial": initial} | said if initial or final == "signal" else said
+    text = {"level": {"final": initial + 2.0}, "signal": {"final": "r", "initial": "r"}, None: {}}[final]
+    arguments = {"initial": initial} | text if initial or final == "signal" else text
 
     def pairs():
-        found = cut(signals["y"], start, end)
-        goal, begin = found[-1][1], initial
+        result = cut(signals["y"], start, end)
+        goal, begin = result[-1][1], initial
         if final == "level":
             goal = initial + 2.0
         elif final == "signal":
@@ -300,7 +302,7 @@ def hold_steps(signals, cuts, initial, final, levels, bands):
             begin = value_at(signals["r"], (at - 1) * 1e-9)
         if goal == begin:
             raise ValueError
-        return [(t, (x - begin) / (goal - begin)) for t, x in found]
+        return [(t, (x - begin) / (goal - begin)) for t, x in result]
 
     for name, of in OF_STEPS.items():
         more = {"rise_time": levels, "settling_time": bands}.get(name, {})
@@ -343,14 +345,14 @@ def test_the_newest_step_of_some_signals(seed):
     for t, x in signals.values():
         k = max(k for k in range(len(t)) if k == 0 or x[k] != x[k - 1])
         steps.append((float(t[k]), float(x[k])))
-    found = [measures.newest_step(signals, names) for names in ("y", "r", "y, r")]
-    assert found == [*steps, steps[0] if steps[0][0] >= steps[1][0] else steps[1]]
+    results = [measures.newest_step(signals, names) for names in ("y", "r", "y, r")]
+    assert results == [*steps, steps[0] if steps[0][0] >= steps[1][0] else steps[1]]
 
 
 def test_what_is_missing_is_named():
     t = np.arange(1.0, 4.0)
     signals = {"y": (t, t), "late": (t + 1.0, t), "none": (t[:0], t[:0])}
-    told = []
+    messages = []
     for figure, name, arguments in (
         (measures.mean, "y", {"start": 5.0}),
         (measures.mean, "y", {"end": 0.5}),
@@ -371,8 +373,8 @@ def test_what_is_missing_is_named():
     ):
         with pytest.raises(ValueError) as refused:  # noqa: PT011
             figure(signals, name, **arguments)
-        told.append(str(refused.value))
-    assert told == [
+        messages.append(str(refused.value))
+    assert messages == [
         "y has 0 samples from 5 s to its end, needed 1; recorded from 1 to 3 s",
         "y has 0 samples from its begin to 0.5 s, needed 1; recorded from 1 to 3 s",
         "y has 0 samples from 2.5 s to 1.5 s, needed 1; recorded from 1 to 3 s",
@@ -409,8 +411,8 @@ def test_the_newest_time_of_each_instant_is_that_of_a_search_by_hand(monkeypatch
         if seed:
             times[draw.integers(1, len(times) - 1, seed)] -= draw.choice([0.0, 1.0, 0.25], seed)
         times.sort()
-        found = measures.newest(times, at + shift)
-        assert found.tolist() == [int((times <= instant).sum()) - 1 for instant in at + shift]
+        newest = measures.newest(times, at + shift)
+        assert newest.tolist() == [int((times <= instant).sum()) - 1 for instant in at + shift]
 
 
 def test_the_end_of_a_record_is_its_newest_message_however_its_parts_came():

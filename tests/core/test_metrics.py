@@ -22,8 +22,8 @@ SECOND_ORDER = {"y": (T, second_order(T))}
 
 def test_an_error_settles_at_its_first_sample_its_last_or_never():
     error = {"y": (np.arange(4.0), np.array([0.0, 2.0, 2.0, 0.5]))}
-    found = [measures.error_settling_time(error, "y", band=band) for band in (2.0, 0.5, 0.4)]
-    assert found == [0.0, 3.0, math.inf]
+    results = [measures.error_settling_time(error, "y", band=band) for band in (2.0, 0.5, 0.4)]
+    assert results == [0.0, 3.0, math.inf]
 
 
 def test_first_order_rise_and_settling():
@@ -153,8 +153,8 @@ def test_the_growth_rate_of_an_oscillation_is_its_exponent(sigma):
     x = 2.0 + np.exp(sigma * t) * np.cos(5.0 * t)
     offset = np.where(t < 10.0, 1e3, x)  # before the window it may be anything
     for values in (x, offset):
-        found = measures.growth_rate({"x": (t, values)}, "x", reference=2.0, start=10.0)
-        assert found == pytest.approx(sigma, abs=2e-6)
+        result = measures.growth_rate({"x": (t, values)}, "x", reference=2.0, start=10.0)
+        assert result == pytest.approx(sigma, abs=2e-6)
     assert measures.growth_rate({"x": (t, x), "r": (t, 0.0 * t + 2.0)}, "x", reference="r") == pytest.approx(
         sigma, abs=2e-6
     )

@@ -101,9 +101,9 @@ def ran(
 def the_same(rig: Any, monkeypatch: pytest.MonkeyPatch, make: Any = plain) -> Native:
     """Hold both against each other."""
     wanted, steps, error, _ = ran(rig(), monkeypatch)
-    found, others, other_error, native = ran(rig(), monkeypatch, make)
+    result, others, other_error, native = ran(rig(), monkeypatch, make)
     assert other_error == error
-    assert found.topics == wanted.topics
+    assert result.topics == wanted.topics
     for name, step in steps.items():
         other = others[name]
         assert repr(other.x) == repr(step.x) or other.x == step.x
@@ -388,12 +388,12 @@ def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, mo
     monkeypatch.setattr(choice.time, "thread_time", clock)
     classes = (Oscillator, Pusher, Watcher) if runs == 1 else (Oscillator, Pusher)
     monkeypatch.setattr(choice, "_costs", {} if timed else {classes: clock.tick})
-    found = Recording((topic, port.msgtype) for topic, port in rig().topics.items())
-    inprocess.run_inprocess(rig(), rig().scenario.seed, found, runs=runs)
+    recording = Recording((topic, port.msgtype) for topic, port in rig().topics.items())
+    inprocess.run_inprocess(rig(), rig().scenario.seed, recording, runs=runs)
     assert made == ([way] if way else [])
     assert choice._costs == {classes: pytest.approx(clock.tick)}
     assert clock.looks == (130 if timed else 0)
-    assert found.topics == wanted.topics
+    assert recording.topics == wanted.topics
 
 
 def test_short_runs_that_come_again_are_worth_a_text_that_python_runs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -407,7 +407,7 @@ def test_short_runs_that_come_again_are_worth_a_text_that_python_runs(monkeypatc
         assert made == [plain] * count
     monkeypatch.setattr(fitted, "_texts", [])
 
-    def none(*told: Any) -> Any:
+    def none(*value: Any) -> Any:
         raise NotNative("a test")
 
     monkeypatch.setattr(fitted, "rig_text", none)
@@ -448,8 +448,8 @@ class AtOnce(Watcher):
     ],
 )
 def test_links_that_are_silent_late_or_spoilt(faults, monkeypatch):
-    found = {name: {"link": link, "from": 0.2, "to": 1.5, **how} for name, (link, how) in faults.items()}
-    case = load_scenario("dc_motor_smc_b2").having(duration=2.0, faults=found)
+    results = {name: {"link": link, "from": 0.2, "to": 1.5, **how} for name, (link, how) in faults.items()}
+    case = load_scenario("dc_motor_smc_b2").having(duration=2.0, faults=results)
     for make in (plain, lambda text: plain(text)):  # the text that Python runs, and that numba gets
         native = the_same(lambda: rig_of(case), monkeypatch, make)
         assert native.ticks > 190
@@ -707,10 +707,10 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
 def test_a_run_that_has_begun_in_python_goes_on_natively(monkeypatch):
     """Also one whose members decide now and then, whose messages are then handed out later."""
     monkeypatch.setattr(choice, "_costs", {})
-    wanted, found = (
+    wanted, result = (
         ran(rig_of("pv_mppt_certified", duration=0.2), monkeypatch, make, timed=True)
         for make in (None, lambda text: plain(text))
     )
-    assert found[0].topics == wanted[0].topics
-    assert found[3].ticks > 100
-    assert found[3].decided
+    assert result[0].topics == wanted[0].topics
+    assert result[3].ticks > 100
+    assert result[3].decided

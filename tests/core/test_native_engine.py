@@ -46,12 +46,12 @@ def ended(run: Engine, first: int = 0) -> Engine:
 
 def test_how_far_a_go_reaches_follows_the_time_that_goes_take(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice as far while one takes less than half of what it may, half after one of more, 1024 ticks at least."""
-    took = itertools.chain([8.0, 15.99, 16.0, 32.0, 32.01, 40.0, 50.0, 50.0, 0.0], itertools.repeat(20.0))
+    elapsed = itertools.chain([8.0, 15.99, 16.0, 32.0, 32.01, 40.0, 50.0, 50.0, 0.0], itertools.repeat(20.0))
     now = iter(())
     monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda: next(now)))
     run, gos, before = going({"body": Body(), "law": Law()}, 22.0), [], 1
     run._longest = 32.0
-    now = itertools.chain.from_iterable((0.0, t) for t in took)
+    now = itertools.chain.from_iterable((0.0, t) for t in elapsed)
     for t in run.run():
         if t is not None and t // 1_000_000 + 1 > before:
             gos.append(t // 1_000_000 + 1 - before)
@@ -433,13 +433,13 @@ def test_forms_and_twins() -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "reported"),
     [
         ("q1 = (missing_,)", "NameError: name 'missing_' is not defined (`q1 = (missing_,)`)"),
         ("q1 = (1.0 + None,)", "TypeError: unsupported operand type"),
     ],
 )
-def test_a_defect_of_a_text_is_called_one(line: str, told: str) -> None:
+def test_a_defect_of_a_text_is_called_one(line: str, reported: str) -> None:
     """A name that does not exist ends the run; what Python computes without an error is computed so, with a warning."""
 
     def make(text: Any) -> Any:
@@ -449,12 +449,12 @@ def test_a_defect_of_a_text_is_called_one(line: str, told: str) -> None:
         return plain(replace(text, text="\n".join(lines) + "\n"))
 
     run = going({"body": Body(), "law": Law()}, 0.05, make=make)
-    if told.startswith("Name"):
-        with pytest.raises(RunError, match=re.escape(f"{told}: {fitted.DEFECT}")):
+    if reported.startswith("Name"):
+        with pytest.raises(RunError, match=re.escape(f"{reported}: {fitted.DEFECT}")):
             ended(run)
         return
     with pytest.warns(RuntimeWarning, match=fitted.DEFECT):
         ended(run)
-    assert run.native.reason.startswith(told)
+    assert run.native.reason.startswith(reported)
     whole = ended(going({"body": Body(), "law": Law()}, 0.05))
     assert [s.x for s in run.steps] == [s.x for s in whole.steps]

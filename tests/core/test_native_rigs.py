@@ -318,8 +318,8 @@ def test_instances_of_a_batch_are_what_each_is_alone(name: str) -> None:
     for _ in range(30):
         actions = draws.uniform(-2.0, 2.0, many.action_space.shape)
         pairs.append((many.step(actions), one.step(actions)))
-    for found, wanted in pairs:
-        assert [x.tobytes() for x in found[:-1]] == [y.tobytes() for y in wanted[:-1]]
+    for result, wanted in pairs:
+        assert [x.tobytes() for x in result[:-1]] == [y.tobytes() for y in wanted[:-1]]
     assert (many.native > 0) == (not why), (many.native, many.reason)
     assert why in many.reason
 
@@ -354,9 +354,9 @@ def test_times_are_whole_numbers_of_64_bits(ticks: int, refused: bool) -> None:
     blocks = {"body": Body(period="1000003/10007"), "law": Law(period="1000003/10007")}
     steps = stepped(blocks, duration=ticks * 1000003 / 10007 + 1.0)
     form = Form(remembered(steps[1], steps, [(s.x, s.numbers) for s in steps]))
-    said = "times beyond whole numbers of 64 bits"
-    for found in (why_not(rig_text, steps, []), why_not(batch_text, steps, steps[1], ["a[0]"], form)):
-        assert found == (said if refused else "")
+    text = "times beyond whole numbers of 64 bits"
+    for result in (why_not(rig_text, steps, []), why_not(batch_text, steps, steps[1], ["a[0]"], form)):
+        assert result == (text if refused else "")
 
 
 @pytest.mark.parametrize(("size", "refused"), [(64, False), (65, True)])
@@ -375,24 +375,24 @@ def test_an_input_of_many_numbers_is_an_array(size: int, refused: bool) -> None:
         def update(self, x: Any, t: int, *, many: Any) -> Any:
             return x, {}
 
-    found = why_not(rig_text, stepped({"many": Many(), "reads": Reads()}), [])
-    assert ("expected at most 64" in found) == refused
+    result = why_not(rig_text, stepped({"many": Many(), "reads": Reads()}), [])
+    assert ("expected at most 64" in result) == refused
 
 
 def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
     """Give a class that hears all that blocks say: of each input how many messages, their stamps and numbers added."""
     ports = [port for block in blocks.values() for port in block.ports(block.p)[1]]
-    said = [replace(port, name=f"{port.name}_{k}", unchecked=False) for k, port in enumerate(ports)]
+    text = [replace(port, name=f"{port.name}_{k}", unchecked=False) for k, port in enumerate(ports)]
 
     class Seeing(Observer[Params]):
-        INPUTS = tuple(said)
+        INPUTS = tuple(text)
 
         def first(self) -> tuple[tuple[int, int, float], ...]:
-            return ((0, 0, 0.0),) * len(said)
+            return ((0, 0, 0.0),) * len(text)
 
         def update(self, x: Any, t: int, **heard: Any) -> Any:
-            ages = [self.age(port.name) for port in said]
-            new = [(age == 0, heard[port.name], port.delayed) for age, port in zip(ages, said, strict=True)]
+            ages = [self.age(port.name) for port in text]
+            new = [(age == 0, heard[port.name], port.delayed) for age, port in zip(ages, text, strict=True)]
             return tuple(taken(old, t, *one) for old, one in zip(x, new, strict=True)), {}
 
         def status(self, x: Any) -> Any:
@@ -405,7 +405,7 @@ def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
 
     def all_at_once(self: Any, x: Any, t: int, messages: Mapping[str, Any]) -> Any:
         x = list(x)
-        for k, port in enumerate(said):
+        for k, port in enumerate(text):
             for stamp, values in messages.get(port.name, ()):
                 x[k] = taken(x[k], stamp, True, values, False)
         return tuple(x)

@@ -1350,20 +1350,20 @@ def test_the_text_gives_what_python_gives(typed: bool) -> None:
     """With what it was made of, and with other values; or it gives the tick up."""
     equal = 0
     for case in EACH if typed else UNTYPED:
-        if "doubled" in case or (found := calling(case, typed)) is None:  # numba, which others load
+        if "doubled" in case or (result := calling(case, typed)) is None:  # numba, which others load
             continue
-        names, call, python, reported = found
+        names, call, python, reported = result
         for pick in itertools.product(*([0, 1] for _ in names)):
             values = [values_of(name, k) for name, k in zip(names, pick, strict=True)]
             try:
-                found = call({k: v for _, native in values for k, v in native.items()})
+                result = call({k: v for _, native in values for k, v in native.items()})
             except NATIVE:
                 continue
             try:
                 wanted = python(*(value for value, _ in values))
             except Exception as error:
                 wanted = repr(error)
-            assert repr(in_native(found)) == repr(in_native(wanted)), (case, names, pick)
+            assert repr(in_native(result)) == repr(in_native(wanted)), (case, names, pick)
             equal += 1
         natively, wanted = reported()
         assert natively == wanted, case
@@ -1410,9 +1410,9 @@ def test_a_text_that_another_block_shares_gives_what_its_python_gives() -> None:
             if program.differs([other]):
                 refused += 1
                 continue
-            if (found := calling(case, True, other)) is None:
+            if (result := calling(case, True, other)) is None:
                 continue
-            names, call, python, _ = found
+            names, call, python, _ = result
             values = [values_of(given, 0) for given in names]
             with suppress(*NATIVE):
                 natively = call({k: v for _, native in values for k, v in native.items()})
@@ -1460,8 +1460,8 @@ def test_a_call_that_changes_its_object_is_not_made_while_code_is_written(body: 
 def test_how_long_what_is_written_out_may_be(body: str, made_of: Any, why: str) -> None:
     """Of 64 parts, and loops of 16 turns."""
     assert native_or_why(body, **made_of(64)) == ""
-    found = native_or_why(body, **made_of(65))
-    assert why in found if why else not found
+    result = native_or_why(body, **made_of(65))
+    assert why in result if why else not result
 
 
 def test_reports_are_taken_down_as_if_they_were_told_one_by_one() -> None:

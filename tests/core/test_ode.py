@@ -91,12 +91,12 @@ def symbolic_pendulum():
 
 @pytest.mark.parametrize("model", [pendulum, symbolic_pendulum()])
 def test_linearisation_has_the_analytic_jacobians(model):
-    found = linearise(model, (0.4, 1.0), (0.2,))
-    np.testing.assert_allclose(found.A, [[0.0, 1.0], [-9.81 * math.cos(0.4), -0.3]], atol=1e-10)
-    np.testing.assert_allclose(found.B, [[0.0], [1.0]], atol=1e-10)
-    np.testing.assert_allclose(found.C, [[math.sin(0.4), 0.0]], atol=1e-10)
-    np.testing.assert_allclose(found.D, [[0.0]], atol=1e-10)
-    assert found.y == pytest.approx([1.0 - math.cos(0.4)])
+    result = linearise(model, (0.4, 1.0), (0.2,))
+    np.testing.assert_allclose(result.A, [[0.0, 1.0], [-9.81 * math.cos(0.4), -0.3]], atol=1e-10)
+    np.testing.assert_allclose(result.B, [[0.0], [1.0]], atol=1e-10)
+    np.testing.assert_allclose(result.C, [[math.sin(0.4), 0.0]], atol=1e-10)
+    np.testing.assert_allclose(result.D, [[0.0]], atol=1e-10)
+    assert result.y == pytest.approx([1.0 - math.cos(0.4)])
 
 
 @pytest.mark.parametrize("model", [pendulum, symbolic_pendulum()])
@@ -131,8 +131,8 @@ def test_dc_motor_in_the_tools_of_control():
 
     x, u = equilibrium(motor, (0.0, 0.0, 0.0), (0.0, 0.0), held=[1], free=[0], moving=[0])
     assert x.tolist() == [0.0, 0.0, 0.0]
-    found = linearise(motor, x, u)
-    motor_system = found.system(states=["theta", "w", "i"], inputs=["u", "TL"], outputs=["w"])
+    result = linearise(motor, x, u)
+    motor_system = result.system(states=["theta", "w", "i"], inputs=["u", "TL"], outputs=["w"])
     assert sorted(control.poles(motor_system).real) == pytest.approx(sorted(np.linalg.eigvals(A).real), abs=1e-6)
     response = control.step_response(motor_system["w", "u"], np.linspace(0.0, 2.0, 2001))
     plant = ByHand(DcMotorPlant(period=0.001))

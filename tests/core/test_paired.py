@@ -138,11 +138,11 @@ class Sender:
         """Whether all that a tick needs has come."""
         want = self.schedule.awaited(t)
         known = [s for s in self.ticks if s <= want]
-        told, came = set(self.ticks[: self.told]), set(self.spoken[: self.came])
+        messages, arrived = set(self.ticks[: self.told]), set(self.spoken[: self.came])
         if not self.silent:
-            return want in came
+            return want in arrived
         both = self.counted
-        return all((s in came and (s in told or not both)) if s in self.spoken else s in told for s in known)
+        return all((s in arrived and (s in messages or not both)) if s in self.spoken else s in messages for s in known)
 
     def used(self, t):
         """Stamp of what a tick uses, whether it is bad; before the first None."""
@@ -202,11 +202,11 @@ def test_of_a_faster_sender_only_what_the_tick_needs_is_used_whatever_came_befor
     row = reader.row(state())
     for stamp in (0, 10, 20):
         row.receive(said(row.port, stamp * MS, stamp + 0.5))
-    for k, (come, value) in enumerate([((30,), 0.5), ((40, 50, 60), 30.5), ((70, 80, 90), 60.5)]):
+    for k, (arrived, value) in enumerate([((30,), 0.5), ((40, 50, 60), 30.5), ((70, 80, 90), 60.5)]):
         reader.ticks = k
         reader.table.await_tick(reader.t)
         assert (reader.table.missing, reader.values["x"]) == (0, (value,))
-        for stamp in come:
+        for stamp in arrived:
             row.receive(said(row.port, stamp * MS, stamp + 0.5))
     assert not reader.refusals
 
@@ -369,7 +369,7 @@ def test_the_newest_value_holds_from_the_tick_at_which_it_came_and_is_recorded_t
 def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_bag_that_is_played_again():
     reader = Reader()
     row = reader.row(array("x", "x", {"q": 1}, "m", held=True))
-    for k, (told, new, lost) in enumerate(
+    for k, (reported, new, lost) in enumerate(
         [
             (5, True, 0),
             (6, True, 0),
@@ -387,7 +387,7 @@ def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_ba
             (0, True, 6),
         ]
     ):
-        assert row.in_order(told) is new, k
+        assert row.in_order(reported) is new, k
         assert row.lost == lost
     assert [text.split(",")[0] for _, text in reader.refusals] == [f"number {n} from another node" for n in (6, 3, 0)]
 
@@ -673,9 +673,9 @@ def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_wait
         row.used = 40 * MS
         row.receive(said(row.port, 0, 1.0))
         reader.table.heard = 1
-        found = after(reader, stalls, 11.0)
-        assert found.startswith("nothing stamped t = 0.05 s within 11.0 s on x from sender")
-        assert found.endswith(said_of_it or ", expected 0.05 s")
+        result = after(reader, stalls, 11.0)
+        assert result.startswith("nothing stamped t = 0.05 s within 11.0 s on x from sender")
+        assert result.endswith(said_of_it or ", expected 0.05 s")
 
 
 def test_at_the_first_ticks_it_waits_as_long_as_a_start_may_take():
@@ -928,11 +928,11 @@ def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
     reader.record.foreign, row = {"f": 4}, None
     reader.row(state("x"))
     row = reader.row(free)
-    heard = comebacks._Heard(row, Files(recording({}), recording(own)), outside=True)
+    received = comebacks._Heard(row, Files(recording({}), recording(own)), outside=True)
     reader.ticks = 1
-    heard.bring(10 * MS)
+    received.bring(10 * MS)
     assert [(number, t) for number, t, _ in reader.kept] == [(4, 10 * MS)] * 3  # recorded anew
-    assert [number for number, _ in heard.rest()] == [3, 4]
+    assert [number for number, _ in received.rest()] == [3, 4]
     paired_ = comebacks._Heard(reader.table.rows[0], Files(recording(record), recording(own)), outside=False)
     paired_.bring(15 * MS)
     assert (reader.values["x"], reader.table.rows[0].stamp, len(reader.kept)) == ((1.5,), 10 * MS, 3)

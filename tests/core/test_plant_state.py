@@ -80,11 +80,11 @@ def test_names_are_made_fit():
 def test_linearised_motor_is_the_sampled_equations():
     plant = DcMotorPlant()
     ad, bd = (np.array(m) for m in zero_order_hold(*state_space(plant.p), plant.p.period))
-    found = Sampled(plant).linearise((0.0, 3.0, 0.2), (1.5,))
-    np.testing.assert_allclose(found.A, ad, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.B[:, 0], bd[:, 0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.C[:2], np.eye(3)[:2], atol=1e-12)  # angle and speed in motor/state
-    assert found.system().dt == plant.p.period
+    result = Sampled(plant).linearise((0.0, 3.0, 0.2), (1.5,))
+    np.testing.assert_allclose(result.A, ad, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(result.B[:, 0], bd[:, 0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(result.C[:2], np.eye(3)[:2], atol=1e-12)  # angle and speed in motor/state
+    assert result.system().dt == plant.p.period
 
 
 def test_the_voltage_that_holds_a_speed():
@@ -97,10 +97,10 @@ def test_the_voltage_that_holds_a_speed():
 
 def test_linear_plant_has_its_poles():
     plant = LinearPlant()
-    found = Sampled(plant).linearise((0.0, 0.0), (0.0,)).system()
+    result = Sampled(plant).linearise((0.0, 0.0), (0.0,)).system()
     expected = control.sample_system(control.tf(plant.p.num, plant.p.den), plant.p.period)
-    assert np.sort(found.poles().real) == pytest.approx(np.sort(expected.poles().real), rel=1e-9)
-    assert found.dcgain() == pytest.approx(expected.dcgain(), rel=1e-9)
+    assert np.sort(result.poles().real) == pytest.approx(np.sort(expected.poles().real), rel=1e-9)
+    assert result.dcgain() == pytest.approx(expected.dcgain(), rel=1e-9)
 
 
 @pytest.mark.long
@@ -127,7 +127,7 @@ def test_resting_rectifier_and_its_poles():
 def test_currents_of_a_state_are_those_of_the_step():
     plant = ImPlant(adc_mode="none")
     state = (0.3, -0.8, 0.35, -0.7, 20.0, 1.0)
-    told = plant.outputs(type(plant.first())(*state), 0)
+    outputs = plant.outputs(type(plant.first())(*state), 0)
     again = plant._step((*state, 0.0, 0.0, 0.0, *plant._constants[:-1], 0.0))  # a step of no length
-    assert told["currents_true"] == pytest.approx(again[6:9], rel=1e-12)
-    assert told["joint_states"][2] == pytest.approx(again[9], rel=1e-12)
+    assert outputs["currents_true"] == pytest.approx(again[6:9], rel=1e-12)
+    assert outputs["joint_states"][2] == pytest.approx(again[9], rel=1e-12)

@@ -48,7 +48,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 
 
 @pytest.mark.parametrize(
-    ("domain", "now", "pid", "taken", "others", "base", "user"),
+    ("domain", "now", "pid", "used", "others", "base", "user"),
     [
         # the search begins at 6200 for what ROS says of nodes (400 below the base) and at 76 of the domain's numbers
         (3, 0.0, 7, (), 0, 6607, 76),
@@ -69,11 +69,11 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
         (232, 9.0, 7, (), 0, 6807, 11),  # the last domain has no room: as the standard has it
     ],
 )
-def test_a_participant_has_ports_that_nobody_had_lately(domain, now, pid, taken, others, base, user, monkeypatch):
+def test_a_participant_has_ports_that_nobody_had_lately(domain, now, pid, used, others, base, user, monkeypatch):
     monkeypatch.setattr(os, "getpid", lambda: pid)
     first = 7400 + 250 * domain
     monkeypatch.setattr(ports, "udp_ports", lambda: {first + 10 + 2 * k for k in range(others)} | {first + 1})
-    assert ports.chosen(domain, taken, now) == {
+    assert ports.chosen(domain, used, now) == {
         "portBase": base,
         "offsetd0": 7400 - base,
         "offsetd1": 7410 - base,
@@ -105,7 +105,7 @@ CHOSEN = {"portBase": 6607, "offsetd0": 793, "offsetd1": 803, "offsetd2": 794, "
 def fixed(monkeypatch):
     """A process that gets certain ports and finds none that is in its way."""
     asked = []
-    monkeypatch.setattr(profile, "chosen", lambda domain, taken: asked.append((domain, taken)) or CHOSEN)
+    monkeypatch.setattr(profile, "chosen", lambda domain, used: asked.append((domain, used)) or CHOSEN)
     monkeypatch.setattr(profile, "numbers", lambda: {7})
     monkeypatch.setattr(profile, "clear_ports", lambda domain: asked.append(domain))
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
@@ -122,8 +122,8 @@ def test_a_participant_gets_its_ports_and_in_a_container_the_property(exclusive,
     space = "" if bare else "d:"
     (participant,) = root.iter(f"{{{SPACE['d']}}}participant" if not bare else "participant")
     (rtps,) = participant.findall(f"{space}rtps", SPACE)
-    (found,) = rtps.findall(f"{space}port", SPACE)
-    assert {e.tag.rpartition("}")[2]: e.text for e in found} == {k: str(n) for k, n in CHOSEN.items()}
+    (result,) = rtps.findall(f"{space}port", SPACE)
+    assert {e.tag.rpartition("}")[2]: e.text for e in result} == {k: str(n) for k, n in CHOSEN.items()}
     entries = [
         {e.tag.rpartition("}")[2]: e.text for e in one}
         for one in rtps.findall(f"{space}propertiesPolicy/{space}properties/{space}property", SPACE)
@@ -141,8 +141,8 @@ def test_ports_and_properties_of_a_given_profile_stay(fixed):
     assert [e.text for e in root.iter("portBase")] == ["1"]
     assert [e.text for e in root.iter("name")] == ["a", "fastdds.ignore_local_endpoints"]
     assert len([*root.iter("properties")]) == 1
-    for text, said in ((b"<a", "not XML: "), (b"<a/>", "no participant in the profile, expected one")):
-        with pytest.raises(ValueError, match=f"FASTRTPS_DEFAULT_PROFILES_FILE: {said}"):
+    for text, message in ((b"<a", "not XML: "), (b"<a/>", "no participant in the profile, expected one")):
+        with pytest.raises(ValueError, match=f"FASTRTPS_DEFAULT_PROFILES_FILE: {message}"):
             profile.own(text)
 
 
@@ -217,8 +217,8 @@ def test_a_node_is_reached_from_other_hosts_only_where_somebody_asks_for_it(monk
     monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
     monkeypatch.setenv("OTHER", "kept")
     for discovery, file in (("LOCALHOST", executables.LOOPBACK), ("SUBNET", executables.PROFILE)):
-        found = executables.environment(17, tmp_path, discovery=discovery)
-        assert {k: v for k, v in found.items() if os.environ.get(k) != v} == {
+        result = executables.environment(17, tmp_path, discovery=discovery)
+        assert {k: v for k, v in result.items() if os.environ.get(k) != v} == {
             "ROS_DOMAIN_ID": "17",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": discovery,
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -228,7 +228,7 @@ def test_a_node_is_reached_from_other_hosts_only_where_somebody_asks_for_it(monk
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
         }
-        assert (found["OTHER"], "ROS_LOCALHOST_ONLY" in found) == ("kept", False)
+        assert (result["OTHER"], "ROS_LOCALHOST_ONLY" in result) == ("kept", False)
     file = Path(executables.environment(17, tmp_path, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"])
     assert file == tmp_path / "profile.xml"
     assert "<leaseDuration><sec>12</sec></leaseDuration>" in file.read_text()
@@ -245,7 +245,7 @@ def test_an_executable_that_is_not_there_is_told_with_what_is(tmp_path, monkeypa
     (folder / "sub").mkdir()
     monkeypatch.setattr(executables, "prefixes", lambda: [Path("/nowhere"), tmp_path])
     assert executables.find_executable("own", "plant") == folder / "plant"
-    for package, executable, said in (
+    for package, executable, text in (
         ("own", "plent", "package own has no executable 'plent' (did you mean 'plant'?); it has notes, plant"),
         ("own", "notes", "package own has no executable 'notes' (did you mean 'notes'?); it has notes, plant"),
         ("own", "sub", "package own has no executable 'sub'; it has notes, plant"),
@@ -258,7 +258,7 @@ def test_an_executable_that_is_not_there_is_told_with_what_is(tmp_path, monkeypa
     ):
         with pytest.raises(ScenarioError) as error:
             executables.find_executable(package, executable)
-        assert str(error.value) == said
+        assert str(error.value) == text
 
 
 # ---- what a node is started with ----
@@ -267,8 +267,8 @@ def test_an_executable_that_is_not_there_is_told_with_what_is(tmp_path, monkeypa
 def test_nodes_share_processes_as_their_containers_say_and_only_those_that_are_asked_for_start():
     rig = rig_of(make_scenario(BASIC | {"watcher": {"executable": "watcher", "external": True}}))
 
-    def names(*said):
-        return [[m.name for m in group] for group in spawning.groups(rig, *said)]
+    def names(*text):
+        return [[m.name for m in group] for group in spawning.groups(rig, *text)]
 
     assert names(()) == [["plant"], ["source"], ["gain"]]
     assert names([["gain", "plant"], ["watcher"]]) == [["gain", "plant"], ["source"]]
@@ -293,9 +293,9 @@ def test_a_node_is_told_its_parameters_as_far_as_they_differ_and_how_it_runs(tmp
     plant = {"executable": "plant", "parameters": {"gain": 2.5}, "remap": {"lag/applied": "other"}}
     rig = rig_of(make_scenario(BASIC | {"plant": plant}, 0.5, timeout=7.0, start_timeout=31.0))
     member = rig.members[0]
-    found = spawning.node_parameters(rig, member, 9, "realtime")
-    links = json.loads(found.pop("run.links"))
-    assert found == {
+    result = spawning.node_parameters(rig, member, 9, "realtime")
+    links = json.loads(result.pop("run.links"))
+    assert result == {
         "gain": 2.5,
         "run.mode": "realtime",
         "run.seed": 9,
@@ -444,7 +444,7 @@ class Watched:
 
     def run(self):
         """What it comes to, and after how many seconds."""
-        said = supervision.supervise(
+        text = supervision.supervise(
             self.rig,
             self.children,
             self.told.append,
@@ -455,7 +455,7 @@ class Watched:
             SimpleNamespace(look=lambda: None),
             self.announced.append,
         )
-        return said, round(self.now - 100.0, 1)
+        return text, round(self.now - 100.0, 1)
 
 
 LOST = "node {} did not reach the end of the run within 10 s after it"
@@ -537,8 +537,8 @@ def test_where_nodes_are_started_again_a_rig_that_stands_is_lost_after_the_time_
     run = watched(most=1)
     run.at(4.0, run.says("law", t=5)).at(6.0, run.says("source", state="done")).at(7.0, run.says("law", ticks=9))
     run.at(8.0, run.says("law", busy=True)).at(9.0, run.says("law", busy=False))
-    said, after = run.run()
-    assert (said, after) == (LOST.format("plant, law, source"), 39.0)
+    text, after = run.run()
+    assert (text, after) == (LOST.format("plant, law, source"), 39.0)
 
 
 def test_a_signal_ends_the_watching(watched):
@@ -614,7 +614,7 @@ def test_a_system_clock_that_is_set_back_is_told(monkeypatch):
 
 def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path, monkeypatch):
     """Two of their status files that tell of the same tick, and of no work under way."""
-    said = []
+    messages = []
     nodes = [Child(name, pid) for pid, name in enumerate(("dead", "one", "two"), 1)]
     written = {}
     for node in nodes:
@@ -628,7 +628,7 @@ def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path,
         started.append(k)
         nodes[k].process.returncode = None
 
-    restarts = Restarts(2, again, said.append)
+    restarts = Restarts(2, again, messages.append)
     nodes[0].process.returncode = -9
 
     def look(**states):
@@ -642,7 +642,7 @@ def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path,
     assert look(one=(3, {"ticks": 6, "busy": True}), two=(3, {"ticks": 4})) == 0
     assert look(one=(4, {"ticks": 6}), two=(3, {"ticks": 4})) == 1
     assert restarts.counts == {"dead": 1}
-    assert said == ["node dead was killed by SIGKILL after t = 0 s; it is started again (1 of 2)"]
+    assert messages == ["node dead was killed by SIGKILL after t = 0 s; it is started again (1 of 2)"]
     assert restarts.why(nodes[0].member) == "; it was started again 1 of 2 times"
     nodes[0].process.returncode = -11
     nodes[1].process.returncode = 0  # has ended: it need not stand
@@ -663,7 +663,7 @@ def test_what_could_not_be_started_again_is_refused():
     check_restart(rig, Placement(restart=1))
     check_restart(guest, Placement("container", "realtime", record=False))  # nobody wants it
     whole = "--restart: expected a run in lockstep whose nodes have a process each, all on this host"
-    for made, placement, said in (
+    for made, placement, text in (
         (rig, Placement(clock="realtime", restart=1), whole),
         (rig, Placement("container", restart=1), whole),
         (rig, Placement(containers=[["plant", "gain"]], restart=1), whole),
@@ -677,7 +677,7 @@ def test_what_could_not_be_started_again_is_refused():
     ):
         with pytest.raises(ScenarioError) as error:
             check_restart(made, placement)
-        assert str(error.value) == said
+        assert str(error.value) == text
 
 
 # ---- external nodes ----
@@ -688,10 +688,10 @@ def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypa
         "gain": {"executable": "gain", "external": True},
         "watcher": {"executable": "watcher", "external": True},
     }
-    said = []
-    guests = Guests(rig_of(make_scenario(nodes)), said.append)
+    messages = []
+    guests = Guests(rig_of(make_scenario(nodes)), messages.append)
     guests.invite(7)
-    assert said.pop().splitlines() == [
+    assert messages.pop().splitlines() == [
         "waiting for gain (without limit, or for --wait S; Ctrl-C ends); in another terminal:",
         "  export ROS_DOMAIN_ID=7 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
         "  gain must publish lag/command (sensor_msgs/msg/JointState, u/effort)",
@@ -702,9 +702,9 @@ def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypa
     ]
 
     def look(**states):
-        before = len(said)
+        before = len(messages)
         guests.look(states)
-        return said[before:]
+        return messages[before:]
 
     lacks = {"lacking": ["lag/command"]}
     assert look(plant={"refused": {"lag/command": [1, "bad"]}}, source={}) == [
@@ -731,10 +731,10 @@ def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypa
     assert look(plant={"lacking": []}, source={"lacking": []}) == ["gain is there"]
     assert look(plant={"lacking": []}, source={"lacking": []}) == []
     Guests(rig_of(make_scenario(nodes)), None).invite(7)
-    nobody = Guests(rig_of(make_scenario(BASIC)), said.append)
+    nobody = Guests(rig_of(make_scenario(BASIC)), messages.append)
     nobody.invite(7)
     nobody.look({"plant": {"refused": {"lag/command": [1, "bad"]}}})
-    assert said[-1] == "gain is there"
+    assert messages[-1] == "gain is there"
 
 
 def test_a_server_serves_what_differs_only_in_what_a_node_reads_when_it_starts():
@@ -895,7 +895,7 @@ def test_a_node_says_what_it_is_and_how_it_is_started():
 def test_a_profile_has_the_names_of_the_installed_fast_dds(monkeypatch):
     """Fast DDS 3 (Kilted) refuses a whole file for one element of Fast DDS 2: then nothing of it would hold."""
     for third, name in ((False, b"<heartbeatPeriod>"), (True, b"<heartbeat_period>")):
-        monkeypatch.setattr(profile, "third", lambda found=third: found)
+        monkeypatch.setattr(profile, "third", lambda result=third: result)
         made = profile.own(executables.PROFILE.read_bytes())
         assert name in made
         assert (b"nackSupressionDuration" in made, b"nack_supression_duration" in made) == (not third, third)

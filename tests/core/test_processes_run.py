@@ -409,11 +409,13 @@ def knows():
     """What nodes are told, where it is not the usual: of a rig what all are told, then of each what it alone is."""
     for kind, nodes in LINKED.items():
         rig = rig_of(make_scenario(nodes, 0.2))
-        told = {m.name: peers.links(rig, m).model_dump(exclude_defaults=True) for m in rig.members if not m.external}
-        first = next(iter(told.values()))
-        alike = {k: v for k, v in first.items() if all(t.get(k) == v for t in told.values())} if len(told) > 1 else {}
+        entries = {m.name: peers.links(rig, m).model_dump(exclude_defaults=True) for m in rig.members if not m.external}
+        first = next(iter(entries.values()))
+        alike = (
+            {k: v for k, v in first.items() if all(t.get(k) == v for t in entries.values())} if len(entries) > 1 else {}
+        )
         yield f"{kind}: {', '.join(f'{k} {v}' for k, v in alike.items() if v not in ([], {}))}"
-        for who, about in told.items():
+        for who, about in entries.items():
             yield f"  {who}"
             for name, value in about.items():
                 if name == "inputs":

@@ -86,8 +86,8 @@ def law_of(habit: Any, as_state: bool = False) -> type[Block[Any]]:
             return State(0.0)
 
         def update(self, x: State, t: int) -> Any:
-            found = habit(self, x)
-            return (State(found), {"u": (0.0,)}) if as_state else (State(x.n + 1.0), {"u": (found,)})
+            result = habit(self, x)
+            return (State(result), {"u": (0.0,)}) if as_state else (State(x.n + 1.0), {"u": (result,)})
 
     return Law
 
@@ -97,9 +97,9 @@ def law_of(habit: Any, as_state: bool = False) -> type[Block[Any]]:
 def test_an_impure_law_is_named_with_member_output_and_time(habit: Any, as_state: bool) -> None:
     what = r"its state n = \[[\d.]+\] and then \[[\d.]+\]" if as_state else r"u/x/position = [\d.]+ and then [\d.]+"
     rig = Rig.from_blocks({"bad": law_of(habit, as_state)()}, 1.0)
-    with pytest.raises(RunError, match=rf"bad: the tick at t = 0 s, computed twice .* gives {what}; ") as found:
+    with pytest.raises(RunError, match=rf"bad: the tick at t = 0 s, computed twice .* gives {what}; ") as result:
         check_pure(rig)
-    assert found.value.node == "bad"
+    assert result.value.node == "bad"
     with pytest.raises(RunError, match=r"computed twice|in place"):  # `check` and the tests of a new package
         simulate(rig, thorough=True)
 
@@ -139,12 +139,12 @@ def test_a_study_finds_what_matters_only_after_the_first_ticks(
     monkeypatch.setitem(sys.modules, "counter", SimpleNamespace(calls=0))
 
     def update(self: Any, x: Any, t: int, **inputs: Any) -> Any:
-        x, found = once(self, x, t, **inputs)
+        x, result = once(self, x, t, **inputs)
         import counter  # type: ignore[import-not-found]
 
         counter.calls += 1
         late = counter.calls if counter.calls > 60 else 0
-        return x, {"command": (found["command"][0] * (1.0 - 1e-3 * late),)}
+        return x, {"command": (result["command"][0] * (1.0 - 1e-3 * late),)}
 
     monkeypatch.setattr(purity, "is_foreign", lambda of: True)
     study = Study(name="s", title="", scenario="dc_motor_smc_b4", duration=0.5,
@@ -282,7 +282,7 @@ def laws(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 def each_verb(place: Path, kind: str, workers: int, order: int = 1) -> dict[str, str]:
     """Return what study, falsify, check and results say of a law."""
-    scenario, said = str(place / f"{kind}.yaml"), {}
+    scenario, messages = str(place / f"{kind}.yaml"), {}
     grid = {"dc_motor_plant.R": [0.3, 0.4][::order]}
     over = {"dc_motor_plant.R": "0.3..0.5"}
     task = Falsification(name="f", scenario=scenario, requirements=("overshoot",), over=over, strict=True, budget=4)
@@ -292,15 +292,15 @@ def each_verb(place: Path, kind: str, workers: int, order: int = 1) -> dict[str,
         try:
             run()
         except (RunError, ScenarioError) as error:
-            said[verb] = str(error)
+            messages[verb] = str(error)
 
     (out / "falsify").mkdir(parents=True)
     study = Study(name="s", title="", scenario=scenario, grid=grid)
     refused("study", lambda: run_study(study, out / "study", workers=workers))
     refused("falsify", lambda: falsify(task, prepare(task), out / "falsify", workers=workers))
-    said["check"] = judge(Judged(kind, scenario, ""))["error"]
-    said["results"] = measure((scenario, None)).error
-    return said
+    messages["check"] = judge(Judged(kind, scenario, ""))["error"]
+    messages["results"] = measure((scenario, None)).error
+    return messages
 
 
 @pytest.mark.parametrize(
@@ -315,10 +315,10 @@ def each_verb(place: Path, kind: str, workers: int, order: int = 1) -> dict[str,
 def test_what_a_law_keeps_after_its_first_ticks_is_named_by_every_verb(
     laws: Path, kind: str, workers: int, order: int
 ) -> None:
-    said = each_verb(laws, kind, workers, order)
+    text = each_verb(laws, kind, workers, order)
     message = r"(\w: run \d, computed again after all others: )?dc_motor_pid: its ticks change ([\w.]+, )?"
     message += rf"{LATE[kind]} in place \(Law\)"
-    assert all(re.match(message, said[verb]) for verb in ("study", "falsify", "check", "results")), said
+    assert all(re.match(message, text[verb]) for verb in ("study", "falsify", "check", "results")), text
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
@@ -327,12 +327,12 @@ def test_what_is_kept_in_a_library_is_named_with_both_values(
 ) -> None:
     """No variable of the author's shows it, so it is seen from run to run alone."""
     monkeypatch.setenv("HABIT", "0")
-    said = each_verb(laws, "library", workers)
+    text = each_verb(laws, "library", workers)
     second = r"dc_motor_pid: motor/command/armature/effort = [\d.-]+ at t = 0.26 s, and [\d.-]+ in a second run"
-    assert re.match(r"s: run 1, computed again after all others: " + second, said["study"])
-    assert re.match(r"f: run 3, computed again after all others: " + second, said["falsify"])
-    assert re.match(second, said["check"])
-    assert re.match(second, said["results"])
+    assert re.match(r"s: run 1, computed again after all others: " + second, text["study"])
+    assert re.match(r"f: run 3, computed again after all others: " + second, text["falsify"])
+    assert re.match(second, text["check"])
+    assert re.match(second, text["results"])
 
 
 SCENARIO = """
@@ -413,8 +413,8 @@ def test_results_of_a_law_with_static_variables_do_not_depend_on_order_or_worker
         outcomes.append(falsify(task, prepare(task), folder, workers=workers).worst)
     assert outcomes[0] == outcomes[1]
     assert None not in outcomes[0].values()
-    told = judge(Judged("static", str(scenario), ""))
-    assert re.search(f"keeps state outside of pi: {name}", "".join(told["notes"]))
+    reported = judge(Judged("static", str(scenario), ""))
+    assert re.search(f"keeps state outside of pi: {name}", "".join(reported["notes"]))
 
 
 def test_check_study_and_falsify_refuse_an_impure_law_before_any_row(
@@ -425,8 +425,8 @@ def test_check_study_and_falsify_refuse_an_impure_law_before_any_row(
     once = DcMotorPid.update
 
     def update(self: Any, x: Any, t: int, **inputs: Any) -> Any:
-        x, found = once(self, x, t, **inputs)
-        return x, {"command": (found["command"][0] + by_global(self, x) * 1e-9,)}
+        x, result = once(self, x, t, **inputs)
+        return x, {"command": (result["command"][0] + by_global(self, x) * 1e-9,)}
 
     monkeypatch.setattr(DcMotorPid, "update", update)
     message = r"dc_motor_pid: the tick at t = 0 s, computed twice .* gives motor/command/armature/effort = "

@@ -40,7 +40,7 @@ def test_a_law_uses_the_inputs_of_its_tick(name, seed, shared):
     groups = [[m.name for m in rig.members]] if shared else ()
     run = SimulatedRig(rig, World(jitter(seed, 1_000, fastest // 8)), "realtime", groups=groups)
     assert set(run.run().values()) == {"done"}
-    found = Signals(run.recording, run.epoch)
+    signals = Signals(run.recording, run.epoch)
     for member in rig.members:
         adapter = run.adapters[member.name]
         assert adapter.drive.missed == adapter.drive.incomplete == 0, member.name
@@ -48,7 +48,7 @@ def test_a_law_uses_the_inputs_of_its_tick(name, seed, shared):
             if port.held:
                 continue
             for label in port.labels:
-                a, b = expected[f"{port.topic}/{label}"], found[f"{port.topic}/{label}"]
+                a, b = expected[f"{port.topic}/{label}"], signals[f"{port.topic}/{label}"]
                 n = min(len(a.x), len(b.x))
                 assert n >= len(a.x) - 1
                 assert np.array_equal(a.x[:n], b.x[:n]), f"{port.topic}/{label}"
@@ -82,14 +82,14 @@ def test_a_law_waits_for_a_fault_also_at_a_tick_at_which_that_is_silent(kind, pl
         assert not any(adapter.drive.counts().values()), name
     epoch, expected = run.adapters["gain"].epoch, in_process(rig)
     for name in {p.topic for m in rig.members for p in m.outputs}:
-        ticks, found = expected.topics[name].times, [t - epoch for t in run.recording.topics[name].times]
-        common = min(len(ticks), len(found))
-        assert ticks[:common] == found[:common], name
+        ticks, signals = expected.topics[name].times, [t - epoch for t in run.recording.topics[name].times]
+        common = min(len(ticks), len(signals))
+        assert ticks[:common] == signals[:common], name
         assert common >= len(ticks) - 1, name
-    found = Signals(run.recording, epoch)
+    signals = Signals(run.recording, epoch)
     for label, (_, x) in Signals(expected).items():
-        common = min(len(x), len(found[label].x))
-        assert np.array_equal(x[:common], found[label].x[:common], equal_nan=True), label
+        common = min(len(x), len(signals[label].x))
+        assert np.array_equal(x[:common], signals[label].x[:common], equal_nan=True), label
 
 
 def test_what_a_delay_gets_of_a_plant_counts_by_its_stamp():
@@ -125,9 +125,9 @@ def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_an
     assert gain.drive.incomplete >= 48
     assert gain.step.reports["incomplete"][1] == "answered without what was due on lag/reference"
     assert gain.drive.statistics()["incomplete_ticks"] == gain.drive.incomplete
-    found = Signals(run.recording, run.epoch)
+    signals = Signals(run.recording, run.epoch)
     x, r, u = (
-        dict(zip((found[f"lag/{s}"].t * 100).round(), found[f"lag/{s}"].x, strict=True))
+        dict(zip((signals[f"lag/{s}"].t * 100).round(), signals[f"lag/{s}"].x, strict=True))
         for s in ("state/x/position", "reference/x/position", "command/u/effort")
     )
     assert list(u)[:40] == list(range(40))
@@ -142,8 +142,8 @@ def test_with_patience_for_it_the_late_reference_is_waited_for():
     run = SimulatedRig(rig, World(lambda topic, *_: late.get(topic, MS // 10)), "realtime", patience=0.8)
     run.run()
     assert run.adapters["gain"].drive.incomplete == 0
-    found = Signals(run.recording, run.epoch)
-    assert np.array_equal(found["lag/state/x/position"].x, Signals(in_process(rig))["lag/state/x/position"].x)
+    signals = Signals(run.recording, run.epoch)
+    assert np.array_equal(signals["lag/state/x/position"].x, Signals(in_process(rig))["lag/state/x/position"].x)
 
 
 def send(run, topic, msgtype, data):
@@ -191,13 +191,13 @@ def test_a_refused_measurement_is_answered_at_its_tick_by_what_was_said_before()
 
 
 @pytest.mark.parametrize(
-    ("x", "told"),
+    ("x", "reported"),
     [
         (1e300, "x/position is 1e+300 m, expected at most 1e+09 in magnitude"),
         (1e4, "OverflowError: math range error"),
     ],
 )
-def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_safe_output(x, told):
+def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_safe_output(x, reported):
     """The law takes the exponential of what it gets: plausible values overflow, too."""
 
     class Exponential(Block):
@@ -222,8 +222,8 @@ def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_s
         )
     world.run(run.epoch + 99 * MS)
     law = run.adapters["law"]
-    said = [law.inputs[0].last_refusal, *(text for _, text, _ in law.step.reports.values())]
-    assert any(told in text for text in said)
+    messages = [law.inputs[0].last_refusal, *(text for _, text, _ in law.step.reports.values())]
+    assert any(reported in text for text in messages)
     u = Signals(run.recording, run.epoch)["lag/command/u/effort"].x
     assert list(u) == [1.0] * 5 + [1.0 if x > 1e9 else 0.0] + [1.0] * 4
     assert law.state == "running"
@@ -259,8 +259,8 @@ def test_who_is_held_over_the_end_of_a_run_says_its_last_tick_and_none_after_it(
     for node in run.nodes.values():
         node.stalled = run.epoch + 900 * MS
     assert set(run.run().values()) == {"done"}
-    said = run.recording.topics["lag/state"].times
-    assert (said[-2] - run.epoch, said[-1] - run.epoch) == (100 * MS, rig.end)
+    text = run.recording.topics["lag/state"].times
+    assert (text[-2] - run.epoch, text[-1] - run.epoch) == (100 * MS, rig.end)
     assert all(t <= run.epoch + rig.end for topic in run.recording.topics.values() for t in topic.times)
 
 
@@ -269,11 +269,11 @@ def test_who_is_ready_says_so_ten_times_a_second_until_the_start_and_not_before_
     run = SimulatedRig(basic(), world, "realtime", departs=True)
     departures = {name: adapter.drive.departure for name, adapter in run.adapters.items()}
     (starter,) = (name for name, d in departures.items() if d.is_starter)
-    begun, send, said = world.now, world.send, {name: [] for name in departures}
+    begun, send, messages = world.now, world.send, {name: [] for name in departures}
 
     def noted(writer, data):
         if writer.topic == "/softrig/ready":
-            said[writer.node.name].append((world.now - begun) // MS)
+            messages[writer.node.name].append((world.now - begun) // MS)
         send(writer, data)
 
     world.send = noted
@@ -285,7 +285,7 @@ def test_who_is_ready_says_so_ten_times_a_second_until_the_start_and_not_before_
     assert not any(d.absent for name, d in departures.items() if name != starter)
     world.run(begun + 2_400 * MS)
     often = [*range(1_000, 2_001, 100)]  # looks are 20 ms apart
-    assert said == {name: [] if name == starter else often for name in departures}
+    assert messages == {name: [] if name == starter else often for name in departures}
 
 
 def test_a_law_notices_a_source_that_has_stopped():
@@ -448,8 +448,8 @@ def test_who_takes_the_place_of_a_killed_law_is_believed_when_that_has_been_sile
     assert speak(1, 3990) is None
     assert row.last_refusal == "2 publishers at the same time (again, gain), expected one"
     assert speak(1, 4050) == (2.0,)
-    said = "of 2 publishers only one has published for 1 s: accepted"
-    assert run.adapters["plant"].step.reports["rivals lag/command"][1:] == (said, 1)
+    text = "of 2 publishers only one has published for 1 s: accepted"
+    assert run.adapters["plant"].step.reports["rivals lag/command"][1:] == (text, 1)
     refused = row.refused
     row.matched(1)  # its lease is over
     run.adapters["plant"].drive.on_matched(row)
@@ -479,7 +479,7 @@ def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
     world.run(run.epoch + 500 * MS)
     gain = run.adapters["gain"]
     for reader in [r for r in world.readers if r.node.name == "gain" and r.topic == "/lag/reference"]:
-        take = reader.receive
+        accept = reader.receive
         reader.receive = lambda data: None  # ticks begin, and wait
     gain.drive._answering._patience = 3600 * SECOND
     world.run(world.now + 30 * MS)
@@ -488,7 +488,7 @@ def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
     before = gain.ticks
     gain.drive._answering._patience = 8 * MS
     for reader in [r for r in world.readers if r.node.name == "gain" and r.topic == "/lag/reference"]:
-        reader.receive = take
+        reader.receive = accept
     gain.drive._answering._deadline.again(8 * MS)
     world.run(world.now + 1000 * MS)
     stamps = [t - run.epoch for t in run.recording.topics["lag/command"].times][before:]
@@ -509,8 +509,8 @@ def test_a_plant_without_commands_says_so_again_while_it_lasts():
     world.run(run.epoch + 100 * MS)
     send(run, "/lag/command", COMMAND.msgtype, command(world.now, (1.0,)))
     world.run(run.epoch + 35 * SECOND)
-    told = [text for _, text in run.nodes["plant"].logs if text.startswith("no command on lag/command")]
-    assert 3 <= len(told) <= 5
+    messages = [text for _, text in run.nodes["plant"].logs if text.startswith("no command on lag/command")]
+    assert 3 <= len(messages) <= 5
 
 
 @pytest.mark.long
@@ -521,9 +521,9 @@ def test_a_law_that_hears_nothing_of_what_is_published_says_so_while_it_lasts():
     world.match()
     world.run(run.epoch + 24 * SECOND)
     gain = run.adapters["gain"]
-    told = [text for _, text in run.nodes["gain"].logs if "has received nothing" in text]
+    messages = [text for _, text in run.nodes["gain"].logs if "has received nothing" in text]
     assert gain.ticks == 0
-    assert told == ["has received nothing on lag/reference for 10 s, though it is published"] * 2
+    assert messages == ["has received nothing on lag/reference for 10 s, though it is published"] * 2
     assert not any("has received nothing" in text for name in ("plant", "source") for _, text in run.nodes[name].logs)
 
 

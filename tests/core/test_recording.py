@@ -51,7 +51,7 @@ class Plain:
         return self.said | ({EVENTS: self.notes} if self.notes else {})
 
     def now(self):
-        return {name: list(said) for name, said in self.all().items()}
+        return {name: list(topic) for name, topic in self.all().items()}
 
 
 def drawn(seed, turns):
@@ -84,8 +84,8 @@ def holds(recording, plain):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("look", [1, 5, 100], ids=["each", "now and then", "at the end"])
-def test_a_recording_holds_messages_as_they_came_however_they_came(seed, look, monkeypatch):
+@pytest.mark.parametrize("style", [1, 5, 100], ids=["each", "now and then", "at the end"])
+def test_a_recording_holds_messages_as_they_came_however_they_came(seed, style, monkeypatch):
     monkeypatch.setattr(module, "CHUNK", 3)
     recording, plain = Recording(TOPICS), Plain()
     row, rows = recording.row(ROW), recording.rows(ROW)
@@ -103,21 +103,21 @@ def test_a_recording_holds_messages_as_they_came_however_they_came(seed, look, m
         else:
             recording.note(t, data)
             plain.note(t, data)
-        if turn % look == 0:
+        if turn % style == 0:
             holds(recording, plain.all())
     holds(recording, plain.all())
     for t in (0, 7, 20, 10**6):
         before = recording.before(t)
-        earlier = {name: [m for m in said if m[0] < t] for name, said in plain.all().items()}
-        holds(before, {name: said for name, said in earlier.items() if said or name != EVENTS})
+        earlier = {name: [m for m in each if m[0] < t] for name, each in plain.all().items()}
+        holds(before, {name: each for name, each in earlier.items() if each or name != EVENTS})
         before.add(3, t, b"new")
         before.note(t, b"new")
         assert recording.topics["/clock"].data == [data for _, data in plain.said["/clock"]]
     for name, topic in recording.topics.items():
         for n in (0, 1, 6, 10**6):
-            rest = topic.since(n)
-            assert (rest.name, rest.msgtype) == (topic.name, topic.msgtype)
-            assert list(zip(rest.times, rest.data, strict=True)) == plain.all()[name][n:]
+            remaining = topic.since(n)
+            assert (remaining.name, remaining.msgtype) == (topic.name, topic.msgtype)
+            assert list(zip(remaining.times, remaining.data, strict=True)) == plain.all()[name][n:]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -142,14 +142,14 @@ def test_shards_of_a_run_in_process_hold_the_same_in_memory_and_on_the_disk(seed
     shards.flush()
     tables: dict = {}
     for held in (1 << 20, 0):
-        for look in (1 << 20, 700, 37):
-            for name, value in (("HELD", held), ("_LOOK", look), ("ORDERED", 7), ("CHUNK", 3)):
+        for style in (1 << 20, 700, 37):
+            for name, value in (("HELD", held), ("_LOOK", style), ("ORDERED", 7), ("CHUNK", 3)):
                 monkeypatch.setattr(module, name, value)
             monkeypatch.setattr("softrig_core.wire.columns.READ", 5)
             recording = shards.recording()
             kinds = {type(part) for topic in recording.topics.values() for part in topic.parts()}
             assert kinds == ({Stored} if held == 0 else {Columns})
-            assert [topic.number for topic in recording.topics.values()] == [len(said) for said in plain.all().values()]
+            assert [topic.number for topic in recording.topics.values()] == [len(text) for text in plain.all().values()]
             for topic in list(PORTS)[:3]:
                 found = Signals(recording).table(topic)
                 columns = {label: x.tolist() for label, x in found.columns.items()}
@@ -216,10 +216,10 @@ def test_numbers_stay_numbers_until_somebody_asks_for_bytes():
 def test_of_stretches_those_are_left_out_that_are_asked_not_to_be_there():
     for n in range(-1, 8):
         topic, _values = stretches()
-        rest = topic.since(n)
-        sizes = [len(part.times) for part in rest.parts()]
+        remaining = topic.since(n)
+        sizes = [len(part.times) for part in remaining.parts()]
         assert sizes == [[1, 2, 3], [1, 2, 3], [2, 3], [1, 3], [3], [2], [1], [], []][n + 1]
-        assert rest.times == [0, 10, 20, 30, 40, 50][max(n, 0) :]
+        assert remaining.times == [0, 10, 20, 30, 40, 50][max(n, 0) :]
 
 
 def test_numbers_of_two_layouts_or_changed_times_are_no_columns():
@@ -329,11 +329,11 @@ def test_a_shard_that_grows_is_read_as_it_comes(limit, tmp_path, monkeypatch):
                 break
         assert found(recording) == max((e for e in ends if e[0] <= size), key=lambda e: e[0])[1]
     growing.write_bytes(whole)
-    looks = 0
+    styles = 0
     while tail.read(recording):
-        looks += 1
+        styles += 1
     assert found(recording) == ends[-1][1]
-    assert looks <= 1
+    assert styles <= 1
 
 
 def test_a_look_tells_whether_there_may_be_more(tmp_path, monkeypatch):
@@ -349,11 +349,11 @@ def test_a_look_tells_whether_there_may_be_more(tmp_path, monkeypatch):
         writer.add(0, k, b"12345678")
     writer.close()
     monkeypatch.setattr(ShardTail, "LIMIT", path.stat().st_size - 8 * 22)
-    recording, tail, told = Recording(TOPICS), ShardTail(path), []
+    recording, tail, messages = Recording(TOPICS), ShardTail(path), []
     for _ in range(4):
-        told.append((tail.read(recording), len(recording.topics["/clock"].times)))
+        messages.append((tail.read(recording), len(recording.topics["/clock"].times)))
         monkeypatch.setattr(ShardTail, "LIMIT", 3 * 22)
-    assert told == [(True, 1), (True, 4), (True, 7), (False, 9)]
+    assert messages == [(True, 1), (True, 4), (True, 7), (False, 9)]
 
 
 def test_a_shard_is_on_the_disk_as_soon_as_it_must_be(tmp_path):
@@ -451,21 +451,21 @@ def test_signals_are_the_same_of_numbers_and_of_bytes():
         "rig/rows": ["0", "1"],
         "rig/stop": ["data"],
     }
-    for told in (Signals(recording, 10**9), Signals(again, 10**9)):
+    for reported in (Signals(recording, 10**9), Signals(again, 10**9)):
         for k, (topic, own) in enumerate(labels.items()):
-            table = told.table(topic)
+            table = reported.table(topic)
             assert list(table.columns) == own
             assert table.t.tolist() == table.stamp.tolist() == [0.0, 1.0, 3.0]
             for j, label in enumerate(own):
-                signal = told[f"{topic}/{label}"]
+                signal = reported[f"{topic}/{label}"]
                 assert signal.t is table.t
                 assert signal.x.tolist() == values[:, 2 * k + j].tolist()
                 assert signal.x.flags.c_contiguous
-        assert list(told) == [f"{topic}/{label}" for topic, own in labels.items() for label in own]
-        assert len(told) == 5
-        assert told.table("/clock").t.size == 0
+        assert list(reported) == [f"{topic}/{label}" for topic, own in labels.items() for label in own]
+        assert len(reported) == 5
+        assert reported.table("/clock").t.size == 0
     assert recording.topics["rig/state"].columns() is not None  # nobody asked for bytes
-    assert told["rig/state/x"] is told["rig/state/x"]
+    assert reported["rig/state/x"] is reported["rig/state/x"]
 
 
 def test_of_many_channels_none_is_lost():
@@ -510,13 +510,13 @@ def test_stamps_that_are_not_the_ticks_and_messages_of_several_forms_are_read_on
         "1": [pytest.approx(np.nan, nan_ok=True), 2.0],
     }
     assert table.stamp.tolist() == [-1.0] * 3  # they have none
-    for name, said in (
+    for name, text in (
         ("rig/none/x", "no topic for signal 'rig/none/x'; recorded are rig/state, rig/rows, rig/stop, /clock"),
         ("rig/rows/7", "no signal '7' on rig/rows; it has 0, 1"),
     ):
         with pytest.raises(KeyError) as error:
             Signals(recording)[name]
-        assert error.value.args[0] == said
+        assert error.value.args[0] == text
     with pytest.raises(KeyError, match="no topic 'x'; recorded are rig/state, rig/rows, rig/stop, /clock"):
         Signals(recording).table("x")
     assert struct.calcsize("<qHI") == 14  # the head of a record above

@@ -43,15 +43,15 @@ def spoilt(rig, member, port, at):
 @pytest.mark.parametrize("system", [s if s in DAILY else pytest.param(s, marks=pytest.mark.long) for s in SYSTEMS])
 def test_a_law_goes_on_after_a_bad_message(system):
     rig = short(system)
-    found = {
+    results = {
         f"{member.name} {port.name}": spoilt(rig, member, port, 7)
         for member in rig.members
         if not member.is_plant
         for port in member.inputs
         if port.name in member.links and not port.msgtype.endswith("/Bool")
     }
-    assert found
-    assert {n: wrong for n, wrong in found.items() if wrong} == {}
+    assert results
+    assert {n: wrong for n, wrong in results.items() if wrong} == {}
 
 
 def in_real_time(rig, member=None, port=None):

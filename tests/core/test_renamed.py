@@ -51,11 +51,11 @@ def test_a_scenario_with_an_old_name_runs_as_with_the_new_one(tmp_path):
     for name in ("im_plant", "induction_dtc_plant"):
         file = tmp_path / f"{name}.yaml"
         file.write_text(EXTENDS.format(base="induction_dtc_s2", node="im_plant", package="softrig_drives", old=name))
-        with warnings.catch_warnings(record=True) as said:
+        with warnings.catch_warnings(record=True) as text:
             warnings.simplefilter("always")
             values[name] = load_scenario(str(file)).nodes["im_plant"]
             runs[name] = simulate(str(file), duration=0.001).signals["currents_meas/x"][1].tolist()
-        assert [str(w.message) for w in said if w.category is FutureWarning] == (
+        assert [str(w.message) for w in text if w.category is FutureWarning] == (
             [renamed.notice("softrig_drives", "im_plant")] if name == "im_plant" else []
         )
     assert values["im_plant"] == values["induction_dtc_plant"]

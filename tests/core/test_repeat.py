@@ -84,9 +84,9 @@ def test_buttons_and_messages_from_outside_are_there_again(mode, tmp_path, capsy
     assert len(first.topics["reverse"].times) == 2
     assert len(first.topics["axis/reference"].times) == 1
     shutil.move(tmp_path / "first" / "bag", tmp_path / "alone")
-    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "alone"), "--mode", mode)
+    status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "alone"), "--mode", mode)
     assert status == 0
-    assert "alone number for number: " in said
+    assert "alone number for number: " in text
     again = read_bag(tmp_path / "again" / "bag")
     assert differences(first, again) == ["axis/reference"]  # who sent it left the stamp out
     assert again.topics["axis/controller_state"].data[-1] != again.topics["axis/controller_state"].data[0]
@@ -113,21 +113,21 @@ def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, fa
     if faults:
         assert len(first.topics["axis/state/offset/toggle"].times) == 2
         assert 60 < len(first.topics["axis/state/loss"].times) < 95
-    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
-    assert status == 0, said
-    assert "first number for number: " in said
-    assert "was late" not in said
+    status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
+    assert status == 0, text
+    assert "first number for number: " in text
+    assert "was late" not in text
 
 
 def test_a_run_in_real_time_that_was_late_says_so_and_what_differs(tmp_path, capsys):
     rng = random.Random(0)  # one message in five comes after the next tick
     pressed(tmp_path / "first", "realtime", lambda *_: rng.choice([MS, MS, MS, MS, 15 * MS]))
-    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
+    status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 0
-    assert "differs from" in said
-    assert "axis/command from t = 0." in said
-    assert "that run was late: " in said
-    assert "messages after their tick" in said
+    assert "differs from" in text
+    assert "axis/command from t = 0." in text
+    assert "that run was late: " in text
+    assert "messages after their tick" in text
 
 
 def test_a_repetition_that_differs_says_where(tmp_path, capsys, monkeypatch):
@@ -135,10 +135,10 @@ def test_a_repetition_that_differs_says_where(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
         "softrig_bringup.options.like.from_outside", lambda rig, recording: []
     )  # what was outside is forgotten
-    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
+    status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 1
-    assert "differs from" in said
-    assert "axis/command from t = 0." in said
+    assert "differs from" in text
+    assert "axis/command from t = 0." in text
 
 
 def test_a_run_is_not_replaced_by_its_own_repetition(tmp_path, capsys):
@@ -157,16 +157,16 @@ def from_there(tmp_path, capsys, run, at, *arguments, out="other"):
     status = main(
         ["run", "--from", f"{run}@{at}", *arguments, "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / out)]
     )
-    said = capsys.readouterr().err
-    return status, said, json.loads((tmp_path / out / "metrics.json").read_text()) if not status else {}
+    printed = capsys.readouterr().err
+    return status, printed, json.loads((tmp_path / out / "metrics.json").read_text()) if not status else {}
 
 
 def test_what_came_from_outside_before_a_branch_is_there_and_what_came_later_is_not(tmp_path, capsys):
     first = pressed(tmp_path / "first")
     down, up = first.topics["reverse"].times
     assert down < up
-    status, said, record = from_there(tmp_path, capsys, tmp_path / "first", up / 1e9, *KP, "--duration", "0.9")
-    assert (status, f"up to t = {up / 1e9:.9g} s: repeats {tmp_path / 'first'} number for number: " in said) == (
+    status, text, record = from_there(tmp_path, capsys, tmp_path / "first", up / 1e9, *KP, "--duration", "0.9")
+    assert (status, f"up to t = {up / 1e9:.9g} s: repeats {tmp_path / 'first'} number for number: " in text) == (
         0,
         True,
     )
@@ -192,8 +192,8 @@ def test_a_branch_is_repeated_from_its_bag_alone(tmp_path, capsys):
     from_there(tmp_path, capsys, tmp_path / "other" / "bag", 0.06, *stiffer, "--duration", "0.12", out="third")
     shutil.rmtree(tmp_path / "first")
     shutil.rmtree(tmp_path / "other")
-    status, said = repeat(tmp_path, capsys, "--like", str(tmp_path / "third"), "--mode", "inprocess")
-    assert (status, "third number for number: " in said) == (0, True)
+    status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "third"), "--mode", "inprocess")
+    assert (status, "third number for number: " in text) == (0, True)
     assert main(["draw", "plot", str(tmp_path / "third"), "--out", str(tmp_path / "drawn")]) == 0
     run = simulate("dc_motor_smc", duration=0.1).branch(0.04, {"dc_motor_smc.delta": 0.5})
     run = run.branch(0.06, {"dc_motor_smc.delta": 0.9}, duration=0.12)
@@ -233,18 +233,18 @@ def branched_from(tmp_path_factory):
 def test_a_branch_of_what_cannot_be_repeated_says_where_it_parts(tmp_path, capsys, monkeypatch):
     pressed(tmp_path / "first")
     monkeypatch.setattr("softrig_bringup.options.like.from_outside", lambda rig, recording: [])
-    status, said, _ = from_there(tmp_path, capsys, tmp_path / "first", 0.9, *KP)
+    status, text, _ = from_there(tmp_path, capsys, tmp_path / "first", 0.9, *KP)
     assert status == 1
-    assert "up to t = 0.9 s: differs from" in said
-    assert "axis/command from t = 0." in said
+    assert "up to t = 0.9 s: differs from" in text
+    assert "axis/command from t = 0." in text
 
 
 def test_a_port_is_written_and_read():
     rig = rig_of("gupfc")
     for member in rig.members:
         for port in member.inputs:
-            found = port_of(written(port))
+            result = port_of(written(port))
             for what in ("msgtype", "labels", "units", "safe", "limits", "frame_id", "dims"):
-                assert getattr(found, what) == getattr(port, what), what
-            assert found.sporadic
-            assert not found.held
+                assert getattr(result, what) == getattr(port, what), what
+            assert result.sporadic
+            assert not result.held

@@ -156,8 +156,8 @@ def test_of_a_record_that_ends_early_what_it_decides_is_judged():
 def test_a_verdict_of_a_run_under_way_is_settled_where_nothing_to_come_changes_it(formula, settled):
     rig = wired(formula)
     signals = simulate(rig).signals
-    (found,) = (r for r in evaluate(rig, signals, under_way=True) if r.name == "it")
-    assert found.settled == settled
+    (result,) = (r for r in evaluate(rig, signals, under_way=True) if r.name == "it")
+    assert result.settled == settled
     assert not figure_of(rig, signals).settled  # of a run that is over nobody asks
 
 
@@ -392,11 +392,11 @@ def test_a_watched_requirement_goes_back_to_any_tick():
     rows = rng.normal(0.2, 1.0, (60, 2)).tolist()
 
     def go(k, n, sign=1.0):
-        said = []
+        messages = []
         for i in range(k, n):
             values = {name: (sign * x,) for name, x in zip(ports, rows[i], strict=True)}
-            said.append(monitor.update(i * 10_000_000, **values)["margin"])
-        return said
+            messages.append(monitor.update(i * 10_000_000, **values)["margin"])
+        return messages
 
     whole = go(0, 60)
     assert len(set(whole)) > 3
@@ -456,9 +456,9 @@ def test_a_figure_that_never_happens_leaves_its_requirement_not_judged():
     figures = {"never": {"function": "reach_time", "arguments": {"signal": "lag/state/x/position", "level": 1e6}}}
     given = {"requirements": {"it": {"formula": "always[never, inf] state <= 9"}}, "figures": figures}
     rig = rig_of(make_scenario(NODES, 1.0, shared={"state": LIVE["state"]}, **given))
-    found = figure_of(rig, simulate(rig).signals)
-    assert not found.passed
-    assert found.error == "not judged: the figure never of its formula never happens"
+    result = figure_of(rig, simulate(rig).signals)
+    assert not result.passed
+    assert result.error == "not judged: the figure never of its formula never happens"
 
 
 @pytest.mark.parametrize(

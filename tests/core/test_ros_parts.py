@@ -78,18 +78,18 @@ def test_what_is_to_be_seen_is_one_marker_each():
 )
 def test_a_parameter_is_described_with_its_range(kind, lower, upper, ranges):
     for live, unit in ((True, "m"), (False, "")):
-        told = range_descriptor(Declaration("a", kind(1), kind, "gain", unit, lower, upper, live))
-        assert (told.description, told.read_only, told.dynamic_typing) == (
+        reported = range_descriptor(Declaration("a", kind(1), kind, "gain", unit, lower, upper, live))
+        assert (reported.description, reported.read_only, reported.dynamic_typing) == (
             "gain [m]" if unit else "gain",
             not live,
             True,
         )
         when = "may change while running, from the next tick on" if live else "fixed from the start on"
-        assert told.additional_constraints == when
-        both = told.floating_point_range, told.integer_range
-        found = [(r.from_value, r.to_value) for of in both for r in of]
-        assert found == ([ranges] if ranges else [])
-        assert len(both[kind is int]) == len(found)
+        assert reported.additional_constraints == when
+        both = reported.floating_point_range, reported.integer_range
+        results = [(r.from_value, r.to_value) for of in both for r in of]
+        assert results == ([ranges] if ranges else [])
+        assert len(both[kind is int]) == len(results)
 
 
 def test_only_types_of_interface_packages_are_imported():
@@ -115,9 +115,9 @@ class FakeNode:
         return "/rig/node"
 
     def create_publisher(self, kind, topic, profile, **options):
-        said = self.topics.setdefault(topic, [])
-        made = SimpleNamespace(publish=said.append, get_subscription_count=lambda: self.readers.get(topic, 0))
-        made.handle = SimpleNamespace(publish_raw=said.append)
+        message = self.topics.setdefault(topic, [])
+        made = SimpleNamespace(publish=message.append, get_subscription_count=lambda: self.readers.get(topic, 0))
+        made.handle = SimpleNamespace(publish_raw=message.append)
         made.profile, made.kind = profile, kind
         self.topics[f"{topic} offered"] = made
         return made
@@ -376,8 +376,8 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
         ("text", "b", "b"),
         ("row", ["1e-3", "2"], [0.001, 2.0]),
     ):
-        found = node.ask(**{name: given})[2]
-        assert [{k: plain(Parameter(k, value=v)) if v != [] else [] for k, v in f.items()} for f in found] == [
+        actual = node.ask(**{name: given})[2]
+        assert [{k: plain(Parameter(k, value=v)) if v != [] else [] for k, v in f.items()} for f in actual] == [
             {name: meant}
         ]
     node.remark = "of a set before"
@@ -445,12 +445,12 @@ def test_a_callback_is_quiet_only_when_ros_has_been_shut_down(monkeypatch):
 
     with pytest.raises(ZeroDivisionError):
         quiet_after_shutdown(other)(b"")
-    heard = []
-    take = with_number(lambda data: heard.append(data), heard.append)
-    take(b"a", {"publication_sequence_number": 4})
-    take((b"b", {"publication_sequence_number": None}))
-    assert heard == [4, b"a", None, b"b"]
-    assert [*take.__signature__.parameters] == ["data", "info"]
+    received = []
+    accept = with_number(lambda data: received.append(data), received.append)
+    accept(b"a", {"publication_sequence_number": 4})
+    accept((b"b", {"publication_sequence_number": None}))
+    assert received == [4, b"a", None, b"b"]
+    assert [*accept.__signature__.parameters] == ["data", "info"]
 
 
 class RclTimer:
@@ -527,9 +527,9 @@ class Rcl:
         self.made.append(made)
         return made
 
-    def create_subscription(self, kind, topic, take, profile, **options):
+    def create_subscription(self, kind, topic, accept, profile, **options):
         made = SimpleNamespace(
-            topic_name=topic, take=take, profile=profile, event_handlers=[f"event of {topic}"], **options
+            topic_name=topic, take=accept, profile=profile, event_handlers=[f"event of {topic}"], **options
         )
         self._subscriptions.append(made)
         return made
@@ -575,7 +575,7 @@ def test_bytes_go_out_only_while_somebody_reads_them_unless_a_late_reader_is_owe
 
 def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_after_its_end(monkeypatch):
     node = Rcl()
-    middleware, heard, arrivals = RosMiddleware(node), [], []
+    middleware, received, arrivals = RosMiddleware(node), [], []
 
     class Arrives:
         def __init__(self, rcl, subscription, receive, matched, arrive):
@@ -592,22 +592,22 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
             self.log.append("look")
 
     monkeypatch.setattr(ros, "Arrival", Arrives)
-    monkeypatch.setattr(ros, "Garbage", lambda off: SimpleNamespace(step=lambda: heard.append(("garbage", off))))
+    monkeypatch.setattr(ros, "Garbage", lambda off: SimpleNamespace(step=lambda: received.append(("garbage", off))))
     processors = []
 
     def processor(*given):
         processors.append(given)
-        return SimpleNamespace(step=lambda: heard.append("processor"), number=3)
+        return SimpleNamespace(step=lambda: received.append("processor"), number=3)
 
     monkeypatch.setattr(ros, "Processor", processor)
-    middleware.subscribe("a", "std_msgs/msg/Float64", Listening(heard.append, heard.append))
-    middleware.subscribe("own", "std_msgs/msg/Float64", Listening(heard.append, heard.append))
+    middleware.subscribe("a", "std_msgs/msg/Float64", Listening(received.append, received.append))
+    middleware.subscribe("own", "std_msgs/msg/Float64", Listening(received.append, received.append))
     first, own = node._subscriptions
     assert (first.raw, first.profile.depth) == (True, 10)
     first.take(b"x")
     first.event_callbacks.matched(SimpleNamespace(current_count=2))
-    assert heard == [b"x", 2]
-    node.publishers = [SimpleNamespace(topic_name="own", wait_for_all_acked=lambda limit: heard.append(limit))]
+    assert received == [b"x", 2]
+    node.publishers = [SimpleNamespace(topic_name="own", wait_for_all_acked=lambda limit: received.append(limit))]
     node.waitables = [*first.event_handlers, *own.event_handlers]
     monkeypatch.setattr(ros, "library", lambda: None)
     middleware.be_prompt("together")
@@ -617,7 +617,7 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
     middleware.be_prompt("beside")
     (one,) = arrivals
     assert one.subscription is first
-    assert one.given == ("rcl", heard.append, heard.append, node.monitor.arrive)
+    assert one.given == ("rcl", received.append, received.append, node.monitor.arrive)
     assert (node._subscriptions, node.waitables) == ([own], own.event_handlers)
     assert (middleware.prompt, middleware.processor, processors[0][:2]) == (True, 3, (6, True))
     node.monitor.done = 7
@@ -625,24 +625,24 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
     assert [t.seconds for t in node.timers] == [0.02, 0.25, 0.25]
     for timer in node.timers:
         timer.call()
-    assert heard[2:] == [("garbage", True), "processor"]
+    assert received[2:] == [("garbage", True), "processor"]
     assert one.log == ["begin", "look"]
-    middleware.publisher("more", "std_msgs/msg/Float64", heard.append)
+    middleware.publisher("more", "std_msgs/msg/Float64", received.append)
     assert one.log[2:] == ["end", "begin"]  # while an endpoint is made nothing is told
     middleware.close()
     assert one.log[4:] == ["end"]
     assert (node._subscriptions, node.waitables) == ([own, first], [*own.event_handlers, *first.event_handlers])
     assert node.monitor.closed
-    del heard[:]
+    del received[:]
     middleware.drain()
-    assert heard[0].nanoseconds == pytest.approx(10e9, abs=1e9)
+    assert received[0].nanoseconds == pytest.approx(10e9, abs=1e9)
     held = Rcl()
-    monkeypatch.setattr(held.monitor, "close", lambda patience: heard.append(patience))
+    monkeypatch.setattr(held.monitor, "close", lambda patience: received.append(patience))
     with pytest.raises(ros.RunError, match="a tick has not come to its end within 2 s"):
         RosMiddleware(held).close()
-    assert heard[-1] == 2.0
+    assert received[-1] == 2.0
     anywhere = RosMiddleware(Rcl())
-    anywhere.subscribe("a", "std_msgs/msg/Float64", Listening(heard.append, heard.append))
+    anywhere.subscribe("a", "std_msgs/msg/Float64", Listening(received.append, received.append))
     anywhere.node.waitables = ["event of a"]
     anywhere.be_prompt("anywhere")
     assert (len(processors), anywhere.prompt, len(anywhere.node.timers)) == (1, True, 2)
@@ -677,13 +677,13 @@ def test_the_graph_is_told_by_endpoints_and_who_asks_for_more_is_named(monkeypat
         end("b", depth=1, reliability=best),
         end("c", "x", depth=1, reliability=reliable),
     ]
-    found = SimpleNamespace(
+    result = SimpleNamespace(
         rclpy_get_publishers_info_by_topic=lambda handle, topic, mangled: (
             writers if (topic, mangled) == ("/t", False) else []
         ),
         rclpy_get_subscriptions_info_by_topic=lambda handle, topic, mangled: readers if topic == "/t" else [],
     )
-    monkeypatch.setattr(uses, "_c", lambda: found)
+    monkeypatch.setattr(uses, "_c", lambda: result)
     node = Rcl()
     node.handle = nullcontext()
     middleware = RosMiddleware(node)
@@ -889,11 +889,11 @@ class Asked:
         monkeypatch.setattr(remote, "AsyncParameterClient", lambda node, name: self._client(name))
         node = SimpleNamespace(create_client=lambda kind, name: self._client(name), create_timer=self._timer)
         node.destroy_timer = lambda timer: self.timers.remove(timer)
-        self.remote = remote.Remote(node, lambda *said: self.said.append(said), patience)
+        self.remote = remote.Remote(node, lambda *message: self.said.append(message), patience)
 
-    def _timer(self, seconds, look):
+    def _timer(self, seconds, style):
         assert seconds == 0.01
-        timer = SimpleNamespace(look=look)
+        timer = SimpleNamespace(look=style)
         self.timers.append(timer)
         return timer
 
@@ -945,7 +945,7 @@ def test_a_set_or_a_press_is_answered_when_the_node_has_and_a_node_that_does_not
     asked.ready, asked.future = True, SimpleNamespace()
     asked.remote.ask({"id": 3, "node": "law", "set": {"k": 1.0}})
     assert asked.look()[:2] == (3, False)
-    for request, said in (
+    for request, message in (
         ({"id": 4, "set": {}}, "'node'"),
         ({"id": 5, "node": "law"}, "'call'"),
         (
@@ -958,7 +958,7 @@ def test_a_set_or_a_press_is_answered_when_the_node_has_and_a_node_that_does_not
         ),
     ):
         asked.remote.ask(request)
-        assert asked.said.pop() == (request["id"], False, said)
+        assert asked.said.pop() == (request["id"], False, message)
     asked.remote.ask({"id": 6, "node": "law", "set": {"k": 2**63 - 1, "n": [-(2**63)]}})
     assert len(asked.timers) == 1
 
@@ -1008,12 +1008,12 @@ class FakeRcl:
 
 
 def test_messages_are_handed_over_as_they_came_however_long_they_are(monkeypatch):
-    rcl, heard, matched, ensured, up = FakeRcl(), [], [], [], [True]
+    rcl, received, matched, ensured, up = FakeRcl(), [], [], [], [True]
     monkeypatch.setattr(arrival.ctypes.pythonapi, "PyGILState_Ensure", lambda: ensured.append(1))
     monkeypatch.setattr(arrival, "rclpy", SimpleNamespace(ok=lambda: up[0]))
     subscription = SimpleNamespace(handle=SimpleNamespace(pointer=77), topic_name="/t")
     works = []
-    one = arrival.Arrival(rcl, subscription, heard.append, matched.append, works.append)
+    one = arrival.Arrival(rcl, subscription, received.append, matched.append, works.append)
     one.begin()
     messages = [b"a", b"", bytes(range(256)) * 16, bytes(range(256)) * 17, b"end"]  # 4096 bytes, and more
     rcl.queue += messages
@@ -1023,26 +1023,26 @@ def test_messages_are_handed_over_as_they_came_however_long_they_are(monkeypatch
     for work in works:
         work()
     works[0]()  # a newer one has replaced it: nothing is there
-    assert (heard, rcl.resets) == (messages, 0)
-    for writers, told in ((0, []), (2, [2]), (2, [2]), (1, [2, 1])):
+    assert (received, rcl.resets) == (messages, 0)
+    for writers, reported in ((0, []), (2, [2]), (2, [2]), (1, [2, 1])):
         rcl.writers = writers
         one.look()
-        assert matched == told
+        assert matched == reported
     one.end()
     assert not rcl.call
     rcl.code = 5
     one.look()
     assert (matched, rcl.resets) == ([2, 1], 1)
-    for call, said in (
+    for call, message in (
         (works[0], "a message cannot be taken (rcl reports 5)"),
         (one.begin, "cannot be notified of its messages"),
     ):
         with pytest.raises(ros.RCLError) as error:
             call()
-        assert str(error.value) == f"/t: {said}"
+        assert str(error.value) == f"/t: {message}"
     assert rcl.resets == 3
     with pytest.raises(MemoryError, match="4096 bytes for messages on /t"):
-        arrival.Arrival(rcl, subscription, heard.append, matched.append, works.append)
+        arrival.Arrival(rcl, subscription, received.append, matched.append, works.append)
     rcl.code = 0
 
     def publish(data):
@@ -1099,8 +1099,8 @@ def test_the_type_of_frames_is_described_as_ros_describes_that_of_tf2_msgs():
     assert (text(first.name), text(first.encoding)) == ("tf2_msgs/msg/TFMessage", "msg")
     assert text(first.text) == "geometry_msgs/TransformStamped[] transforms\n"
     assert {text(one.name) for one in others} == {text(one.name) for one in referenced}
-    told = ctypes.cast(handle.hash(0), ctypes.POINTER(tf_message.Hash))[0]
-    assert (told.version, bytes(told.value).hex()) == (1, tf_message.HASH)
+    reported = ctypes.cast(handle.hash(0), ctypes.POINTER(tf_message.Hash))[0]
+    assert (reported.version, bytes(reported.value).hex()) == (1, tf_message.HASH)
     theirs = tf_message.Handle.from_address(pointer_of(type(TransformStamped)._TYPE_SUPPORT))
     assert handle.identifier == theirs.identifier
 
@@ -1172,5 +1172,5 @@ def test_a_set_that_is_refused_for_want_of_time_is_told():
     assert serving.ask(k=2.0)[0] == [False]
     shown._publish_diagnostics()
     (status,) = node.topics["/diagnostics"].pop().status
-    said = {v.key: v.value for v in status.values}
-    assert said["services"].startswith("1 x more is set than fits between the ticks")
+    messages = {v.key: v.value for v in status.values}
+    assert messages["services"].startswith("1 x more is set than fits between the ticks")

@@ -81,10 +81,10 @@ def test_what_is_no_yaml_or_too_much_of_it_is_told():
     }
     lines = []
     for name, text in cases.items():
-        found = said(read_yaml, text, "here.yaml")
+        result = said(read_yaml, text, "here.yaml")
         if name in ("no end", "an odd character", "two documents", "a long line", "an alias of nothing"):
-            found = found.partition("YAML: ")[0]  # the words of the library
-        lines.append(f"{name}: {found if len(found) < 300 else 'much'}")
+            result = result.partition("YAML: ")[0]  # the words of the library
+        lines.append(f"{name}: {result if len(result) < 300 else 'much'}")
     more = cases["as many values as may be"][:-2] + ",1]\n"
     lines.append(f"one more: {said(read_yaml, more, 'here.yaml')}")
     lines += [f"{n} characters: {said(read_yaml, '#' * n, 'here.yaml')}" for n in (SIZE, SIZE + 1)]
@@ -93,7 +93,7 @@ def test_what_is_no_yaml_or_too_much_of_it_is_told():
 
 def test_a_mapping_is_read_from_a_file_in_utf_8(tmp_path):
     file = tmp_path / "a.yaml"
-    for content, told in {
+    for content, reported in {
         "ä: 1\n".encode(): "{'ä': 1}",
         b"\xff: 1\n": "ScenarioError: a.yaml: not valid YAML: 'utf-8' codec can't decode byte 0xff in position 0: "
         "invalid start byte",
@@ -101,7 +101,7 @@ def test_a_mapping_is_read_from_a_file_in_utf_8(tmp_path):
         b"": "ScenarioError: a.yaml: expected a mapping of keys, got NoneType",
     }.items():
         file.write_bytes(content)
-        assert said(read_mapping, file) == told
+        assert said(read_mapping, file) == reported
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -268,8 +268,8 @@ def test_changes_are_given_to_their_nodes_in_the_order_of_time():
             member("fault", package="softrig_control", executable="fault"),
             member("out", external=True),
         ]
-        told = said(script, "here", [ChangeEntry(at=at, set=values) for at, values in entries], members)
-        lines.append(f"{entries}: {told if told != 'None' else ''}")
+        reported = said(script, "here", [ChangeEntry(at=at, set=values) for at, values in entries], members)
+        lines.append(f"{entries}: {reported if reported != 'None' else ''}")
         lines += [f"  {m.name}: {list(m.changes)}" for m in members if m.changes]
     check_told("changes", lines)
 
@@ -312,12 +312,12 @@ def test_faults_are_put_between_a_sender_and_its_readers():
     ):
         entries = {name: FaultEntry(link=link, **keys) for name, (link, keys) in faults.items()}
         try:
-            found = insert("here", entries, nodes, ports, params)
+            result = insert("here", entries, nodes, ports, params)
         except ScenarioError as error:
             lines.append(f"{faults}: {error}")
             continue
         lines.append(f"{faults}:")
-        for name, entry in found.items():
+        for name, entry in result.items():
             lines.append(f"  {name}: {entry if name not in nodes else entry['remap']}")
         assert nodes["law"]["remap"] == {"my/state": "motor/state"}
     lines += [
@@ -435,8 +435,8 @@ def test_files_are_found_and_their_variants(folder):
     (folder / "one/pool.yaml").write_text("extends: loop\n")
     (folder / "one/list.yaml").write_text("extends: [base]\n")
     for name in ("bas", "child_lo", "none.yaml", "one/none", "loop", "list"):
-        told = said(lambda name=name: resolve(*locate(name)))
-        lines.append(f"{name}: {told}")
+        reported = said(lambda name=name: resolve(*locate(name)))
+        lines.append(f"{name}: {reported}")
     check_told("scenario_files", [line.replace(str(folder), "HERE") for line in lines])
 
 
@@ -527,8 +527,8 @@ def test_what_a_scenario_must_not_say_and_what_goes_over_it():
         {"seed": 2**63},
         {"record": "some"},
     ):
-        told = said(Scenario.model_validate, whole | keys)
-        first = re.search(r"^  (.*?) \[type=", told, re.MULTILINE)
+        reported = said(Scenario.model_validate, whole | keys)
+        first = re.search(r"^  (.*?) \[type=", reported, re.MULTILINE)
         lines.append(f"{keys}: {first[1] if first else 'a scenario'}")
     scenario = Scenario.model_validate(more)
     for overrides in (
@@ -551,8 +551,8 @@ def test_what_a_scenario_must_not_say_and_what_goes_over_it():
     lines.append(said(scenario.having, titel="x"))
     for overrides in ({"gain": 2.0}, {"motor.R": 5.0}, {"motor": 5.0}, {"gains": 2.0}, {"c.k": 1}, {"a.k": 2}):
         draft = Draft("here", Path("here.yaml"), {k: v for k, v in more.items() if k != "name"})
-        found = said(lambda d=draft, o=overrides: d.filled(o).shared)
-        lines.append(f"{overrides} of a draft: {found}")
+        result = said(lambda d=draft, o=overrides: d.filled(o).shared)
+        lines.append(f"{overrides} of a draft: {result}")
         assert draft.raw["shared"] == more["shared"]
     check_told("scenarios", lines)
     claims = {
@@ -573,12 +573,12 @@ def test_parameters_of_nodes_may_be_those_of_others():
         about = {"name": "here", "title": "T", "system": "s", "source": "S", "duration": 1.0, "nodes": entries}
         return NodeParameters(Scenario.model_validate(about), dict.fromkeys(nodes, Law))
 
-    found = parameters(
+    result = parameters(
         a={"gain": "$b.size", "row": ["$b.row.1", 3.0]}, b={"size": 4, "row": [1.0, "$c.gain"]}, c={"gain": 7.0}
     )
-    assert (found("a").gain, found("a").row, found("b").row) == (4.0, (7.0, 3.0), (1.0, 7.0))
-    assert found("a") is found("a")
-    for nodes, told in (
+    assert (result("a").gain, result("a").row, result("b").row) == (4.0, (7.0, 3.0), (1.0, 7.0))
+    assert result("a") is result("a")
+    for nodes, reported in (
         ({"a": {"gain": "$a.size"}}, "here: node a: its parameters refer to themselves: a -> a"),
         (
             {"a": {"gain": "$b.gain"}, "b": {"gain": "$a.gain"}},
@@ -590,4 +590,4 @@ def test_parameters_of_nodes_may_be_those_of_others():
     ):
         with pytest.raises(ScenarioError) as error:
             parameters(**nodes)("a")
-        assert str(error.value) == told
+        assert str(error.value) == reported

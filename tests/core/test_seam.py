@@ -231,8 +231,8 @@ def test_a_container_stays_awake_until_a_time(monkeypatch):
 def test_each_press_is_one_tick_down_and_at_least_one_up_however_fast_they_come():
     """Against the list of what a block must see: as many edges as presses, none lost, none longer than a tick."""
     draw = random.Random(3)
-    port, values, told = button("kick", "kick"), {"kick": (0.0,)}, []
-    buttons = Buttons(values, lambda p, down: told.append((p, down)))
+    port, values, messages = button("kick", "kick"), {"kick": (0.0,)}, []
+    buttons = Buttons(values, lambda p, down: messages.append((p, down)))
     waiting, seen, down = 0, [], False
     for _ in range(200):
         for _ in range(draw.choice([0, 0, 0, 1, 2])):
@@ -251,8 +251,8 @@ def test_each_press_is_one_tick_down_and_at_least_one_up_however_fast_they_come(
     presses = sum(seen)
     assert not any(a and b for a, b in itertools.pairwise(seen))
     assert not buttons.pressed
-    assert [down for _, down in told] == [True, False] * presses
-    assert {p for p, _ in told} == {port}
+    assert [down for _, down in messages] == [True, False] * presses
+    assert {p for p, _ in messages} == {port}
     values["kick"] = (1.0,)
     assert buttons.press(port) == (False, "kick is held down by its topic")
     assert not buttons.pressed
@@ -336,17 +336,17 @@ def test_an_acknowledgement_says_its_tick_and_who_has_spoken_and_is_read_from_an
 
 
 def test_a_number_stands_in_eight_bytes_behind_a_message():
-    said, counts = [], {"u": 0}
+    messages, counts = [], {"u": 0}
     port = joint_state("a", "t", ["x"], position="m")
-    publish = Numbering(said.append, port.layout(), counts, "u")
+    publish = Numbering(messages.append, port.layout(), counts, "u")
     for k in range(3):
         publish(10 + k, (float(k),))
-    assert said == [port.layout().encode(10 + k, (float(k),)) + bytes([k, 0, 0, 0, 0, 0, 0, 0]) for k in range(3)]
+    assert messages == [port.layout().encode(10 + k, (float(k),)) + bytes([k, 0, 0, 0, 0, 0, 0, 0]) for k in range(3)]
     counts["u"] = 1  # what was kept two messages ago: they are published again as they were
     publish(11, (1.0,))
     publish(12, (2.0,))
-    assert said[3:] == said[1:3]
-    assert split(said[2]) == (2, port.layout().encode(12, (2.0,)))
+    assert messages[3:] == messages[1:3]
+    assert split(messages[2]) == (2, port.layout().encode(12, (2.0,)))
     assert split(numbered(2**40 + 258, b"abc")) == (2**40 + 258, b"abc")
 
 
@@ -423,10 +423,10 @@ def test_a_solver_tells_its_peers_each_half_second_that_it_works(monkeypatch):
         times += [hand.time - 10**9] * (len(hand.said[BUSY]) - before)
     assert times == [502 * MS, 1004 * MS, 1506 * MS]
     assert TickReader()(hand.said[BUSY][0]) == (0, frozenset(["/node"]))
-    heard = []
-    item = Busy(hand, 2, lambda: heard.append(1))
+    received = []
+    item = Busy(hand, 2, lambda: received.append(1))
     hand.heard[BUSY](hand.said[BUSY][0])
-    assert heard == [1]
+    assert received == [1]
     for count, publishers in ((0, 0), (1, 0), (2, 1), (3, 1), (4, 2)):
         hand.matched[BUSY](count)
         assert item.publishers == publishers
@@ -467,17 +467,17 @@ def test_a_pace_is_looked_at_a_hundred_times_a_second_until_there_is_none():
     hand, turned = Hand(time=10**9), []
     hold = Hold(pace=0.5)
     hold.begin(hand, lambda: turned.append(1))
-    tells, looks = hand.timers
-    assert looks.asked == [(LOOK, 0), (LOOK, 0)]
+    tells, styles = hand.timers
+    assert styles.asked == [(LOOK, 0), (LOOK, 0)]
     assert LOOK == 10 * MS
     assert hold.holds(0)
     assert hold.waits
     tells.call()
     assert len(hand.said[BUSY]) == 1
     hand.time += 20 * MS  # 10 ms of the run
-    looks.call()
+    styles.call()
     assert (turned, hold.waits) == ([1], False)
-    looks.call()
+    styles.call()
     assert turned == [1]  # nothing waits
     assert [hold.holds(t * MS) for t in (0, 5, 9, 10, 11)] == [False, False, False, True, True]
     assert hold.go_at(2.0)
@@ -485,7 +485,7 @@ def test_a_pace_is_looked_at_a_hundred_times_a_second_until_there_is_none():
     hand.time += 10 * MS
     assert [hold.holds(t * MS) for t in (10, 29, 30)] == [False, False, True]
     assert hold.go_at(0.0)
-    assert looks.now is None
+    assert styles.now is None
     hand.posted.pop()()
     assert turned == [1, 1]
     assert not hold.holds(10**15)
@@ -526,9 +526,9 @@ def test_of_times_the_middle_the_hundredth_longest_and_the_longest_are_told():
     for n in (1, 2, 3, 99, 100, 101, 250):
         samples = list(range(1, n + 1))
         random.Random(n).shuffle(samples)
-        said = health.percentiles("x", (s * MS for s in samples), 400 * MS)
+        text = health.percentiles("x", (s * MS for s in samples), 400 * MS)
         middle = n // 2 + 1  # of an even number the upper one
-        assert said == {"x_p50_ms": middle, "x_p99_ms": n * 99 // 100 + 1, "x_max_ms": 400.0}
+        assert text == {"x_p50_ms": middle, "x_p99_ms": n * 99 // 100 + 1, "x_max_ms": 400.0}
 
 
 def test_the_most_memory_is_what_the_system_says():

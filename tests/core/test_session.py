@@ -67,13 +67,13 @@ def wired():
 
 def by_hand(until, turned):
     """The commands of the ticks before `until`; the gain is what was set last at or before a tick."""
-    x, said = 0.0, []
+    x, messages = 0.0, []
     for k in range(min(until, LAST)):
         gain = ([2.0] + [value for at, value in turned if at <= k])[-1]
         u = gain * (0.001 * (10 * k % 2000) - x)
-        said.append(u)
+        messages.append(u)
         x = x + 0.01 * 1.0 * (max(-10.0, min(10.0, u)) - x)
-    return said
+    return messages
 
 
 class Model:
@@ -88,9 +88,9 @@ class Model:
         assert session.ticks == LAST
         topics = session.recording.topics
         assert len(topics["lag/state"].times) == len(topics["/clock"].times) == self.at
-        told = session.run.signals
+        signals = session.run.signals
         if self.at:
-            assert told["lag/command/u/effort"].x == pytest.approx(by_hand(self.at, self.turned), abs=1e-12)
+            assert signals["lag/command/u/effort"].x == pytest.approx(by_hand(self.at, self.turned), abs=1e-12)
         assert session.run.reached_s == pytest.approx(0.01 * max(self.at - 1, 0))
 
 
@@ -191,17 +191,17 @@ def test_changes_of_a_branch_are_those_before_its_time_those_of_the_scenario_and
     ]
     assert changes(0.0, {"law.k": 9.0}) == [(0.0, {"law.k": 9.0})]
     assert len(changes(0.2, {})) == 3
-    for at, said in ((0.2000001, "0.2000001"), (-0.1, "-0.1"), (math.nan, "nan")):
+    for at, text in ((0.2000001, "0.2000001"), (-0.1, "-0.1"), (math.nan, "nan")):
         with pytest.raises(ScenarioError) as error:
             changes(at, {})
-        assert str(error.value) == f"t = {said} s: expected a time that the run has come to, 0 to 0.2 s"
+        assert str(error.value) == f"t = {text} s: expected a time that the run has come to, 0 to 0.2 s"
     with pytest.raises(ScenarioError, match=r"0 to 0 s$"):
         branched(rig, Recording([]), 0.1, {}, 7)
     later = Kept([("lag/state", STATE.msgtype)])
     later.add(0, 70 * MS + 500, b"")
     later.note(20 * MS + 500, encode(20 * MS + 500, "/law", {"k": 1.0}))
-    found = branched(rig, later, 0.07, {}, 500)
-    assert found == [{"at": 0.02, "set": {"law.k": 1.0}}]
+    result = branched(rig, later, 0.07, {}, 500)
+    assert result == [{"at": 0.02, "set": {"law.k": 1.0}}]
 
 
 def test_changes_that_the_scenario_makes_stay_from_the_tick_on_at_which_they_come():
@@ -256,10 +256,10 @@ def test_a_member_is_fed_with_what_had_come_at_each_of_its_ticks():
     late = in_process(rig)  # a message that is not there: the one before holds
     topic = late.topics["lag/reference"]
     del topic.times[3], topic.data[3]
-    said = [parse(d) for d in feed(gain, 0, late).topics["lag/command"].data]
+    messages = [parse(d) for d in feed(gain, 0, late).topics["lag/command"].data]
     was = [parse(d) for d in recording.topics["lag/command"].data]
-    assert [a == b for a, b in zip(said, was, strict=True)] == [k != 3 for k in range(10)]
-    assert said[3] == pytest.approx(was[3] - 2.0 * 0.01)
+    assert [a == b for a, b in zip(messages, was, strict=True)] == [k != 3 for k in range(10)]
+    assert messages[3] == pytest.approx(was[3] - 2.0 * 0.01)
 
 
 def parse(data):
@@ -417,11 +417,11 @@ def test_figures_that_are_measured_while_it_runs_are_told_what_and_how_often():
     own = {"ports": "[]", "figures": "[]"}
     nodes = {name: {"package": "faultrig", "executable": e} for name, e in BASIC.items()}
     scenario = make_scenario(BASIC, 0.1, figures={"mean_x": FIGURE}, expect={"mean_x": "at least 0"})
-    for given, asked, told in (({}, True, True), ({}, False, False), (own, True, False)):
+    for given, asked, reported in (({}, True, True), ({}, False, False), (own, True, False)):
         rig = rig_of(scenario.having(nodes=nodes | {"shown": live | {"parameters": given}}), live=asked)
         member = next(m for m in rig.members if m.name == "shown")
-        assert (member.params.figures != "[]") is told
-        assert [p.topic for p in member.inputs] == (["lag/state"] if told else [])
-        if told:
+        assert (member.params.figures != "[]") is reported
+        assert [p.topic for p in member.inputs] == (["lag/state"] if reported else [])
+        if reported:
             assert member.params.period == 0.01
         assert rig.scenario.nodes["shown"].parameters == given

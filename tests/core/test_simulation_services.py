@@ -54,7 +54,7 @@ class Caller:
         response = answer(SimpleNamespace(**request), message() if response is None else response)
         before = len(self.late)
         service.send_response(response, header)
-        assert [said for _, said in self.late[before:]] in ([], [response])
+        assert [text for _, text in self.late[before:]] in ([], [response])
         return response if len(self.late) > before else None
 
     def state(self):
@@ -118,11 +118,13 @@ def test_a_package_whose_libraries_are_not_found_is_told_in_one_line(fault, monk
 
 
 def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_own(monkeypatch):
-    call, told = Caller(monkeypatch, "dc_motor_smc_b2", paused=True), []
+    call, messages = Caller(monkeypatch, "dc_motor_smc_b2", paused=True), []
     call.until(lambda: call.adapter.state == "running")
     for name, count in (("a", 3), ("b", 2)):
-        said = call.simulation._take(count, lambda n, name=name: told.append((name, n)), lambda text: told.append(text))
-        assert said == ""
+        published = call.simulation._take(
+            count, lambda n, name=name: messages.append((name, n)), lambda text: messages.append(text)
+        )
+        assert published == ""
     waiting = call.simulation._steps[:]
     call.simulation._steps += waiting * 49
     assert call.simulation._take(1, print, print) == "100 requests of steps wait already, expected at most 100"
@@ -131,7 +133,7 @@ def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_ow
         call.adapter.ticks = ticks
         call.simulation._look()
     first = [("a", 1), ("b", 0), ("a", 3), "", ("b", 0)]
-    assert told == [*first, ("b", 1), ("b", 2), ""]
+    assert messages == [*first, ("b", 1), ("b", 2), ""]
     assert call.simulation._steps == []
 
 
@@ -182,22 +184,22 @@ def test_bodies_are_where_the_scene_has_them_and_move_as_the_joints_do(monkeypat
         for k, (name, v) in enumerate(zip(port.labels, step.newest(scene.port), strict=True))
     ]
     step.said = (*step.said[:place], tuple(fast), *step.said[place + 1 :])
-    said = dict(zip(port.labels, step.newest(scene.port), strict=True))
-    q = [v for k, v in said.items() if k.endswith("/position")]
-    rates = [v for k, v in said.items() if k.endswith("/velocity")]
+    messages = dict(zip(port.labels, step.newest(scene.port), strict=True))
+    q = [v for k, v in messages.items() if k.endswith("/position")]
+    rates = [v for k, v in messages.items() if k.endswith("/velocity")]
     assert max(map(abs, rates)) > 0.01
     for pose in scene.moving(q):
-        told = entity(pose.child)
-        assert told.result.result == 1
-        p, r = told.state.pose.position, told.state.pose.orientation
+        reported = entity(pose.child)
+        assert reported.result.result == 1
+        p, r = reported.state.pose.position, reported.state.pose.orientation
         assert ((p.x, p.y, p.z), (r.x, r.y, r.z, r.w)) == (pose.position, pose.rotation)
-        assert told.state.header.frame_id == pose.parent
-        stamp = told.state.header.stamp
+        assert reported.state.header.frame_id == pose.parent
+        stamp = reported.state.header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == step.t > 0
         later = next(
             x for x in scene.moving([a + 1e-6 * b for a, b in zip(q, rates, strict=True)]) if x.child == pose.child
         )
-        v, w = told.state.twist.linear, told.state.twist.angular
+        v, w = reported.state.twist.linear, reported.state.twist.angular
         moved = [(b - a) / 1e-6 for a, b in zip(pose.position, later.position, strict=True)]
         assert (v.x, v.y, v.z) == pytest.approx(moved, abs=1e-3)
         turns = [angle / 1e-6 for angle in turned(pose.rotation, later.rotation)]

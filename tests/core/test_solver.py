@@ -123,15 +123,15 @@ def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, re
         drive(block, 2)
     block.reset(0)
     block.block.realtime = True
-    found = []
+    results = []
     for k in range(5):  # in its two parts: how fast the work is decides nothing
         block.x = block.block.begin(block.x, k * 100_000_000, state=(0.01 * k, 0.0), reference=(1.0,))
         assert block.block.worker.wait(PATIENCE)
         block.x, values = block.block.end(block.x, k * 100_000_000)
         block.tell()
-        found.append(values)
+        results.append(values)
     # the second work failed, the third plan comes from a new process
-    assert [round(v["plan"][0], 9) for v in found] == [0.0, 0.0, 0.2, 0.3, 0.4]
+    assert [round(v["plan"][0], 9) for v in results] == [0.0, 0.0, 0.2, 0.3, 0.4]
     assert block.reports["work"][2] == 1
 
 
@@ -139,8 +139,8 @@ def test_against_the_wall_clock_nothing_waits():
     block = ByHand(Planner(work=0.5))
     block.block.realtime = True
     block.block.worker.warm()
-    found = drive(block, 5)  # answers without the plan, which takes longer than five ticks
-    assert [v["plan"][0] for v in found] == [-1.0] * 5
+    result = drive(block, 5)  # answers without the plan, which takes longer than five ticks
+    assert [v["plan"][0] for v in result] == [-1.0] * 5
     # at the tick of the request nobody can have its result
     assert block.reports["unfinished"][1:] == ("the work was not done when its result was due: answered without it", 4)
     assert block.block.worker.wait(PATIENCE)
@@ -271,8 +271,8 @@ def test_realtime_node_answers_every_tick_while_a_plan_is_made():
     signal = Signals(run.recording, run.epoch)["lag/plan/asked_at/position"]
     first, second, *_ = [a for a, _ in itertools.groupby(signal.x) if a >= 0.0]
     # the second request is the newest at the tick at which the first plan took effect
-    taken = signal.t[np.argmax(signal.x == first)]
-    assert (first, second) == (0.0, pytest.approx(taken, abs=1e-9))
+    used = signal.t[np.argmax(signal.x == first)]
+    assert (first, second) == (0.0, pytest.approx(used, abs=1e-9))
 
 
 def works(queue=None):

@@ -129,14 +129,14 @@ def test_a_solver_ticks_as_its_account_says(latency, cancels, monkeypatch):
 def test_a_limit_takes_the_best_so_far(monkeypatch):
     held = solver(monkeypatch, 0.0, limit=2.0)
     work = held.block.worker
-    for k, (seconds, best, told) in enumerate(
+    for k, (seconds, best, reported) in enumerate(
         [(2.0, True, ""), (2.1, True, "best answer so far after 2 s"), (2.1, False, "no answer after 2 s")]
     ):
         work.seconds, work.best_there = seconds, best
         stamp, answer, repeatable = held.update(k, ask="r")[0]
-        assert (stamp, repeatable) == (k, not told)
-        assert answer == ("answer to r" if not told else "best" if best else None)
-        assert held.reports.get("limit", (0, ""))[1] == (f"{told}: this result does not repeat" if told else "")
+        assert (stamp, repeatable) == (k, not reported)
+        assert answer == ("answer to r" if not reported else "best" if best else None)
+        assert held.reports.get("limit", (0, ""))[1] == (f"{reported}: this result does not repeat" if reported else "")
     assert held.reports["limit"][0] is Level.WARN
     assert [s for s in work.log if s != "r"] == [pytest.approx(0.001)]
 
@@ -418,30 +418,30 @@ def test_a_listener_hands_on_what_is_said_until_the_end(monkeypatch):
         pipe.write(module.LENGTH.pack(3) + b"bad")
     for status, how in ((3, "ended with status 3"), (0, "ended with status 0"), (-9, "was killed by SIGKILL")):
         process = object.__new__(module._Process)
-        process._process, process.busy, heard = Started([]), True, []
+        process._process, process.busy, received = Started([]), True, []
         process._process.stdout, process._process.ended = (
             os.fdopen(os.dup(read), "rb") if status == 3 else os.fdopen(os.open(os.devnull, os.O_RDONLY), "rb"),
             status,
         )
         taker = type(
-            "Taker", (), {"heard": lambda self, p, kind, content, h=heard: h.append((kind, content, p.busy))}
+            "Taker", (), {"heard": lambda self, p, kind, content, h=received: h.append((kind, content, p.busy))}
         )()
         process.owner = lambda taker=taker: taker
         process._listen()
         if status == 3:
-            assert heard[:3] == [("begun", None, True), ("status", {"gap": 1}, True), ("done", 5, False)]
-            kind, text, _ = heard[3]
+            assert received[:3] == [("begun", None, True), ("status", {"gap": 1}, True), ("done", 5, False)]
+            kind, text, _ = received[3]
             assert kind == "failed"
             assert text.startswith("its answer cannot be read: UnpicklingError: ")
-        assert heard[-1][:2] == ("failed", f"the process that works {how}")
+        assert received[-1][:2] == ("failed", f"the process that works {how}")
         process.owner = lambda: None
         process._process.stdout.close()
     os.close(read)
-    said: list[Any] = []
-    work = Work(lambda *told: said.append(told))
+    messages: list[Any] = []
+    work = Work(lambda *reported: messages.append(reported))
     work.status(gap=0.5, node=3)
     work.best("b")
-    assert said == [("status", {"gap": 0.5, "node": 3}), ("best", "b")]
+    assert messages == [("status", {"gap": 0.5, "node": 3}), ("best", "b")]
 
 
 # a tick before the first one ------------------------------------------------------------------------------------------

@@ -117,9 +117,9 @@ def test_readers_that_ask_for_more_than_is_offered_are_named_if_they_are_awaited
 
 def test_whoever_an_external_node_is_reads_what_it_subscribes():
     meeting = Meeting([], outside=["cmd", "/abs"])
-    told = ["no publisher on x (expected from sender)"]
-    told += [f"no publisher on {name} (expected from an external node)" for name in ("cmd", "/abs")]
-    assert meeting.absent()[:3] == told
+    messages = ["no publisher on x (expected from sender)"]
+    messages += [f"no publisher on {name} (expected from an external node)" for name in ("cmd", "/abs")]
+    assert meeting.absent()[:3] == messages
     assert meeting.shake.lacking == ["cmd", "/abs"]
     meeting.whole(law=JOINT)
     meeting.hand.writers = {"/rig/cmd": ["guest", "second"], "/abs": ["other"]}
@@ -131,10 +131,10 @@ def test_whoever_an_external_node_is_reads_what_it_subscribes():
     meeting.hand.readers["/y"] = {"guest": JOINT}
     assert meeting.absent() == ["/y has 0 readers of 1"]
     meeting.y.matched(1)
-    looks = 0
+    styles = 0
     while meeting.absent() == ["outside nodes are still announcing themselves"]:
-        looks += 1
-    assert (looks, meeting.absent()) == (
+        styles += 1
+    assert (styles, meeting.absent()) == (
         25,
         [],
     )  # a fiftieth of a second each: when nothing has changed for half of one
@@ -189,8 +189,8 @@ class Leaves:
             self.node,
             self.shake,
             set(local),
-            lambda *said: self.begun.append(said),
-            lambda said: self.words.append(said),
+            lambda *message: self.begun.append(message),
+            lambda message: self.words.append(message),
         )
         (self.timer,) = self.hand.timers
 
@@ -203,7 +203,7 @@ class Leaves:
 
 def test_the_starter_waits_until_all_are_ready_and_hear_it_and_says_when():
     one = Leaves()
-    ready, said = one.hand.heard[READY], one.hand.said[START]
+    ready, text = one.hand.heard[READY], one.hand.said[START]
     assert one.timer.asked == [(20 * MS, 0)]
     one.hand.readers[f"/{START}"] = {"law": TICK}
     one.gone.append("nobody on x")
@@ -215,20 +215,20 @@ def test_the_starter_waits_until_all_are_ready_and_hear_it_and_says_when():
     ready(TickWriter()(0, ["source"]))
     one.hand.readers[f"/{START}"] = {"law": TICK, "source": TICK}
     assert one.look() == [f"one of 3 nodes does not hear {START} yet"]
-    assert not said
+    assert not text
     one.hand.matched[START](2)
     assert one.look() == []
     now = one.hand.time
     ((epoch, ahead),) = one.begun
     assert (epoch % (10 * MS), ahead) == (0, 0)
     assert now + 500 * MS < epoch <= now + 510 * MS  # half a second, and to the next point of the grid
-    assert TickReader()(said[0]) == (epoch, frozenset([str(now)]))
+    assert TickReader()(text[0]) == (epoch, frozenset([str(now)]))
     assert one.timer.now is None
     one.hand.time += SECOND
     ready(TickWriter()(0, ["law"]))  # who still asks is told again, with what time it is
-    assert TickReader()(said[1]) == (epoch, frozenset([str(now + SECOND)]))
+    assert TickReader()(text[1]) == (epoch, frozenset([str(now + SECOND)]))
     one.departure.say(["ahead=0", "from=5"])
-    assert TickReader()(said[2]) == (epoch, frozenset([str(now + SECOND), "ahead=0", "from=5"]))
+    assert TickReader()(text[2]) == (epoch, frozenset([str(now + SECOND), "ahead=0", "from=5"]))
     ready(b"\0\1\0\0")
     assert one.failures == ["std_msgs/msg/Header: 4 bytes end inside a field at byte 4"]
     assert not one.words
@@ -250,13 +250,13 @@ def test_neighbours_of_its_process_are_told_in_memory():
 @pytest.mark.parametrize(("off", "ahead"), [(0, 0), (SECOND // 2, 0), (SECOND // 2 + 1, 1), (-SECOND, 1)])
 def test_the_others_say_that_they_are_ready_and_follow_a_clock_that_is_half_a_second_off(off, ahead):
     one = Leaves("law")
-    hear, said = one.hand.heard[START], one.hand.said[READY]
+    hear, text = one.hand.heard[START], one.hand.said[READY]
     one.gone.append("nobody on x")
     one.look(10)
-    assert not said
+    assert not text
     one.gone.clear()
     one.look(13)
-    assert [TickReader()(data) for data in said] == [(0, frozenset(["node"]))] * 2  # at each fifth look, 15 and 20
+    assert [TickReader()(data) for data in text] == [(0, frozenset(["node"]))] * 2  # at each fifth look, 15 and 20
     hear(TickWriter()(0, []))
     hear(b"")
     assert not one.begun
@@ -417,8 +417,8 @@ def test_who_speaks_at_some_ticks_says_so_with_its_acknowledgement():
     clock = hand.heard["/clock"]
     for k in range(3):
         clock(adapters.CLOCK_LAYOUT.encode(10 * k * MS, ()))
-    said = [TickReader()(data) for data in hand.said["~/tick"]]
-    assert said == [(0, frozenset()), (10 * MS, frozenset(["burst"])), (20 * MS, frozenset())]
+    messages = [TickReader()(data) for data in hand.said["~/tick"]]
+    assert messages == [(0, frozenset()), (10 * MS, frozenset(["burst"])), (20 * MS, frozenset())]
     assert [t for _, t, _ in kept.said] == [10 * MS]
 
 
@@ -507,26 +507,26 @@ def test_an_observer_that_is_done_says_what_it_has_measured():
 
 def test_who_comes_back_says_again_what_it_has_said_last():
     sent = []
-    outputs = [SimpleNamespace(send=lambda *said, k=k: sent.append((k, *said))) for k in range(2)]
+    outputs = [SimpleNamespace(send=lambda *text, k=k: sent.append((k, *text))) for k in range(2)]
     fake = SimpleNamespace(
         outputs=outputs[:1],
         clock_output=outputs[1],
         links=SimpleNamespace(owns_clock=True),
-        acknowledge=lambda *said: sent.append(("ack", *said)),
+        acknowledge=lambda *text: sent.append(("ack", *text)),
     )
-    spoken = Spoken(fake)
+    published = Spoken(fake)
     for t in range(3):
         outputs[0].send(t, (1.0,))
     outputs[1].send(2, ())
     fake.acknowledge(2, ())
     before = len(sent)
-    spoken.again()
+    published.again()
     assert sent[before:] == [(0, 1, (1.0,)), (0, 2, (1.0,)), (1, 2, ()), ("ack", 2, ())]
-    spoken.silent = True
+    published.silent = True
     before = len(sent)
     outputs[0].send(3, (1.0,))
     assert len(sent) == before
-    spoken.again()
+    published.again()
     assert sent[before : before + 2] == [(0, 2, (1.0,)), (0, 3, (1.0,))]
 
 
@@ -553,26 +553,26 @@ def test_ticks_of_a_process_keep_a_timer_waiting_for_five_ms_and_stop_where_one_
         return clock.now
 
     monkeypatch.setattr(turns_module, "time", SimpleNamespace(monotonic_ns=monotonic_ns))
-    hand, taken = Hand(), []
+    hand, used = Hand(), []
 
     def ticks():
         for k in range(20):
-            taken.append(k)
+            used.append(k)
             yield None if k == 15 else k
 
     node = SimpleNamespace(state="running", middleware=hand)
     turns = Turns([node])
     turns.ticks = ticks()
     turns.turn()
-    assert (len(taken), hand.posted) == (7, [turns.turn])  # the limit is set with the first of them
+    assert (len(used), hand.posted) == (7, [turns.turn])  # the limit is set with the first of them
     hand.posted.pop()()
-    assert (len(taken), hand.posted) == (14, [turns.turn])
+    assert (len(used), hand.posted) == (14, [turns.turn])
     hand.posted.pop()()
-    assert (taken[-1], hand.posted) == (15, [])
+    assert (used[-1], hand.posted) == (15, [])
     for state, more in (("starting", 0), ("failed", 0), ("done", 4)):
-        before, node.state = len(taken), state
+        before, node.state = len(used), state
         turns.turn()
-        assert len(taken) == before + more
+        assert len(used) == before + more
 
 
 def test_a_block_that_fails_ends_the_run_in_the_name_of_its_node():
@@ -624,10 +624,10 @@ def ended(state, error=None, absent=(), shard=None, broken=False):
 def test_a_process_ends_with_three_where_its_node_has_failed(state, stopped, status, after, capsys):
     fake, written = ended(state, RunError("broken") if state == "failed" else None, ["x is late", "y too"])
     assert (conclude(fake, stopped), fake.state, written) == (status, after, [after])
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     waits = state == "starting" and stopped
-    assert ("stopped before it could begin: x is late; y too" in said) is waits
-    assert ("broken" in said) is (state == "failed")
+    assert ("stopped before it could begin: x is late; y too" in printed) is waits
+    assert ("broken" in printed) is (state == "failed")
 
 
 def test_a_disk_that_is_full_is_a_failure(capsys):
@@ -717,21 +717,21 @@ def test_a_container_starts_what_its_command_line_names_and_says_what_is_wrong_w
     assert status("a", "b", "--", "c", "d", "--ros-args")[0] == 7
     assert added == [["a", "b"], ["c", "d", "--ros-args"], "connected"]
     assert joined == [{"exclusive": True, "silence": 10.0}]
-    code, said = status("a")
-    assert (code, "a: expected PACKAGE EXECUTABLE [--ros-args ...]" in said.err.replace("\n", " ")) == (2, True)
+    code, text = status("a")
+    assert (code, "a: expected PACKAGE EXECUTABLE [--ros-args ...]" in text.err.replace("\n", " ")) == (2, True)
     for arguments, expected in (((), 2), (("--ros-args",), 2), (("-h",), 0), (("a", "b", "--help"), 0)):
-        code, said = status(*arguments)
-        assert (code, "PACKAGE EXECUTABLE" in said.out, added) == (expected, True, [])
+        code, text = status(*arguments)
+        assert (code, "PACKAGE EXECUTABLE" in text.out, added) == (expected, True, [])
     broken.append(KeyboardInterrupt())
     assert status("a", "b")[0] == 0
     broken[:] = [RunError("no such thing")]
-    code, said = status("a", "b")
-    assert (code, "a b: no such thing" in said.err) == (2, True)
+    code, text = status("a", "b")
+    assert (code, "a b: no such thing" in text.err) == (2, True)
     ros.ok = lambda: False  # a signal has shut the context down under it
     assert status("a", "b")[0] == 0
     ros.ok, rmw[0] = (lambda: True), "rmw_cyclonedds_cpp"
-    code, said = status("a", "b")
-    assert (code, "needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got rmw_cyclonedds_cpp" in said.err) == (
+    code, text = status("a", "b")
+    assert (code, "needs Fast DDS (RMW_IMPLEMENTATION=rmw_fastrtps_cpp), got rmw_cyclonedds_cpp" in text.err) == (
         2,
         True,
     )

@@ -135,8 +135,8 @@ class Wanders:
     t, period, names, places = 3.0, 0.01, ("plant.a", "plant.b"), ()
     little = np.array([0.0, 1e-8])
 
-    def __init__(self, rig, at, seed, heard, inputs, periods):
-        self.rig, self.heard, self.periods = rig, heard, periods
+    def __init__(self, rig, at, seed, received, inputs, periods):
+        self.rig, self.heard, self.periods = rig, received, periods
         self.start, self.sizes, self.moved = np.array([2.0, 8.0]), np.array([1.0, 4.0]), np.ones(2, bool)
         self.resting = np.zeros(2, bool)
 
@@ -169,9 +169,9 @@ def test_how_far_a_run_goes_off_counts_in_the_sizes_of_the_states(monkeypatch):
 def test_where_newtons_method_ends_nowhere_it_is_told_with_the_state_that_moves_most():
     with pytest.raises(NoOperatingPoint) as refused:
         steady(rig_of_curve(lambda x: 0.05 * (2.0 + x * x) if abs(x) < 1e3 else 0.0), at=0.0)
-    told = str(refused.value)
-    assert "no operating point near t = 0 s: Newton's method ends nowhere; plant[0] = " in told
-    assert told.endswith(" within 2 s")
+    message = str(refused.value)
+    assert "no operating point near t = 0 s: Newton's method ends nowhere; plant[0] = " in message
+    assert message.endswith(" within 2 s")
 
 
 def test_what_cannot_be_asked():
@@ -184,11 +184,13 @@ def test_what_cannot_be_asked():
     assert steady(rig, at=0.0, outputs=["plant/y/data"]).states.keys() == {"plant[0]"}
 
 
-def who_moves(A, heard):
+def who_moves(A, received):
     """Take away one state after the other that nobody hears of, that forgets or adds up, and moves no other."""
     n, left = len(A), set(range(len(A)))
     while True:
-        gone = [j for j in left if not heard[j] and A[j, j] in (0.0, 1.0) and not any(A[i, j] for i in left if i != j)]
+        gone = [
+            j for j in left if not received[j] and A[j, j] in (0.0, 1.0) and not any(A[i, j] for i in left if i != j)
+        ]
         if not gone:
             return [j in left for j in range(n)]
         left -= set(gone)
@@ -196,16 +198,16 @@ def who_moves(A, heard):
 
 def test_states_that_only_tell_of_others_are_none():
     rng = np.random.default_rng(4)
-    told = 0
+    reported = 0
     for _ in range(60):
         n = int(rng.integers(1, 7))
         A = rng.uniform(-1.0, 1.0, (n, n)) * (rng.random((n, n)) < 0.25)
         np.fill_diagonal(A, rng.choice([0.0, 1.0, 0.5], n))
-        heard = rng.random(n) < 0.2
-        expected = who_moves(A, heard)
-        assert _core(A, heard).tolist() == expected
-        told += 0 < sum(expected) < n
-    assert told > 20
+        received = rng.random(n) < 0.2
+        expected = who_moves(A, received)
+        assert _core(A, received).tolist() == expected
+        reported += 0 < sum(expected) < n
+    assert reported > 20
     near = np.array([[1.0 + 0.9e-9, 0.0], [0.0, 1.0 + 2e-9]])
     assert _core(near, np.array([False, False])).tolist() == [False, True]
 

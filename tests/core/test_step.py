@@ -39,13 +39,13 @@ def overdriven(values, period=0.01):
 
 
 def test_what_is_beyond_its_range_ends_the_run_at_who_says_it_wherever_it_runs():
-    said = "command_source: command u/effort became 2e+07 V, expected at most 1e+07 in magnitude at t = 0 s"
+    text = "command_source: command u/effort became 2e+07 V, expected at most 1e+07 in magnitude at t = 0 s"
     with pytest.raises(RunError) as error:
         run_inprocess(overdriven(2e7), 0)
-    assert str(error.value) == said
+    assert str(error.value) == text
     run = SimulatedRig(overdriven(2e7), World(), "lockstep")
     assert run.run()["command_source"] == "failed"
-    assert f"command_source: {run.adapters['command_source'].error}" == said
+    assert f"command_source: {run.adapters['command_source'].error}" == text
     assert set(SimulatedRig(overdriven(0.99e7), World(), "lockstep").run().values()) == {"done"}
     run_inprocess(overdriven(0.99e7), 0)
 
@@ -59,16 +59,16 @@ def test_in_real_time_a_law_beyond_its_range_gives_its_safe_value_and_says_so():
     assert {layout.decode(data)[1] for data in command} == {(0.0,)}
 
 
-@pytest.mark.parametrize("said", [(0.5, 2.0), [0.5, 2.0], (0.5, 2)])
-def test_what_is_almost_a_row_of_floats_becomes_one(said):
-    step, rows = _alone({"out": said})
+@pytest.mark.parametrize("text", [(0.5, 2.0), [0.5, 2.0], (0.5, 2)])
+def test_what_is_almost_a_row_of_floats_becomes_one(text):
+    step, rows = _alone({"out": text})
     step.say(0)
     assert rows == [((0.5, 2.0),)]
     assert step.numbers == (0.5, 2.0)
 
 
 @pytest.mark.parametrize(
-    ("said", "reason"),
+    ("text", "reason"),
     [
         ((0.5,), "out has 1 values, expected 2"),
         ((0.5, math.nan), "out b/position became nan"),
@@ -78,8 +78,8 @@ def test_what_is_almost_a_row_of_floats_becomes_one(said):
         ((math.inf, -math.inf), "out a/position became inf"),
     ],
 )
-def test_what_may_not_leave_a_block_is_told(said, reason):
-    step, rows = _alone({"out": said} if said else {})
+def test_what_may_not_leave_a_block_is_told(text, reason):
+    step, rows = _alone({"out": text} if text else {})
     with pytest.raises(RunError, match=reason) as error:
         step.say(0)
     assert error.value.node == "odd"
@@ -136,8 +136,8 @@ def _alone(answer):
     step = Step("odd", block, Schedule(0.1), *block.ports(block.p))
 
     class Sending(Link):
-        def send(self, t, said, numbers):
-            rows.append(said)
+        def send(self, t, text, numbers):
+            rows.append(text)
 
     Sending(step)
     return step, rows
@@ -212,9 +212,9 @@ def test_what_is_recorded_as_numbers_is_the_bytes_of_each_message(monkeypatch):
     assert halves == list(range(1, 12))  # asked for in between
     port = next(p for m in rig.members for p in m.outputs if p.topic == "lag/state")
     topic = recording.topics["lag/state"]
-    found = [port.layout().decode(data) for data in topic.data]
-    assert [stamp for stamp, _ in found] == topic.times == [10_000_000 * k for k in range(11)]
-    assert [port.layout().encode(*message) for message in found] == topic.data
+    results = [port.layout().decode(data) for data in topic.data]
+    assert [stamp for stamp, _ in results] == topic.times == [10_000_000 * k for k in range(11)]
+    assert [port.layout().encode(*message) for message in results] == topic.data
 
 
 def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_the_same():

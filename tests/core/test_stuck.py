@@ -34,17 +34,17 @@ AT_LAST, STARTED = threading.Event(), threading.Event()
 @pytest.fixture
 def lines(monkeypatch):
     """What is printed; the first line lets the block return."""
-    found = []
+    results = []
 
     def tell(who, text):
-        found.append(f"{who}: {text}")
+        results.append(f"{who}: {text}")
         AT_LAST.set()
 
     monkeypatch.setattr(stuck, "tell", tell)
     monkeypatch.setattr(stuck, "LOOK", 0.02)
     monkeypatch.setattr(stuck, "LONG", 0.2)
     monkeypatch.setattr(stuck, "LAST", 0.2)
-    return found
+    return results
 
 
 def watches():
@@ -134,8 +134,8 @@ def written(code, folder):
 def test_a_law_that_loops_is_named_and_ctrl_c_ends_it(code, verb, mode, tmp_path):
     here, what = written(code, tmp_path)
     options = {"run": ["--mode", mode], "check": [], "study": ["--seeds", "4"]}[verb]
-    said = (tmp_path / "said").open("w+")
-    process = subprocess.Popen([*here, verb, what, *options], cwd=tmp_path, stdout=said, stderr=said)
+    message = (tmp_path / "said").open("w+")
+    process = subprocess.Popen([*here, verb, what, *options], cwd=tmp_path, stdout=message, stderr=message)
     try:
         deadline = time.monotonic() + PATIENCE
         while "has not returned for 5 s" not in (text := (tmp_path / "said").read_text()):
@@ -151,4 +151,4 @@ def test_a_law_that_loops_is_named_and_ctrl_c_ends_it(code, verb, mode, tmp_path
     finally:
         process.kill()
         process.wait()
-        said.close()
+        message.close()

@@ -104,27 +104,27 @@ ROW = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.01, 0.02, 0.03)
 
 
 def test_a_motion_begins_where_the_reference_is_with_the_fields_of_the_points():
-    found = motion(trajectory(point(SECOND, (4, 5, 6), (0, 0, 0))), JOINTS, 7 * MS, ROW, 0, None)
-    assert found.values["goal.start"] == 0.007
-    assert found.values["goal.times"] == [0.0, 1.0]
-    assert found.values["goal.positions"] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    assert found.values["goal.velocities"] == [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
-    assert found.values["goal.accelerations"] == []
-    assert found.end == SECOND + 7 * MS
+    result = motion(trajectory(point(SECOND, (4, 5, 6), (0, 0, 0))), JOINTS, 7 * MS, ROW, 0, None)
+    assert result.values["goal.start"] == 0.007
+    assert result.values["goal.times"] == [0.0, 1.0]
+    assert result.values["goal.positions"] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert result.values["goal.velocities"] == [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
+    assert result.values["goal.accelerations"] == []
+    assert result.end == SECOND + 7 * MS
 
 
 def test_joints_come_in_any_order_and_those_that_are_missing_stay():
-    found = motion(trajectory(point(SECOND, (6, 4)), names=("joint3", "joint1")), JOINTS, 0, ROW, 0, None)
-    assert found.values["goal.positions"] == [1.0, 2.0, 3.0, 4.0, 2.0, 6.0]
+    result = motion(trajectory(point(SECOND, (6, 4)), names=("joint3", "joint1")), JOINTS, 0, ROW, 0, None)
+    assert result.values["goal.positions"] == [1.0, 2.0, 3.0, 4.0, 2.0, 6.0]
 
 
 def test_a_stamp_is_the_time_of_the_rig_and_points_of_the_past_are_left_out():
     epoch, points = 50 * SECOND, [point(k * SECOND, (k, k, k)) for k in range(4)]
-    found = motion(trajectory(*points, stamp=epoch + SECOND), JOINTS, 3 * SECOND, ROW, epoch, None)
-    assert found.values["goal.start"] == 3.0
-    assert found.values["goal.times"] == [0.0, 1.0]
-    assert found.values["goal.positions"] == [2.0] * 3 + [3.0] * 3
-    assert found.end == 4 * SECOND
+    result = motion(trajectory(*points, stamp=epoch + SECOND), JOINTS, 3 * SECOND, ROW, epoch, None)
+    assert result.values["goal.start"] == 3.0
+    assert result.values["goal.times"] == [0.0, 1.0]
+    assert result.values["goal.positions"] == [2.0] * 3 + [3.0] * 3
+    assert result.end == 4 * SECOND
 
 
 NAN, INF = float("nan"), float("inf")
@@ -226,7 +226,7 @@ class Rig:
         )
         node = SimpleNamespace(
             monitor=self.node.monitor,
-            create_subscription=lambda kind, topic, take, qos: self.served.update({topic: take}),
+            create_subscription=lambda kind, topic, accept, qos: self.served.update({topic: accept}),
             set_parameters_atomically=self.set,
         )
         self.following = Following(node, self.adapter, followed(self.adapter), kind)
@@ -290,11 +290,15 @@ def test_a_goal_is_followed_told_of_and_reached(monkeypatch):
     rig.until(90 * MS)
     assert flight.code == (0, "succeed")
     assert rig.reference() == (0.001, 0.002, 0.003, *[0.0] * 6)
-    told = flight.handle.told[0]
-    assert told.joint_names == [*JOINTS]
-    assert [len(told.actual.positions), len(told.actual.velocities), len(told.actual.accelerations)] == [3, 3, 0]
-    assert told.error.positions == pytest.approx(
-        [d - a for d, a in zip(told.desired.positions, told.actual.positions, strict=True)]
+    reported = flight.handle.told[0]
+    assert reported.joint_names == [*JOINTS]
+    assert [len(reported.actual.positions), len(reported.actual.velocities), len(reported.actual.accelerations)] == [
+        3,
+        3,
+        0,
+    ]
+    assert reported.error.positions == pytest.approx(
+        [d - a for d, a in zip(reported.desired.positions, reported.actual.positions, strict=True)]
     )
     # the run can be repeated: what was set is recorded
     assert rig.run.recording.topics["parameter_events"].data

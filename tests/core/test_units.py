@@ -96,8 +96,8 @@ def test_a_link_hands_on_the_units_of_what_it_carries():
     ],
 )
 def test_units_are_converted_where_they_measure_the_same(given, wanted, number):
-    found = factor(given, wanted)
-    assert found == (None if number is None else pytest.approx(number))
+    result = factor(given, wanted)
+    assert result == (None if number is None else pytest.approx(number))
     assert bool(misfit(given, wanted)) == (number != 1.0)
 
 
@@ -139,8 +139,8 @@ PLAIN = ("%", "percent", "deg", "rpm", "rev", "min", "h")
 def parsed(name):
     """Dimensions and size of a unit with its prefix."""
     prefix, unit = name
-    found = [int(x) for x in re.findall(r"-?\d", DIMENSIONS[unit][0])]
-    return np.array(found), 10.0 ** PREFIXES[prefix] * DIMENSIONS[unit][1]
+    results = [int(x) for x in re.findall(r"-?\d", DIMENSIONS[unit][0])]
+    return np.array(results), 10.0 ** PREFIXES[prefix] * DIMENSIONS[unit][1]
 
 
 NAMES = [*((p, u) for p in PREFIXES for u in DIMENSIONS if u not in PLAIN), *(("", u) for u in PLAIN)]
@@ -193,14 +193,14 @@ def hold_units(one, other):
     a, b = written(one), written(other)
     assert base(a)[0] == pytest.approx(size, rel=1e-12)
     assert powers(text(powers(a))) == powers(a)
-    found = factor(a, b)
+    result = factor(a, b)
     if dims == wanted:
-        assert found == pytest.approx(size / of, rel=1e-12)
+        assert result == pytest.approx(size / of, rel=1e-12)
         same = math.isclose(size, of, rel_tol=1e-12)
         assert misfit(a, b).startswith("" if same else f"is in {a!r}, expected {b!r}: the same quantity, 1 ")
         assert bool(misfit(a, b)) != same
     else:
-        assert found is None
+        assert result is None
         assert misfit(a, b) == f"is in {a!r}, expected {b!r}, which is another quantity"
     assert misfit(a, "") == misfit("", b) == ""
 

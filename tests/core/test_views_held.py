@@ -51,14 +51,14 @@ def apart(name, link, share):
     quiet = simulate(name, duration=end).signals
     height = share * max(1e-3, float(np.abs(quiet[link].x).max()))
     up, down = (stepped(name, link, sign * height, view.at, end) for sign in (1.0, -1.0))
-    _, told = view.answer(np.full((PERIODS, 1), height))
+    _, outputs = view.answer(np.full((PERIODS, 1), height))
     times = view.at + view.period * np.arange(PERIODS)
     result = {}
     for k, output in enumerate(view.outputs):
         at = np.searchsorted(up[output].t, times - 1e-9)
         seen = 0.5 * (up[output].x[at] - down[output].x[at])
-        most = max(np.abs(seen).max(), np.abs(told[:, k]).max())
-        result[output] = float(np.abs(seen - told[:, k]).max() / most) if most else 0.0
+        most = max(np.abs(seen).max(), np.abs(outputs[:, k]).max())
+        result[output] = float(np.abs(seen - outputs[:, k]).max() / most) if most else 0.0
     return result
 
 
@@ -67,8 +67,8 @@ def apart(name, link, share):
 @pytest.mark.parametrize("name", STEPS)
 def test_a_view_along_a_run_is_the_rig_under_a_step_through_a_fault(name):
     link, share, most = STEPS[name]
-    found = apart(name, link, share)
-    assert max(found.values()) < most, found
+    result = apart(name, link, share)
+    assert max(result.values()) < most, result
 
 
 # Where a view along the run is another rig, and why.

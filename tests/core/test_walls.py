@@ -94,11 +94,11 @@ def test_only_the_nodes_know_the_middleware():
 
 @pytest.mark.parametrize("package", ROOMS)
 def test_a_room_knows_those_below_it(package):
-    found = everything()[package]
-    assert [m for m in found if m != package and layer(m) is None] == []  # every module has its room
+    result = everything()[package]
+    assert [m for m in result if m != package and layer(m) is None] == []  # every module has its room
     breaches = [
         f"{module} imports {target}"
-        for module, targets in found.items()
+        for module, targets in result.items()
         for target in sorted(targets)
         if within(target, package)
         and layer(module) is not None
@@ -124,12 +124,12 @@ def test_no_room_holds_more_than_a_person_takes_in_at_a_look():
 )
 def test_no_module_imports_itself_by_way_of_others(place):
     """What imports each other is one module in two files; a type may be named in the same room."""
-    found = {}
+    results = {}
     for module, targets in imports(place, types=False).items():
         room = module.rpartition(".")[0]
-        found[module] = targets | {t for t in everything()[place][module] if not within(t, room)}
-    homes = {m: {t if t in found else t.rpartition(".")[0] for t in targets} for m, targets in found.items()}
-    left = {m: targets & found.keys() - {m} for m, targets in homes.items()}
+        results[module] = targets | {t for t in everything()[place][module] if not within(t, room)}
+    homes = {m: {t if t in results else t.rpartition(".")[0] for t in targets} for m, targets in results.items()}
+    left = {m: targets & results.keys() - {m} for m, targets in homes.items()}
     while free := {m for m, targets in left.items() if not targets & left.keys()}:
         left = {m: targets for m, targets in left.items() if m not in free}
     assert left == {}

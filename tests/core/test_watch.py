@@ -48,11 +48,11 @@ def test_running_figures_go_out_while_somebody_reads_them(mode):
     from softrig_nodes.face.faces import Faces
 
     rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye()}, 1.0)
-    eye, said, readers, held = run_inprocess(rig, 3)["eye"], [], [0], Event()
+    eye, messages, readers, held = run_inprocess(rig, 3)["eye"], [], [0], Event()
     expected = {name: f"{value:.9g} {unit}" for name, (value, unit) in eye.status().items()}
 
     class Publisher:
-        publish = said.append
+        publish = messages.append
 
         def get_subscription_count(self):
             return readers[0]
@@ -67,7 +67,7 @@ def test_running_figures_go_out_while_somebody_reads_them(mode):
     faces._measured, faces._looks = None, 0
     faces._beside = ThreadPoolExecutor(1) if mode == "realtime" else None
     faces._publish_diagnostics()
-    assert not said
+    assert not messages
     assert faces._measured is None
     readers[0] = 1
     if faces._beside:
@@ -77,12 +77,12 @@ def test_running_figures_go_out_while_somebody_reads_them(mode):
         eye.x = eye.block.first()  # it goes on meanwhile
         faces._publish_diagnostics()  # one at a time
         faces._look()
-        assert not said
+        assert not messages
         held.set()
         faces._measured.result()
         faces._look()
         assert faces._measured is None
-    ((status,),) = [message.status for message in said]
+    ((status,),) = [message.status for message in messages]
     assert {v.key: v.value for v in status.values} == expected
     assert "mean_command" in expected
 

@@ -103,9 +103,9 @@ def test_runners_are_those_of_softrig_nodes():
 
 
 def test_earlier_names_work_and_say_what_has_replaced_them(monkeypatch):
-    with pytest.warns(FutureWarning, match=r"executable\(Gain\) .* 0.4; use .*`NAME = faultrig:Gain.main`") as said:
+    with pytest.warns(FutureWarning, match=r"executable\(Gain\) .* 0.4; use .*`NAME = faultrig:Gain.main`") as text:
         main = softrig_core.executable(faultrig.Gain)
-    assert said[0].filename == __file__
+    assert text[0].filename == __file__
     assert block_of(main) is faultrig.Gain
     asked = []
     monkeypatch.setattr(faultrig.Gain, "main", asked.append)

@@ -37,21 +37,21 @@ class Tests:
         self.of_line: dict[str, dict[int, list[str]]] = defaultdict(lambda: defaultdict(list))
         self.failed: list[str] = []
         for text in file.read_text().splitlines()[1:]:
-            told = json.loads(text)
-            if told["outcome"] != "passed":
-                self.failed += [told["test"]] if told["outcome"] == "failed" else []
+            content = json.loads(text)
+            if content["outcome"] != "passed":
+                self.failed += [content["test"]] if content["outcome"] == "failed" else []
                 continue
-            self.seconds[told["test"]] = told["seconds"]
-            for place, lines in told["lines"].items():
+            self.seconds[content["test"]] = content["seconds"]
+            for place, lines in content["lines"].items():
                 for line in lines:
-                    self.of_line[place][line].append(told["test"])
+                    self.of_line[place][line].append(content["test"])
 
     def meeting(self, place: str, mutant: Mutant) -> list[str]:
         """The tests that a mutant can fail, the quickest first; those of its folder where nobody sees who runs it."""
         beside = [p for p in self.of_line if Path(p).parent == Path(place).parent] if not mutant.runs else [place]
         lines = [self.of_line[p] for p in beside]
-        found = {test for of in lines for line in mutant.runs or of for test in of.get(line, ())}
-        return sorted(found, key=lambda test: (self.seconds[test], test))
+        results = {test for of in lines for line in mutant.runs or of for test in of.get(line, ())}
+        return sorted(results, key=lambda test: (self.seconds[test], test))
 
     def silent(self, tree: Path) -> list[str]:
         """Tests in which no line was run that asserts."""
@@ -94,13 +94,13 @@ def trace(tree: Path, what: list[str], out: Path) -> None:
     """Run tests once; a line of JSON each goes to `out`, behind one that says of which commit they are."""
     out.write_text(f"{_head(tree)}\n")
     with tempfile.TemporaryDirectory() as folder:
-        found = {
+        results = {
             "PYTHONPATH": str(tree / TRACED),
             "SOFTRIG_TRACED": folder,
             "SOFTRIG_TRACED_TESTS": str(out.resolve()),
         }
         command = ["nice", "scripts/softrig", "python", "-m", "pytest", "-q", "-p", "lines_of_tests", *what]
-        status = subprocess.run(command, cwd=tree, env=BARE | found, stdout=sys.stderr, check=False).returncode
+        status = subprocess.run(command, cwd=tree, env=BARE | results, stdout=sys.stderr, check=False).returncode
     if status not in (0, 1):
         raise SystemExit("the tests could not be run")
 
@@ -173,11 +173,11 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
             compile(mutant.applied(source), place, "exec")
         except SyntaxError:
             continue
-        outcome, said = _tried(tree, run, known, place, mutant, options.seconds)
+        outcome, text = _tried(tree, run, known, place, mutant, options.seconds)
         tally[outcome] += 1
         print(f"{sum(tally.values())}: {outcome} {place}:{mutant.start[0]} {mutant.kind}", file=sys.stderr, flush=True)
         if outcome != "killed":
-            print(f"{outcome}: {place}:{mutant.start[0]} {mutant.told(source)} ({said})", flush=True)
+            print(f"{outcome}: {place}:{mutant.start[0]} {mutant.told(source)} ({text})", flush=True)
     total = tally["killed"] + tally["survived"]
     print(
         f"{total} mutants, seed {options.seed}: {tally['killed']} killed, {tally['survived']} survived "

@@ -44,12 +44,12 @@ def known_tests(files):
     seconds, of_line = {}, defaultdict(lambda: defaultdict(list))
     for file in files:
         for text in Path(file).read_text().splitlines()[1:]:
-            told = json.loads(text)
-            if told["outcome"] == "passed" and told["test"] not in seconds:
-                seconds[told["test"]] = told["seconds"]
-                for place, lines in told["lines"].items():
+            content = json.loads(text)
+            if content["outcome"] == "passed" and content["test"] not in seconds:
+                seconds[content["test"]] = content["seconds"]
+                for place, lines in content["lines"].items():
                     for line in lines:
-                        of_line[place][line].append(told["test"])
+                        of_line[place][line].append(content["test"])
     return seconds, of_line
 
 
@@ -162,18 +162,18 @@ def failing(items):
 
 def drawn(seed, kinds, places, of_line):
     """Mutants that a test meets, a kind after the other."""
-    found = defaultdict(list)
+    result = defaultdict(list)
     for place in places:
         for mutant in mutants((ROOT / place).read_text()):
             if mutant.kind in kinds and any(line in of_line[place] for line in mutant.runs):
-                found[mutant.kind].append((place, mutant))
+                result[mutant.kind].append((place, mutant))
     generator = random.Random(seed)
-    for of_kind in found.values():
+    for of_kind in result.values():
         generator.shuffle(of_kind)
-    while any(found.values()):
+    while any(result.values()):
         for kind in kinds:
-            if found[kind]:
-                yield found[kind].pop()
+            if result[kind]:
+                yield result[kind].pop()
 
 
 def pytest_runtestloop(session):
@@ -191,8 +191,8 @@ def pytest_runtestloop(session):
         if tally.total() >= int(asked["COUNT"] or 80):
             break
         source = (ROOT / place).read_text()
-        told = f"{place}:{mutant.start[0]}:{mutant.start[1]} {mutant.told(source)}"
-        if told in done:
+        text = f"{place}:{mutant.start[0]}:{mutant.start[1]} {mutant.told(source)}"
+        if text in done:
             continue
         meeting = {t for line in mutant.runs for t in of_line[place].get(line, ()) if t in items and sound.get(t, True)}
         chosen, whole = [], 0.0
@@ -221,7 +221,7 @@ def pytest_runtestloop(session):
                 break
             chosen.remove(by)
         tally[outcome] += 1
-        row = {"told": told, "outcome": outcome, "by": by, "ran": ran, "meeting": len(meeting)}
+        row = {"told": text, "outcome": outcome, "by": by, "ran": ran, "meeting": len(meeting)}
         with file.open("a") as out:
             out.write(f"{json.dumps(row)}\n")
     print(dict(tally), file=sys.__stderr__)

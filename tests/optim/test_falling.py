@@ -45,8 +45,8 @@ def test_native_code_keeps_the_same_corners(samples, n):
     for k, (v, share) in enumerate(samples):
         sample = (v, max(3.8 - 0.01 * math.expm1(v / 15.0), 0.0) * share, 25.0)
         wanted, curve = curve.take(sample)
-        found, rows = rows.take(sample)
-        assert (found, rows.python()) == (wanted, curve)
+        result, rows = rows.take(sample)
+        assert (result, rows.python()) == (wanted, curve)
         rows = curve.native() if k % 7 == 6 else rows
 
 

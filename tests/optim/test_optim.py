@@ -246,7 +246,7 @@ def test_differential_evolution_against_scipy(variant):
     for seed in range(100):
         search = Started(*box, seed, n_pop=n_pop, n_iter=n_iter, variant=variant, cr=0.7)
         ours.append(run(search, rastrigin).value)
-        found = differential_evolution(
+        result = differential_evolution(
             rastrigin,
             list(zip(*box, strict=True)),
             strategy=f"{variant}bin",
@@ -260,8 +260,8 @@ def test_differential_evolution_against_scipy(variant):
             rng=seed,
             updating="immediate",
         )
-        theirs.append(found.fun)
-        assert found.nfev == search.evaluations
+        theirs.append(result.fun)
+        assert result.nfev == search.evaluations
     assert stats.ks_2samp(ours, theirs).pvalue > 0.1
 
 
@@ -299,15 +299,15 @@ def test_perturb_observe_climbs_and_turns():
 def test_genetic_defaults_are_those_of_its_page():
     """BLX-0.5 (Eshelman and Schaffer); 20 candidates, each gene mutated with 0.1 by 0.1 of its range, one survives."""
     search = Genetic(LOWER, UPPER)
-    found = search.blend, search.mutation, search.step, search.elite, search.n_pop, search.n_iter
-    assert found == (0.5, 0.1, 0.1, 1, 20, 10)
-    told = Genetic(LOWER, UPPER, 3, blend=0.5, mutation=0.1, step=0.1, elite=1, n_pop=20, n_iter=10)
+    result = search.blend, search.mutation, search.step, search.elite, search.n_pop, search.n_iter
+    assert result == (0.5, 0.1, 0.1, 1, 20, 10)
+    reported = Genetic(LOWER, UPPER, 3, blend=0.5, mutation=0.1, step=0.1, elite=1, n_pop=20, n_iter=10)
     again = Genetic(LOWER, UPPER, 3)
-    run(told, bowl)
+    run(reported, bowl)
     run(again, bowl)
-    assert again.history == told.history
+    assert again.history == reported.history
     run(other := Genetic(LOWER, UPPER, 3, blend=0.4), bowl)
-    assert other.history != told.history
+    assert other.history != reported.history
 
 
 def test_genetic_generations_in_parallel():
@@ -649,17 +649,17 @@ def test_a_look_back_begins_anew_where_it_meets_more_than_the_threshold(met, aga
     about = {"channels": ("d",), "lower": (0.0,), "upper": (1.0,), "algorithm": "scan", "n_grid": 3, "tolerance": 0.0}
     block = ByHand(Source(**(DISH | about | {"restart_threshold": 0.5})))
     block.reset(0)
-    said = []
+    messages = []
     for k in range(175):
         power = (2.0 if k <= 3 * 30 else met, 1.0)
         answer = block.update(k * TICK, measurement=power, start=None, stop=None, restart=None)
-        said.append((answer["state"][0], answer["state"][3], answer["command"][0]))
-    passed = [d for _, restarts, d in said[91:] if not restarts]
-    assert max(restarts for _, restarts, _ in said) == again
+        messages.append((answer["state"][0], answer["state"][3], answer["command"][0]))
+    passed = [d for _, restarts, d in messages[91:] if not restarts]
+    assert max(restarts for _, restarts, _ in messages) == again
     assert ("more" in block.reports) == again
     if not again:
         assert passed[:59] == pytest.approx([n / 60.0 for n in range(1, 60)])  # through the range in two hold_times
-        assert said[-1] == (2.0, 0.0, 0.0)
+        assert messages[-1] == (2.0, 0.0, 0.0)
 
 
 # sweeps ---------------------------------------------------------------------------------------------------------
@@ -823,8 +823,8 @@ class Cluster:
     def run(self, function, on_error):
         assert on_error == "return"
         return {
-            address: function() | found if isinstance(found, dict) else found
-            for address, found in self._workers.items()
+            address: function() | result if isinstance(result, dict) else result
+            for address, result in self._workers.items()
         }
 
     def submit(self, *_, **__):
@@ -839,7 +839,7 @@ class Cluster:
 def test_peers_that_lack_softrig_or_have_other_versions_are_named():
     sweeping._check_peers(Cluster(workers={"tcp://a:1": {}}), "tcp://s:8786")
     lacks = ModuleNotFoundError("No module named 'softrig_optim'")
-    for cluster, said in (
+    for cluster, text in (
         (
             Cluster(scheduler=lacks),
             "--scheduler tcp://s:8786: it cannot import softrig (No module named 'softrig_optim')",
@@ -849,8 +849,8 @@ def test_peers_that_lack_softrig_or_have_other_versions_are_named():
     ):
         with pytest.raises(ScenarioError) as refused:
             sweeping._check_peers(cluster, "tcp://s:8786")
-        assert str(refused.value).startswith(said)
-        assert "has numpy" in said or "start it by `scripts/softrig python -m distributed.cli.dask_" in str(
+        assert str(refused.value).startswith(text)
+        assert "has numpy" in text or "start it by `scripts/softrig python -m distributed.cli.dask_" in str(
             refused.value
         )
 

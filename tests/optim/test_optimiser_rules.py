@@ -82,7 +82,7 @@ class Account:
     def high(self):
         return tuple(self.search.upper.tolist())
 
-    def begin(self, k, look=None):
+    def begin(self, k, style=None):
         """A new search, with the random numbers of the one before."""
         self.search = self.make(copy.deepcopy(self.rng if self.command is None else self.search.rng))
         self.phase, self.began, self.restarts, self.target = SEARCH, k, self.restarts + 1, self.search.ask()
@@ -90,7 +90,7 @@ class Account:
         sees = self.falls and self.search.remembers and (self.threshold > 0.0 or self.proven)
         self.curve = FallingCurve(max(1, self.hold // 4)) if sees else None
         self.arrived = self.dark = self.looking = self.reference = self.again = None
-        self.gaps, self.waits, self.broken, self.look, self.lost = 0, False, False, look, False
+        self.gaps, self.waits, self.broken, self.look, self.lost = 0, False, False, style, False
         self.off, self.last = 0, math.inf
 
     def mean(self):
@@ -246,8 +246,8 @@ class Account:
         self.note()
 
     def holding(self, k, sample, value):
-        looks = self.reference is None or self.proven
-        if looks and not self.no_signal(value) and self.breaks_off(k, sample):
+        styles = self.reference is None or self.proven
+        if styles and not self.no_signal(value) and self.breaks_off(k, sample):
             return
         if self.arrived is None or k - self.arrived < self.next:
             return

@@ -209,7 +209,7 @@ def test_each_candidate_is_that_of_the_published_rule(algorithm, rule, settings,
 
 def test_what_nobody_says_is_as_published():
     """Defaults of all searches, of [1] as their pages say where it has them."""
-    told = {
+    entries = {
         kind.__name__: {
             name: p.default
             for name, p in inspect.signature(kind).parameters.items()
@@ -229,7 +229,7 @@ def test_what_nobody_says_is_as_published():
             RampScan,
         )
     }
-    assert told == {
+    assert entries == {
         "ParticleSwarm": {"w": 0.4, "c1": 1.2, "c2": 1.6},
         "DifferentialEvolution": {"variant": "rand1", "f_min": 0.2, "f_max": 0.8, "cr": 0.3},
         "Firefly": {"all_pairs": False, "beta0": 2.0, "alpha": 0.6, "gamma": 1.0},
@@ -347,16 +347,16 @@ QUARTERS = st.integers(-1, 12).map(lambda n: n / 4.0)
 def test_searches_along_the_load_line_go_where_their_rule_says(samples, corrections, gap):
     """Of any measurements, also such as no source gives: the commands, what is best, and what is proven when."""
     settings_of = {CertifiedSearch: {"eps": 0.5 if gap else 0.0, "n_iter": 9}, RampScan: {"n_ramp": 7}}
-    for kind, told in settings_of.items():
+    for kind, reported in settings_of.items():
         rule = LoadLine(samples, corrections)
-        last = rule.certified(**told) if kind is CertifiedSearch else rule.ramp(**told)
-        search = kind([0.5], [2.0], matching=Transformer(), corrections=corrections, **told)
+        last = rule.certified(**reported) if kind is CertifiedSearch else rule.ramp(**reported)
+        search = kind([0.5], [2.0], matching=Transformer(), corrections=corrections, **reported)
         for k, d in enumerate(rule.commands):
             assert search.settle == (kind is CertifiedSearch or k >= 7)
             assert search.ask() == (pytest.approx(d, rel=1e-12),)
             search.tell(samples[k][0] * samples[k][1], samples[k])
             if kind is CertifiedSearch:
-                check_bound(search, rule.seen[: k + 1], told["eps"])
+                check_bound(search, rule.seen[: k + 1], reported["eps"])
         assert search.done
         assert (search.peak, search.expected) == (rule.best, rule.best[0] * rule.best[1])
         assert search.result == (search.best.x if last is None else (pytest.approx(last, rel=1e-12),))

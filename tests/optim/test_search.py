@@ -51,15 +51,15 @@ def test_a_search_as_a_value_goes_on_from_any_of_its_past():
         assert watched != line[-1]
         line.append(watched.tell(5.0 - k))
     assert len(made) == 1  # one live search serves the newest
-    assert [told.now.evaluations for told in line] == [0, 1, 2, 3]
+    assert [reported.now.evaluations for reported in line] == [0, 1, 2, 3]
     assert len(made) > 1
-    candidates = [told.now.ask() for told in line]
+    candidates = [reported.now.ask() for reported in line]
     assert len(set(candidates)) == 4
-    assert [told.expected for told in line[1:]] == [5.0, 4.0, 3.0]
-    assert [told.settle for told in line] == [True, False, True, False]
+    assert [reported.expected for reported in line[1:]] == [5.0, 4.0, 3.0]
+    assert [reported.settle for reported in line] == [True, False, True, False]
     other = line[1].watch((9.0,))
     assert other.now.ask() != line[2].now.ask()
-    assert [told.now.ask() for told in line] == candidates
+    assert [reported.now.ask() for reported in line] == candidates
     again = Told(make, rng, [("watch", ((0.0,),)), ("tell", (5.0, ()))])
     assert again == line[1] != line[2]
     assert again != "else"

@@ -48,15 +48,15 @@ def test_array_bytes_are_those_of_the_ros_type():
 
 def test_a_reader_that_knows_nothing_of_the_number_sees_the_matrix():
     values = np.arange(6.0)
-    found = store.deserialize_cdr(MATRIX.layout().encode(4, values.tolist()), MULTI)
-    dim, offset = found.layout.dim, found.layout.data_offset
+    result = store.deserialize_cdr(MATRIX.layout().encode(4, values.tolist()), MULTI)
+    dim, offset = result.layout.dim, result.layout.data_offset
     expected = values.reshape(2, 3)
-    np.testing.assert_array_equal(found.data.reshape([d.size for d in dim]), expected)
-    np.testing.assert_array_equal(found.data.reshape(dim[0].size, dim[1].size), expected)
+    np.testing.assert_array_equal(result.data.reshape([d.size for d in dim]), expected)
+    np.testing.assert_array_equal(result.data.reshape(dim[0].size, dim[1].size), expected)
     for i in range(2):  # as MultiArrayLayout.msg says it
         for j in range(3):
-            assert found.data[offset + dim[1].stride * i + j] == expected[i, j]
-    assert dim[0].stride == found.data.size
+            assert result.data[offset + dim[1].stride * i + j] == expected[i, j]
+    assert dim[0].stride == result.data.size
 
 
 @given(st.integers(0, 10**12 - 1))
@@ -169,9 +169,9 @@ class Meddler(World):
 
 def bare(k, data):
     """The message without its number."""
-    found = parse(MULTI, data)
-    values = found.fields["data"]
-    return [Layout(MULTI, dims=found.dims, counts={"data": len(values)}).encode(0, values)]
+    parsed = parse(MULTI, data)
+    values = parsed.fields["data"]
+    return [Layout(MULTI, dims=parsed.dims, counts={"data": len(values)}).encode(0, values)]
 
 
 def twice(k, data):
@@ -187,8 +187,8 @@ def skipping(k, data):
 
 
 def renumbered(data, number):
-    found = parse(MULTI, data)
-    return found.layout(MULTI).encode(number, found.fields["data"])
+    parsed = parse(MULTI, data)
+    return parsed.layout(MULTI).encode(number, parsed.fields["data"])
 
 
 @pytest.fixture
@@ -215,9 +215,9 @@ def test_arrays_have_the_same_numbers_in_real_time(loop):
     run = SimulatedRig(loop, World(), "realtime")
     assert set(run.run().values()) == {"done"}
     for topic in ("lag/matrix", "lag/peaks"):
-        found = numbers(run.recording, topic)
-        assert found == list(range(len(found)))
-        assert len(found) >= len(expected.topics[topic].data) - 1
+        result = numbers(run.recording, topic)
+        assert result == list(range(len(result)))
+        assert len(result) >= len(expected.topics[topic].data) - 1
     assert "lost_arrays" not in run.adapters["weigh"].drive.statistics()
 
 

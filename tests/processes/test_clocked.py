@@ -40,17 +40,17 @@ def started(kind: str, sim_time: bool = True) -> Iterator[None]:
 
 
 def rig(duration: float = 0.3, **external: Any) -> Rig:
-    found = load_scenario("dc_motor_smc_b2").model_dump(exclude={"name"})
-    found["nodes"]["dc_motor_smc"]["external"] = {
+    result = load_scenario("dc_motor_smc_b2").model_dump(exclude={"name"})
+    result["nodes"]["dc_motor_smc"]["external"] = {
         "answers": "clock",
         "reads": READS,
         "publishes": ["motor/command"],
         "timeout": 20.0,  # of the wall clock: a machine under load starts a node late
     } | external
-    del found["nodes"]["dc_motor_metrics"]
-    found["nodes"]["dc_motor_smc"]["parameters"] = {"period": PERIOD}
-    found |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": duration}
-    return rig_of(Scenario(name="clocked", **found))
+    del result["nodes"]["dc_motor_metrics"]
+    result["nodes"]["dc_motor_smc"]["parameters"] = {"period": PERIOD}
+    result |= {"figures": {}, "expect": {}, "plots": [], "claims": {}, "requirements": {}, "duration": duration}
+    return rig_of(Scenario(name="clocked", **result))
 
 
 def expected(run: Any, delay: int) -> list[float]:

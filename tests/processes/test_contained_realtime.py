@@ -111,8 +111,8 @@ class Contained:
 
     def run(self, until=1 << 62):
         while self.clock.t < until and any(a.state == "running" for a in self.adapters.values()):
-            rest = self.exchange.serve(min(until, self.clock.t + SECOND // 10), awake=SECOND)
-            self.clock.t += max(1, rest)
+            remaining = self.exchange.serve(min(until, self.clock.t + SECOND // 10), awake=SECOND)
+            self.clock.t += max(1, remaining)
         return {a.state for a in self.adapters.values()}
 
     def numbers(self):
@@ -137,14 +137,14 @@ def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration,
     expected = Signals(in_process(rig))
     run = Contained(rig, monkeypatch)
     assert run.run() == {"done"}
-    found = run.numbers()
+    result = run.numbers()
     for member in rig.members:
         adapter = run.adapters[member.name]
         assert adapter.drive.missed == adapter.drive.incomplete == 0, member.name
         assert not adapter.drive.senders.stale, member.name
         for port in member.outputs:
             for label in port.labels if not port.held else ():
-                a, b = expected[f"{port.topic}/{label}"], found[f"{port.topic}/{label}"]
+                a, b = expected[f"{port.topic}/{label}"], result[f"{port.topic}/{label}"]
                 n = min(len(a.x), len(b.x))
                 assert n >= len(a.x) - 1
                 assert np.array_equal(a.x[:n], b.x[:n]), f"{port.topic}/{label}"
@@ -205,9 +205,9 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(held, missed, w
     assert run.run() == {"done"}
     assert (plant.drive.missed, law.drive.missed) == missed
     assert plant.drive.statistics()["lateness_max_ms"] >= 5.0
-    found = run.numbers()["lag/command/u/effort"]
-    assert [round(t, 3) for t in found.t] == [t for k in range(11) if (t := round(0.03 * k, 3)) not in without]
-    assert list(found.x) == pytest.approx([used.get(round(t, 3), t) for t in found.t])
+    result = run.numbers()["lag/command/u/effort"]
+    assert [round(t, 3) for t in result.t] == [t for k in range(11) if (t := round(0.03 * k, 3)) not in without]
+    assert list(result.x) == pytest.approx([used.get(round(t, 3), t) for t in result.t])
 
 
 @pytest.mark.parametrize(("periods", "missed", "late"), [(6, 0, 5), (12, 11, 0)])
@@ -387,7 +387,7 @@ def test_by_hand_a_law_begins_with_the_tick_of_its_first_message():
     row = object.__new__(Live)
     row.node, row.port, row.table = node, SimpleNamespace(stamped=True, held=False), SimpleNamespace(clock=lambda: 130)
     row.by_arrival, row.paired, row._number = False, False, None
-    row.value, row._keep = (lambda stamp, found: found), (lambda *_: None)
+    row.value, row._keep = (lambda stamp, result: result), (lambda *_: None)
     for stamp in (123, 135):  # the second is not the first
         row.came(stamp, (1.0,), b"")
         assert node.epoch == 120

@@ -150,11 +150,11 @@ print(json.dumps({"nodes": sorted(node.get_node_names()), "noise": asked.result(
 
 def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_path):
     wired, people = rig(BASIC, 1e4), []
-    with free_domain() as domain, (tmp_path / "said").open("w") as said:
+    with free_domain() as domain, (tmp_path / "said").open("w") as text:
 
         def progress(t):
             if t and not people:
-                people.append(script(PERSON, environment(domain, tmp_path), output=said.fileno()))
+                people.append(script(PERSON, environment(domain, tmp_path), output=text.fileno()))
             if people and people[0].poll() is not None:
                 raise KeyboardInterrupt
 
@@ -181,9 +181,9 @@ def stopped(call):
 
 @pytest.mark.long
 def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
-    wired, people, said = rig(BASIC, 1e7), [], tmp_path / "said"  # it ends by the press, however fast it goes
+    wired, people, text = rig(BASIC, 1e7), [], tmp_path / "said"  # it ends by the press, however fast it goes
     until = time.monotonic() + PATIENCE
-    with free_domain() as domain, said.open("w") as words:
+    with free_domain() as domain, text.open("w") as words:
 
         def progress(t):
             if t and not people:
@@ -197,7 +197,7 @@ def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
         for person in people:
             person.kill()
             person.wait()
-    assert ends == [0], ([outcome.error for outcome in outcomes], said.read_text())
+    assert ends == [0], ([outcome.error for outcome in outcomes], text.read_text())
     recording = Recording((t, p.msgtype) for t, p in wired.topics.items())
     recording.read_shard(tmp_path / "plant.shard")
     pressed, released = recording.topics["lag/kick"].times
@@ -229,15 +229,15 @@ def container(directory, *arguments):
     command = [find_executable("softrig_nodes", "container"), *arguments]
     with ExitStack() as stack:
         process = fork(stack, "softrig_nodes", "container", command, environment(1, directory))
-        said = process.communicate(PATIENCE)[0]
-    return process.returncode, said
+        printed = process.communicate(PATIENCE)[0]
+    return process.returncode, printed
 
 
 def test_a_bad_parameter_is_one_line_that_names_the_node(tmp_path):
     arguments = ["faultrig", "plant", "--", "faultrig", "gain", "--ros-args", "-r", "__node:=mine", "-p", "noise:=high"]
-    status, said = container(tmp_path, *arguments)
+    status, printed = container(tmp_path, *arguments)
     assert status == 2
-    assert said.splitlines()[-1].startswith("mine: parameter noise = 'high'")
+    assert printed.splitlines()[-1].startswith("mine: parameter noise = 'high'")
 
 
 @pytest.mark.parametrize(
@@ -245,9 +245,9 @@ def test_a_bad_parameter_is_one_line_that_names_the_node(tmp_path):
     [(["faultrig"], "expected PACKAGE EXECUTABLE"), (["faultrig", "nothing"], "no executable 'nothing'")],
 )
 def test_a_bad_command_line_is_one_line(arguments, text, tmp_path):
-    status, said = container(tmp_path, *arguments)
+    status, message = container(tmp_path, *arguments)
     assert status == 2
-    assert text in said.splitlines()[-1]
+    assert text in message.splitlines()[-1]
 
 
 def with_outside_controller(extra, directory):

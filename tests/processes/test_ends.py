@@ -247,8 +247,8 @@ main()
 """
 
 
-@pytest.mark.parametrize(("where", "told"), [("import slow", ""), ("", "told\n")])
-def test_ctrl_c_while_an_executable_imports_ends_it_without_a_word(where, told, tmp_path):
+@pytest.mark.parametrize(("where", "reported"), [("import slow", ""), ("", "told\n")])
+def test_ctrl_c_while_an_executable_imports_ends_it_without_a_word(where, reported, tmp_path):
     """A program that is under way, and imports something more, answers as Python does."""
     (tmp_path / "slow.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
     (tmp_path / "share/ament_index/resource_index/packages").mkdir(parents=True)
@@ -258,7 +258,7 @@ def test_ctrl_c_while_an_executable_imports_ends_it_without_a_word(where, told, 
     script.write_text(SLOW.format(import_=where))
     variables = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ['PYTHONPATH']}"}
     done = subprocess.run([sys.executable, script], env=variables, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (0, told, "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, reported, "")
 
 
 def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
@@ -397,8 +397,8 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
         str(out),
         "--no-plots",
     ]
-    heard = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also where the tests themselves run under nohup
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
+    received = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also where the tests themselves run under nohup
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=received)
 
     def runs():
         assert process.poll() is None, process.stderr.read()
@@ -406,12 +406,12 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
 
     until(runs)
     process.send_signal(number)
-    _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == status, said
+    _, printed = process.communicate(timeout=PATIENCE)
+    assert process.returncode == status, printed
     name = signal.Signals(number).name
     content = json.loads((out / "metrics.json").read_text())
     assert content["stopped"].startswith(f"stopped by {name} at t = ")
-    assert content["stopped"] in said
+    assert content["stopped"] in printed
     assert content["metrics"]
     assert list((out / "bag").glob("*.mcap"))
 
@@ -448,8 +448,8 @@ def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
             for process in running:
                 process.send_signal(signal.SIGINT)
         assert [process.wait(PATIENCE) for process in running] == [0, 0, 0]
-    said = "".join((tmp_path / f"{member.name}.log").read_text() for member in rig.members)
-    assert not any(word in said for word in ("Traceback", "FATAL", "terminate called"))
+    text = "".join((tmp_path / f"{member.name}.log").read_text() for member in rig.members)
+    assert not any(word in text for word in ("Traceback", "FATAL", "terminate called"))
 
 
 @pytest.mark.parametrize("exchanged", [True, False])

@@ -100,21 +100,21 @@ def test_the_frames_of_a_robot_are_forward_kinematics_of_what_it_says(tmp_path):
         finally:
             plant.kill()
             plant.wait()
-    said = {name: [] for name in ("tf", "static", "joints", "described", "hash")}
+    messages = {name: [] for name in ("tf", "static", "joints", "described", "hash")}
     for line in done.stdout.splitlines():
         name, *words = line.split()
-        said[name] += words
-    still, *_ = (STORE.deserialize_cdr(bytes.fromhex(data), TF) for data in said["static"])
+        messages[name] += words
+    still, *_ = (STORE.deserialize_cdr(bytes.fromhex(data), TF) for data in messages["static"])
     assert [(x.header.frame_id, x.child_frame_id) for x in still.transforms] == [
         ("world", "base_link"),
         ("link3", "tool"),
     ]
-    joints = [STORE.deserialize_cdr(bytes.fromhex(data), "sensor_msgs/msg/JointState") for data in said["joints"]]
+    joints = [STORE.deserialize_cdr(bytes.fromhex(data), "sensor_msgs/msg/JointState") for data in messages["joints"]]
     assert {j.header.frame_id for j in joints} == {"world"}
     at = {(j.header.stamp.sec, j.header.stamp.nanosec): j.position for j in joints}
     scene = ManipulatorPlant.scene(ManipulatorPlant.Params())
     compared = 0
-    for message in (STORE.deserialize_cdr(bytes.fromhex(data), TF) for data in said["tf"]):
+    for message in (STORE.deserialize_cdr(bytes.fromhex(data), TF) for data in messages["tf"]):
         stamp = message.transforms[0].header.stamp
         if (stamp.sec, stamp.nanosec) not in at:  # from before the joint states were read
             continue
@@ -124,6 +124,6 @@ def test_the_frames_of_a_robot_are_forward_kinematics_of_what_it_says(tmp_path):
             p, q = x.transform.translation, x.transform.rotation
             assert np.array_equal([p.x, p.y, p.z, q.x, q.y, q.z, q.w], [*pose.position, *pose.rotation])
     assert compared
-    assert said["hash"] == [f"RIHS01_{HASH}"]
-    assert said["described"][0] == TF
-    assert ELEMENT.decode() in said["described"][1:]
+    assert messages["hash"] == [f"RIHS01_{HASH}"]
+    assert messages["described"][0] == TF
+    assert ELEMENT.decode() in messages["described"][1:]

@@ -103,9 +103,9 @@ def test_a_node_that_dies_ends_the_launch_with_a_status(lag, tmp_path):
 
     with free_domain() as domain:
         values = {"scenario": "lag_long", "mode": "lockstep"}
-        status, said = launch(values, environment(domain, tmp_path), meddle)
+        status, printed = launch(values, environment(domain, tmp_path), meddle)
     assert status == 1
-    assert "source ended with status -9" in said
+    assert "source ended with status -9" in printed
 
 
 @pytest.mark.long
@@ -122,8 +122,8 @@ def test_every_system_ends_by_itself(system, mode, tmp_path, monkeypatch):
     place = "container" if mode == "realtime" and system in ("gupfc", "rectifier_mpc") else "processes"
     with free_domain() as domain:
         values = {"scenario": str(file), "mode": mode, "place": place}
-        status, said = launch(values, environment(domain, tmp_path))
-    assert status == 0, said
+        status, printed = launch(values, environment(domain, tmp_path))
+    assert status == 0, printed
 
 
 @contextmanager
@@ -167,10 +167,10 @@ def test_launches_in_one_domain_take_the_options_of_runs_and_leave_what_runs_lea
             each = [
                 common | {"namespace": name, "out": str(tmp_path / name)} | given for name, given in options.items()
             ]
-            status, said = launch(each, variables)
+            status, printed = launch(each, variables)
             recorder.send_signal(signal.SIGINT)
             assert "none lost" in recorder.communicate()[0]
-    assert status == 0, said
+    assert status == 0, printed
     changed = {
         "a": ["gain.noise=0.02", "gain.k=1.5"],
         "b": ["plant.gain=0.4", "gain.noise=0.03", "gain.k=1.5"],
@@ -194,8 +194,8 @@ def test_a_launch_that_is_judged_ends_with_a_status(lag, tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     with free_domain() as domain:
         values = {"scenario": "lag", "mode": "lockstep", "place": "container", "judge": "true"}
-        status, said = launch(values, environment(domain, tmp_path))
-    assert (status, said.splitlines()[-1]) == (1, "judged: status 1")
+        status, printed = launch(values, environment(domain, tmp_path))
+    assert (status, printed.splitlines()[-1]) == (1, "judged: status 1")
     assert "claim last" in capsys.readouterr().out
     assert not (tmp_path / "runs").exists()  # nothing was to be recorded
 
@@ -206,13 +206,13 @@ def test_a_rig_that_trips_ends_its_launch_with_a_status_unless_the_scenario_expe
     Path("surprise.yaml").write_text("extends: lsrm_fuzzy_b5_trip\ntrips: []\n")
     with free_domain() as domain:
         values = {"scenario": "surprise.yaml", "mode": "lockstep", "place": "container"}
-        status, said = launch(values, environment(domain, tmp_path))
-    assert status == 1, said
-    assert said.splitlines()[-1].startswith("lsrm_plant: phase currents")
-    for scenario, found in (("surprise.yaml", ["lsrm_plant"]), ("lsrm_fuzzy_b5_trip", [])):
+        status, printed = launch(values, environment(domain, tmp_path))
+    assert status == 1, printed
+    assert printed.splitlines()[-1].startswith("lsrm_plant: phase currents")
+    for scenario, result in (("surprise.yaml", ["lsrm_plant"]), ("lsrm_fuzzy_b5_trip", [])):
         rig = rig_of(scenario)
         held = run_inprocess(rig, 0)
-        assert list(tripped(rig, {name: status_of(h) for name, h in held.items()})) == found
+        assert list(tripped(rig, {name: status_of(h) for name, h in held.items()})) == result
     with pytest.raises(ScenarioError, match="trips: no node 'motor'"):
         rig_of("surprise.yaml").scenario.having(trips=["motor"])
 
@@ -259,7 +259,7 @@ def test_an_unknown_argument_of_our_launch_file_is_said():
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         ("gian: {ros__parameters: {noise: 1.0}}", "/gian: no such node .did you mean '/gain'"),
         ("gain: {noise: 1.0}", "line 1: noise: expected ros__parameters"),
@@ -268,9 +268,9 @@ def test_an_unknown_argument_of_our_launch_file_is_said():
         ("gain: [", "given.yaml"),
     ],
 )
-def test_a_params_file_that_does_not_fit_is_refused_in_words(content, told, lag, tmp_path):
+def test_a_params_file_that_does_not_fit_is_refused_in_words(content, reported, lag, tmp_path):
     (tmp_path / "given.yaml").write_text(content)
-    with pytest.raises(ScenarioError, match=told):
+    with pytest.raises(ScenarioError, match=reported):
         nodes_of({"scenario": "lag", "params_file": str(tmp_path / "given.yaml")})
 
 
@@ -303,12 +303,12 @@ def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_p
     with free_domain() as domain:
         variables = environment(domain, tmp_path, silence=PATIENCE)  # a busy host may hold the recorder
         with recording(tmp_path / "bag", variables, *topics) as recorder:
-            status, said = launch({"scenario": "lag", "mode": "lockstep"}, variables)
+            status, printed = launch({"scenario": "lag", "mode": "lockstep"}, variables)
             recorder.send_signal(signal.SIGINT)
-            told = recorder.communicate()[0]
-    assert status == 0, said
-    assert recorder.returncode == 0, told
-    assert "none lost" in told
+            printed = recorder.communicate()[0]
+    assert status == 0, printed
+    assert recorder.returncode == 0, printed
+    assert "none lost" in printed
     rig = rig_of("lag")
     whole = in_process(rig)
     bag = read_bag(tmp_path / "bag")
@@ -331,11 +331,11 @@ def test_a_recorder_has_all_of_any_scenario_and_infers_no_loss(name, place, tmp_
         with recording(tmp_path / "bag", variables) as recorder:
             run = run_processes(rig, rig.scenario.seed, tmp_path / "log", Placement(place, domain=domain), Listener())
             recorder.send_signal(signal.SIGINT)
-            told = recorder.communicate()[0]
+            printed = recorder.communicate()[0]
     assert run.error == "", run.error
-    assert recorder.returncode == 0, told
-    assert "none lost" in told
-    assert "JOINED LATE" not in told
+    assert recorder.returncode == 0, printed
+    assert "none lost" in printed
+    assert "JOINED LATE" not in printed
     bag = read_bag(tmp_path / "bag")
-    for topic, said in run.recording.topics.items():
-        assert (bag.topics[topic].times if topic in bag.topics else []) == said.times
+    for topic, text in run.recording.topics.items():
+        assert (bag.topics[topic].times if topic in bag.topics else []) == text.times

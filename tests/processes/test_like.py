@@ -73,8 +73,8 @@ def test_a_gain_a_fault_and_a_button_in_real_time_are_there_again_in_lockstep(tm
     assert len(bag.topics["joint_states/offset/toggle"].times) == 2  # down and up
     assert main(["run", "--like", str(tmp_path / "run"), "--mode", "inprocess", "--no-plots", "--out",
                  str(tmp_path / "again")]) == 0  # fmt: skip
-    said = capsys.readouterr().err
-    late = "that run was late: " in said  # a machine that does not keep up
-    assert ("run number for number: " in said) or (late and "differs from" in said), said
+    printed = capsys.readouterr().err
+    late = "that run was late: " in printed  # a machine that does not keep up
+    assert ("run number for number: " in printed) or (late and "differs from" in printed), printed
     again = json.loads((tmp_path / "again" / "metrics.json").read_text())
     assert [(c["at_s"], c["set"]) for c in again["changes"]] == [(c["at_s"], c["set"]) for c in metrics["changes"]]

@@ -63,12 +63,12 @@ class Container:
 
     def ends_as_in_process(self):
         self.on()
-        found = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
+        recording = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
         for name, adapter in self.adapters.items():
             assert (adapter.state, adapter.error) == ("done", None)
             adapter.record.shard.close()
-            found.read_shard(self.folder / f"{name}.shard")
-        assert differences(self.expected, found) == []
+            recording.read_shard(self.folder / f"{name}.shard")
+        assert differences(self.expected, recording) == []
         return {name: adapter.account.status()["native"] for name, adapter in self.adapters.items()}
 
 
@@ -78,9 +78,9 @@ class Container:
 def test_while_nobody_has_a_part_native_code_answers(name, duration, tmp_path, monkeypatch):
     rig = rig_of(name, duration=duration)
     container = Container(rig, tmp_path, monkeypatch)
-    told = container.ends_as_in_process()
+    reported = container.ends_as_in_process()
     ticks = rig.clock.schedule.ticks
-    assert told[rig.clock.name] == (ticks - 1, "")  # the first and the last are Python's
+    assert reported[rig.clock.name] == (ticks - 1, "")  # the first and the last are Python's
     assert container.clock.account.status()["tick_p50_ms"] > 0.0
 
 
@@ -112,24 +112,24 @@ def test_it_is_compiled_while_python_goes_on(tmp_path, monkeypatch):
 def test_a_reader_gets_each_message_from_when_it_is_there(tmp_path, monkeypatch):
     container = Container(rig_of("dc_motor_smc", duration=0.1), tmp_path, monkeypatch)
     container.on(200)
-    before, heard = container.native(), []
+    before, received = container.native(), []
     assert before >= 199
     output = container.clock.outputs[0]
     world = container.world
     person = SimulatedNode(world, "person", {})
-    world.add(Endpoint(person, output.topic, output.port.msgtype, heard.append, lambda count: None, world.now))
+    world.add(Endpoint(person, output.topic, output.port.msgtype, received.append, lambda count: None, world.now))
     world.match()
     first = container.clock.ticks
     container.on(400)
     world.readers.pop()
     world.match()
     last = container.clock.ticks
-    told = container.ends_as_in_process()
+    reported = container.ends_as_in_process()
     world.run(world.now + 10**7)  # what is under way arrives
     topic = container.expected.topics[output.topic.removeprefix("/")]
-    assert heard == topic.data[first : first + len(heard)]
-    assert last - first <= len(heard) + 1
-    assert before < told[container.rig.clock.name][0] < 1000 - (last - first) + 10
+    assert received == topic.data[first : first + len(received)]
+    assert last - first <= len(received) + 1
+    assert before < reported[container.rig.clock.name][0] < 1000 - (last - first) + 10
 
 
 def test_who_holds_or_changes_is_obeyed(tmp_path, monkeypatch):

@@ -122,13 +122,13 @@ def replaced(rig, name, directory, seed=0):
     wrong = [outcome.error] if outcome.error else []
     for member in ours.members:
         for port in member.outputs:
-            found, wanted = outcome.recording.topics[port.topic], expected.topics[port.topic]
+            result, wanted = outcome.recording.topics[port.topic], expected.topics[port.topic]
             if member.external and port.sporadic:  # the run ends without its last words
-                same = set(found.data) <= set(wanted.data)
+                same = set(result.data) <= set(wanted.data)
             elif member.external or member.name not in chance:
-                same = (found.times, found.data) == (wanted.times, wanted.data)
+                same = (result.times, result.data) == (wanted.times, wanted.data)
             else:  # when it hears of it is chance, but it speaks at each of its ticks
-                same = port.sporadic or found.times == wanted.times
+                same = port.sporadic or result.times == wanted.times
             wrong += [] if same else [port.topic]
     return wrong + [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s.get("refused")]
 
@@ -152,12 +152,12 @@ def test_a_plain_plant_that_nobody_commands_goes_by_who_acknowledges(tmp_path):
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_plain_node_takes_the_place_of_each(system, tmp_path):
     rig = short(system)
-    found = {}
+    results = {}
     for name in replaceable(rig):
         directory = tmp_path / name
         directory.mkdir()
-        found[name] = replaced(rig, name, directory)
-    assert {n: wrong for n, wrong in found.items() if wrong} == {}
+        results[name] = replaced(rig, name, directory)
+    assert {n: wrong for n, wrong in results.items() if wrong} == {}
 
 
 TOGETHER = [

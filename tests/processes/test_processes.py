@@ -281,10 +281,10 @@ def test_bad_parameters_stop_a_node_with_one_line(tmp_path):
     ]:
         with ExitStack() as stack:
             done = fork(stack, "faultrig", "plant", [executable, "--ros-args", "-p", argument], variables)
-            said = done.communicate(PATIENCE)[0]
+            message = done.communicate(PATIENCE)[0]
         assert done.returncode == 2
-        assert text.removeprefix("run.") in said
-        assert len(said.strip().splitlines()) == 1
+        assert text.removeprefix("run.") in message
+        assert len(message.strip().splitlines()) == 1
 
 
 def test_a_refused_parameter_is_a_scenario_error():
@@ -341,10 +341,10 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", sta
     """Run the basic rig with a plain rclpy controller: nothing of softrig is imported in it, unless it is forked."""
     wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}}, duration, **keys)
     with free_domain() as domain:
-        code, outside, said = OUTSIDE.replace("EXTRA", extra), [], []
+        code, outside, messages = OUTSIDE.replace("EXTRA", extra), [], []
 
         def announce(text):
-            said.append(text)
+            messages.append(text)
             if outside:
                 return
             assert f"ROS_DOMAIN_ID={domain}" in text
@@ -355,9 +355,13 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", sta
             outcome = run_processes(
                 wired, 0, directory, Placement(domain=domain, clock=mode), Listener(announce=announce)
             )
-            came = said.index("gain is there")
-            assert all("CYCLONEDDS_URI" in text for text in said[1:came])  # of one that a busy machine starts late
-            assert all("refused a message on lag/command" in text for text in said[came + 1 :])  # while the run goes on
+            arrived = messages.index("gain is there")
+            assert all(
+                "CYCLONEDDS_URI" in text for text in messages[1:arrived]
+            )  # of one that a busy machine starts late
+            assert all(
+                "refused a message on lag/command" in text for text in messages[arrived + 1 :]
+            )  # while the run goes on
             return wired, outcome
         finally:
             for process in outside:

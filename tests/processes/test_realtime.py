@@ -78,7 +78,7 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
 
 def test_a_timer_that_is_always_late_lets_messages_through():
     """A tick that takes longer than its period, and what waits for its turn while it does: nothing piles up."""
-    period, late, heard = 200_000, [], []
+    period, late, received = 200_000, [], []
     context = Context()
     with free_domain() as domain:
         rclpy.init(context=context, domain_id=domain)
@@ -90,7 +90,7 @@ def test_a_timer_that_is_always_late_lets_messages_through():
         def tick():
             timer.again(period - time.monotonic_ns() % period, period)
             late.append(len(late))
-            executor.create_task(heard.append, late[-1])
+            executor.create_task(received.append, late[-1])
             time.sleep((0.0003, 0.0008, 0.0011)[len(late) % 3])  # it passes its grid at another phase each time
             if len(late) == 400:
                 over.set_result(None)
@@ -101,8 +101,8 @@ def test_a_timer_that_is_always_late_lets_messages_through():
         node.destroy_node()
         context.shutdown()
     assert len(late) >= 400
-    assert heard == late[: len(heard)]
-    assert len(heard) >= len(late) - 3
+    assert received == late[: len(received)]
+    assert len(received) >= len(late) - 3
 
 
 @pytest.mark.long

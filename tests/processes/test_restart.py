@@ -47,12 +47,12 @@ def from_then_on(acts):
 def test_a_node_killed_at_any_tick_comes_back_and_the_bag_is_the_same(seed, killer, tmp_path):
     rng = random.Random(seed)
     rig = rig_of(make_scenario(NODES, 100.0))
-    name, at, said = rng.choice(list(NODES)), rng.randrange(rig.end // 2), []
+    name, at, messages = rng.choice(list(NODES)), rng.randrange(rig.end // 2), []
     progress = from_then_on([(at, lambda: killer(name))])
-    outcome = run_processes(rig, 7, tmp_path, Placement(restart=1), Listener(progress, said.append))
+    outcome = run_processes(rig, 7, tmp_path, Placement(restart=1), Listener(progress, messages.append))
     assert outcome.error == ""
-    assert len(said) == 1
-    assert said[0].startswith(f"node {name} was killed by SIGKILL after t = ")
+    assert len(messages) == 1
+    assert messages[0].startswith(f"node {name} was killed by SIGKILL after t = ")
     assert outcome.status[name]["restarts"] == 1
     assert not any(status["refused"] for status in outcome.status.values())
     assert not differences(in_process(rig, 7), outcome.recording)

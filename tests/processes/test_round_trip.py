@@ -41,8 +41,8 @@ def executables():
 
 @pytest.fixture
 def domain():
-    with free_domain() as found:
-        yield found
+    with free_domain() as result:
+        yield result
 
 
 @contextmanager

@@ -53,9 +53,9 @@ def test_a_client_pauses_steps_looks_and_lets_go_on(mode, tmp_path, monkeypatch)
 
     rig = rig_of(load_scenario("manipulator_adsmc").model_copy(update={"duration": 0.5}))
     with free_domain() as domain:
-        found = []
+        results = []
         place = Placement(mode, domain=domain, paused=True)
-        run = threading.Thread(target=lambda: found.append(run_processes(rig, 0, tmp_path, place, Listener())))
+        run = threading.Thread(target=lambda: results.append(run_processes(rig, 0, tmp_path, place, Listener())))
         run.start()
         call = Caller(domain, monkeypatch)
         features = call("GetSimulatorFeatures", "get_simulator_features").features
@@ -65,24 +65,24 @@ def test_a_client_pauses_steps_looks_and_lets_go_on(mode, tmp_path, monkeypatch)
         assert state == SimulationState.STATE_PAUSED
         assert call("StepSimulation", "step_simulation", steps=99).result.result == 1
         names = call("GetEntities", "get_entities", filters=EntityFilters(filter="")).entities
-        told = call("GetEntityState", "get_entity_state", entity=names[-1])
-        assert told.result.result == 1
-        assert told.state.header.stamp.nanosec == 100 * round(rig.clock.params.period * 1e9)
-        r = told.state.pose.orientation
+        reported = call("GetEntityState", "get_entity_state", entity=names[-1])
+        assert reported.result.result == 1
+        assert reported.state.header.stamp.nanosec == 100 * round(rig.clock.params.period * 1e9)
+        r = reported.state.pose.orientation
         assert math.hypot(r.x, r.y, r.z, r.w) == pytest.approx(1.0)
-        heard = []
+        received = []
         client = ActionClient(call.node, SimulateSteps, "simulate_steps")
         until(lambda: call.executor.spin_once(timeout_sec=0.05) or client.server_is_ready(), "simulate_steps")
-        goal = call.done(client.send_goal_async(SimulateSteps.Goal(steps=50), lambda f: heard.append(f.feedback)))
+        goal = call.done(client.send_goal_async(SimulateSteps.Goal(steps=50), lambda f: received.append(f.feedback)))
         assert call.done(goal.get_result_async()).result.result.result == 1
-        assert {f.completed_steps + f.remaining_steps for f in heard} == {50}
+        assert {f.completed_steps + f.remaining_steps for f in received} == {50}
         assert call("ResetSimulation", "reset_simulation").result.result == 0
         playing = SimulationState(state=SimulationState.STATE_PLAYING)
         assert call("SetSimulationState", "set_simulation_state", state=playing).result.result == 1
         run.join()
         call.context.shutdown()
-    assert found[0].error == ""
-    assert not differences(found[0].recording, in_process(rig))
+    assert results[0].error == ""
+    assert not differences(results[0].recording, in_process(rig))
 
 
 def test_a_client_that_quits_ends_the_run_with_a_record_up_to_there(tmp_path, monkeypatch):
@@ -90,9 +90,9 @@ def test_a_client_that_quits_ends_the_run_with_a_record_up_to_there(tmp_path, mo
 
     rig = rig_of("dc_motor_smc_b2")
     with free_domain() as domain:
-        found = []
+        results = []
         place = Placement(domain=domain, paused=True)
-        run = threading.Thread(target=lambda: found.append(run_processes(rig, 0, tmp_path, place, Listener())))
+        run = threading.Thread(target=lambda: results.append(run_processes(rig, 0, tmp_path, place, Listener())))
         run.start()
         call = Caller(domain, monkeypatch)
         until(lambda: call("StepSimulation", "step_simulation", steps=9).result.result == 1, "the first steps")
@@ -100,5 +100,5 @@ def test_a_client_that_quits_ends_the_run_with_a_record_up_to_there(tmp_path, mo
         assert call("SetSimulationState", "set_simulation_state", state=quitting).result.result == 1
         run.join()
         call.context.shutdown()
-    assert "by set_simulation_state" in found[0].error
-    assert len(next(iter(found[0].recording.topics.values())).data) > 0
+    assert "by set_simulation_state" in results[0].error
+    assert len(next(iter(results[0].recording.topics.values())).data) > 0

@@ -84,6 +84,6 @@ def test_no_start_is_lost(beside):
     """Some minutes on two cores; `SOFTRIG_REAL_STARTS` sets another number, `trial(seed)` repeats one."""
     number = int(os.environ.get("SOFTRIG_REAL_STARTS", "250"))
     with beside() as killed, ThreadPoolExecutor(3) as pool:
-        found = [(seed, *result) for seed, result in enumerate(pool.map(trial, range(number)))]
-    assert [f"seed {seed}, {what}: {wrong}" for seed, what, wrong in found if wrong] == []
+        results = [(seed, *result) for seed, result in enumerate(pool.map(trial, range(number)))]
+    assert [f"seed {seed}, {what}: {wrong}" for seed, what, wrong in results if wrong] == []
     assert killed is None or len(killed) > number / 10

@@ -46,7 +46,7 @@ class Client:
         at = [(Duration(sec=int(t), nanosec=round(t % 1 * 1e9)), [q] * n) for t, q in points]
         rows = [JointTrajectoryPoint(time_from_start=t, positions=q, velocities=[0.0] * n) for t, q in at]
         goal = self.kind.Goal(trajectory=JointTrajectory(joint_names=self.joints, points=rows), **tolerances)
-        return self.done(self.action.send_goal_async(goal, lambda said: self.heard.append(said.feedback)))
+        return self.done(self.action.send_goal_async(goal, lambda text: self.heard.append(text.feedback)))
 
     def result(self, handle):
         answer = self.done(handle.get_result_async())
@@ -65,9 +65,9 @@ def test_goals_are_followed_canceled_replaced_and_judged(scenario, node, mode, c
     joints = list(next(p for p in rig.topics.values() if p.msgtype.endswith("JointTrajectory")).channels)
     bound = control_msgs.JointTolerance
     with free_domain() as domain:
-        found = []
+        results = []
         place = Placement(mode, clock, domain=domain, **({"pace": 1.0} if clock == "lockstep" else {}))
-        run = threading.Thread(target=lambda: found.append(run_processes(rig, 0, tmp_path, place, Listener())))
+        run = threading.Thread(target=lambda: results.append(run_processes(rig, 0, tmp_path, place, Listener())))
         run.start()
         client = Client(domain, node, joints)
         handles = []
@@ -87,5 +87,5 @@ def test_goals_are_followed_canceled_replaced_and_judged(scenario, node, mode, c
         assert client.result(tight) == (ABORTED, -5)
         run.join()
         client.context.shutdown()
-    assert found[0].error == ""
-    assert "parameter_events" in found[0].recording.topics
+    assert results[0].error == ""
+    assert "parameter_events" in results[0].recording.topics

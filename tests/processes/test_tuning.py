@@ -78,7 +78,7 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
         bench = Bench(tmp_path, domain)
         try:
             bench.start("law", "dc_motor_smc", package="softrig_drives")
-            said = asked(bench, PERSON, "law")
+            text = asked(bench, PERSON, "law")
             command = [sys.executable, "-m", "softrig_bringup", "set", "law.delta", "0.5"]
             first = subprocess.run(command, env=bench.environment, timeout=60, capture_output=True, text=True)
             assert (first.returncode, first.stderr) == (0, "")
@@ -100,19 +100,19 @@ def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)
-    assert said["told"] == {
+    assert text["told"] == {
         "k": [False, "may change while running, from the next tick on"],
         "period": [True, "fixed from the start on"],
     }
-    assert said["k"] == [[True, ""]]
-    assert not said["period"][0][0]
-    assert "c out of range" in said["c"][0][1]
-    assert "parameter delta = 'much'" in said["wrong"][0][1]
-    assert [ok for ok, _ in said["both"]] == [True, False]  # each by itself, for not all of it fits
-    assert "beyond reference_limit" in said["both"][1][1]
-    assert [ok for ok, _ in said["in one"]] == [True, True]
-    assert [ok for ok, _ in said["whole"] + said["as it is"]] == [True, True, True]
-    assert said["types"] == [ParameterType.PARAMETER_DOUBLE] * 2
+    assert text["k"] == [[True, ""]]
+    assert not text["period"][0][0]
+    assert "c out of range" in text["c"][0][1]
+    assert "parameter delta = 'much'" in text["wrong"][0][1]
+    assert [ok for ok, _ in text["both"]] == [True, False]  # each by itself, for not all of it fits
+    assert "beyond reference_limit" in text["both"][1][1]
+    assert [ok for ok, _ in text["in one"]] == [True, True]
+    assert [ok for ok, _ in text["whole"] + text["as it is"]] == [True, True, True]
+    assert text["types"] == [ParameterType.PARAMETER_DOUBLE] * 2
 
 
 FLOOD = (
@@ -204,12 +204,12 @@ def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
         bench = Bench(tmp_path, domain)
         try:
             bench.start("steps", "reference_source", package="softrig_control")
-            said = asked(bench, LISTER, "steps")
+            message = asked(bench, LISTER, "steps")
         finally:
             bench.kill("steps")
-    assert said["accelerations"] == [ParameterType.PARAMETER_DOUBLE_ARRAY, "", []]
-    assert said["run.mode"][1] == "realtime"
-    assert not [name for name, (_, text, _) in said.items() if str(tmp_path) in text]
+    assert message["accelerations"] == [ParameterType.PARAMETER_DOUBLE_ARRAY, "", []]
+    assert message["run.mode"][1] == "realtime"
+    assert not [name for name, (_, text, _) in message.items() if str(tmp_path) in text]
 
 
 def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
@@ -258,10 +258,10 @@ def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
             ]
             with ExitStack() as stack:
                 played = fork(stack, "softrig_bags", "player", command, bench.environment, tmp_path)
-                said = played.communicate(PATIENCE)[0]
+                printed = played.communicate(PATIENCE)[0]
         finally:
             for name in list(bench.nodes):
                 bench.kill(name)
-    assert played.returncode == 0, said
+    assert played.returncode == 0, printed
     answers = read_bag(tmp_path / "answers")
     assert answers.topics["motor/command"].data == recording.topics["motor/command"].data

@@ -85,7 +85,7 @@ def run_parts(parts, domain, directory, prefix=(), *more):
         before = prefix[k] if prefix else []
         running.append(subprocess.Popen([*before, *command], stderr=subprocess.PIPE, text=True))
     try:
-        said = [process.communicate(timeout=PATIENCE)[1] for process in running]
+        messages = [process.communicate(timeout=PATIENCE)[1] for process in running]
     finally:
         for process in running:
             process.kill()
@@ -93,7 +93,7 @@ def run_parts(parts, domain, directory, prefix=(), *more):
     (directory / "all").mkdir()
     for shard in directory.glob("*/log/*.shard"):
         shard.rename(directory / "all" / shard.name)
-    return [process.returncode for process in running], said
+    return [process.returncode for process in running], messages
 
 
 PARTS = [["plant", "source"], ["gain"]]
@@ -102,9 +102,9 @@ PARTS = [["plant", "source"], ["gain"]]
 @pytest.mark.long
 def test_two_parts_of_a_rig_make_the_bag_of_the_whole(tmp_path):
     with free_domain() as domain:
-        statuses, said = run_parts(PARTS, domain, tmp_path)
-    assert statuses == [0, 0], said
-    assert f"plant, source here, domain {domain}; elsewhere: gain" in said[0]
+        statuses, text = run_parts(PARTS, domain, tmp_path)
+    assert statuses == [0, 0], text
+    assert f"plant, source here, domain {domain}; elsewhere: gain" in text[0]
     assert len(list((tmp_path / "0/log").glob("*.log"))) == 1  # both in one container
     bag = read_bag(repair(tmp_path / "all").bag)
     assert differences(in_process(rig(BASIC, 1.0)), bag) == []
@@ -138,8 +138,8 @@ def test_the_profile_of_this_host_is_the_other_one_but_for_its_sockets(tmp_path,
     assert own == other
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
     for discovery, here in (("LOCALHOST", True), ("SUBNET", False)):  # as `run` writes it
-        found = environment(1, tmp_path, discovery=discovery, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"]
-        assert ("<address>127.0.0.1</address>" in Path(found).read_text()) == here
+        result = environment(1, tmp_path, discovery=discovery, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"]
+        assert ("<address>127.0.0.1</address>" in Path(result).read_text()) == here
 
 
 INTRUDER = """
@@ -227,6 +227,6 @@ def test_who_comes_from_another_host_finds_nobody(how, tmp_path):
 def test_two_hosts_give_the_bytes_of_one(disturbance, tmp_path):
     # reserved although the hosts have networks of their own: /dev/shm is one for all
     with free_domain() as domain, two_hosts(disturbance) as hosts:
-        statuses, said = run_parts(PARTS, domain, tmp_path, [["ip", "netns", "exec", host] for host in hosts])
-    assert statuses == [0, 0], said
+        statuses, text = run_parts(PARTS, domain, tmp_path, [["ip", "netns", "exec", host] for host in hosts])
+    assert statuses == [0, 0], text
     assert differences(in_process(rig(BASIC, 1.0)), read_bag(repair(tmp_path / "all").bag)) == []

@@ -50,32 +50,34 @@ def waiting(mode, seconds):
 
 def test_a_controller_on_a_wrong_topic_is_told_which_one_it_should_be():
     run = waiting("lockstep", 1.0)
-    said = []
-    guests = Guests(with_guests("basic", ("gain",)), said.append)
+    messages = []
+    guests = Guests(with_guests("basic", ("gain",)), messages.append)
 
     def look():
         guests.look({name: a.account.status() for name, a in run.adapters.items()})
 
     look()
-    assert said == []
+    assert messages == []
     node = SimulatedNode(run.world, "somebody", {})
     node.publisher("lag/comand", COMMAND.msgtype, lambda count: None)
     node.publisher("joint_states", "sensor_msgs/msg/Imu", lambda count: None)  # of another type: its own business
     run.run(1.0)
     look(), look()
-    assert said == ["/somebody publishes /lag/comand, which nobody in the rig reads; lag/command is awaited from gain"]
+    assert messages == [
+        "/somebody publishes /lag/comand, which nobody in the rig reads; lag/command is awaited from gain"
+    ]
     node.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
     run.run(1.0)
     look()
-    assert said[1:] == ["gain is there"]
+    assert messages[1:] == ["gain is there"]
 
 
 def test_a_refused_message_of_an_outside_node_is_told_once():
-    said = []
-    guests = Guests(with_guests("basic", ("gain",)), said.append)
+    messages = []
+    guests = Guests(with_guests("basic", ("gain",)), messages.append)
     for count in (1, 2):
         guests.look({"plant": {"refused": {"lag/command": [count, "u is nan"]}}})
-    assert said == ["plant refused a message on lag/command: u is nan"]
+    assert messages == ["plant refused a message on lag/command: u is nan"]
 
 
 def test_in_lockstep_a_controller_may_come_after_minutes_and_nothing_is_lost():
@@ -128,23 +130,23 @@ def test_the_graph_tells_which_readers_ask_for_more_than_a_writer_offers():
             ours = RosMiddleware(node)
             ours.publisher("lag/command", "sensor_msgs/msg/JointState", lambda count: None)
             until(lambda: len(ours.subscribers("/lag/command")) == 3)
-            found = ours.unfit("/lag/command", "sensor_msgs/msg/JointState")
+            result = ours.unfit("/lag/command", "sensor_msgs/msg/JointState")
         finally:
             node.destroy_node()
             context.shutdown()
-    assert found == [("ours", "Volatile publisher and transient local subscription")]
+    assert result == [("ours", "Volatile publisher and transient local subscription")]
 
 
 def test_in_real_time_the_start_is_after_the_controller_has_come():
     run = waiting("realtime", 120.0)
-    world, came = run.world, run.world.now
+    world, arrived = run.world, run.world.now
     node = SimulatedNode(world, "somebody", {})
     for port in Gain.INPUTS:
         node.subscribe(port.topic, port.msgtype, Listening(lambda data: None))
     node.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
     world.run(world.now + 10 * SECOND, lambda: all(a.state == "running" for a in run.adapters.values()))
     (epoch,) = {a.epoch for a in run.adapters.values()}
-    assert came < epoch < world.now + SECOND
+    assert arrived < epoch < world.now + SECOND
     assert lacking(run) == []
 
 
@@ -234,18 +236,18 @@ class Needy(Lag):
 def test_a_plant_that_needs_commands_stays_at_the_beginning_until_one_comes():
     world = World()
     node, law = SimulatedNode(world, "plant", {}), SimulatedNode(world, "law", {})
-    plant, said = Adapter(node, Needy(), RunOptions(mode="realtime", duration=0.1)), []
+    plant, messages = Adapter(node, Needy(), RunOptions(mode="realtime", duration=0.1)), []
     Group([plant])
     state = next(p for p in Needy.OUTPUTS if p.name == "state")
-    law.subscribe(state.topic, state.msgtype, Listening(said.append))
+    law.subscribe(state.topic, state.msgtype, Listening(messages.append))
     send = law.publisher(COMMAND.topic, COMMAND.msgtype, lambda count: None)
     world.match()
     begun = world.now
     world.run(begun + SECOND)
     assert "stays at t = 0 until it is commanded on lag/command" in [text for _, text in node.logs]
-    values = {state.layout().decode(data)[1] for data in said}
-    assert (len(said) > 50, len(values)) == (True, 1)
-    stamp = state.layout().decode(said[-1])[0]
+    values = {state.layout().decode(data)[1] for data in messages}
+    assert (len(messages) > 50, len(values)) == (True, 1)
+    stamp = state.layout().decode(messages[-1])[0]
     assert world.now - stamp < 20 * MS
     send(COMMAND.layout().encode(stamp, (1.0,)))
     world.run(world.now + 50 * MS)
@@ -306,10 +308,10 @@ def test_a_clock_that_was_set_back_is_a_reason(monkeypatch):
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
     assert clock.set_back() == ""  # nobody minds
     monkeypatch.setattr(time, "time", now)  # as it was at first, and an hour before what somebody has seen
-    told = "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
-    assert clock.set_back() == told
+    text = "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
+    assert clock.set_back() == text
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
-    assert clock.set_back() == told
+    assert clock.set_back() == text
 
 
 @pytest.mark.parametrize("ok", [True, False])

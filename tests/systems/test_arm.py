@@ -29,12 +29,12 @@ def test_the_functions_are_those_of_pinocchio(urdf, joints):
         q, v, a = draw.uniform(-2.0, 2.0, (3, n))
         wanted = pin.rnea(model, data, q, v, a)
         assert arm.inverse((*q, *v, *a, *armature, 0.0)) == pytest.approx(wanted, rel=1e-10, abs=1e-10)
-        found = arm.tool(tuple(q))
+        result = arm.tool(tuple(q))
         pin.framesForwardKinematics(model, data, q)
         frame = model.getFrameId("tool")
-        assert found[:3] == pytest.approx(data.oMf[frame].translation, abs=1e-12)
+        assert result[:3] == pytest.approx(data.oMf[frame].translation, abs=1e-12)
         jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
-        assert found[3:] == pytest.approx(jacobian.ravel(), abs=1e-12)
+        assert result[3:] == pytest.approx(jacobian.ravel(), abs=1e-12)
         moved = arm.step((*q, *v, *wanted, 0.0, 0.0, 0.0, 1e-6, *armature, 0.0))
         assert (np.array(moved[n:]) - v) / 1e-6 == pytest.approx(a, abs=1e-3)
 

@@ -22,9 +22,9 @@ FITTING = (Path(__file__).parent / "fitting_parameters.txt").read_text().splitli
 
 @pytest.mark.parametrize("row", ROWS)
 def test_what_does_not_fit_is_named(row):
-    executable, values, said = re.fullmatch(r"([\w.]+) (\{.*\}) -> (.*)", row).groups()
+    executable, values, text = re.fullmatch(r"([\w.]+) (\{.*\}) -> (.*)", row).groups()
     block = BLOCKS[executable]
-    with pytest.raises((ParameterError, ValueError), match=re.escape(said)):
+    with pytest.raises((ParameterError, ValueError), match=re.escape(text)):
         block.ports(block(build(block.Params, yaml.safe_load(values))).p)
 
 

@@ -101,12 +101,14 @@ def constant_delays_of_an_interval(rng):
 def search_of_constant_delays(rng):
     A, Ad, h = a_linear_system(rng, 2)
     low, high = (0.0, 0.0) if rng.random() < 0.3 else (0.3 * h, 2.0 * h)
-    found = certified_margin(linear(A, Ad), Criterion("constant"), low=low, high=high, width=0.02)
+    certificate = certified_margin(linear(A, Ad), Criterion("constant"), low=low, high=high, width=0.02)
     what = f"low = {low!r} high = {high!r} A = {A.tolist()} Ad = {Ad.tolist()}"
-    if found is None:
+    if certificate is None:
         return Drawn(False, True, what)
-    top = min(found.h, 30.0)  # beyond, collocation wants more points
-    return Drawn(True, stable(A, Ad, np.linspace(max(found.shortest, 1e-3 * top), top, 60)), f"{found.h} {what}")
+    top = min(certificate.h, 30.0)  # beyond, collocation wants more points
+    return Drawn(
+        True, stable(A, Ad, np.linspace(max(certificate.shortest, 1e-3 * top), top, 60)), f"{certificate.h} {what}"
+    )
 
 
 def theorem_1(rng):
@@ -182,12 +184,12 @@ def margin_by_simulation(rng):
     low, high = 0.5 * h, 1.3 * h
     what = f"{low!r} to {high!r} A = {A.tolist()} Ad = {Ad.tolist()}"
     try:
-        found = pwa_margin(linear(A, Ad), low, high, rng.normal(size=len(A)), 120.0 * h, steps=30, width=1e-3 * h)
+        result = pwa_margin(linear(A, Ad), low, high, rng.normal(size=len(A)), 120.0 * h, steps=30, width=1e-3 * h)
     except ValueError:  # no margin in it, or no swings
         return Drawn(False, True, what)
-    below = [d for d in found.growth if d < found.low - 1e-3 * h]
-    edge = rightmost(A, Ad, found.h)
-    return Drawn(True, stable(A, Ad, below) and abs(edge) < 0.02 / h, f"{found.h!r} edge {edge:.3g} {what}")
+    below = [d for d in result.growth if d < result.low - 1e-3 * h]
+    edge = rightmost(A, Ad, result.h)
+    return Drawn(True, stable(A, Ad, below) and abs(edge) < 0.02 / h, f"{result.h!r} edge {edge:.3g} {what}")
 
 
 # the tank: a delay that does its worst -------------------------------------------------------------------------------
@@ -240,11 +242,11 @@ def tank_of_the_node(rng):
     x0, c = float(rng.uniform(0.05, 1.0)), float(10.0 ** rng.uniform(-4.0, -1.5))
     own = {"switch": s, "k_low": kL, "k_high": kR, "c": c, "x0": x0}
     h = 0.0 if rng.random() < 0.5 else float(rng.uniform(0.5, 12.0))
-    found = CertificateNode.solve(CertificateNode.Params(system="tank", method="level", h=h, **own), None).certificate
-    if not found.valid:
+    result = CertificateNode.solve(CertificateNode.Params(system="tank", method="level", h=h, **own), None).certificate
+    if not result.valid:
         return Drawn(False, True, "")
-    lowest, slack = lowest_level(found.h, s, kL, kR, c, x0, rng)
-    return Drawn(True, lowest >= found.t - slack, f"h = {found.h!r} {own} {lowest}")
+    lowest, slack = lowest_level(result.h, s, kL, kR, c, x0, rng)
+    return Drawn(True, lowest >= result.t - slack, f"h = {result.h!r} {own} {lowest}")
 
 
 # dual mode: rational arithmetic --------------------------------------------------------------------------------------
@@ -355,12 +357,12 @@ def dual_mode_of_a_model(rng):
     )
     what = f"{model} r = {r} q = {q}"
     try:
-        found = dual_mode(model, r, q)
+        result = dual_mode(model, r, q)
     except np.linalg.LinAlgError:
         return Drawn(False, True, what)
     A, B, C = companion(model)
-    true = not found.valid or dual_mode_holds(A, B, found.gain, found.terminal, q * C.T @ C, r)
-    return Drawn(found.valid, true, what)
+    true = not result.valid or dual_mode_holds(A, B, result.gain, result.terminal, q * C.T @ C, r)
+    return Drawn(result.valid, true, what)
 
 
 # the arm's surfaces: roots of the loop on the plant of the proof ------------------------------------------------------
@@ -397,7 +399,7 @@ def some_units(rng, n):
 def dispatch(rng):
     units = some_units(rng, int(rng.integers(2, 6)))
     demand = float(units.p_min.sum() + rng.uniform(0.02, 0.98) * (units.p_max - units.p_min).sum())
-    found = Optimiser(units).certified(demand)
+    result = Optimiser(units).certified(demand)
     try:
         least = units.total(enumerate_kinks(units, demand))
     except InfeasibleError:
@@ -408,10 +410,10 @@ def dispatch(rng):
         P[j] += demand - P.sum()
         if units.p_min[j] <= P[j] <= units.p_max[j]:
             least = min(least, units.total(P))
-    meets = abs(found.P.sum() - demand) < 1e-6 and np.all((units.p_min <= found.P) & (units.p_max >= found.P))
-    true = meets and found.bound <= least + 1e-7 and found.cost <= least + 1e-3 + 1e-7
-    what = f"{units.table.tolist()} demand {demand!r} cost {found.cost} bound {found.bound} least {least}"
-    return Drawn(found.reason == "proven", bool(true), what)
+    meets = abs(result.P.sum() - demand) < 1e-6 and np.all((units.p_min <= result.P) & (units.p_max >= result.P))
+    true = meets and result.bound <= least + 1e-7 and result.cost <= least + 1e-3 + 1e-7
+    what = f"{units.table.tolist()} demand {demand!r} cost {result.cost} bound {result.bound} least {least}"
+    return Drawn(result.reason == "proven", bool(true), what)
 
 
 def dispatch_with_conditions(rng):
@@ -445,13 +447,13 @@ def dispatch_with_conditions(rng):
     least = float(units.cost(P[good]).sum(axis=1).min()) if good.any() else math.inf
     what = f"{units.table.tolist()} {nans.tolist()} {conditions} demand {demand!r} least {least}"
     try:
-        found = Optimiser(units, tol=1e-2, max_nodes=200_000).conditioned(demand, conditions)
+        result = Optimiser(units, tol=1e-2, max_nodes=200_000).conditioned(demand, conditions)
     except InfeasibleError as error:  # a proof, too, where it says so
         return Drawn("no dispatch found" not in str(error), least == math.inf, f"{error} {what}")
-    meets = abs(found.P.sum() - lost.of(found.P) - demand) < 1e-5
-    meets = meets and np.all((conditions.low - 1e-9 <= found.P) & (conditions.high + 1e-9 >= found.P))
-    meets = meets and conditions.spinning(units, found.P) >= conditions.reserve - 1e-6
-    return Drawn(found.reason == "proven", bool(meets and found.bound <= least + 1e-7), f"{what} {found}")
+    meets = abs(result.P.sum() - lost.of(result.P) - demand) < 1e-5
+    meets = meets and np.all((conditions.low - 1e-9 <= result.P) & (conditions.high + 1e-9 >= result.P))
+    meets = meets and conditions.spinning(units, result.P) >= conditions.reserve - 1e-6
+    return Drawn(result.reason == "proven", bool(meets and result.bound <= least + 1e-7), f"{what} {result}")
 
 
 # search along a falling characteristic: all of it --------------------------------------------------------------------

@@ -29,8 +29,8 @@ class File:
         self.folder, self.name, self.form, self.revision = folder, name, form, revision
         self.x = waves(channels=6 * len(ends)) if x is None else x
         labels = [f"{q}{p}_{e}" for e in ends for q in "VI" for p in PHASES]
-        rest = ["1", "0", "0", "-3.4e38", "3.4e38", "1", "1", "P"]
-        self.channels = [[str(k + 1), n, n[1], "", n[0].replace("I", "A"), *rest] for k, n in enumerate(labels)]
+        remaining = ["1", "0", "0", "-3.4e38", "3.4e38", "1", "1", "P"]
+        self.channels = [[str(k + 1), n, n[1], "", n[0].replace("I", "A"), *remaining] for k, n in enumerate(labels)]
         if revision == "1991":
             self.channels = [c[:10] for c in self.channels]
         self.rates = [f"{RATE:g},{len(self.x)}"]
@@ -74,10 +74,10 @@ def test_each_form_as_the_comtrade_package_reads_it(tmp_path, form, revision):
     file = File(tmp_path, form=form, revision=revision)
     for k, channel in enumerate(file.channels):
         channel[5:7] = str(0.5 + k), str(3.0 * k)
-    found = read(file)
+    data = read(file)
     other = comtrade.load(str(tmp_path / "rec.cfg"), str(tmp_path / "rec.dat"))
-    np.testing.assert_allclose(found.samples, np.transpose(other.analog), rtol=1e-6, atol=1e-3)
-    assert (found.rate, found.start, found.frequency) == (RATE, 0.0, 50.0)
+    np.testing.assert_allclose(data.samples, np.transpose(other.analog), rtol=1e-6, atol=1e-3)
+    assert (data.rate, data.start, data.frequency) == (RATE, 0.0, 50.0)
 
 
 # skew ----------------------------------------------------------------------------------------------------------------
@@ -90,10 +90,10 @@ def test_channels_are_brought_to_one_time_by_their_skew(tmp_path, skews):
     file = File(tmp_path, x=x)
     for channel, skew in zip(file.channels, skews, strict=True):
         channel[7] = str(skew)
-    found = read(file)
-    right = 100.0 * (1 + np.arange(12)) * np.sin(2 * np.pi * 50.0 * found.t[:, None] + 0.5 * np.arange(12))
-    assert len(found.t) > 300
-    assert (np.abs(found.samples - right) / (100.0 * (1 + np.arange(12)))).max() < 2e-4
+    data = read(file)
+    right = 100.0 * (1 + np.arange(12)) * np.sin(2 * np.pi * 50.0 * data.t[:, None] + 0.5 * np.arange(12))
+    assert len(data.t) > 300
+    assert (np.abs(data.samples - right) / (100.0 * (1 + np.arange(12)))).max() < 2e-4
 
 
 # times ---------------------------------------------------------------------------------------------------------------
@@ -110,8 +110,8 @@ def two(tmp_path, **changes):
 def offset(tmp_path, **changes):
     """Seconds by which R starts after S, from the one sample that both have last."""
     s, r = two(tmp_path, **changes)
-    found = read(s, r)
-    return found, (len(s.x) - len(found.samples)) / RATE
+    data = read(s, r)
+    return data, (len(s.x) - len(data.samples)) / RATE
 
 
 @pytest.mark.parametrize(
@@ -125,8 +125,8 @@ def offset(tmp_path, **changes):
     ],
 )
 def test_recorders_of_two_zones_are_aligned_by_their_time_codes(tmp_path, dates, tail):
-    found, apart = offset(tmp_path, dates=dates, tail=tail)
-    assert (apart, len(found.samples)) == (0.0, 400)
+    result, apart = offset(tmp_path, dates=dates, tail=tail)
+    assert (apart, len(result.samples)) == (0.0, 400)
 
 
 def test_stamps_in_nanoseconds_are_kept(tmp_path):
@@ -135,10 +135,10 @@ def test_stamps_in_nanoseconds_are_kept(tmp_path):
     r.us = r.us * 1000
     x = waves(late=0.01012525, channels=6)
     r.x = x
-    found = read(s, r)
-    right = 100.0 * (1 + np.arange(6)) * np.sin(2 * np.pi * 50.0 * found.t[:, None] + 0.5 * np.arange(6))
-    assert (np.abs(found.samples[:, 6:] - right) / (100.0 * (1 + np.arange(6)))).max() < 2e-4
-    assert "R resampled" in found.note
+    data = read(s, r)
+    right = 100.0 * (1 + np.arange(6)) * np.sin(2 * np.pi * 50.0 * data.t[:, None] + 0.5 * np.arange(6))
+    assert (np.abs(data.samples[:, 6:] - right) / (100.0 * (1 + np.arange(6)))).max() < 2e-4
+    assert "R resampled" in data.note
 
 
 def test_old_dates_have_the_month_first(tmp_path):
@@ -163,13 +163,13 @@ def test_clocks_that_are_not_good_enough_are_refused_for_two_recorders(tmp_path,
 def test_the_clocks_own_account_is_the_error_budget_and_the_frequency_is_the_recorders(tmp_path):
     s, r = two(tmp_path, tail=["1", "0,0", "5,0"], frequency="60")
     s.frequency = "60"
-    found = read(s, r)
-    assert (found.sync, found.frequency) == (1e-5, 60.0)
+    data = read(s, r)
+    assert (data.sync, data.frequency) == (1e-5, 60.0)
     options = _parser().parse_args(["x", "--line", "paper"])
-    assert _budget(options, found.sync).sync_us == pytest.approx(10.0)
-    assert _params(options, found.frequency).frequency == 60.0
+    assert _budget(options, data.sync).sync_us == pytest.approx(10.0)
+    assert _params(options, data.frequency).frequency == 60.0
     options = _parser().parse_args(["x", "--line", "paper", "--set", "frequency=50.0", "--error", "sync_us=2.0"])
-    assert (_budget(options, found.sync).sync_us, _params(options, 60.0).frequency) == (2.0, 50.0)
+    assert (_budget(options, data.sync).sync_us, _params(options, 60.0).frequency) == (2.0, 50.0)
     s.frequency = "50"
     with pytest.raises(ComtradeFileError, match=r"line frequencies \[50.0, 60.0\] Hz"):
         read(s, r)
@@ -192,11 +192,11 @@ def test_of_several_rates_the_fastest_stretch_is_used_or_the_one_with_the_trigge
     file.nrates, file.rates = "2", [f"{rate},{last}" for rate, last in parts]
     begin = 99 / 1000.0 + 1 / 4000.0 if slow_first else 0.0  # each sample one period of its own rate after the last
     file.us = np.zeros(500, dtype=int)
-    found = read(file)
-    assert (found.rate, len(found.samples), found.start) == (RATE, 400, pytest.approx(begin))
-    np.testing.assert_allclose(found.samples, fast, rtol=1e-6, atol=1e-3)
-    assert "only 4000 Hz is used" in found.note
-    assert "not the samples at 1000 Hz" in found.note
+    data = read(file)
+    assert (data.rate, len(data.samples), data.start) == (RATE, 400, pytest.approx(begin))
+    np.testing.assert_allclose(data.samples, fast, rtol=1e-6, atol=1e-3)
+    assert "only 4000 Hz is used" in data.note
+    assert "not the samples at 1000 Hz" in data.note
     at = 0.05 if slow_first else 0.15
     file.dates[1] = f"02/03/2024,10:00:00.{at * 1e6:06.0f}"
     assert read(file).rate == 1000.0
@@ -205,15 +205,15 @@ def test_of_several_rates_the_fastest_stretch_is_used_or_the_one_with_the_trigge
 def test_stretches_of_one_rate_are_one(tmp_path):
     file = File(tmp_path)
     file.nrates, file.rates = "3", ["4000,100", "4000,250", "4000,400"]
-    found = read(file)
-    assert (len(found.samples), found.note) == (400, "")
+    data = read(file)
+    assert (len(data.samples), data.note) == (400, "")
 
 
 def test_times_of_the_data_where_there_is_no_rate(tmp_path):
     file = File(tmp_path)
     file.nrates, file.rates, file.us, file.tail[0] = "0", ["0,400"], file.us // 2, "2"
-    found = read(file)
-    assert (found.rate, len(found.t)) == (RATE, 400)
+    data = read(file)
+    assert (data.rate, len(data.t)) == (RATE, 400)
     file.us[7] = 0xFFFFFFFF
     with pytest.raises(ComtradeFileError, match="no sampling rate, and sample 8 has no time"):
         read(file)
@@ -222,9 +222,9 @@ def test_times_of_the_data_where_there_is_no_rate(tmp_path):
 def test_stamps_that_contradict_the_rate_and_missing_numbers_are_said(tmp_path):
     file = File(tmp_path)
     file.us = file.us * 2
-    found = read(file)
-    assert found.rate == RATE
-    assert "stamps of the data are up to 0.0997 s off the sampling rate" in found.note
+    data = read(file)
+    assert data.rate == RATE
+    assert "stamps of the data are up to 0.0997 s off the sampling rate" in data.note
     file.n[100:] += 3
     file.rates = ["4000,403"]
     with pytest.raises(RecordError, match=r"gap at 0\.025 s"):
@@ -370,9 +370,9 @@ def test_counts_that_do_not_agree_are_said(tmp_path):
     file.rates = ["4000,410"]
     assert "the data end after 400 of 410 samples" in read(file).note
     file.rates = ["4000,390"]
-    found = read(file)
-    assert "only the 390 samples that the settings tell of are used, of 400" in found.note
-    assert len(found.samples) == 390
+    result = read(file)
+    assert "only the 390 samples that the settings tell of are used, of 400" in result.note
+    assert len(result.samples) == 390
     path = file.write()
     data = tmp_path / "rec.dat"
     data.write_bytes(data.read_bytes() + b"abc")
@@ -475,10 +475,10 @@ def reading(tmp_path, old="", new=""):
     assert old in text
     path.write_bytes(text.replace(old, new, 1).encode() if old else text.encode())
     try:
-        found = read_comtrade([path], [c[1] for c in file.channels] if old == "VA_S" else ())
+        result = read_comtrade([path], [c[1] for c in file.channels] if old == "VA_S" else ())
     except ValueError as error:
         return str(error)
-    return found.samples.tolist(), found.start, found.rate, found.note, found.frequency
+    return result.samples.tolist(), result.start, result.rate, result.note, result.frequency
 
 
 @pytest.mark.parametrize("field", CHANGES)

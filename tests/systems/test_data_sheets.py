@@ -77,14 +77,14 @@ def test_a_phase_of_a_brushless_machine_has_half_of_the_terminals():
 
 def test_the_parts_of_a_buck_converter_have_the_ripples_that_were_asked_for():
     """By the areas of volt-seconds and of charge, not by the formulas of the module."""
-    found = buck({**SUPPLY, "ripple_current": 1.0, "ripple_voltage": 0.05})
-    L, C, T, D = found.plant["L"], found.plant["C"], 1e-5, 15.0 / 28.0
+    result = buck({**SUPPLY, "ripple_current": 1.0, "ripple_voltage": 0.05})
+    L, C, T, D = result.plant["L"], result.plant["C"], 1e-5, 15.0 / 28.0
     assert pytest.approx(1.0) == (28.0 - 15.0) * D * T / L
     # the charge above the mean, a triangle of half the ripple and half the period, moves the capacitor
     assert 0.5 * (T / 2.0) * 0.5 / C <= 0.05
     assert 2.0 * math.pi * 1e5 * math.sqrt(L * C) >= 48.0 * (1.0 - 1e-9)
     # the gain of controller and converter is 1 at the crossover that is named
-    law, w = found.law, 2.4 / math.sqrt(L * C)
+    law, w = result.law, 2.4 / math.sqrt(L * C)
     assert abs(law["kp"] * complex(1.0, w * law["t_d"])) * 28.0 / (w * w * L * C) == pytest.approx(1.0)
 
 

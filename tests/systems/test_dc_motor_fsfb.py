@@ -319,16 +319,16 @@ def test_stretch_long_steps_do_not_overshoot_with_anti_windup(step):
 
 @pytest.mark.parametrize("every", [60, pytest.param(20, marks=pytest.mark.long)])
 def test_stretch_any_delay_up_to_300_ms(every):
-    found = {d: overshoot(axis(delay__delay=1e-3 * d, **FINE), 10.0) for d in range(0, 301, every)}
-    assert max(found.values()) <= 0.3
+    results = {d: overshoot(axis(delay__delay=1e-3 * d, **FINE), 10.0) for d in range(0, 301, every)}
+    assert max(results.values()) <= 0.3
 
 
 @pytest.mark.parametrize(("step", "limit"), [(10.0, 0.5), pytest.param(40.0, 0.15, marks=pytest.mark.long)])
 def test_stretch_random_delay_of_6_to_10_periods(step, limit):
     late = {"delay__delay": 0.06, "delay__jitter": 0.04, "controller__step_mm": step}
-    found = [overshoot(axis(seed=seed, **late, **FINE), step) for seed in range(10)]
-    assert len(set(found)) == 10  # ten different runs
-    assert max(found) <= limit
+    results = [overshoot(axis(seed=seed, **late, **FINE), step) for seed in range(10)]
+    assert len(set(results)) == 10  # ten different runs
+    assert max(results) <= limit
 
 
 # the plant -------------------------------------------------------------------------------------------------------
@@ -393,11 +393,11 @@ def test_friction_stops_where_and_when_the_equation_says():
     y0, v0 = plant.outputs(0)["true_state"]
     assert v0 == pytest.approx((2.2862 * 140 - c) / a * (1 - math.exp(-a * 0.5)), abs=1e-9)
     stop = math.log(1 + a * v0 / c) / a
-    rest = drive(plant, 0.0, 1.0)
-    t = np.arange(len(rest)) * 0.01
+    remaining = drive(plant, 0.0, 1.0)
+    t = np.arange(len(remaining)) * 0.01
     speed = (v0 + c / a) * np.exp(-a * t) - c / a
-    assert np.abs(rest[:, 1] - np.where(t < stop, speed, 0.0)).max() < 1e-9
-    assert rest[-1, 0] - y0 == pytest.approx((v0 + c / a) * (1 - math.exp(-a * stop)) / a - c / a * stop, abs=1e-9)
+    assert np.abs(remaining[:, 1] - np.where(t < stop, speed, 0.0)).max() < 1e-9
+    assert remaining[-1, 0] - y0 == pytest.approx((v0 + c / a) * (1 - math.exp(-a * stop)) / a - c / a * stop, abs=1e-9)
     assert len(moving) == 50
 
 
@@ -429,9 +429,9 @@ def test_friction_step_size(monkeypatch):
     ],
 )
 def test_pole_placement_gives_the_gains(poles, gains):
-    found = design(poles)
-    assert found == pytest.approx(gains, rel=1e-5)
-    cubic = [1.0, 5.26 + 2.2862 * found[0], 2.2862 * found[1], 2.2862 * found[2]]
+    result = design(poles)
+    assert result == pytest.approx(gains, rel=1e-5)
+    cubic = [1.0, 5.26 + 2.2862 * result[0], 2.2862 * result[1], 2.2862 * result[2]]
     assert np.sort(np.roots(cubic).real) == pytest.approx(sorted(poles), abs=1e-3)
 
 
@@ -460,23 +460,23 @@ def set_point(answer):
 def test_buttons_add_to_the_set_point_once_a_press_also_during_motion():
     block = controller(step_mm=7.0)
     presses = [(0, 0), (1, 0), (1, 0), (0, 0), (1, 0), (0, 0), (0, 1), (0, 1), (0, 0), (0, 1)]
-    found = [set_point(ask(block, 10 * k, 0.3 * k, forward=f, reverse=r)) for k, (f, r) in enumerate(presses)]
-    assert found == [0, 7, 7, 7, 14, 14, 7, 7, 7, 0]
+    results = [set_point(ask(block, 10 * k, 0.3 * k, forward=f, reverse=r)) for k, (f, r) in enumerate(presses)]
+    assert results == [0, 7, 7, 7, 14, 14, 7, 7, 7, 0]
 
 
 def test_both_buttons_move_nothing_and_are_reported():
     block = controller()
     presses = [(1, 1), (0, 0), (1, 0), (1, 1), (1, 1), (0, 1), (0, 0), (0, 1)]
-    found = [set_point(ask(block, 10 * k, forward=f, reverse=r)) for k, (f, r) in enumerate(presses)]
-    assert found == [0, 0, 10, 10, 10, 10, 10, 0]
+    results = [set_point(ask(block, 10 * k, forward=f, reverse=r)) for k, (f, r) in enumerate(presses)]
+    assert results == [0, 0, 10, 10, 10, 10, 10, 0]
     assert block.reports["buttons"][0] == Level.WARN
 
 
 def test_newest_of_reference_and_button_wins():
     block = controller()
     asked = [(None, 0), (25.0, 0), (25.0, 1), (25.0, 0), (25.0, 1), (5.0, 1)]
-    found = [set_point(ask(block, 10 * k, reference=r, forward=f)) for k, (r, f) in enumerate(asked)]
-    assert found == [0, 25, 35, 35, 45, 5]
+    results = [set_point(ask(block, 10 * k, reference=r, forward=f)) for k, (r, f) in enumerate(asked)]
+    assert results == [0, 25, 35, 35, 45, 5]
 
 
 def test_reference_topic_moves_the_axis():

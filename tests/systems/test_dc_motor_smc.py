@@ -96,7 +96,7 @@ def test_open_loop_is_the_two_pole_response():
 
 def rk4(v, load_at, period, sub_steps, p):
     """Speed at every sample by an independent integrator; the load is looked up at each sub-step."""
-    x, h, found = np.zeros(2), period / sub_steps, [0.0]
+    x, h, results = np.zeros(2), period / sub_steps, [0.0]
 
     def slope(x, u, load):
         w, i = x
@@ -110,8 +110,8 @@ def rk4(v, load_at, period, sub_steps, p):
             c = slope(x + h / 2 * b, u, load)
             d = slope(x + h * c, u, load)
             x = x + h / 6 * (a + 2 * b + 2 * c + d)
-        found.append(x[0])
-    return np.array(found)
+        results.append(x[0])
+    return np.array(results)
 
 
 @pytest.mark.parametrize("name", few(["dc_motor_smc_a1", "dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_smc_b5"], 2))
@@ -290,9 +290,9 @@ def test_pid_difference_equations():
 @pytest.mark.parametrize(("anti_windup", "integral"), [(True, 0.0), (False, 0.3)])
 def test_integral_stops_while_the_output_is_beyond_the_limit(anti_windup, integral):
     pid = Pid(PidParams(kp=2.0, ki=3.0, u_max=1.5, anti_windup=anti_windup), 0.01)
-    found = answers(pid, *[1.0] * 10, 0.0, 0.5, 0.5)
-    assert found[10] == pytest.approx(integral, abs=1e-12)
-    assert found[11] < found[12]  # inside the limit it integrates in both cases
+    result = answers(pid, *[1.0] * 10, 0.0, 0.5, 0.5)
+    assert result[10] == pytest.approx(integral, abs=1e-12)
+    assert result[11] < result[12]  # inside the limit it integrates in both cases
 
 
 def test_integral_winds_back_beyond_the_limit():
@@ -366,8 +366,8 @@ def test_reference_beyond_the_sensor_range_keeps_the_previous(make, inputs, used
 
 @pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)
 def test_without_a_reference_the_set_point_holds(make, inputs, used):
-    block, told = ByHand(make()), ByHand(make())
-    assert block.update(0, **inputs, reference=None) == told.update(0, **inputs, reference=(10.0,))
+    block, reported = ByHand(make()), ByHand(make())
+    assert block.update(0, **inputs, reference=None) == reported.update(0, **inputs, reference=(10.0,))
 
 
 @pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)

@@ -125,8 +125,8 @@ def test_a_voltage_is_limited_before_it_becomes_a_register(voltage, part, tmp_pa
     main += 'int main(void) { printf("%d", pwm_of(VOLTAGE)); }\n'
     (tmp_path / "main.c").write_text(main)
     subprocess.run(["cc", "-std=c99", "-o", "main", "main.c", "-lm"], cwd=tmp_path, check=True, capture_output=True)
-    said = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=False).stdout
-    assert int(said) == round(part * 255)
+    printed = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=False).stdout
+    assert int(printed) == round(part * 255)
 
 
 def test_a_controller_with_other_ports_is_refused():
@@ -222,5 +222,5 @@ def test_the_adc_has_the_codes_and_the_time_of_the_data_sheet():
 @pytest.mark.parametrize(("double", "divisor"), [(1, 16), (0, 8), (0, 103)])
 def test_a_byte_takes_eleven_bits_in_simavr_and_ten_by_the_data_sheet(double, divisor):
     bit = (divisor + 1) * (8 if double else 16)  # cycles; data sheet, table 20-1
-    took = probed(f"#define DOUBLE {double}\n#define DIVISOR {divisor}\n{UART}") * 8 / 16
-    assert took == pytest.approx(11 * bit, rel=0.01)  # a start, 8 data and a stop bit are 10: a real board is faster
+    elapsed = probed(f"#define DOUBLE {double}\n#define DIVISOR {divisor}\n{UART}") * 8 / 16
+    assert elapsed == pytest.approx(11 * bit, rel=0.01)  # a start, 8 data and a stop bit are 10: a real board is faster

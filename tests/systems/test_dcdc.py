@@ -125,14 +125,14 @@ def test_forms(form, t_i, t_d):
     T, K, N = 0.01, 1.7, 80.0
     block = controller(form=form, kp=K, t_i=t_i, t_d=t_d, n_filter=N, period=T, set_point=1.0, anti_windup="none")
     y = [0.0, *np.sin(0.05 * np.arange(200)).tolist()]
-    found = [command(block, k, v) for k, v in enumerate(y)]
+    results = [command(block, k, v) for k, v in enumerate(y)]
     Ki, Kd, Kp = (K / t_i if t_i else 0.0), K * t_d, K * (1.0 + (t_d / t_i if form == "series" and t_i else 0.0))
     # u = Kp e + Ki T/(z - 1) e + Kd N (z - 1)/((1 + N T) z - 1) e
     e = 1.0 - np.array(y)
     integral = Ki * T * np.concatenate([[0.0], np.cumsum(e)[:-1]])
     num, den = [Kd * N, -Kd * N], [1.0 + N * T, -1.0]
     derivative = dlti(num, den, dt=T).output(e - e[0], np.arange(len(e)) * T)[1][:, 0]
-    assert found == pytest.approx(Kp * e + integral + derivative, abs=1e-9)
+    assert results == pytest.approx(Kp * e + integral + derivative, abs=1e-9)
 
 
 def test_derivative_on_the_measurement_and_weight_do_not_kick():

@@ -67,17 +67,17 @@ def test_proven_against_enumeration(case, demand):
         with pytest.raises(InfeasibleError):
             Optimiser(units).conditioned(demand, conditions)
         return
-    found = Optimiser(units).conditioned(demand, conditions)
-    assert found.reason == "proven"
-    assert found.gap <= 1e-3
-    assert found.P.sum() - conditions.losses.of(found.P) == pytest.approx(demand, abs=1e-6)
-    assert np.all(conditions.low - 1e-9 <= found.P)
-    assert np.all(conditions.high + 1e-9 >= found.P)
-    assert conditions.spinning(units, found.P) >= reserve - 1e-6
-    assert found.bound <= grid + 1e-9  # a bound is a bound
-    assert grid - 60.0 < found.cost <= grid + 1e-3  # and the grid nearly finds it
+    result = Optimiser(units).conditioned(demand, conditions)
+    assert result.reason == "proven"
+    assert result.gap <= 1e-3
+    assert result.P.sum() - conditions.losses.of(result.P) == pytest.approx(demand, abs=1e-6)
+    assert np.all(conditions.low - 1e-9 <= result.P)
+    assert np.all(conditions.high + 1e-9 >= result.P)
+    assert conditions.spinning(units, result.P) >= reserve - 1e-6
+    assert result.bound <= grid + 1e-9  # a bound is a bound
+    assert grid - 60.0 < result.cost <= grid + 1e-3  # and the grid nearly finds it
     plain = Optimiser(THREE).certified(demand)
-    assert found.cost >= plain.cost - 1e-3
+    assert result.cost >= plain.cost - 1e-3
 
 
 def test_each_condition_binds_somewhere():
@@ -98,12 +98,12 @@ def test_without_conditions_the_same_dispatch():
 def test_thirteen_units_with_losses_are_proven():
     units = Units.read("units_13")
     losses = Losses(np.diag(np.linspace(1e-5, 4e-5, 13)), np.zeros(13))
-    found = Optimiser(units, tol=2.0, max_nodes=200_000).conditioned(1800.0, Conditions.of(units, losses))
-    assert found.P.sum() - found.losses == pytest.approx(1800.0, abs=1e-6)
-    assert found.cost > 17963.8
-    assert found.bound > 17963.8
-    assert found.gap < 40.0
-    assert (found.reason == "proven") == (found.gap <= 2.0)
+    result = Optimiser(units, tol=2.0, max_nodes=200_000).conditioned(1800.0, Conditions.of(units, losses))
+    assert result.P.sum() - result.losses == pytest.approx(1800.0, abs=1e-6)
+    assert result.cost > 17963.8
+    assert result.bound > 17963.8
+    assert result.gap < 40.0
+    assert (result.reason == "proven") == (result.gap <= 2.0)
 
 
 @pytest.mark.parametrize(
@@ -155,9 +155,9 @@ def test_tables_as_the_field_has_them(tmp_path):
     outputs = {p.name: p for p in solver.ports(solver.p)[1]}
     assert outputs["setpoints"].size == 3
     _, request = solver.request(solver.first(), 0, demand=None)
-    found = solver.solve(request, None)
-    assert found.reason == "proven"
-    assert found.losses == pytest.approx(read.of(found.P))
+    solution = solver.solve(request, None)
+    assert solution.reason == "proven"
+    assert solution.losses == pytest.approx(read.of(solution.P))
     with pytest.raises(ParameterError, match="for the method certified"):
         DispatchSolver(unit_table="units_3", loss_table=str(losses), method="two_stage")
     (tmp_path / "bad.csv").write_text((tmp_path / "units.csv").read_text("utf-8-sig").replace("80.0", "-80.0", 1))

@@ -214,12 +214,12 @@ def test_how_near_to_an_end_counts_as_at_it():
 
 def test_valve_points_by_counting():
     def counted(p_min, p_max, e, f):
-        found = [p_min]
+        results = [p_min]
         k = 1
         while e > 0 and f > 0 and p_min + k * PI / f < p_max - 1e-6:
-            found.append(p_min + k * PI / f)
+            results.append(p_min + k * PI / f)
             k += 1
-        return [*found, p_max] if p_max > p_min else found
+        return [*results, p_max] if p_max > p_min else results
 
     chance = np.random.default_rng(4)
     cases = [(p_min, p_min + w, e, f) for p_min, w, e, f in chance.uniform([0, 0, 1, 0.01], [50, 300, 9, 0.3], (40, 4))]
@@ -312,8 +312,8 @@ def test_a_candidate_is_repaired_in_proportion_to_the_room_left():
 
 def test_a_swarm_searches_over_what_is_free():
     three = Units(tuple("abc"), FOUR.table[:3])
-    found = swarm(FOUR, 500.0, "pso", 3, 6, 4)
-    assert found.tolist() == pytest.approx([*swarm(three, 430.0, "pso", 3, 6, 4), 70.0])
+    result = swarm(FOUR, 500.0, "pso", 3, 6, 4)
+    assert result.tolist() == pytest.approx([*swarm(three, 430.0, "pso", 3, 6, 4), 70.0])
     assert swarm(linear((2.0, 2.0, 1.0)), 2.0, "pso", 3, 6, 4).tolist() == [2.0]
 
 
@@ -432,16 +432,16 @@ def cheapest(units, demand, points, lowered):
     of = [piecewise(p, r, d) for p, r, d in zip(points, units.table.tolist(), lowered, strict=True)]
     for choice in itertools.product(*of):
         P, total = [x for x, *_ in choice], sum(y for _, _, y, _ in choice)
-        rest = demand - sum(P)
-        if rest < -1e-9:
+        remaining = demand - sum(P)
+        if remaining < -1e-9:
             continue
         for j in sorted(range(len(P)), key=lambda j: choice[j][3]):
-            more = min(rest, choice[j][1])
+            more = min(remaining, choice[j][1])
             P[j] += more
             total += choice[j][3] * more
-            rest -= more
-        if rest <= 1e-9:
-            best = min(best, (total, P), key=lambda found: found[0])
+            remaining -= more
+        if remaining <= 1e-9:
+            best = min(best, (total, P), key=lambda result: result[0])
     return best
 
 
@@ -450,15 +450,15 @@ def cheapest(units, demand, points, lowered):
 def test_the_milp_is_the_cheapest_choice_of_segments(demand, start, lowered):
     points = breakpoints(FOUR, 2)
     given = None if not any(lowered) else [np.full(max(1, len(p) - 1), d) for p, d in zip(points, lowered, strict=True)]
-    found = milp(FOUR, demand, points, given, start=None if start is None else np.array(start))
+    result = milp(FOUR, demand, points, given, start=None if start is None else np.array(start))
     objective, P = cheapest(FOUR, demand, points, lowered)
-    assert found.objective == pytest.approx(objective, abs=1e-5)
-    assert found.P.tolist() == pytest.approx(P, abs=1e-5)
-    assert found.bound <= found.objective + 1e-9
-    assert found.bound == pytest.approx(objective, abs=1e-5)
-    assert found.binaries == 6 + 5 + 2 + 1
-    assert found.optimal
-    assert found.nodes >= 0
+    assert result.objective == pytest.approx(objective, abs=1e-5)
+    assert result.P.tolist() == pytest.approx(P, abs=1e-5)
+    assert result.bound <= result.objective + 1e-9
+    assert result.bound == pytest.approx(objective, abs=1e-5)
+    assert result.binaries == 6 + 5 + 2 + 1
+    assert result.optimal
+    assert result.nodes >= 0
 
 
 def test_a_milp_without_a_dispatch_says_so():
@@ -493,8 +493,8 @@ def test_the_arch_of_an_output_is_the_one_above_a_valve_point():
         ((100.0, 20.0), (100.0, 20.0), (200.0, 60.0)),
         ((400.0, 120.0), (300.0, 100.0), (400.0, 120.0)),
     ]:
-        found = arch_bounds(PAIR, np.array(P))
-        assert [ends.tolist() for ends in found] == [pytest.approx(low), pytest.approx(high)]
+        result = arch_bounds(PAIR, np.array(P))
+        assert [ends.tolist() for ends in result] == [pytest.approx(low), pytest.approx(high)]
     fixed = arch_bounds(FOUR, np.array([150.0, 60.0, 99.0, 70.0]))
     assert (fixed[0][2:].tolist(), fixed[1][2:].tolist()) == ([50.0, 70.0], [150.0, 70.0])
 
@@ -512,16 +512,16 @@ def test_the_nlp_is_the_best_of_its_arches(P):
     k = int(np.argmin([total(x) for x in grid]))
     ends = grid[max(k - 1, 0)], grid[min(k + 1, 2000)]
     best = minimize_scalar(total, bounds=ends, method="bounded", options={"xatol": 1e-9})
-    found, succeeded = nlp(PAIR, demand, np.array(P))
+    result, succeeded = nlp(PAIR, demand, np.array(P))
     assert succeeded
-    assert PAIR.total(found) <= min(best.fun, total(least), total(most)) + 1e-6
-    assert found.sum() == pytest.approx(demand, abs=1e-9)
-    assert (low <= found).all()
-    assert (found <= high).all()
+    assert PAIR.total(result) <= min(best.fun, total(least), total(most)) + 1e-6
+    assert result.sum() == pytest.approx(demand, abs=1e-9)
+    assert (low <= result).all()
+    assert (result <= high).all()
 
 
 @pytest.mark.parametrize(
-    ("success", "answer", "raises", "taken"),
+    ("success", "answer", "raises", "used"),
     [
         (True, (200.0, 100.0), False, True),
         (False, (200.0, 100.0), False, False),
@@ -531,7 +531,7 @@ def test_the_nlp_is_the_best_of_its_arches(P):
         (True, (200.0 + 0.9e-5, 100.0 - 0.9e-5), False, True),  # ends a tolerance inside its bounds
     ],
 )
-def test_what_counts_of_the_answer_of_ipopt(monkeypatch, success, answer, raises, taken):
+def test_what_counts_of_the_answer_of_ipopt(monkeypatch, success, answer, raises, used):
     given, asked = np.array([220.0, 80.0]), []
 
     class Solver:
@@ -546,8 +546,8 @@ def test_what_counts_of_the_answer_of_ipopt(monkeypatch, success, answer, raises
 
     monkeypatch.setattr(casadi, "nlpsol", lambda *_: Solver())
     P, succeeded = nlp(PAIR, 300.0, given)
-    assert succeeded == (taken is not False)
-    assert P.tolist() == ([200.0, 100.0] if taken else given.tolist())
+    assert succeeded == (used is not False)
+    assert P.tolist() == ([200.0, 100.0] if used else given.tolist())
     assert asked[0]["lbx"].tolist() == [200.0, 60.0]
     assert asked[0]["ubx"].tolist() == [300.0, 100.0]
     assert (asked[0]["x0"].tolist(), asked[0]["lbg"], asked[0]["ubg"]) == (given.tolist(), 300.0, 300.0)
@@ -689,19 +689,21 @@ def test_pieces_are_filled_as_a_linear_programme_fills_them(plain):
         owner, beyond = chance.integers(0, n, pieces), chance.integers(0, 2, pieces).astype(float)
         weight, multiplier = chance.uniform(0.8, 1.2, n), float(k % 3)
         room = float((weight[owner] * width).sum())
-        rest, more = np.sort(chance.uniform(0.0, room, 2))
+        remaining, more = np.sort(chance.uniform(0.0, room, 2))
         if k % 2:
-            more = rest  # no losses: both sides of the balance are one
+            more = remaining  # no losses: both sides of the balance are one
         P = np.zeros(n)
         relaxed = branch.Relaxed(
             np.empty(n), np.empty(n), weight, P, slope, width, owner, beyond, np.empty(pieces), np.empty(pieces, int)
         )
-        lower, left = plain._fill.py_func(relaxed, (rest, more, pieces), 10.0, multiplier)
+        lower, left = plain._fill.py_func(relaxed, (remaining, more, pieces), 10.0, multiplier)
         priced, rows = slope + multiplier * beyond, weight[owner]
-        best = linprog(priced, [-rows, rows], [-rest, more], bounds=list(zip(np.zeros(pieces), width, strict=True)))
+        best = linprog(
+            priced, [-rows, rows], [-remaining, more], bounds=list(zip(np.zeros(pieces), width, strict=True))
+        )
         assert lower == pytest.approx(10.0 + best.fun, abs=1e-9)
         assert P.tolist() == pytest.approx(np.bincount(owner, best.x, n).tolist(), abs=1e-7)
-        assert left == pytest.approx(rest - rows @ best.x, abs=1e-7)
+        assert left == pytest.approx(remaining - rows @ best.x, abs=1e-7)
 
 
 def test_the_order_of_pieces_is_that_of_their_values(plain):
@@ -768,11 +770,11 @@ def test_a_nearly_balanced_dispatch_is_mended_by_the_unit_with_which_it_costs_le
             if THREE.p_min[j] <= P[j] <= THREE.p_max[j]:
                 choices.append((THREE.total(P), P.tolist()))
         P = np.array(start)
-        found = plain._mended.py_func(given, P)
+        result = plain._mended.py_func(given, P)
         if choices:
-            assert (found, P.tolist()) == (pytest.approx(min(choices)[0]), pytest.approx(min(choices)[1]))
+            assert (result, P.tolist()) == (pytest.approx(min(choices)[0]), pytest.approx(min(choices)[1]))
         else:
-            assert (found, P.tolist()) == (np.inf, start)
+            assert (result, P.tolist()) == (np.inf, start)
     P = np.array([100.0, 20.0, 50.0])
     assert plain._mended.py_func(problem(THREE, 600.0), P) == np.inf  # beyond each one's limit
     assert P.tolist() == [100.0, 20.0, 50.0]
@@ -826,16 +828,16 @@ def test_a_proof_with_conditions_is_below_all_and_reaches_the_best_in_so_many_bo
         np.array(ready) if ready else THREE.p_max - THREE.p_min,
     )
     best = brute(THREE, demand, losses, reserve, given.ready, given.low, given.high)
-    found = Optimiser(THREE).conditioned(demand, given)
-    assert found.bound <= best + 1e-9
-    assert found.cost <= best + 1e-3
-    assert found.gap <= 1e-3
-    assert found.nodes == pytest.approx(boxes, rel=0.05)
-    assert (found.losses, found.reserve) == (given.losses.of(found.P), given.spinning(THREE, found.P))
-    assert (found.stage, found.reason) == ("branch and bound", "proven")
-    share = 1.0 - given.losses.slopes(found.P)  # of a MW of a unit that arrives
-    left, right = (s / share for s in THREE.slopes(found.P))
-    assert found.price == (max(left), min(right))
+    result = Optimiser(THREE).conditioned(demand, given)
+    assert result.bound <= best + 1e-9
+    assert result.cost <= best + 1e-3
+    assert result.gap <= 1e-3
+    assert result.nodes == pytest.approx(boxes, rel=0.05)
+    assert (result.losses, result.reserve) == (given.losses.of(result.P), given.spinning(THREE, result.P))
+    assert (result.stage, result.reason) == ("branch and bound", "proven")
+    share = 1.0 - given.losses.slopes(result.P)  # of a MW of a unit that arrives
+    left, right = (s / share for s in THREE.slopes(result.P))
+    assert result.price == (max(left), min(right))
 
 
 @pytest.mark.parametrize("reserve", [0.0, 45.0])
@@ -854,11 +856,11 @@ def test_what_a_proof_begins_with_counts_if_it_meets_the_conditions(reserve):
 
 
 def test_an_answer_without_a_proof_claims_none():
-    found = Dispatch(np.ones(1), 5.0)
-    assert (found.bound, found.price, found.gap) == (-np.inf, (-np.inf, np.inf), np.inf)
-    assert (found.stages, found.nodes, found.binaries, found.stage, found.reason) == ({}, 0, 0, "", "")
-    assert (found.trace, found.limited) == ([], False)
-    assert np.isnan([found.losses, found.reserve]).all()
+    dispatch = Dispatch(np.ones(1), 5.0)
+    assert (dispatch.bound, dispatch.price, dispatch.gap) == (-np.inf, (-np.inf, np.inf), np.inf)
+    assert (dispatch.stages, dispatch.nodes, dispatch.binaries, dispatch.stage, dispatch.reason) == ({}, 0, 0, "", "")
+    assert (dispatch.trace, dispatch.limited) == ([], False)
+    assert np.isnan([dispatch.losses, dispatch.reserve]).all()
 
 
 def test_the_search_begins_with_each_unit_at_the_same_share_of_its_range_or_with_what_is_given():
@@ -868,39 +870,39 @@ def test_the_search_begins_with_each_unit_at_the_same_share_of_its_range_or_with
         ((250.0, 50.0), [(200.0, 20.0), (300.0, 60.0)]),
         ((150.0, 110.0), [(100.0, 100.0), (200.0, 120.0)]),  # 40 MW are missing
     ]:
-        found = work.start(300.0, None if given is None else np.array(given))
-        for p, low, high in zip(found, *arches, strict=True):
+        result = work.start(300.0, None if given is None else np.array(given))
+        for p, low, high in zip(result, *arches, strict=True):
             assert low - 1e-9 <= p <= high + 1e-9
-        assert found.sum() == pytest.approx(300.0)
+        assert result.sum() == pytest.approx(300.0)
     fixed = Optimiser(Units(("a",), [[5.0, 5.0, 0.0, 1.0, 0.0, 0.0, 0.0]]))
     assert fixed.start(5.0).tolist() == [5.0]
 
 
 def test_progress_tells_the_best_cost_then_its_bound():
-    told = []
-    found = Optimiser(FOUR, tol=40.0).certified(611.0, progress=lambda best, bound: told.append((best, bound)))
-    assert told[-1] == (found.cost, found.bound)
-    assert all(bound <= best for best, bound in told)
-    assert found.bound < found.cost
-    assert list(found.stages) == ["branch and bound"]
-    assert [(best, bound) for _, best, bound in found.trace] == told
-    assert found.gap == found.cost - found.bound
+    messages = []
+    result = Optimiser(FOUR, tol=40.0).certified(611.0, progress=lambda best, bound: messages.append((best, bound)))
+    assert messages[-1] == (result.cost, result.bound)
+    assert all(bound <= best for best, bound in messages)
+    assert result.bound < result.cost
+    assert list(result.stages) == ["branch and bound"]
+    assert [(best, bound) for _, best, bound in result.trace] == messages
+    assert result.gap == result.cost - result.bound
 
 
 def test_the_stages_of_a_proof_that_runs_out_of_boxes():
-    told = []
+    messages = []
     work = Optimiser(PAIR, max_nodes=1, nseg=2, tol=1e-2)
-    found = work.certified(333.0, progress=lambda best, bound: told.append((best, bound)))
-    assert list(found.stages) == ["branch and bound", "two stages", "adaptive MILP"]
-    assert (found.stage, found.reason, found.limited) == ("adaptive MILP", "proven", False)
-    assert len(found.trace) == len(told) > 2
-    assert found.trace[0][2] == found.trace[1][2]  # two stages prove nothing
-    assert [t for t, *_ in found.trace] == sorted(t for t, *_ in found.trace)
-    assert found.binaries >= 6 + 5
-    assert found.nodes >= 1
+    result = work.certified(333.0, progress=lambda best, bound: messages.append((best, bound)))
+    assert list(result.stages) == ["branch and bound", "two stages", "adaptive MILP"]
+    assert (result.stage, result.reason, result.limited) == ("adaptive MILP", "proven", False)
+    assert len(result.trace) == len(messages) > 2
+    assert result.trace[0][2] == result.trace[1][2]  # two stages prove nothing
+    assert [t for t, *_ in result.trace] == sorted(t for t, *_ in result.trace)
+    assert result.binaries >= 6 + 5
+    assert result.nodes >= 1
     proven = Optimiser(PAIR).certified(333.0)
     assert (proven.binaries, proven.reason) == (0, "proven")
-    assert found.cost == pytest.approx(proven.cost, abs=1e-2)
+    assert result.cost == pytest.approx(proven.cost, abs=1e-2)
 
 
 def test_where_a_segment_is_split_and_by_how_much_its_chord_is_too_low():
@@ -962,10 +964,10 @@ def kinks(units, demand):
 @pytest.mark.parametrize("demand", [240.0, 333.0, 480.0, 611.0, 740.0])
 def test_kinks_by_brute_force(demand):
     least, P, count = kinks(FOUR, demand)
-    found = enumerate_kinks(FOUR, demand)
-    assert FOUR.total(found) == pytest.approx(least)
-    assert found.tolist() == pytest.approx(P)
-    assert enumerate_kinks(FOUR, demand, most=count + 1).tolist() == found.tolist()
+    result = enumerate_kinks(FOUR, demand)
+    assert FOUR.total(result) == pytest.approx(least)
+    assert result.tolist() == pytest.approx(P)
+    assert enumerate_kinks(FOUR, demand, most=count + 1).tolist() == result.tolist()
     with pytest.raises(
         TooManyError, match=f"^more than {count} combinations of valve points; expected at most about 13"
     ):
@@ -975,8 +977,8 @@ def test_kinks_by_brute_force(demand):
 def test_copies_are_counted_once_and_what_kinks_cannot_meet_is_told():
     twins = Units(("a", "b", "c"), FOUR.table[[1, 1, 1]])
     for demand in (130.0, 222.0, 300.0):
-        found = enumerate_kinks(twins, demand)
-        assert twins.total(found) == pytest.approx(kinks(twins, demand)[0])
+        result = enumerate_kinks(twins, demand)
+        assert twins.total(result) == pytest.approx(kinks(twins, demand)[0])
     text = "^infeasible: demand 59 MW, but the units give 60 to 360 MW$"
     with pytest.raises(InfeasibleError, match=text):
         enumerate_kinks(twins, 59.0)
@@ -1068,23 +1070,23 @@ def test_a_press_asks_again_whatever_table_does_not_count_and_the_default_demand
 def solved(demand, units="units_3", conditions=None, start=None, drawn=5, **values):
     """What the working process gives."""
     p = DispatchSolver(unit_table=units, **values).p
-    told = []
-    work = types.SimpleNamespace(status=lambda **figures: told.append(figures))
-    return DispatchSolver.solve(Request(p, Units.read(units), demand, start, conditions, drawn), work), told
+    messages = []
+    work = types.SimpleNamespace(status=lambda **figures: messages.append(figures))
+    return DispatchSolver.solve(Request(p, Units.read(units), demand, start, conditions, drawn), work), messages
 
 
 def test_each_method_in_the_working_process():
     units = Units.read("units_3")
-    proven, told = solved(850.0)
+    proven, reported = solved(850.0)
     assert (proven.reason, proven.nodes) == ("proven", 41)
-    assert told[-1] == {"cost": proven.cost, "bound": proven.bound}
+    assert reported[-1] == {"cost": proven.cost, "bound": proven.bound}
     floor = lambda_cost(units, 850.0)
     for method, within in (("two_stage", 1e-3), ("enumeration", 1e-3), ("baseline", 200.0)):
-        found, _ = solved(850.0, method=method, n_pop=8, n_iter=5)
-        assert found.cost == pytest.approx(8234.07173, abs=within)
-        assert found.bound == pytest.approx(floor, abs=1e-6)
-        assert found.price == marginal_cost(units, found.P)
-        assert found.stage == ("nlp" if method == "two_stage" else method)
+        result, _ = solved(850.0, method=method, n_pop=8, n_iter=5)
+        assert result.cost == pytest.approx(8234.07173, abs=within)
+        assert result.bound == pytest.approx(floor, abs=1e-6)
+        assert result.price == marginal_cost(units, result.P)
+        assert result.stage == ("nlp" if method == "two_stage" else method)
     swarms = [
         solved(850.0, method="baseline", n_pop=8, n_iter=5, seed=s, drawn=d)[0].P.tolist()
         for s, d in ((0, 5), (1, 5), (0, 6))
@@ -1105,27 +1107,27 @@ def lambda_cost(units, demand):
     return sum(cost((*r[:5], 0.0, r[6]), p) for r, p in zip(units.table, P, strict=True))
 
 
-def answered(found, repeatable=True, units=PAIR, x=None):
+def answered(result, repeatable=True, units=PAIR, x=None):
     """Reports and values for an answer."""
     solver = DispatchSolver(unit_table="units_3")
     request = Request(solver.p, units, 300.0, None, None, 0)
-    x, values = solver.answer(x or solver.first(), 0, Result(0, request, found, repeatable), True)
+    x, values = solver.answer(x or solver.first(), 0, Result(0, request, result, repeatable), True)
     return solver, x, values
 
 
 def test_what_is_told_of_a_dispatch():
-    found = Dispatch(np.array([200.0, 99.0]), 10.0, 7.0, (-np.inf, 5.0), {"nlp": 1.0}, 3, 4, "nlp", "two stages")
-    solver, x, values = answered(found)
+    dispatch = Dispatch(np.array([200.0, 99.0]), 10.0, 7.0, (-np.inf, 5.0), {"nlp": 1.0}, 3, 4, "nlp", "two stages")
+    solver, x, values = answered(dispatch)
     assert values["setpoints"] == (200.0, 99.0)
-    of = [cost(r, p) for r, p in zip(PAIR.table, found.P, strict=True)]
+    of = [cost(r, p) for r, p in zip(PAIR.table, dispatch.P, strict=True)]
     assert values["result"] == pytest.approx((200.0, of[0], 2.0, 1.0, 99.0, of[1], 2.0, 0.0))  # arch, at its end
     assert values["summary"] == (300.0, 10.0, 7.0, 3.0, -1e9, 5.0, 3.0, 4.0, 1.0)
-    assert x.last is found
+    assert x.last is dispatch
     assert solver.reports == {}
     ends = answered(Dispatch(np.array([400.0 - 0.9e-6, 20.0 + 1.1e-6]), 10.0))[2]
     assert ends["result"][2:4] + ends["result"][6:] == (3.0, 1.0, 1.0, 0.0)
     assert ends["summary"][4:6] == (-1e9, 1e9)
-    assert answered(found, repeatable=False)[2]["summary"][8] == 0.0
+    assert answered(dispatch, repeatable=False)[2]["summary"][8] == 0.0
     limited = Dispatch(np.array([200.0, 99.0]), 10.0, 7.0, reason="time limit; the NLP failed: x", limited=True)
     solver, _, values = answered(limited)
     assert values["summary"][8] == 0.0
@@ -1133,7 +1135,7 @@ def test_what_is_told_of_a_dispatch():
         (Level.WARN, "time limit; the NLP failed: x"),
         (Level.WARN, "time limit; the NLP failed: x: gap 3 $/h, not repeatable"),
     ]
-    assert solver.answer(x, 0, Result(0, None, found, True), False) == (x, {})
+    assert solver.answer(x, 0, Result(0, None, dispatch, True), False) == (x, {})
 
 
 def test_an_answer_withdraws_what_was_wrong_before():
@@ -1148,7 +1150,7 @@ def test_an_answer_withdraws_what_was_wrong_before():
 def test_the_health_of_the_node_in_words():
     solver = DispatchSolver(unit_table="units_3")
     assert solver.health(solver.first()) == {"work": "idle"}
-    found = Dispatch(np.ones(2), 10.123456789, 7.0, (1.0, 5.0), {"nlp": 1.2345}, 3, 4, "nlp", "two stages")
+    dispatch = Dispatch(np.ones(2), 10.123456789, 7.0, (1.0, 5.0), {"nlp": 1.2345}, 3, 4, "nlp", "two stages")
     wanted = {
         "work": "idle",
         "cost": "10.1234568 $/h",
@@ -1160,10 +1162,10 @@ def test_the_health_of_the_node_in_words():
         "binaries": "4",
         "stage nlp": "1.23 s",
     }
-    assert solver.health(solver.first()._replace(last=found)) == wanted
-    found.losses, found.reserve = 1.5, 2.5
+    assert solver.health(solver.first()._replace(last=dispatch)) == wanted
+    dispatch.losses, dispatch.reserve = 1.5, 2.5
     more = {"losses": "1.5 MW", "reserve": "2.5 MW"}
-    assert solver.health(solver.first()._replace(last=found)) == wanted | more
+    assert solver.health(solver.first()._replace(last=dispatch)) == wanted | more
 
 
 def test_what_takes_conditions(tmp_path):

@@ -47,24 +47,24 @@ def near(expected):
 def test_the_set_point_is_what_references_and_presses_make_of_it():
     """A new reference sets it, a press moves it, both buttons move nothing; steps beyond 4 mm are told."""
     draw_ = Random(1)
-    said = []
-    take = SetPoint(2.0, lambda level, key, text: said.append(key), 4.0)
+    messages = []
+    accept = SetPoint(2.0, lambda level, key, text: messages.append(key), 4.0)
     asked, value, known, down = Asked(), 0.0, None, (False, False)
     for _ in range(400):
         given = draw_.choice((None, 4.0, 0.0, -1.5))
         buttons = draw_.random() < 0.5, draw_.random() < 0.4
         fresh = [now and not before for now, before in zip(buttons, down, strict=True)]
-        before, told = value, []
+        before, reported = value, []
         if given is not None and given != known:
             value = known = given
         if buttons == (True, True):
-            told += ["buttons"] if any(fresh) else []
+            reported += ["buttons"] if any(fresh) else []
         else:
             value += 2.0 * fresh[0] - 2.0 * fresh[1]
-        told += ["step"] if abs(value - before) > 4.0 else []
-        asked = take(asked, given, *buttons)
-        assert (asked.value, asked.forward, asked.reverse, said) == (value, *buttons, told)
-        said.clear()
+        reported += ["step"] if abs(value - before) > 4.0 else []
+        asked = accept(asked, given, *buttons)
+        assert (asked.value, asked.forward, asked.reverse, messages) == (value, *buttons, reported)
+        messages.clear()
         down = buttons
 
 
@@ -72,8 +72,8 @@ def test_buttons_are_down_from_each_time_on_for_so_long():
     buttons = ByHand(StepButtons(forward=(0.0, 0.3), reverse=(0.05,), hold=0.1))
     late = 700 * MS  # times count from the first tick
     for ms in range(0, 500, 10):
-        said = buttons.update(late + ms * MS)
-        assert said == {"forward": (float(ms < 100 or 300 <= ms < 400),), "reverse": (float(50 <= ms < 150),)}
+        outputs = buttons.update(late + ms * MS)
+        assert outputs == {"forward": (float(ms < 100 or 300 <= ms < 400),), "reverse": (float(50 <= ms < 150),)}
 
 
 def sampled(p):
@@ -121,7 +121,9 @@ def test_the_axis_controller_is_state_feedback_on_what_its_compensation_makes_of
         stamp = t - draw_.choice((0, 0, 10, 20, 30) if k > 3 else (0,)) * MS
         y, v = draw_.uniform(-5.0, 5.0), draw_.uniform(-20.0, 20.0)
         wanted = draw_.choice((None, 3.0, -2.0)) if k else None
-        said = law.update(t, feedback=Sample(stamp, (y, v)), reference=wanted and (wanted,), forward=None, reverse=None)
+        outputs = law.update(
+            t, feedback=Sample(stamp, (y, v)), reference=wanted and (wanted,), forward=None, reverse=None
+        )
         if newest is None:  # the first measurement says where to begin: no command there
             r, xi = y, p.kp * (y + half) / p.ki if p.integral else 0.0
         if newest is None or stamp > newest:
@@ -140,8 +142,8 @@ def test_the_axis_controller_is_state_feedback_on_what_its_compensation_makes_of
         if not (p.aw and (u - free) * (r - state[1]) < 0.0):
             xi += (r - state[1]) * 0.01
         sent.append(u)
-        assert said["command"] == near((u,))
-        assert said["controller_state"] == near((r, state[1], state[0], xi, (t - newest) * 1e-9))
+        assert outputs["command"] == near((u,))
+        assert outputs["controller_state"] == near((r, state[1], state[0], xi, (t - newest) * 1e-9))
 
 
 def test_other_gains_of_the_axis_bring_no_bump_nor_does_the_loop_as_designed():
@@ -169,10 +171,10 @@ def test_the_axis_controller_at_the_edges_of_what_it_takes():
     def told(compensation, *ticks):
         law = ByHand(FsfbController(compensation=compensation, **made))
         for t, stamp in ticks:
-            said = law.update(
+            outputs = law.update(
                 t * MS, feedback=Sample(stamp * MS, (1.0, 0.5)), reference=None, forward=None, reverse=None
             )
-        return sorted(law.reports), said["command"][0]
+        return sorted(law.reports), outputs["command"][0]
 
     assert told("none", (0, 0), (100, 0))[0] == []
     assert told("none", (0, 0), (110, 0)) == (["feedback age"], 0.0)
@@ -223,7 +225,7 @@ def test_the_sliding_mode_law_is_its_formula(options):
     r, size, before, wd = p.set_point, abs(p.set_point), None, 0.0
     for k in range(80):
         w, i, asked = draw_.uniform(-12.0, 12.0), draw_.uniform(-2.0, 2.0), references(draw_, 15.0)
-        said = law.update(k * MS, state=(w,), sensors=(0.0, i), reference=None if asked is None else (asked,))
+        outputs = law.update(k * MS, state=(w,), sensors=(0.0, i), reference=None if asked is None else (asked,))
         if asked is not None and abs(asked) <= 15.0:
             r = asked
         assert ("reference_range" in law.reports) is (asked is not None and abs(asked) > 15.0 and asked != r)
@@ -238,7 +240,7 @@ def test_the_sliding_mode_law_is_its_formula(options):
         s = 4.0 * (r - w) - wd
         K = p.k if p.k is not None else p.k_per_ref * size
         u = (a0 * w + a1 * wd - 4.0 * wd + K * s / (abs(s) + p.delta)) / gain
-        assert said == {"command": near((u,))} | ({"surface": near((s,))} if p.publish_surface else {})
+        assert outputs == {"command": near((u,))} | ({"surface": near((s,))} if p.publish_surface else {})
 
 
 def test_the_law_on_estimates_is_that_on_a_kalman_filter_of_scipys():
@@ -259,14 +261,14 @@ def test_the_law_on_estimates_is_that_on_a_kalman_filter_of_scipys():
     for k in range(30):
         n, i, v = draw_.randrange(-20, 20), draw_.uniform(-1.0, 1.0), draw_.uniform(-10.0, 10.0)
         asked = draw_.choice((None, 5.0, -9.0))
-        said = law.update(k * MS, sensors=(float(n), i), applied=(v,), reference=asked and (asked,))
+        outputs = law.update(k * MS, sensors=(float(n), i), applied=(v,), reference=asked and (asked,))
         x = A @ x + B * v
         x = x + gain @ (np.array([i, (n + 0.5) * count]) - C @ x)
         r = asked or r
         wd = (-p.b * x[0] + p.Kt * x[1] - x[3]) / p.J
         s = p.c * (r - x[0]) - wd
         u = (p.model_a0 * x[0] + (p.model_a1 - p.c) * wd + p.k_per_ref * abs(r) * s / (abs(s) + 3.0)) / p.model_gain
-        assert said["command"][0] == pytest.approx(u, rel=1e-5, abs=1e-5)
+        assert outputs["command"][0] == pytest.approx(u, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.parametrize("make", [DcMotorPid, DcMotorSmc, DcMotorSmcKalman], ids=lambda make: make.__name__)
@@ -365,7 +367,7 @@ def test_direct_torque_control_step_by_step(options):
     for k in range(120):
         t = k * MS
         if draw_.random() < 0.2:
-            said = law.refused(t)
+            answer = law.refused(t)
             x = estimate(x, voltage(VECTORS[vector]) * link, x.i or 0j, omega)
             if pipe:
                 vector, pipe = pipe[0], [*pipe[1:], pipe[-1]]
@@ -373,7 +375,9 @@ def test_direct_torque_control_step_by_step(options):
             i_a, i_b, link_now, asked, w = (draw_.uniform(-4.0, 4.0) for _ in range(5))
             link_now = 500.0 + 20.0 * link_now
             given = {"joint_states": (40.0 * w,)} if p.estimator == "observer" else {}
-            said = law.update(t, currents_meas=(i_a, i_b, 0.0), dc_link=(link_now,), torque_ref=(5.0 * asked,), **given)
+            answer = law.update(
+                t, currents_meas=(i_a, i_b, 0.0), dc_link=(link_now,), torque_ref=(5.0 * asked,), **given
+            )
             omega = 40.0 * w if given else 0.0
             i_a, i_b = i_a + 0.3, i_b + 0.3
             x = estimate(x, voltage(VECTORS[vector]) * link, complex(i_a, (i_a + 2.0 * i_b) / math.sqrt(3.0)), omega)
@@ -385,9 +389,9 @@ def test_direct_torque_control_step_by_step(options):
                 chosen = table[increase][more][math.floor((math.degrees(cmath.phase(x.psi)) + 30.0) / 60.0) % 6]
             pipe.append(chosen)
             vector, link = pipe.pop(0), link_now
-        assert said["switches"] == VECTORS[vector]
-        assert said["flux_estimate"] == near((x.psi.real, x.psi.imag, 0.0))
-        assert said["torque_estimate"] == near((estimate.torque(x),))
+        assert answer["switches"] == VECTORS[vector]
+        assert answer["flux_estimate"] == near((x.psi.real, x.psi.imag, 0.0))
+        assert answer["torque_estimate"] == near((estimate.torque(x),))
 
 
 def test_the_flux_is_lost_below_a_tenth_of_its_reference():
@@ -403,14 +407,14 @@ def test_the_speed_loop_slews_its_reference_and_limits_its_torque():
     draw_, reference, integral = Random(4), 0.0, 0.0
     for k in range(80):
         asked, w = draw_.choice((None, 12.0, -12.0, 0.5)), draw_.uniform(-8.0, 8.0)
-        said = law.update(k * 10 * MS, joint_states=(w,), speed_ref=asked and (asked,))
+        outputs = law.update(k * 10 * MS, joint_states=(w,), speed_ref=asked and (asked,))
         target = asked or 0.0
         reference = min(max(target, reference - 1.0), reference + 1.0)
         error = reference - w
         torque = 0.5 * error + integral
         if abs(torque) <= 6.0 or torque * error <= 0.0:
             integral += 4.0 * 0.01 * error
-        assert said["torque_ref"] == near((min(max(torque, -6.0), 6.0),))
+        assert outputs["torque_ref"] == near((min(max(torque, -6.0), 6.0),))
 
 
 def test_the_machine_moves_as_its_equations_say():
@@ -459,14 +463,14 @@ def test_each_phase_trips_the_inverter_and_saturates_its_converter(phase, sign):
     for limit, trips in ((28.0, True), (29.0, False)):
         plant = ByHand(ImPlant(trip_current=limit, period=1e-7))
         plant.x = plant.x._replace(psi_s_alpha=psi.real, psi_s_beta=psi.imag)
-        said = plant.outputs(0)
-        a, b, c = said["currents_meas"]
+        outputs = plant.outputs(0)
+        a, b, c = outputs["currents_meas"]
         assert (a + b + c, abs(a) > 5.0) == (0.0, True)
         for k in range(11):
             plant.advance(k, switches=(0.0, 0.0, 0.0), load_torque=None)
             assert plant.x.fault is trips
             assert ("adc_saturated" in plant.reports) is (phase < 2 and k == 10)
-        assert said["currents_true"][phase] == near(28.5 * sign)
+        assert outputs["currents_true"][phase] == near(28.5 * sign)
         assert ("overcurrent" in plant.reports) is trips
 
 

@@ -74,10 +74,10 @@ def test_unusual_units_have_no_arches_or_merged_ones():
     assert units.valve_points(3)[-1] == table[3, 1]
     with np.errstate(all="raise"):
         assert [len(p) for p in breakpoints(units, 4)] == [1, 5, 5, 9]
-    found = Optimiser(units).certified(400.0)
-    assert feasible(units, found.P, 400.0)
-    assert found.P[0] == 100.0
-    assert found.gap <= 1e-3
+    result = Optimiser(units).certified(400.0)
+    assert feasible(units, result.P, 400.0)
+    assert result.P[0] == 100.0
+    assert result.gap <= 1e-3
 
 
 def test_a_broken_table_is_refused_by_row_and_column(tmp_path):
@@ -114,19 +114,19 @@ def test_a_broken_table_is_refused_by_row_and_column(tmp_path):
 
 def test_cost_bound_and_balance_of_the_published_cases(case):
     """The reported cost is F at the dispatch, and the bound proves the optimum to the tolerance."""
-    units, demand, cost, tolerance, found = case
-    assert found.cost == pytest.approx(cost, abs=tolerance)
-    assert found.cost == units.total(found.P)
-    assert found.bound <= found.cost
-    assert found.bound <= cost + 1e-6
-    assert found.gap <= 1e-3
-    assert found.reason == "proven"
-    assert feasible(units, found.P, demand)
+    units, demand, cost, tolerance, result = case
+    assert result.cost == pytest.approx(cost, abs=tolerance)
+    assert result.cost == units.total(result.P)
+    assert result.bound <= result.cost
+    assert result.bound <= cost + 1e-6
+    assert result.gap <= 1e-3
+    assert result.reason == "proven"
+    assert feasible(units, result.P, demand)
 
 
 def test_dispatch_of_the_published_cases(case):
-    units, _, _, _, found = case
-    P = units.sorted_copies(found.P)
+    units, _, _, _, result = case
+    P = units.sorted_copies(result.P)
     if len(units) == 3:
         assert P.tolist() == pytest.approx([300.2669, 149.7331, 400.0], abs=1e-3)
     elif len(units) == 13:
@@ -141,9 +141,9 @@ def test_kink_enumeration_agrees_with_the_proof():
     for table in ("units_13", "units_13_e3_150"):
         units = Units.read(table)
         for demand in range(1500, 2501, 250):
-            found = Optimiser(units).certified(float(demand))
-            assert found.reason == "proven"
-            assert units.total(enumerate_kinks(units, float(demand))) == pytest.approx(found.cost, abs=1e-3)
+            result = Optimiser(units).certified(float(demand))
+            assert result.reason == "proven"
+            assert units.total(enumerate_kinks(units, float(demand))) == pytest.approx(result.cost, abs=1e-3)
     with pytest.raises(TooManyError, match="more than 1000 combinations"):
         enumerate_kinks(units, 1800.0, most=1000)
 
@@ -170,9 +170,9 @@ def test_scip_confirms_the_13_units():
         model.setParam("limits/absgap", 1e-3)
         model.setParam("limits/time", 120)
         model.optimize()
-        found = Optimiser(units).certified(demand)
-        assert model.getDualbound() <= found.cost + 1e-3
-        assert model.getObjVal() == pytest.approx(found.cost, abs=2e-3)
+        result = Optimiser(units).certified(demand)
+        assert model.getDualbound() <= result.cost + 1e-3
+        assert model.getObjVal() == pytest.approx(result.cost, abs=2e-3)
 
 
 @pytest.mark.long
@@ -236,14 +236,14 @@ def test_the_bound_holds_for_random_units():
         )
         units = Units(("a", "b", "c"), table)
         demand = float(units.p_min.sum() + chance.uniform(0.1, 0.9) * (units.p_max - units.p_min).sum())
-        found = Optimiser(units).certified(demand)
+        result = Optimiser(units).certified(demand)
         x, y = np.meshgrid(np.linspace(table[0, 0], table[0, 1], 700), np.linspace(table[1, 0], table[1, 1], 700))
         z = demand - x - y
         inside = (z >= table[2, 0]) & (z <= table[2, 1])
         brute = units.cost(np.stack([x[inside], y[inside], z[inside]], -1)).sum(-1).min()
-        assert found.bound <= brute + 1e-9
-        assert found.gap <= 1e-3
-        assert found.cost <= brute + 1e-3
+        assert result.bound <= brute + 1e-9
+        assert result.gap <= 1e-3
+        assert result.cost <= brute + 1e-3
 
 
 def test_order_and_copies_of_units_change_nothing():
@@ -251,9 +251,9 @@ def test_order_and_copies_of_units_change_nothing():
     cost = Optimiser(units).certified(1800.0).cost
     shuffled = np.random.default_rng(3).permutation(13)
     other = Units(tuple(units.ids[j] for j in shuffled), units.table[shuffled])
-    found = Optimiser(other).certified(1800.0)
-    assert found.cost == pytest.approx(cost, abs=1e-6)
-    assert feasible(other, found.P, 1800.0)
+    result = Optimiser(other).certified(1800.0)
+    assert result.cost == pytest.approx(cost, abs=1e-6)
+    assert feasible(other, result.P, 1800.0)
     twice = Units(tuple(f"{c}{i}" for c in "ab" for i in units.ids), np.tile(units.table, (2, 1)))
     double = Optimiser(twice).certified(3600.0)
     assert double.reason == "proven"
@@ -272,21 +272,21 @@ def test_where_boxes_run_out_the_adaptive_milps_prove_it():
     """The certificate of the paper's own machinery: chords lowered below the cost and split where they are too low."""
     units = Units.read("units_3")
     optimiser = Optimiser(units, max_nodes=1, nseg=2)
-    found = optimiser.certified(850.0)
-    assert found.stage == "adaptive MILP"
-    assert found.reason == "proven"
-    assert found.cost == pytest.approx(8234.071730, abs=1e-4)
-    assert [b for _, _, b in found.trace] == sorted(b for _, _, b in found.trace)
+    result = optimiser.certified(850.0)
+    assert result.stage == "adaptive MILP"
+    assert result.reason == "proven"
+    assert result.cost == pytest.approx(8234.071730, abs=1e-4)
+    assert [b for _, _, b in result.trace] == sorted(b for _, _, b in result.trace)
 
 
 def test_a_time_limit_gives_the_best_so_far_with_its_true_gap():
     units = Units.read("2*units_40")
-    found = Optimiser(units, max_nodes=1, time_limit=1.0, nseg=2).certified(21000.0)
-    assert found.limited
-    assert "time limit" in found.reason
-    assert feasible(units, found.P, 21000.0)
-    assert found.cost == units.total(found.P)
-    assert 240000 < found.bound < found.cost < 275000
+    result = Optimiser(units, max_nodes=1, time_limit=1.0, nseg=2).certified(21000.0)
+    assert result.limited
+    assert "time limit" in result.reason
+    assert feasible(units, result.P, 21000.0)
+    assert result.cost == units.total(result.P)
+    assert 240000 < result.bound < result.cost < 275000
 
 
 def test_fewer_boxes_give_a_lower_bound_never_a_wrong_one():
@@ -302,14 +302,14 @@ def test_fewer_boxes_give_a_lower_bound_never_a_wrong_one():
 
 
 def test_the_price_is_what_a_megawatt_more_or_less_changes(case):
-    units, _, _, _, found = case
-    less, more = found.price
+    units, _, _, _, result = case
+    less, more = result.price
     assert less <= more + 1e-9
     for step, price in ((-1e-4, less), (1e-4, more)):
-        j = int(np.argmax(units.slopes(found.P)[0])) if step < 0 else int(np.argmin(units.slopes(found.P)[1]))
-        P = found.P.copy()
+        j = int(np.argmax(units.slopes(result.P)[0])) if step < 0 else int(np.argmin(units.slopes(result.P)[1]))
+        P = result.P.copy()
         P[j] += step
-        assert (units.total(P) - found.cost) / step == pytest.approx(price, abs=2e-3)
+        assert (units.total(P) - result.cost) / step == pytest.approx(price, abs=2e-3)
 
 
 def test_lambda_iteration_meets_equal_slopes_and_bounds_the_cost():
@@ -388,14 +388,14 @@ def ask(node, t, demand, **inputs):
 
 
 def test_a_result_comes_once_with_its_cost_and_rows(node):
-    found = ask(node, 0, 850.0)
-    assert sum(found["setpoints"]) == pytest.approx(850.0, abs=1e-6)
-    rows = np.reshape(found["result"], (3, 4))
+    result = ask(node, 0, 850.0)
+    assert sum(result["setpoints"]) == pytest.approx(850.0, abs=1e-6)
+    rows = np.reshape(result["result"], (3, 4))
     units = Units.read("units_3")
-    assert rows[:, 0].tolist() == list(found["setpoints"])
+    assert rows[:, 0].tolist() == list(result["setpoints"])
     assert rows[:, 1] == pytest.approx(units.cost(rows[:, 0]))
     assert rows[:, 2:].tolist() == [[3, 0], [3, 1], [5, 1]]  # arch, and whether at its end: unit 1 takes the rest
-    demand, cost, bound, gap, *_ = found["summary"]
+    demand, cost, bound, gap, *_ = result["summary"]
     assert (demand, cost) == (850.0, units.total(rows[:, 0]))
     assert gap == cost - bound
     assert ask(node, 1, 850.0) == {}
@@ -411,11 +411,11 @@ def test_a_late_result_is_that_of_its_request():
     block = ByHand(DispatchSolver(unit_table="units_3", latency=2.0))
     assert ask(block, 0, 850.0) == {}
     assert ask(block, 1, 900.0, units=tuple(dear.ravel())) == {}
-    found = ask(block, 2, 1300.0, units=tuple(dear.ravel()))  # which they cannot give: nothing is asked
-    demand, cost, *_ = found["summary"]
-    assert demand == 850.0 == pytest.approx(sum(found["setpoints"]))
-    costs = np.reshape(found["result"], (3, 4))[:, 1]
-    assert costs == pytest.approx(units.cost(np.array(found["setpoints"])))
+    result = ask(block, 2, 1300.0, units=tuple(dear.ravel()))  # which they cannot give: nothing is asked
+    demand, cost, *_ = result["summary"]
+    assert demand == 850.0 == pytest.approx(sum(result["setpoints"]))
+    costs = np.reshape(result["result"], (3, 4))[:, 1]
+    assert costs == pytest.approx(units.cost(np.array(result["setpoints"])))
     assert cost == pytest.approx(costs.sum())
     later = [ask(block, t, 1300.0, units=tuple(dear.ravel())) for t in (3, 4)][-1]
     assert later["summary"][0] == 900.0

@@ -44,16 +44,16 @@ def test_outcome(name, tmp_path):
         "induction_dtc_resistance": ({"flux_band": -36.3648, "current": -17.8988}, {"im_plant.R_s": 3.68682}),
     }
     status = main(["falsify", name, "--out", str(tmp_path), "--workers", "2"])
-    found = json.loads((tmp_path / "outcome.json").read_text())
-    assert (status, bool(found["violated"])) == (1, True)
+    content = json.loads((tmp_path / "outcome.json").read_text())
+    assert (status, bool(content["violated"])) == (1, True)
     small = simulate(load_scenario(str(tmp_path / f"{name}_small.yaml")))
     bounds = small.rig.scenario.expect  # of a figure the margin is the distance to its bound
-    assert {n: bounds[n].margin(x) if n in bounds else x for n in found["small"] for x in [small.figures[n]]} == (
-        found["small"]
+    assert {n: bounds[n].margin(x) if n in bounds else x for n in content["small"] for x in [small.figures[n]]} == (
+        content["small"]
     )
     worst, changes = known.get(name, ({}, {}))
-    assert found["runs"] == falsification_of(name, {}).budget  # none is left
+    assert content["runs"] == falsification_of(name, {}).budget  # none is left
     for key, margin in worst.items():
-        assert found["worst"][key] == pytest.approx(margin, rel=1e-4)
+        assert content["worst"][key] == pytest.approx(margin, rel=1e-4)
     for key, value in changes.items():
-        assert found["small_changes"][key] == pytest.approx(value, rel=1e-4)
+        assert content["small_changes"][key] == pytest.approx(value, rel=1e-4)

@@ -73,8 +73,8 @@ def test_before_the_fault():
         samples = line.run(round(0.02 * RATES[profile]))[:, :12]
         t = np.arange(len(samples)) / RATES[profile]
         wave = np.column_stack([np.cos(2e2 * math.pi * t / 2.0), np.sin(2e2 * math.pi * t / 2.0)])
-        rest = samples - wave @ np.linalg.lstsq(wave, samples, rcond=None)[0]
-        assert np.abs(rest).max(axis=0) / np.abs(samples).max(axis=0) == pytest.approx(np.zeros(12), abs=1e-9)
+        remaining = samples - wave @ np.linalg.lstsq(wave, samples, rcond=None)[0]
+        assert np.abs(remaining).max(axis=0) / np.abs(samples).max(axis=0) == pytest.approx(np.zeros(12), abs=1e-9)
 
 
 def test_single_phase_fault():
@@ -142,9 +142,9 @@ def test_filter_is_a_butterworth(rate):
     wanted = sosfreqz(butter(4, rate / 5.0, fs=1e6, output="sos"), frequencies, fs=1e6)[1]
     b0, b1, b2, a1, a2 = butterworth(0.2 * rate * 1e-6).T[:, :, None]
     z = np.exp(-2j * math.pi * frequencies * 1e-6)
-    found = np.prod((b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2), axis=0)
-    np.testing.assert_allclose(found, wanted, rtol=1e-7)
-    assert abs(found[2]) == pytest.approx(math.sqrt(0.5))
+    result = np.prod((b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2), axis=0)
+    np.testing.assert_allclose(result, wanted, rtol=1e-7)
+    assert abs(result[2]) == pytest.approx(math.sqrt(0.5))
 
 
 def test_late_clock_and_ratio_errors():
@@ -222,9 +222,9 @@ def test_48_cases(profile, largest, mean):
     ],
 )
 def test_other_types(case):
-    found = located(simulated(case))
-    assert found.status == Status.OK
-    assert found.x_km == pytest.approx(case.x_km, abs=0.015)
+    result = located(simulated(case))
+    assert result.status == Status.OK
+    assert result.x_km == pytest.approx(case.x_km, abs=0.015)
 
 
 @pytest.mark.parametrize("x", few([5.0, 50.0, 100.0, 115.0], 3))
@@ -236,9 +236,9 @@ def test_types_that_share_the_mode(x, rf):
 
 
 def test_no_fault():
-    found = located(simulated(Case("none", 50.0, 0.0)))
-    assert (found.status, found.x_km) == (Status.NO_FAULT, None)
-    assert found.f_max == pytest.approx(0.6158, rel=0.01)
+    result = located(simulated(Case("none", 50.0, 0.0)))
+    assert (result.status, result.x_km) == (Status.NO_FAULT, None)
+    assert result.f_max == pytest.approx(0.6158, rel=0.01)
     noisy = located(simulated(Case("none", 50.0, 0.0), measurement__noise_snr_db=60.0))
     assert (noisy.status, noisy.x_km) == (Status.NO_FAULT, None)
     assert noisy.f_max == pytest.approx(107.0, rel=0.15)
@@ -246,12 +246,12 @@ def test_no_fault():
 
 @pytest.mark.parametrize(("kind", "mode"), [("CG", "1"), ("AG", "2"), ("BG", "3"), ("BC", "auto")])
 def test_mode_that_is_not_excited(kind, mode):
-    found = located(simulated(Case(kind, 50.0, 0.0)), mode=mode)
+    result = located(simulated(Case(kind, 50.0, 0.0)), mode=mode)
     if mode == "auto":
-        assert found.status == Status.OK
+        assert result.status == Status.OK
     else:
-        assert (found.status, found.x_km) == (Status.MODE_NOT_EXCITED, None)
-        assert "mode_not_excited" in found.text
+        assert (result.status, result.x_km) == (Status.MODE_NOT_EXCITED, None)
+        assert "mode_not_excited" in result.text
 
 
 def test_threshold_is_read(record):
@@ -263,19 +263,19 @@ def test_threshold_is_read(record):
 
 
 def test_brent_needs_few_evaluations(record):
-    found = located(record)
-    assert found.evaluations < 250
-    assert found.x_km == pytest.approx(49.98990, abs=1e-4)
+    result = located(record)
+    assert result.evaluations < 250
+    assert result.x_km == pytest.approx(49.98990, abs=1e-4)
 
 
 @pytest.mark.long  # the whales' place stands in their scenario, too
 @pytest.mark.parametrize(("algorithm", "evaluations", "apart"), [("woa", 50_100, 5e-5), ("gwo", 50_000, 0.003)])
 def test_swarms_find_the_minimum(record, algorithm, evaluations, apart):
     best = located(record)
-    found = located(record, algorithm=algorithm)
-    assert found.evaluations - 183 == evaluations  # 61 points of three modes choose the mode
-    assert found.x_km == pytest.approx(best.x_km, abs=apart)
-    assert found.f_min == pytest.approx(best.f_min, rel=0.01)
+    result = located(record, algorithm=algorithm)
+    assert result.evaluations - 183 == evaluations  # 61 points of three modes choose the mode
+    assert result.x_km == pytest.approx(best.x_km, abs=apart)
+    assert result.f_min == pytest.approx(best.f_min, rel=0.01)
 
 
 @pytest.mark.parametrize(("algorithm", "within"), [("woa", 0.150), ("gwo", 0.600)])
@@ -297,15 +297,15 @@ def test_the_band_of_the_wolves_is_that_of_their_seeds(record):
 
 @pytest.mark.parametrize("case", [AG, Case("AG", 115.0, 15.0), Case("AB", 100.0, 5.0)])
 def test_integer_grid_gives_multiples(case):
-    found = located(simulated(case), algorithm="integer_grid")
+    result = located(simulated(case), algorithm="integer_grid")
     cell = LocatorParams().line.aerial.velocity / 20_000.0
-    assert found.x_km / cell == pytest.approx(round(found.x_km / cell), abs=1e-9)
-    assert 1.0 < abs(found.x_km - case.x_km) < 0.07 * 120.0
+    assert result.x_km / cell == pytest.approx(round(result.x_km / cell), abs=1e-9)
+    assert 1.0 < abs(result.x_km - case.x_km) < 0.07 * 120.0
 
 
 def test_integer_grid_at_a_microsecond():
-    found = located(simulated(measurement__profile="raw1m"), algorithm="integer_grid")
-    assert abs(found.x_km - 50.0) < 1.2 * 0.277
+    result = located(simulated(measurement__profile="raw1m"), algorithm="integer_grid")
+    assert abs(result.x_km - 50.0) < 1.2 * 0.277
 
 
 @pytest.mark.parametrize(
@@ -319,8 +319,8 @@ def test_integer_grid_at_a_microsecond():
 )
 def test_phasor(case, error):
     """One cycle with a decaying DC: 160 m to 5.0 km."""
-    found = located(simulated(case), algorithm="phasor")
-    assert 1e3 * (found.x_km - case.x_km) == pytest.approx(error, rel=0.02)
+    result = located(simulated(case), algorithm="phasor")
+    assert 1e3 * (result.x_km - case.x_km) == pytest.approx(error, rel=0.02)
 
 
 def test_phasor_is_exact_for_sinusoids(record):
@@ -335,15 +335,15 @@ def test_phasor_is_exact_for_sinusoids(record):
     t = np.arange(1200) / 20_000.0
     abc = np.exp(-2j * math.pi / 3.0 * np.arange(3))
     waves = [(amp * np.exp(1j * omega * t[:, None]) * abc).real for end in ends for amp in end]
-    found = locate(Record(0.0, 20_000.0, np.hstack(waves)), p)
-    assert found.x_km == pytest.approx(x, abs=1e-6)
+    location = locate(Record(0.0, 20_000.0, np.hstack(waves)), p)
+    assert location.x_km == pytest.approx(x, abs=1e-6)
 
 
 @pytest.mark.parametrize("case", [AG, Case("AG", 115.0, 15.0), Case("ABCG", 5.0, 15.0), Case("AB", 100.0, 5.0)])
 def test_travelling_wave(case):
     """Whole microseconds: 20 to 29 m."""
-    found = located(simulated(case, measurement__profile="raw1m"), algorithm="travelling_wave")
-    assert 15.0 < abs(1e3 * (found.x_km - case.x_km)) < 30.0
+    result = located(simulated(case, measurement__profile="raw1m"), algorithm="travelling_wave")
+    assert 15.0 < abs(1e3 * (result.x_km - case.x_km)) < 30.0
 
 
 # printed equations -------------------------------------------------------------------------------------------------
@@ -351,9 +351,9 @@ def test_travelling_wave(case):
 
 def test_equations_as_printed():
     for case in (Case("AG", x, 0.0) for x in (5.0, 50.0, 100.0)):
-        found = located(simulated(case), equations="printed")
-        assert (found.status, found.x_km) == (Status.AT_TERMINAL, 0.0)
-        assert "beyond the line" in describe(found, Confidence(1.0, {}, 1.0), 120.0)
+        result = located(simulated(case), equations="printed")
+        assert (result.status, result.x_km) == (Status.AT_TERMINAL, 0.0)
+        assert "beyond the line" in describe(result, Confidence(1.0, {}, 1.0), 120.0)
     wrong = located(simulated(Case("AG", 115.0, 0.0)), equations="printed")
     assert abs(wrong.x_km - 115.0) > 0.04 * 120.0
     assert "beyond the line" not in describe(wrong, Confidence(1.0, {}, 1.0), 120.0)
@@ -373,8 +373,8 @@ def test_equations_as_printed():
     ],
 )
 def test_misprints_one_by_one(equations, case, error):
-    found = located(simulated(case), equations=equations, mode="1")
-    assert 100.0 * (found.x_km - case.x_km) / 120.0 == pytest.approx(error, rel=0.03)
+    result = located(simulated(case), equations=equations, mode="1")
+    assert 100.0 * (result.x_km - case.x_km) / 120.0 == pytest.approx(error, rel=0.03)
 
 
 # sensitivity -------------------------------------------------------------------------------------------------------
@@ -424,8 +424,8 @@ def test_sensitivity(noise, monkeypatch):
 
 def broken(record, change):
     table = record.table()
-    found = change(table)
-    return table if found is None else found
+    result = change(table)
+    return table if result is None else result
 
 
 def refusal(table):
@@ -474,8 +474,8 @@ def test_ends_that_sample_between_each_other(case, late):
     joined = Record.from_ends(both.t, both.samples[:, :6], both.t - 1e-6 * late, other.samples[:, 6:])
     assert f"{-late / 50.0:+.3g} of a sample" in joined.note
     assert located(joined).x_km == pytest.approx(located(both).x_km, abs=0.005)
-    told = Record.from_ends(both.t, both.samples[:, :6], both.t, both.samples[:, 6:])
-    assert (told.note, told.samples.tobytes()) == ("", both.samples.tobytes())
+    reported = Record.from_ends(both.t, both.samples[:, :6], both.t, both.samples[:, 6:])
+    assert (reported.note, reported.samples.tobytes()) == ("", both.samples.tobytes())
 
 
 @pytest.mark.parametrize(
@@ -539,20 +539,20 @@ def test_ends_that_contradict_each_other(name, case):
     """Reversed transformers and exchanged phases gave no_fault, or with status ok a place up to 60 km away."""
     record = simulated(case)
     WIRED[name](record.samples)
-    found = located(record)
+    result = located(record)
     if name == "phase b of i_r reversed" and case.type == "AG":  # a healthy phase: too little of it in the fault
-        assert found.x_km is None or found.x_km == pytest.approx(case.x_km, abs=2.5)
+        assert result.x_km is None or result.x_km == pytest.approx(case.x_km, abs=2.5)
         return
-    assert (found.status, found.x_km) == (Status.CONTRADICTORY, None)
-    assert f"with {name}: wired so?" in found.text
+    assert (result.status, result.x_km) == (Status.CONTRADICTORY, None)
+    assert f"with {name}: wired so?" in result.text
 
 
 def test_a_healthy_line_of_a_reversed_transformer(record):
     healthy = simulated(Case("none", 50.0, 0.0))
     healthy.samples[:, 9:12] *= -1.0
-    found = located(healthy)
-    assert found.status == Status.CONTRADICTORY
-    assert found.text == "contradictory: with i_r reversed the ends are those of a healthy line: wired so?"
+    result = located(healthy)
+    assert result.status == Status.CONTRADICTORY
+    assert result.text == "contradictory: with i_r reversed the ends are those of a healthy line: wired so?"
     near = located(simulated(Case("AG", 118.8, 0.0)))  # a fault near R is one
     assert (near.status, near.x_km) == (Status.OK, pytest.approx(118.8, abs=0.02))
     other = located(record, line__length=240.0)
@@ -591,15 +591,15 @@ def test_dead_channel(record):
 
 def test_record_too_short(record):
     short = Record(0.0, 20_000.0, record.samples[:795])
-    found = locate(short)
-    assert (found.status, found.x_km) == (Status.TOO_SHORT, None)
+    location = locate(short)
+    assert (location.status, location.x_km) == (Status.TOO_SHORT, None)
     assert locate(Record(0.0, 20_000.0, record.samples[:802])).status == Status.OK  # the window and what it reads
 
 
 def test_line_too_short_for_the_rate(record):
-    found = located(record, line__length=13.0)
-    assert found.status == Status.TOO_SHORT
-    assert "in 0.939 samples of 50 us, expected 1 or more (least_travel)" in found.text
+    result = located(record, line__length=13.0)
+    assert result.status == Status.TOO_SHORT
+    assert "in 0.939 samples of 50 us, expected 1 or more (least_travel)" in result.text
     assert located(record, line__length=13.0, least_travel=0.5).status != Status.TOO_SHORT
     slow = simulated(measurement__profile="m4k")
     assert "in 1.73 samples" in Locator(slow, LocatorParams()).warning
@@ -612,8 +612,8 @@ def test_short_lines_are_located_at_every_rate(profile, length):
     for share, kind in ((0.1, "AG"), (0.47, "ABCG"), (0.8, "AB")):
         x = max(1.2, share * length)
         record = simulated(Case(kind, x, 5.0), line__length=length, measurement__profile=profile)
-        found = located(record, line__length=length, least_travel=0.0)
-        assert found.x_km == pytest.approx(x, abs=5e-4 * length)
+        result = located(record, line__length=length, least_travel=0.0)
+        assert result.x_km == pytest.approx(x, abs=5e-4 * length)
         assert "samples" in Locator(record, LocatorParams(line={"length": length}, least_travel=0.0)).warning
 
 
@@ -638,10 +638,10 @@ def test_confidence_covers_the_error():
     errors, scatters = [], []
     for seed in range(8):
         noisy = simulated(measurement__noise_snr_db=40.0, measurement__seed=seed)
-        found = locate(noisy, p)
-        errors.append(found.x_km - 50.0)
+        location = locate(noisy, p)
+        errors.append(location.x_km - 50.0)
         scatters.append(
-            confidence(noisy, p, found, ErrorBudget(sync_us=0, ratio=0, reactance=0, resistance=0)).scatter_km
+            confidence(noisy, p, location, ErrorBudget(sync_us=0, ratio=0, reactance=0, resistance=0)).scatter_km
         )
     assert 0.3 < np.mean(scatters) / np.std(errors) < 3.0
     assert scatters[0] == pytest.approx(0.0610, rel=0.02)  # km; of eight stretches
@@ -743,8 +743,8 @@ def test_a_bag_is_played_in_lockstep_into_the_locator(tmp_path):
     recorded = read_bag(bag)
     node = ("softrig_power", "fault_locator", "--ros-args", "-p", "run.mode:=lockstep", "-p", "run.duration:=0.05975",
             "-p", "period:=0.00025", "-p", "samples:=240")  # fmt: skip
-    status, said = replay(tmp_path, bag, ["verdict", "location", "objective"], node)
-    assert status == 0, said
+    status, printed = replay(tmp_path, bag, ["verdict", "location", "objective"], node)
+    assert status == 0, printed
     answers = read_bag(tmp_path / "answers")
     assert set(answers.topics) == {"verdict", "location", "objective"}
     assert position(answers) == position(recorded)
@@ -1030,11 +1030,11 @@ def rows_by_formula():
 def test_pictures_are_as_told(record, monkeypatch):
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: drawn.append((f"{path} at {dpi}", figure)))
-    p, found = LocatorParams(), located(record)
+    p, result = LocatorParams(), located(record)
     pictures.waveforms(record, p, Path("plain"))
     pictures.waveforms(record, p, Path("known"), (0.02, 0.05))
-    pictures.objective(record, p, found, Path("objective"), truth=50.0)
-    pictures.objective(record, p, replace(found, x_km=None), Path("lost"))
+    pictures.objective(record, p, result, Path("objective"), truth=50.0)
+    pictures.objective(record, p, replace(result, x_km=None), Path("lost"))
     pictures.methods([*rows_by_formula()], Path("methods"))
     monkeypatch.setattr(pictures, "MISPRINTS", ("corrected", "printed_sign"))
     pictures.misprints(record, p, Path("misprints"), truth=50.0)
@@ -1053,14 +1053,14 @@ def test_tables_of_the_study_are_as_told(monkeypatch, capsys, tmp_path):
     assert asked == [
         ("raw1m" if m == "travelling_wave" else "m20k", {"seed": 3, "algorithm": m}) for m in study.METHODS
     ]
-    *said, last = capsys.readouterr().out.splitlines()
+    *text, last = capsys.readouterr().out.splitlines()
     assert last.startswith("48 locations in 0 s")
     assert study_tool.main([]) == 0
     assert given[-1] == (study.published_jobs(), None)
-    assert capsys.readouterr().out.splitlines()[:-1] == said
+    assert capsys.readouterr().out.splitlines()[:-1] == text
     table = study_tool.sensitivity_table({"none": [1.0, -2.25, 1e3, math.nan], "R1 = 0": [0.0] * 4})
     changed = [f"{name}: {rig} {locator}" for name, rig, locator in study.disturbances()]
-    check_told("fault_study", [*said, *table.splitlines(), *study.as_csv(rows[:6]).splitlines(), *changed])
+    check_told("fault_study", [*text, *table.splitlines(), *study.as_csv(rows[:6]).splitlines(), *changed])
 
 
 def test_a_sensitivity_is_the_error_of_each_case_and_of_noise_its_deviation(monkeypatch):
@@ -1106,13 +1106,13 @@ def test_command_line(record, tmp_path, capsys):
         )
         == 0
     )
-    said = capsys.readouterr().out
-    assert "  line 120 km, 0.0275 ohm/km, 0.00100268 H/km, 1.3e-08 F/km\n" in said
-    assert "  record 0 to 0.05995 s, 1200 samples at 20000 Hz\n" in said
-    assert "  window 0.0213 to 0.0398 s, from the change at 0.0203 s\n" in said
-    assert said.startswith("fault at 49.99")
-    assert "standard uncertainty" in said
-    assert "u_s 0.5 % would move it by" in said
+    printed = capsys.readouterr().out
+    assert "  line 120 km, 0.0275 ohm/km, 0.00100268 H/km, 1.3e-08 F/km\n" in printed
+    assert "  record 0 to 0.05995 s, 1200 samples at 20000 Hz\n" in printed
+    assert "  window 0.0213 to 0.0398 s, from the change at 0.0203 s\n" in printed
+    assert printed.startswith("fault at 49.99")
+    assert "standard uncertainty" in printed
+    assert "u_s 0.5 % would move it by" in printed
     assert (tmp_path / "objective.png").stat().st_size > 10_000
     assert (tmp_path / "waveforms.png").stat().st_size > 10_000
     assert locate_tool.main([str(tmp_path / "bag"), "--window", "0.021", "0.0395", "--line", "paper"]) == 0
@@ -1148,13 +1148,13 @@ def test_own_line(record, tmp_path, capsys):
     file = str(tmp_path / "both.cfg")
     assert locate_tool.main([file, "--line", "paper", "--set", "line.length=87.5", "--set", "line.l1=1.05e-3",
                  "--error", "sync_us=5", "--error", "ratio=0.01"]) == 0  # fmt: skip
-    said = capsys.readouterr().out
-    assert said.startswith("fault at 30.99")
-    assert "clocks 5 us" in said
-    assert "u_s 1 %" in said
+    printed = capsys.readouterr().out
+    assert printed.startswith("fault at 30.99")
+    assert "clocks 5 us" in printed
+    assert "u_s 1 %" in printed
     (tmp_path / "line.yaml").write_text("\ufefflength: 87.5\nr1: 0.0275\nl1: 1.05e-3\nc1: 0.013e-6\n")
     assert locate_tool.main([file, "--line", str(tmp_path / "line.yaml")]) == 0
-    assert capsys.readouterr().out.splitlines()[0].split(",")[0] == said.splitlines()[0].split(",")[0]
+    assert capsys.readouterr().out.splitlines()[0].split(",")[0] == printed.splitlines()[0].split(",")[0]
     assert locate_tool.main([file, "--set", "line.length=87.5"]) == 2
     assert "the line's r1, l1, c1 are missing" in capsys.readouterr().err
     assert (
@@ -1196,9 +1196,9 @@ def test_a_bag_stamped_by_a_wall_clock(record, tmp_path, capsys):
         topic.times[:] = [t + 1_795_340_519_250_000_000 for t in topic.times]
     write_bag(tmp_path / "bag", recording)
     assert locate_tool.main([str(tmp_path / "bag"), "--line", "paper"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("fault at 49.990 km")
-    assert "window 0.0213 to 0.0398 s, from the change at 0.0203 s" in said
+    printed = capsys.readouterr().out
+    assert printed.startswith("fault at 49.990 km")
+    assert "window 0.0213 to 0.0398 s, from the change at 0.0203 s" in printed
 
 
 # long ----------------------------------------------------------------------------------------------------------------

@@ -142,5 +142,5 @@ def test_line_and_locator(case, metres):
         apart /= np.sqrt(np.mean(theirs**2, axis=0)).reshape(4, 3).max(axis=1)
         assert apart[[0, 2]].max() < 0.0215
         assert apart[[1, 3]].max() < 0.0030
-        found = locate(record, LocatorParams())
-        assert 1e3 * (found.x_km - case.x_km) == pytest.approx(error, abs=0.1)
+        location = locate(record, LocatorParams())
+        assert 1e3 * (location.x_km - case.x_km) == pytest.approx(error, abs=0.1)

@@ -90,13 +90,13 @@ def test_what_is_fit():
     assert jitter.t.tolist() == list(range(20))
     once = changed(slice(1, None), 0.0, channel=4)  # one value of a channel is enough
     assert Record.from_table(once).group("i_s")[0, 0] == CHANCE[0, 3]
-    found = Record.from_table(table(np.array([0.123456789123, 0.3734567891, 0.6234567891])))
-    assert (found.start, found.rate) == (0.123456789, 4.0)  # to a ns and to a mHz
+    result = Record.from_table(table(np.array([0.123456789123, 0.3734567891, 0.6234567891])))
+    assert (result.start, result.rate) == (0.123456789, 4.0)  # to a ns and to a mHz
     assert Record.from_table(table(np.arange(3) / 3.0)).rate == 3.0
     assert Record.from_table(table(np.arange(50) * 0.3)).rate == 3.333
     for k, name in enumerate(("u_s", "i_s", "u_r", "i_r")):
-        assert (found.group(name) == CHANCE[:3, 3 * k : 3 * k + 3]).all()
-    assert found.table()[:, 1:].tolist() == CHANCE[:3].tolist()
+        assert (result.group(name) == CHANCE[:3, 3 * k : 3 * k + 3]).all()
+    assert result.table()[:, 1:].tolist() == CHANCE[:3].tolist()
     assert CHANNELS[:4] + CHANNELS[-1:] == ("u_s/a", "u_s/b", "u_s/c", "i_s/a", "i_r/c")
 
 
@@ -239,15 +239,15 @@ def test_resampling_is_a_sinc_in_a_blackman_window(rate, to_rate):
     t = np.array([8.3, 11.0, 15.77, 20.5])
     share = min(1.0, to_rate / rate)
     half = 10.0 / share
-    found = np.empty((4, 2))
-    resample._resample.py_func(x, (t - 0.5) * rate, share, found)
+    result = np.empty((4, 2))
+    resample._resample.py_func(x, (t - 0.5) * rate, share, result)
     for n, at in enumerate((t - 0.5) * rate):
         u = at - np.arange(60)
         inside = np.abs(u) <= half
         window = 0.42 + 0.5 * np.cos(np.pi * u / half) + 0.08 * np.cos(2 * np.pi * u / half)
         w = np.where(inside, window * np.sinc(share * u), 0.0)
-        assert found[n].tolist() == pytest.approx(list(w @ x / w.sum()), rel=1e-11)
-    np.testing.assert_allclose(resample.resampled(x, 0.5, rate, t, to_rate), found, rtol=1e-12)
+        assert result[n].tolist() == pytest.approx(list(w @ x / w.sum()), rel=1e-11)
+    np.testing.assert_allclose(resample.resampled(x, 0.5, rate, t, to_rate), result, rtol=1e-12)
     assert resample.reach(rate, to_rate) == 10.0 / min(rate, to_rate)
 
 
@@ -334,8 +334,8 @@ def test_a_file_without_dates_is_read_without_a_word(tmp_path):
     assert len(dates) == 2
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = read_comtrade([edited(tmp_path, **{f"l{k}": "," for k in dates})])
-    assert found.samples.tolist() == whole().samples.tolist()
+        result = read_comtrade([edited(tmp_path, **{f"l{k}": "," for k in dates})])
+    assert result.samples.tolist() == whole().samples.tolist()
 
 
 def test_channels_by_unit_and_phase_and_their_scale(tmp_path):
@@ -349,10 +349,10 @@ def test_channels_by_unit_and_phase_and_their_scale(tmp_path):
         ("1,VA_S,A,S,v,1.0,0,0,-3.4e+38,3.4e+38,400,4,s", 100.0),
         ("1,VA_S,A,S,v,1.0,0,0,-3.4e+38,3.4e+38,400,4,P", 1.0),
     ]:
-        found = read_comtrade([edited(tmp_path, l2=line)])
-        assert found.samples[:, 0].tolist() == pytest.approx((scale * record.samples[:, 0]).tolist())
-        assert found.samples[:, 1:].tolist() == record.samples[:, 1:].tolist()
-    assert (found.start, found.rate) == (0.0, 4000.0)
+        result = read_comtrade([edited(tmp_path, l2=line)])
+        assert result.samples[:, 0].tolist() == pytest.approx((scale * record.samples[:, 0]).tolist())
+        assert result.samples[:, 1:].tolist() == record.samples[:, 1:].tolist()
+    assert (result.start, result.rate) == (0.0, 4000.0)
 
 
 @pytest.mark.parametrize(
@@ -398,13 +398,13 @@ def test_two_recorders_by_their_clocks_and_what_is_told_of_them(tmp_path):
     long = whole(40)
     s = write_comtrade(tmp_path / "s", long, "s")[0]
     r = write_comtrade(tmp_path / "r", long, "r", clock_late=0.001)[0]
-    found = read_comtrade([s, r])  # R began a ms, four samples, later
-    assert (found.start, found.rate, len(found.samples)) == (0.001, 4000.0, 36)
-    assert found.samples.tolist() == np.hstack([long.samples[4:, :6], long.samples[:36, 6:]]).tolist()
+    result = read_comtrade([s, r])  # R began a ms, four samples, later
+    assert (result.start, result.rate, len(result.samples)) == (0.001, 4000.0, 36)
+    assert result.samples.tolist() == np.hstack([long.samples[4:, :6], long.samples[:36, 6:]]).tolist()
     again = read_comtrade([s, r], late=(0.0, 0.001))
     assert (again.start, again.samples.tolist()) == (0.0, long.samples.tolist())
     swapped = read_comtrade([r, s])
-    assert swapped.samples.tolist() == found.samples[:, [*range(6, 12), *range(6)]].tolist()
+    assert swapped.samples.tolist() == result.samples[:, [*range(6, 12), *range(6)]].tolist()
     both = read_comtrade([edited(tmp_path, long)], late=(0.0005, 0.001))
     assert (both.start, both.samples.tolist()) == (
         -0.0005,
@@ -462,7 +462,7 @@ def f_of(x, rate, kind, first, count, delays=None):
     """The mean of |u_XS - u_XR|."""
     z, v = math.sqrt(1e-3 / 1.2e-8), 3e5 if kind == "printed_speed" else 1.0 / math.sqrt(1e-3 * 1.2e-8)
     r_s, r_r = 0.03 * x, 0.03 * (100.0 - x)
-    tau, rest = delays or (x / v * rate, (100.0 - x) / v * rate)
+    tau, remaining = delays or (x / v * rate, (100.0 - x) / v * rate)
     wrong = {part: kind in ("printed", f"printed_{part}") for part in ("sign", "coefficient", "resistance")}
     total = 0.0
     for k in range(first, first + count):
@@ -481,7 +481,7 @@ def f_of(x, rate, kind, first, count, delays=None):
             ENDS[3],
             k,
             r_r,
-            rest,
+            remaining,
             1.0,
             (z + r_r / 4) ** 2 if wrong["coefficient"] else None,
             r_s / 8 if wrong["resistance"] else None,
@@ -638,15 +638,15 @@ FLAT, SMALL, LARGE = (1900.0, 1000.0), (2000.0, 400.0), (9000.0, 900.0)
     ],
 )
 def test_the_mode_and_whether_there_is_a_fault(monkeypatch, curves, settings, status, mode, text, limit):
-    found, asked = chooser(curves, monkeypatch, **settings)
-    assert (found.status.name, found.mode, found.text) == (status, mode, text)
-    assert (found.x_km, found.f_max, found.f_min, found.evaluations) == (None, *curves[mode - 1], 7)
+    result, asked = chooser(curves, monkeypatch, **settings)
+    assert (result.status.name, result.mode, result.text) == (status, mode, text)
+    assert (result.x_km, result.f_max, result.f_min, result.evaluations) == (None, *curves[mode - 1], 7)
     assert asked == ([] if limit is None else [limit])
 
 
 def test_a_contradiction_is_told_before_all(monkeypatch):
-    found, _ = chooser((FLAT, SMALL, LARGE), monkeypatch, "so it is")
-    assert (found.status, found.text, found.mode, found.x_km) == (Status.CONTRADICTORY, "so it is", 3, None)
+    result, _ = chooser((FLAT, SMALL, LARGE), monkeypatch, "so it is")
+    assert (result.status, result.text, result.mode, result.x_km) == (Status.CONTRADICTORY, "so it is", 3, None)
     assert chooser((FLAT, FLAT, FLAT), monkeypatch, "so it is")[0].status == Status.NO_FAULT  # nobody asked
 
 
@@ -679,9 +679,9 @@ def test_each_algorithm_gives_the_place_and_a_place_at_an_end_is_told(
     monkeypatch.setattr(Locator, "choose", lambda self: Location(Status.OK, None, 11.0, 99.0, 2, self.evaluations))
     whole = module == "search"
     monkeypatch.setattr(getattr(location, module), name, lambda of, mode: (x, 5.0 + mode) if whole else x)
-    found = work.locate()
-    assert (found.status.name, found.x_km, found.text, found.mode) == (status, x, text, 2)
-    assert (found.f_min, found.f_max, found.evaluations) == (7.0 if whole else 11.0, 99.0, 0)
+    result = work.locate()
+    assert (result.status.name, result.x_km, result.text, result.mode) == (status, x, text, 2)
+    assert (result.f_min, result.f_max, result.evaluations) == (7.0 if whole else 11.0, 99.0, 0)
 
 
 # The searches ----------------------------------------------------------------------------------------------
@@ -841,11 +841,14 @@ def test_a_fault_begins_with_the_first_sample_that_differs_by_a_fifth_from_the_c
 
 def test_the_window_is_that_of_the_study_or_what_the_record_has():
     p = LocatorParams(frequency=50.0)
-    found = windowed(stepped(0, 150, 1.0), p)
-    assert (found.window_start, found.window_end) == (pytest.approx(0.5385), pytest.approx(0.557))
+    result = windowed(stepped(0, 150, 1.0), p)
+    assert (result.window_start, result.window_end) == (pytest.approx(0.5385), pytest.approx(0.557))
     beyond = 120.0 / p.line.aerial.velocity + 4.0 / 4000.0  # the travel time, and what the interpolation reads
-    found = windowed(stepped(0, 150, 1.0, n=200), p)
-    assert (found.window_start, found.window_end) == (pytest.approx(0.5385), pytest.approx(0.5 + 199 / 4000.0 - beyond))
+    result = windowed(stepped(0, 150, 1.0, n=200), p)
+    assert (result.window_start, result.window_end) == (
+        pytest.approx(0.5385),
+        pytest.approx(0.5 + 199 / 4000.0 - beyond),
+    )
     with pytest.raises(RecordError) as refused:
         windowed(stepped(0, 150, 1.0, n=160), p)
     text = "too short: the record ends 0.00225 s after the fault"
@@ -865,9 +868,9 @@ def test_a_clock_that_is_late_takes_older_samples(monkeypatch):
     t = np.arange(20.0)
     record = Record(0.0, 1000.0, np.tile(quintic(t)[:, None], 12))
     for late in (0.0, 2e-4, 9e-4):
-        found = trust.shifted(record, late)
-        assert found.shape == (20, 6)
-        np.testing.assert_allclose(found[3:-3, 4], quintic(t[3:-3] - 1000.0 * late), rtol=1e-9)
+        result = trust.shifted(record, late)
+        assert result.shape == (20, 6)
+        np.testing.assert_allclose(result[3:-3, 4], quintic(t[3:-3] - 1000.0 * late), rtol=1e-9)
 
 
 def test_each_item_of_the_budget_moves_the_place(monkeypatch):
@@ -883,12 +886,12 @@ def test_each_item_of_the_budget_moves_the_place(monkeypatch):
 
     monkeypatch.setattr(trust, "locate", locate)
     monkeypatch.setattr(trust, "shifted", lambda given, late: given.samples[:, 6:] * (1.0 + 1e4 * late))
-    monkeypatch.setattr(trust, "_scatter", lambda work, found: 0.25)
+    monkeypatch.setattr(trust, "_scatter", lambda work, result: 0.25)
     monkeypatch.setattr(trust, "Locator", lambda *given: None)
     budget = ErrorBudget(sync_us=2.0, ratio=0.01, reactance=0.02, resistance=0.5)
-    found = trust.confidence(record, p, Location(Status.OK, 61.0, 4.0, 100.0, 2), budget)
+    result = trust.confidence(record, p, Location(Status.OK, 61.0, 4.0, 100.0, 2), budget)
     share = np.abs(record.samples).sum(axis=0).reshape(4, 3).sum(axis=1) / np.abs(record.samples).sum() * 4.0
-    assert found.effects_km == pytest.approx(
+    assert result.effects_km == pytest.approx(
         {
             "clocks 2 us": 0.02 * (share[2:] @ [4.0, 8.0]),
             "u_s 1 %": 0.01 * share[0],
@@ -899,7 +902,7 @@ def test_each_item_of_the_budget_moves_the_place(monkeypatch):
             "R1 50 %": 10.0 * 0.5 * p.line.r1,
         }
     )
-    assert (found.scatter_km, found.contrast) == (0.25, 25.0)
+    assert (result.scatter_km, result.contrast) == (0.25, 25.0)
     assert {(s.algorithm, s.mode) for _, s in seen} == {("brent", "2")}
     assert seen[0][0] is record
     none = ErrorBudget(sync_us=0.0, ratio=0.0, reactance=0.0, resistance=0.0)
@@ -920,10 +923,10 @@ def test_the_scatter_is_that_of_eight_stretches_within_two_km(x, length):
         return (at - places[stretch]) ** 2
 
     work = types.SimpleNamespace(f=f, section=types.SimpleNamespace(length=length), first=100, count=80)
-    found = trust._scatter(work, Location(Status.OK, x, mode=3))
+    result = trust._scatter(work, Location(Status.OK, x, mode=3))
     assert list(places) == [(100 + 10 * k, 10) for k in range(8)]
     wanted = np.clip([x + 0.1 * k for k in range(8)], max(x - 2.0, 0.0), min(x + 2.0, length))
-    assert found == pytest.approx(np.std(wanted, ddof=1) / math.sqrt(8.0), rel=1e-3)
+    assert result == pytest.approx(np.std(wanted, ddof=1) / math.sqrt(8.0), rel=1e-3)
     assert {mode for _, mode, _ in seen} == {3}
     assert min(at for at, *_ in seen) >= max(x - 2.0, 0.0)
     assert max(at for at, *_ in seen) <= min(x + 2.0, length)
@@ -933,8 +936,8 @@ def test_the_scatter_is_that_of_eight_stretches_within_two_km(x, length):
 
 
 def test_a_location_in_words():
-    found = Location(Status.OK, 50.1234, 123.456, 2345.6, 2, 80, "fault at 50.1234 km")
-    told = Confidence(0.0123, {"clocks 1 us": 0.5, "L1 1 %": 1.25}, 19.0)
+    result = Location(Status.OK, 50.1234, 123.456, 2345.6, 2, 80, "fault at 50.1234 km")
+    confidence = Confidence(0.0123, {"clocks 1 us": 0.5, "L1 1 %": 1.25}, 19.0)
     lines = [
         "fault at 50.123 km from S (69.877 km from R), standard uncertainty 1.35 km",
         "  aerial mode 2, F from 123.5 to 2346 V (contrast 19)",
@@ -942,7 +945,7 @@ def test_a_location_in_words():
         "  clocks 1 us would move it by 500.0 m",
         "  L1 1 % would move it by 1.25 km",
     ]
-    assert trust.describe(found, told, 120.0).splitlines() == lines
+    assert trust.describe(result, confidence, 120.0).splitlines() == lines
     near = Location(Status.AT_TERMINAL, 0.0, 1.0, 9.0, 1, 8, "at_terminal: the minimum is at x = 0.0000 km")
     one = Confidence(0.9999, {}, 9.0)
     assert trust.describe(near, one, 120.0).splitlines() == [
@@ -952,7 +955,7 @@ def test_a_location_in_words():
         "  at_terminal: the minimum is at x = 0.0000 km: the fault may be beyond the line",
     ]
     assert trust.describe(Location(Status.GAP, text="gap at 2 s"), None, 120.0) == "gap at 2 s"
-    assert trust.describe(found, None, 120.0) == found.text
+    assert trust.describe(result, None, 120.0) == result.text
     assert trust._metres(1.0) == "1.00 km"
     record = Record(0.5, 1000.0, CHANCE[:41], "R resampled from 2000 to 1000 Hz")
     rests = [
@@ -993,15 +996,15 @@ def test_all_ways_of_wiring_the_ends_wrongly():
         turned = CHANCE[:4].copy()
         for g in groups:
             turned[:, at[g] : at[g] + 3] = CHANCE[:4][:, [at[g] + k for k in order]]
-        told = f"phases {name} of {' and '.join(groups)} exchanged"
-        wanted[told] = turned
+        text = f"phases {name} of {' and '.join(groups)} exchanged"
+        wanted[text] = turned
         if groups[-1] != "u_s" and groups[-1] != "u_r":
-            wanted[f"{told} and {groups[-1]} reversed"] = again = turned.copy()
+            wanted[f"{text} and {groups[-1]} reversed"] = again = turned.copy()
             again[:, at[groups[-1]] : at[groups[-1]] + 3] *= -1.0
-    found = {name: other.samples for name, other in ends._otherwise(record)}
-    assert list(found) == list(wanted) or set(found) == set(wanted)
+    results = {name: other.samples for name, other in ends._otherwise(record)}
+    assert list(results) == list(wanted) or set(results) == set(wanted)
     for name, samples in wanted.items():
-        assert found[name].tolist() == samples.tolist(), name
+        assert results[name].tolist() == samples.tolist(), name
     assert record.samples.tolist() == CHANCE[:4].tolist()
 
 
@@ -1028,9 +1031,9 @@ def contradicted(monkeypatch, own, others, least_at=2, limit=0.05, voltage=1000.
     monkeypatch.setattr(ends, "_apart", apart)
     wired = [(name, types.SimpleNamespace(by=by, part=by if part is None else part)) for name, by in others.items()]
     monkeypatch.setattr(ends, "_otherwise", lambda record: iter(wired))
-    told = ends.contradiction(work, limit)
+    reported = ends.contradiction(work, limit)
     assert set(seen) <= {(10, 40), (10, 10)}
-    return told
+    return reported
 
 
 APART = "contradictory: the ends disagree by {} V or more wherever the fault may be, "
@@ -1042,7 +1045,7 @@ NOBODY = (
 
 
 @pytest.mark.parametrize(
-    ("own", "others", "more", "told"),
+    ("own", "others", "more", "reported"),
     [
         (1.0, {"x": 0.0}, {}, ""),  # a thousandth of the voltage: nobody asks
         (1.01, {"x": 0.101}, {}, WIRED.format(1.01, 0.101, "x")),
@@ -1060,8 +1063,8 @@ NOBODY = (
         (200.0, {"x": 99.0}, {"least_at": 1}, NOBODY.format(200, 20)),
     ],
 )
-def test_what_is_said_of_ends_that_disagree(monkeypatch, own, others, more, told):
-    assert contradicted(monkeypatch, own, others, **more) == told
+def test_what_is_said_of_ends_that_disagree(monkeypatch, own, others, more, reported):
+    assert contradicted(monkeypatch, own, others, **more) == reported
 
 
 def test_the_least_along_the_line_is_looked_for_between_the_points_of_the_grid():
@@ -1079,8 +1082,8 @@ def test_how_far_the_ends_are_apart_is_the_mean_of_the_modes():
     record = long_record(300, start=0.02)
     p = LocatorParams(n_grid=5, window_start=0.024, window_end=0.026)
     work = Objective(record, p)
-    found = ends._apart(work, record, (work.first, work.count))(work.grid)
-    assert found.tolist() == pytest.approx(work.curves.mean(axis=0).tolist(), rel=1e-12)
+    result = ends._apart(work, record, (work.first, work.count))(work.grid)
+    assert result.tolist() == pytest.approx(work.curves.mean(axis=0).tolist(), rel=1e-12)
 
 
 # The simulated line ------------------------------------------------------------------------------------------
@@ -1261,14 +1264,14 @@ def test_the_first_sample_is_that_of_the_steady_state_at_each_clock(shift):
     p = build(
         RigParams, {"measurement.profile": "raw20k", "measurement.shift_us_r": shift, "measurement.ratio_err.i_s": 0.01}
     )
-    line, found = FaultedLine(p), steady(p)
+    line, result = FaultedLine(p), steady(p)
     late = {"s": max(0.0, -shift), "r": max(0.0, shift)}
     wanted = []
     for phasor, end, ratio in (
-        (found.u[0], "s", 1.0),
-        (found.i[0], "s", 1.01),
-        (found.u[2], "r", 1.0),
-        (found.i[1], "r", 1.0),
+        (result.u[0], "s", 1.0),
+        (result.i[0], "s", 1.01),
+        (result.u[2], "r", 1.0),
+        (result.i[1], "r", 1.0),
     ):
         for phase in range(3):
             angle = -2.0 * math.pi / 3.0 * phase - 100.0 * math.pi * 1e-6 * late[end]
@@ -1276,13 +1279,13 @@ def test_the_first_sample_is_that_of_the_steady_state_at_each_clock(shift):
     assert line.state.measured.tolist() == pytest.approx(wanted, rel=1e-9)
     line.advance(20)  # what the delayed terminals tell now has been measured before t = 0
     for k, (phasor, end, ratio) in enumerate(
-        ((found.u[0], "s", 1.0), (found.i[0], "s", 1.01), (found.u[2], "r", 1.0), (found.i[1], "r", 1.0))
+        ((result.u[0], "s", 1.0), (result.i[0], "s", 1.01), (result.u[2], "r", 1.0), (result.i[1], "r", 1.0))
     ):
         angle = 100.0 * math.pi * 1e-6 * (20 - late[end])
         assert line.state.measured[3 * k] == pytest.approx(
             ratio * abs(phasor) * math.cos(np.angle(phasor) + angle), rel=1e-6
         )
-    assert line.prefault_rms[3:6].tolist() == pytest.approx([1.01 * abs(found.i[0]) / math.sqrt(2.0)] * 3)
+    assert line.prefault_rms[3:6].tolist() == pytest.approx([1.01 * abs(result.i[0]) / math.sqrt(2.0)] * 3)
     assert line.k == 20
 
 
@@ -1320,15 +1323,15 @@ def test_the_chain_of_each_profile(profile):
     p = build(
         RigParams, {"measurement.profile": profile, "measurement.shift_us_r": -30.0, "measurement.ratio_err.u_r": 0.02}
     )
-    found = measurement.chain(p)
-    assert found.sos.shape == ((2, 5) if profile.startswith("m") else (0, 5))
+    result = measurement.chain(p)
+    assert result.sos.shape == ((2, 5) if profile.startswith("m") else (0, 5))
     if profile.startswith("m"):
         rows = butter(4, RATES[profile] / 5.0, fs=1e6, output="sos")  # gain in the first section
-        assert np.prod(found.sos[:, :3].sum(axis=1)) == pytest.approx(np.prod(rows[:, :3].sum(axis=1)), rel=1e-6)
-        poles = np.sort_complex(np.concatenate([np.roots([1.0, *row[3:]]) for row in found.sos]))
+        assert np.prod(result.sos[:, :3].sum(axis=1)) == pytest.approx(np.prod(rows[:, :3].sum(axis=1)), rel=1e-6)
+        poles = np.sort_complex(np.concatenate([np.roots([1.0, *row[3:]]) for row in result.sos]))
         assert np.abs(poles - np.sort_complex(np.concatenate([np.roots(r[3:]) for r in rows]))).max() < 1e-9
-    assert found.ratio.tolist() == [1.0, 1.0, 1.02, 1.0]
-    assert found.delay.tolist() == [30, 0]
+    assert result.ratio.tolist() == [1.0, 1.0, 1.02, 1.0]
+    assert result.delay.tolist() == [30, 0]
     assert (p.decimation, p.samples, p.shift) == (1_000_000 // RATES[profile], round(0.06 * RATES[profile]), -30)
 
 
@@ -1365,8 +1368,8 @@ def test_a_row_of_the_study(monkeypatch):
     fault = {"fault.type": "AB", "fault.x_km": 50.0, "fault.rf_ohm": 5.0}
     assert seen[0] == fault | {"measurement.profile": "m4k"}
     assert seen[1] == ("record", build(LocatorParams, {"algorithm": "phasor", "line.length": 200.0}))
-    told = ("AB", 50.0, 5.0, "phasor", "m4k", "ok", 49.0, -0.5, 2.0, 30.0, 3, 7)
-    assert tuple(vars(row).values())[:-1] == told
+    reported = ("AB", 50.0, 5.0, "phasor", "m4k", "ok", 49.0, -0.5, 2.0, 30.0, 3, 7)
+    assert tuple(vars(row).values())[:-1] == reported
     assert row.error_m == pytest.approx(-1000.0)
     lost = study.run_case(case, {}, {})
     assert (lost.profile, lost.status, lost.located_km, lost.error_percent) == ("m20k", "no_fault", None, None)
@@ -1397,10 +1400,10 @@ def test_the_marker_keeps_the_newest_location():
         [(None, (1.0,) * 6), (0, (25.0, 7.0, 9.0, 1.0, 8.0, 0.5)), (1, (1.0,) * 6), (9, (2.0,) * 6)],
         block.first(),
     )
-    for age, told in seen:
+    for age, reported in seen:
         block.age = lambda name, age=age: age
-        x, said = block.update(x, 0, location=told)
-        assert said == {}
+        x, outputs = block.update(x, 0, location=reported)
+        assert outputs == {}
         assert x == (None if age is None else seen[1][1])
     assert block.status(None) == {}
     assert block.status(x) == {"x": (25.0, "km"), "f_min": (7.0, "V"), "scatter": (0.5, "km")}
@@ -1431,8 +1434,8 @@ def test_figures_of_a_run_are_those_of_its_last_answer():
     }
     assert figures.location_error(signals, truth=50.0) == pytest.approx(-500.0)
     assert figures.location_error_percent(signals, truth=50.0, length=200.0) == pytest.approx(0.25)
-    told = [figures.location_status(signals, status=s) for s in ("ok", "at_terminal", "no_fault")]
-    assert told == [0.0, 1.0, 0.0]
+    messages = [figures.location_status(signals, status=s) for s in ("ok", "at_terminal", "no_fault")]
+    assert messages == [0.0, 1.0, 0.0]
     assert figures.locations(signals) == 2.0
     assert [figures.fault_peak(signals, phase=p) for p in "ac"] == [7.0, 3.0]
     with pytest.raises(ValueError, match=r"^nothing came on location$"):
@@ -1466,8 +1469,8 @@ def test_the_locator_answers_a_press_with_what_has_come():
     asked = []
     node._answer = lambda x: (asked.append(len(x.rows.newest())) or x, {"verdict": (len(asked),)})
     for t, locate in enumerate([None, (1.0,), (1.0,), (0.0,), (2.0,), None]):
-        x, said = node.update(x, t * 10**9, locate=locate, **given)
-        assert bool(said) == (t in (1, 4))
+        x, outputs = node.update(x, t * 10**9, locate=locate, **given)
+        assert bool(outputs) == (t in (1, 4))
     assert asked == [2, 3]
     assert x.rows.newest()[0] == (3.0, *(1.0, 2.0, 3.0) * 4)
     assert node.finish(x, 6 * 10**9, locate=None, **given)[1] == {"verdict": (3,)}
@@ -1481,26 +1484,26 @@ def test_the_locator_answers_a_press_with_what_has_come():
 
 def test_a_verdict_and_what_it_stands_on():
     node = FaultLocator(n_grid=5)
-    empty, said = node._answer(node.first())
-    assert said == {"verdict": (float(Status.TOO_SHORT), 0.0, 0.0)}
+    empty, outputs = node._answer(node.first())
+    assert outputs == {"verdict": (float(Status.TOO_SHORT), 0.0, 0.0)}
     assert (empty.answers, empty.result.text) == (1, "a record of 0 samples")
     record = study.simulate(build(RigParams, {"fault.x_km": 30.0}))
     x = node.first()._replace(record=tuple(record.table().ravel()))
     whole = FaultLocator(form="record", samples=1200, n_grid=5)
-    _, said = whole._answer(x)
+    _, outputs = whole._answer(x)
     work = Locator(record, whole.p)
-    found = work.locate()
-    assert said["verdict"] == (0.0, float(found.mode), found.f_max)
-    scatter = trust._scatter(Locator(record, whole.p.model_copy(update={"mode": str(found.mode)})), found)
-    assert said["location"] == (
-        found.x_km,
-        found.f_min,
-        found.f_max,
-        found.mode,
-        found.evaluations,
+    result = work.locate()
+    assert outputs["verdict"] == (0.0, float(result.mode), result.f_max)
+    scatter = trust._scatter(Locator(record, whole.p.model_copy(update={"mode": str(result.mode)})), result)
+    assert outputs["location"] == (
+        result.x_km,
+        result.f_min,
+        result.f_max,
+        result.mode,
+        result.evaluations,
         pytest.approx(scatter),
     )
-    assert said["objective"] == (0.0, 30.0, 60.0, 90.0, 120.0, *work.curves.ravel())
+    assert outputs["objective"] == (0.0, 30.0, 60.0, 90.0, 120.0, *work.curves.ravel())
 
 
 def test_the_period_of_a_plant_follows_from_its_profile():
@@ -1523,14 +1526,14 @@ def test_a_record_of_the_plant_with_its_noise_and_a_new_one_at_a_press():
     clean = line.run(4)
     for k in range(4):
         noise = np.random.default_rng([0, x.seed]).standard_normal(48)[12 * k : 12 * k + 12] * line.noise_level()
-        said = plant.outputs(x, 0)
-        row = [v for name in ("u_s", "i_s", "u_r", "i_r") for v in said[name]]
+        outputs = plant.outputs(x, 0)
+        row = [v for name in ("u_s", "i_s", "u_r", "i_r") for v in outputs[name]]
         assert row == pytest.approx((clean[k, :12] + noise).tolist())
-        assert said["fault_current"] == pytest.approx(tuple(clean[k, 12:]))
+        assert outputs["fault_current"] == pytest.approx(tuple(clean[k, 12:]))
         rows += [k / 4000.0, *row]
-        assert ("record" in said) == (k == 3)
+        assert ("record" in outputs) == (k == 3)
         x = plant.advance(x, 0, run=(0.0,))
-    assert said["record"] == pytest.approx(tuple(rows))
+    assert outputs["record"] == pytest.approx(tuple(rows))
     assert (x.k, x.number, x.pressed) == (4, 0, False)
     assert len(x.rows.newest()) == 3
     again = plant.advance(x, 0, run=(1.0,))
@@ -1565,8 +1568,10 @@ def asked(monkeypatch, *arguments, found=None, error=None):
     window = {"window_start": 0.021, "window_end": 0.03}
     monkeypatch.setattr(locate_tool, "windowed", lambda record, p: p.model_copy(update=window))
     monkeypatch.setattr(locate_tool, "locate", lambda record, p: called.update(p=p) or found)
-    told = Confidence(0.001, {}, 9.0)
-    monkeypatch.setattr(locate_tool, "confidence", lambda record, p, of, budget: called.update(budget=budget) or told)
+    confidence = Confidence(0.001, {}, 9.0)
+    monkeypatch.setattr(
+        locate_tool, "confidence", lambda record, p, of, budget: called.update(budget=budget) or confidence
+    )
     return locate_tool._locate(list(arguments)), called
 
 
@@ -1576,9 +1581,9 @@ def test_what_a_command_line_asks_for(monkeypatch, capsys):
     assert called["p"] == LocatorParams(window_start=0.021, window_end=0.03)
     assert called["budget"] == ErrorBudget()
     assert "bag" not in called
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == "fault at 30.000 km from S (90.000 km from R), standard uncertainty 1.0 m"
-    assert said[-1] == "  window 0.021 to 0.03 s, from the change at 0.02 s"
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "fault at 30.000 km from S (90.000 km from R), standard uncertainty 1.0 m"
+    assert printed[-1] == "  window 0.021 to 0.03 s, from the change at 0.02 s"
     more = [
         "s.cfg",
         "r.cfg",
@@ -1639,7 +1644,7 @@ def test_pictures_are_drawn_where_they_are_asked_for(monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(pictures, "waveforms", lambda record, p, path: drawn.append(path.name))
     monkeypatch.setattr(
-        pictures, "objective", lambda record, p, found, path, truth: drawn.append((path.name, found.x_km, truth))
+        pictures, "objective", lambda record, p, result, path, truth: drawn.append((path.name, result.x_km, truth))
     )
     asked(monkeypatch, "a.cfg", *LINE_GIVEN, "--pictures", str(tmp_path / "new" / "there"), "--truth", "31.5")
     assert drawn == ["waveforms.png", ("objective.png", 30.0, 31.5)]

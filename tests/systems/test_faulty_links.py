@@ -122,18 +122,18 @@ def test_each_kind_of_fault_does_on_each_topic_what_it_says(name):
         port = rig.topics[topic]
         # a plant also says how it ends, which nobody answers
         last = next(m.schedule.last for m in rig.members if m.name == fault)
-        sent, came = [m for m in said(run, topic) if m[0] <= last], said(run, f"{topic}/{fault}")
+        sent, arrived = [m for m in said(run, topic) if m[0] <= last], said(run, f"{topic}/{fault}")
         if port.delayed:  # such a link says what it has again until something newer has arrived
             sent = [m for k, m in enumerate(sent) if not k or m[1] > sent[k - 1][1]]
         at = f"{fault} on {topic}"
         if not sent:
-            assert not came, at
+            assert not arrived, at
             continue
         checked.add(topic)
         if kind == "noise":
-            assert [m[0] for m in came] == [m[0] for m in sent], at
+            assert [m[0] for m in arrived] == [m[0] for m in sent], at
             if port.msgtype != types.BUTTON.name:
-                added = np.ravel([np.subtract(b[2], a[2]) for a, b in zip(sent, came, strict=True)])
+                added = np.ravel([np.subtract(b[2], a[2]) for a, b in zip(sent, arrived, strict=True)])
                 assert np.abs(added).max() < 6.0, at
                 assert abs(np.mean(added)) < 6.0 / math.sqrt(len(added)), at
                 assert np.all(added != 0.0), at
@@ -145,10 +145,10 @@ def test_each_kind_of_fault_does_on_each_topic_what_it_says(name):
             want = expected(kind, sent)
         if port.msgtype == types.BUTTON.name:
             want = [(t, stamp, tuple(float(x > 0.5) for x in row)) for t, stamp, row in want]
-        assert [m[0] for m in came] == pytest.approx([m[0] for m in want], abs=1), at
+        assert [m[0] for m in arrived] == pytest.approx([m[0] for m in want], abs=1), at
         if port.delayed:
-            assert [m[1] for m in came] == [m[1] for m in want], at
-        np.testing.assert_array_equal([m[2] for m in came], [m[2] for m in want], err_msg=at)
+            assert [m[1] for m in arrived] == [m[1] for m in want], at
+        np.testing.assert_array_equal([m[2] for m in arrived], [m[2] for m in want], err_msg=at)
     links = {entry.link.split(" -> ")[0] for entry in faults.values()}
     assert links - checked == LATER.get(name, set())
 
@@ -198,7 +198,7 @@ def suffered(name, duration, topic, kind):
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_each_kind_of_fault_on_each_link_is_borne_by_those_that_read_it(name):
-    wrong = {each: found for each in trials(name) if (found := suffered(*each))}
+    wrong = {each: result for each in trials(name) if (result := suffered(*each))}
     assert wrong == {}
 
 
@@ -210,4 +210,4 @@ QUICK = [
 @pytest.mark.parametrize("name", QUICK)
 def test_some_faults_of_the_day_are_borne_by_those_that_read_the_link(name):
     drawn = random.Random(f"{date.today()} {name}").sample(list(trials(name)), 6)
-    assert {each: found for each in drawn if (found := suffered(*each))} == {}
+    assert {each: result for each in drawn if (result := suffered(*each))} == {}

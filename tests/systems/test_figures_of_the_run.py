@@ -103,9 +103,9 @@ def numbers_of(function, modules, seen):
 def test_no_figure_function_has_a_number_of_its_own():
     functions = [find(name) for name in registered()]
     modules, seen = {f.__module__ for f in functions}, set()
-    found = {n for f in functions for n in numbers_of(f, modules, seen)}
-    assert found - {-2, -1, 0, 1, 2} <= set(NUMBERS)
-    assert {1.2, 5e-10, 6.0} <= found  # constants of a module, of a helper, of a helper's helper
+    results = {n for f in functions for n in numbers_of(f, modules, seen)}
+    assert results - {-2, -1, 0, 1, 2} <= set(NUMBERS)
+    assert {1.2, 5e-10, 6.0} <= results  # constants of a module, of a helper, of a helper's helper
 
 
 # the files ----------------------------------------------------------------------------------------------------------
@@ -163,8 +163,8 @@ PUBLISHED = {  # numbers that are the paper's, not the rig's: figures of the sce
 
 
 def test_no_scenario_gives_a_figure_a_number_that_a_node_has():
-    found = [line for name in list_scenarios() for line in own_numbers(name)]
-    assert [line for line in found if not any(line.startswith(name) for name in PUBLISHED)] == []
+    results = [line for name in list_scenarios() for line in own_numbers(name)]
+    assert [line for line in results if not any(line.startswith(name) for name in PUBLISHED)] == []
 
 
 # recordings ---------------------------------------------------------------------------------------------------------
@@ -270,8 +270,8 @@ def string(signals, nodes, t):
     n = len(p["irradiance"])
     when = signals["pv/environment/g1/position"][0]
     k = int(np.sum(when < t - 6e-10)) - 1
-    told = [[float(signals[f"pv/environment/{w}{i}/position"][1][k]) for i in range(1, n + 1)] for w in "gt"]
-    return characteristic(module, *map(tuple, told if k >= 0 else (p["irradiance"], p["temperature"])))
+    messages = [[float(signals[f"pv/environment/{w}{i}/position"][1][k]) for i in range(1, n + 1)] for w in "gt"]
+    return characteristic(module, *map(tuple, messages if k >= 0 else (p["irradiance"], p["temperature"])))
 
 
 def best(signals, nodes, start, end):
@@ -308,9 +308,9 @@ def at_end(signals, nodes, a):
 
 
 def covered(signals, nodes, a):
-    told = {n: signals[f"certificate/verdict/{n}/position"][1][-1] for n in ("h", "valid")}
+    entries = {n: signals[f"certificate/verdict/{n}/position"][1][-1] for n in ("h", "valid")}
     delay = min(nodes("tank_plant")["delay"], nodes("tank_plant")["max_delay"]) + nodes("tank_controller")["period"]
-    return float(told["valid"] == 1.0 and delay <= told["h"])
+    return float(entries["valid"] == 1.0 and delay <= entries["h"])
 
 
 def first_unit(signals, nodes, a):
@@ -524,7 +524,7 @@ def held_against_the_nodes(scenario):
             return
         try:
             other = rig_of(load_scenario(scenario, over))
-            found = dict(had(other))
+            results = dict(had(other))
         except ScenarioError as error:
             if len(parts) == 1:
                 refused.update(dict.fromkeys(over, str(error)))
@@ -533,14 +533,16 @@ def held_against_the_nodes(scenario):
                 judge(parts[len(parts) // 2 :])
             return
         for key, value in wanted(other):
-            assert same(found[key], value), f"{scenario}: {key} has {found[key]}, by the nodes it is {value}: {over}"
+            assert same(results[key], value), (
+                f"{scenario}: {key} has {results[key]}, by the nodes it is {value}: {over}"
+            )
             if key in before and not same(before[key], value):
                 moved.add(key)
 
     parts, speakers = changes(rig)
     judge(parts)
-    taken = {q for f in figures_of(rig) for q in getattr(f.function, "agreed", {}).values()}
-    for name in set().union(*(speakers.get(quantity, ()) for quantity in taken)):
+    used = {q for f in figures_of(rig) for q in getattr(f.function, "agreed", {}).values()}
+    for name in set().union(*(speakers.get(quantity, ()) for quantity in used)):
         judge([{name: value} for part in parts for n, value in part.items() if n == name])
     return moved, refused, speakers
 
@@ -655,18 +657,18 @@ def measured_for_each_change(scenario):
             continue
         if change is not None and all(same(before.get(k), v) for k, v in wanted(other)):
             continue  # the same arguments, so the same numbers
-        for figure, found in now.items():
+        for figure, result in now.items():
             try:
                 value = expected(other, figure, run.signals, scenario)
             except (ValueError, KeyError) as error:
                 value = error
             if isinstance(value, Exception):
-                assert isinstance(found, type(value)), f"{change}: {figure} is {found}, but {value}"
-            elif isinstance(found, Exception):  # impossible: of a recording that was made without the change
-                assert "impossible" in str(found), f"{change}: {figure}: {found}, computed {value}"
+                assert isinstance(result, type(value)), f"{change}: {figure} is {result}, but {value}"
+            elif isinstance(result, Exception):  # impossible: of a recording that was made without the change
+                assert "impossible" in str(result), f"{change}: {figure}: {result}, computed {value}"
             else:
-                assert found == pytest.approx(value, rel=1e-9, abs=1e-12, nan_ok=True), f"{change}: {figure}"
-                if found != plain[figure]:
+                assert result == pytest.approx(value, rel=1e-9, abs=1e-12, nan_ok=True), f"{change}: {figure}"
+                if result != plain[figure]:
                     moved.add(run.rig.scenario.figures[figure].function or figure)
     return moved
 

@@ -227,9 +227,9 @@ def thinned(signals):
     return result
 
 
-def near(name, found, right):
+def near(name, result, right):
     tolerance = CASES[name].tolerance
-    assert found == pytest.approx(right, rel=tolerance, abs=tolerance * max(0.1, abs(right))), (found, right)
+    assert result == pytest.approx(right, rel=tolerance, abs=tolerance * max(0.1, abs(right))), (result, right)
 
 
 def test_every_registered_figure_is_here():
@@ -261,8 +261,8 @@ def test_a_figure_does_not_depend_on_when_the_record_begins(name):
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.sign])
 def test_a_figure_of_the_mirror_image_is_the_mirror_image(name):
     case = CASES[name]
-    found = measure(name, sampled(case, factor=-1.0), **case.mirrored)
-    assert found == pytest.approx(case.sign * measure(name, sampled(case)), rel=1e-12, abs=1e-12)
+    result = measure(name, sampled(case, factor=-1.0), **case.mirrored)
+    assert result == pytest.approx(case.sign * measure(name, sampled(case)), rel=1e-12, abs=1e-12)
 
 
 def test_the_right_numbers_of_some_over_time():
@@ -301,7 +301,7 @@ def test_the_iae_of_what_arrives_is_that_of_what_was_sent_but_for_what_was_lost(
     run = simulate(load_scenario(tmp_path / "iae.yaml"), seed=seed)
     t, x = run.signals["motor/sensors/half/current_a/position"]
     assert len(t) < 120  # of 200
-    found = {m.name: m.value for m in run.results}
+    results = {m.name: m.value for m in run.results}
     until = float(np.trapezoid(np.abs(x), t)) + abs(float(x[-1])) * (2.0 - float(t[-1]))
-    assert found["iae_arrived"] == pytest.approx(until, rel=0.015)
-    assert found["iae_arrived"] == pytest.approx(found["iae_sent"], rel=0.02)
+    assert results["iae_arrived"] == pytest.approx(until, rel=0.015)
+    assert results["iae_arrived"] == pytest.approx(results["iae_sent"], rel=0.02)

@@ -81,12 +81,12 @@ def answered(block, values, draw):
             row = tuple(_drawn(unit, k, draw) for unit in port.units)
             given[port.name] = Sample(t, row) if port.delayed else row
         if issubclass(block, Plant):
-            said = one.outputs(t)
+            answer = one.outputs(t)
             one.advance(t, **given)
         else:
-            said = one.update(t, **given)
+            answer = one.update(t, **given)
         for port in outputs:
-            if (row := said.get(port.name)) is not None:
+            if (row := answer.get(port.name)) is not None:
                 stamp, row = row if isinstance(row, Sample) else (t, row)
                 assert len(row) == port.size, port.name
                 assert stamp <= t, port.name
@@ -109,8 +109,8 @@ def test_each_choice_has_an_effect_and_answers_are_finite_and_the_same_again(nam
     idle = set()
     for values in choices(block.Params):
         try:
-            found = answered(block, values, Random(name))
+            result = answered(block, values, Random(name))
         except (ParameterError, RunError):
             continue
-        idle |= set(values) if found == usual else set()
+        idle |= set(values) if result == usual else set()
     assert idle == set(LATER.get(name, "").split())

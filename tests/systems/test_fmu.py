@@ -146,15 +146,15 @@ def test_state_is_kept_and_restored_and_a_reset_begins_anew(fmus, version):
     plant = motor(fmus, version)
     begun = trace(plant, 20)
     kept = plant.save()
-    rest = trace(plant, 20)
+    remaining = trace(plant, 20)
     plant.load(kept)
-    assert trace(plant, 20) == rest
+    assert trace(plant, 20) == remaining
     other = ByHand(FmuPlant(plant.block.p, "other"))  # in another process
     other.load(kept)
-    assert trace(other, 20) == rest
+    assert trace(other, 20) == remaining
     plant.reset(3)
     assert trace(plant, 20) == begun
-    assert begun != rest
+    assert begun != remaining
 
 
 def test_steps_inside_a_period_and_the_time_of_the_fmu(fmus):
@@ -321,10 +321,10 @@ nodes:
 def test_a_run_whose_fmu_closes_descriptors_ends_with_a_line_and_its_status(page, mode, capfd):
     (page / "closing.yaml").write_text(CLOSING)
     assert main(["run", "closing.yaml", "--mode", mode, "--no-plots", "--out", "out"]) == 3
-    said = [line for line in capfd.readouterr().err.splitlines() if line.startswith("softrig: the run broke")]
-    told = "the FMU strict2.fmu at 0 s of its time: crashed: its process closed the pipe by which it is asked"
-    assert len(said) == 1
-    assert said[0].endswith(told)
+    messages = [line for line in capfd.readouterr().err.splitlines() if line.startswith("softrig: the run broke")]
+    text = "the FMU strict2.fmu at 0 s of its time: crashed: its process closed the pipe by which it is asked"
+    assert len(messages) == 1
+    assert messages[0].endswith(text)
     children = [pid for task in Path("/proc/self/task").glob("*/children") for pid in task.read_text().split()]
     assert not [pid for pid in children if b"fmu.child" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     assert (page / "out" / "metrics.json").is_file()
@@ -439,9 +439,9 @@ def test_the_plant_of_the_page_is_controlled_as_ours(page):
         "parameters": {"period": 0.001, "R": 0.5, "vmax": 100.0},
     }
     expected = simulate(make_scenario(nodes, duration=2.0)).signals["motor/state/shaft/velocity"]
-    found = run.signals["motor/state/shaft/velocity"]
-    assert found.t.tolist() == expected.t.tolist()
-    assert found.x.tolist() == pytest.approx(expected.x.tolist(), abs=1e-9)
+    result = run.signals["motor/state/shaft/velocity"]
+    assert result.t.tolist() == expected.t.tolist()
+    assert result.x.tolist() == pytest.approx(expected.x.tolist(), abs=1e-9)
     assert 0.01 < run.figures["rise_time"] < 1.0
     with pytest.raises(ScenarioError, match=r"no variable 'speed'"):
         simulate(scenario, overrides={"motor_plant.outputs": ["motor/state/shaft/velocity = speed"]})
@@ -505,9 +505,9 @@ def test_a_run_says_which_fmu_it_had(page, tmp_path):
     from softrig_bringup.cli import main
 
     assert main(["run", "plant.yaml", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "out"]) == 0
-    told = json.loads(Path("out/metrics.json").read_text())["contents"]
+    reported = json.loads(Path("out/metrics.json").read_text())["contents"]
     digest = hashlib.sha256(Path("motor2.fmu").read_bytes()).hexdigest()
-    assert told == {"motor_plant": {"motor2.fmu": f"sha256:{digest}"}}
+    assert reported == {"motor_plant": {"motor2.fmu": f"sha256:{digest}"}}
 
 
 @pytest.mark.parametrize("name", few(["law", "plant"], 1))
@@ -517,9 +517,9 @@ def test_real_time_gives_the_numbers_of_lockstep(page, name):
     run = SimulatedRig(wired, World(lambda *_: rng.randrange(1_000, 200_000)), "realtime")
     assert set(run.run().values()) == {"done"}
     assert not any(a.drive.missed or a.drive.incomplete for a in run.adapters.values())
-    expected, found = Signals(in_process(wired)), Signals(run.recording, run.epoch)
+    expected, signals = Signals(in_process(wired)), Signals(run.recording, run.epoch)
     for label in ("motor/state/shaft/velocity", "motor/command/armature/effort"):
-        a, b = expected[label].x, found[label].x
+        a, b = expected[label].x, signals[label].x
         n = min(len(a), len(b))  # whether the last tick is answered is a matter of luck
         assert n >= len(a) - 1
         assert a[:n].tolist() == b[:n].tolist()
@@ -557,10 +557,10 @@ def test_one_that_cannot_write_its_state_is_told_again(fmus, monkeypatch):
     plant = motor(fmus, isolated=False)
     trace(plant, 20)
     saved = plant.save()
-    rest = trace(plant, 20)
+    remaining = trace(plant, 20)
     for _ in range(2):
         plant.load(saved)
-        assert trace(plant, 20) == rest
+        assert trace(plant, 20) == remaining
     law = ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), **MIX}, isolated=False, values=("bias = 1",)))
     one = law.update(0, mix_in=(2.0, 3.0))
     law.change(permit(FmuLaw, law.block.p, {"values": ("bias = 5",)}))
@@ -578,8 +578,8 @@ def test_one_that_cannot_write_its_state_is_told_again(fmus, monkeypatch):
 
 def test_what_an_fmu_logs_need_not_be_text():
     log = SimpleNamespace(_said=[])
-    for said in (b"torn \xff", b"", None):
-        Instance._log(log, 0, "instance", said)
+    for text in (b"torn \xff", b"", None):
+        Instance._log(log, 0, "instance", text)
     assert log._said == ["torn \ufffd", "", ""]
 
 

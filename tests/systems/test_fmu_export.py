@@ -52,14 +52,14 @@ def test_the_description_has_names_units_bounds_and_texts(exported):
     for name in ("dc_motor_plant", "dc_motor_smc"):
         assert validate_fmu(str(exported / f"{name}.fmu")) == []
     model = fmpy.read_model_description(str(exported / "dc_motor_plant.fmu"))
-    found = {v.name: v for v in model.modelVariables}
-    command, speed, R = found["motor.command.armature.effort"], found[SHAFT], found["R"]
+    results = {v.name: v for v in model.modelVariables}
+    command, speed, R = results["motor.command.armature.effort"], results[SHAFT], results["R"]
     assert (command.causality, command.unit, float(command.max)) == ("input", "V", 1e7)
     assert (speed.causality, speed.unit, speed.description) == ("output", "rad/s", "motor/state/shaft/velocity")
     assert (R.causality, R.unit, float(R.start), float(R.min)) == ("parameter", "ohm", 0.4, 0.0)
     assert R.description == "armature resistance R"
-    assert found["rig"].type == "Boolean"
-    assert "period" not in found
+    assert results["rig"].type == "Boolean"
+    assert "period" not in results
     assert float(model.defaultExperiment.stepSize) == 1e-4
     speed_unit = next(u for u in model.unitDefinitions if u.name == "rad/s").baseUnit
     assert (speed_unit.rad, speed_unit.s, float(speed_unit.factor)) == (1, -1, 1.0)
@@ -158,11 +158,11 @@ def through_fmus(scenario, nodes, folder):
 def test_a_rig_with_exports_in_it_has_the_same_numbers(name, nodes, overrides, tmp_path):
     scenario = load_scenario(name, overrides)
     expected = simulate(scenario, duration=0.05)
-    found = simulate(through_fmus(scenario, nodes, tmp_path), duration=0.05)
-    assert set(expected.signals) <= set(found.signals)
+    result = simulate(through_fmus(scenario, nodes, tmp_path), duration=0.05)
+    assert set(expected.signals) <= set(result.signals)
     moved = 0
     for signal in expected.signals:
-        assert found.signals[signal].x.tolist() == expected.signals[signal].x.tolist(), signal
+        assert result.signals[signal].x.tolist() == expected.signals[signal].x.tolist(), signal
         moved += len(set(expected.signals[signal].x.tolist())) > 1
     assert moved > 2
 
@@ -188,8 +188,8 @@ def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
     }
     inputs = tuple(f"y/{name.split('/')[1]}/position = {name.replace('/', '.')}" for name in names)
     law = ByHand(FmuLaw(name="law", inputs=inputs, **given))
-    found = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]
-    assert found == commands  # the reference, which nobody sends, is the law's own set point
+    results = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]
+    assert results == commands  # the reference, which nobody sends, is the law's own set point
     assert ByHand(FmuLaw(name="law", **given)).update(0)["to_u"] == (commands[0],)
     start = {v.name: v.start for v in fmpy.read_model_description(given["fmu"]).modelVariables}
     assert float(start["reference.v_dc.position"]) == float(start["dc_link.voltage.position"]) == 400.0
@@ -234,10 +234,10 @@ def test_an_export_goes_back_with_its_state(exported):
 
     go(20)
     saved = plant.save()
-    rest = go(20)
+    remaining = go(20)
     plant.load(saved)
-    assert go(20) == rest
+    assert go(20) == remaining
     other = ByHand(FmuPlant(plant.block.p, "other"))  # in another process
     other.load(saved)
     other.advance(0, u=(5.0,))
-    assert other.outputs(0) == rest[0]
+    assert other.outputs(0) == remaining[0]

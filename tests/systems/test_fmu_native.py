@@ -58,8 +58,8 @@ class Opened:
             put([self.numbers[name.replace("__", ".")]], [value])
 
     def get(self, name):
-        take = self.fmu.getReal if self.version == 2 else self.fmu.getFloat64
-        return take([self.numbers[name]])[0]
+        accept = self.fmu.getReal if self.version == 2 else self.fmu.getFloat64
+        return accept([self.numbers[name]])[0]
 
     def step(self, count=1):
         self.fmu.doStep(currentCommunicationPoint=self.t, communicationStepSize=count * self.period)
@@ -90,14 +90,14 @@ def test_fmpy_finds_nothing_wrong_and_simulates_the_bits_of_the_plant(exported):
         assert validate_fmu(str(folder / f"{node}.fmu")) == []
     path = str(folder / "dc_motor_plant.fmu")
     h = float(fmpy.read_model_description(path).defaultExperiment.stepSize)
-    found = fmpy.simulate_fmu(
+    result = fmpy.simulate_fmu(
         path, stop_time=100 * h, step_size=h, output_interval=h, start_values={COMMAND: 3.0}, output=[SPEED]
     )
     plant, expected = by_hand("dc_motor_plant"), []
     for k in range(101):
         expected.append(plant.outputs(round(k * h * 1e9))["state"][1])
         plant.advance(round(k * h * 1e9), command=(3.0,))
-    assert found[SPEED].tolist() == expected
+    assert result[SPEED].tolist() == expected
     assert expected[-1] > 0.001
 
 
@@ -121,8 +121,8 @@ def test_a_loop_of_two_models_and_a_second_instance_of_each(exported):
     block, law = by_hand("dc_motor_plant"), by_hand("dc_motor_smc")
     for k in range(50):
         t = round(k * again.period * 1e9)
-        said = block.outputs(t)
-        command = law.update(t, state=said["state"][1:2], sensors=said["sensors"], reference=(1.0,))["command"]
+        outputs = block.outputs(t)
+        command = law.update(t, state=outputs["state"][1:2], sensors=outputs["sensors"], reference=(1.0,))["command"]
         block.advance(t, command=command)
     assert plants[0].get(SPEED) == block.outputs(0)["state"][1]
 

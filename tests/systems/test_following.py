@@ -51,8 +51,8 @@ def asked(rig: Members, raw: dict) -> Iterator[tuple[str, float, str]]:
         formula = entry if isinstance(entry, str) else entry["formula"]
         for interval in re.findall(r"\[[^\]]*\]", formula):
             yield from ((name, float(number), "s") for number in NUMBER.findall(interval))
-        rest = re.sub(r"\[[^\]]*\]", "", formula)
-        yield from ((name, float(number), figures[name].unit) for number in NUMBER.findall(rest))
+        remaining = re.sub(r"\[[^\]]*\]", "", formula)
+        yield from ((name, float(number), figures[name].unit) for number in NUMBER.findall(remaining))
     for name, figure in (raw.get("figures") or {}).items():
         for argument, value in ((figure or {}).get("arguments") or {}).items():
             if isinstance(value, int | float) and not isinstance(value, bool):
@@ -103,15 +103,15 @@ def derived(name: str) -> list[tuple[str, float, str]]:
     }
     sizes.pop(1.0, None)
     ordered = sorted(sizes)
-    found = []
+    results = []
     for where, number, _ in asked(rig, draft.raw):
         if digits(number) < 3 or where in COINCIDENCES:
             continue
         size = abs(number)
         at = bisect.bisect(ordered, size * (1.0 - 1e-9))
         if at < len(ordered) and ordered[at] <= size * (1.0 + 1e-9):
-            found.append((where, number, sizes[ordered[at]]))
-    return found
+            results.append((where, number, sizes[ordered[at]]))
+    return results
 
 
 def repeated(name: str) -> list[tuple[str, float, str]]:
@@ -157,7 +157,7 @@ def test_no_number_of_a_node_is_repeated_in_what_is_asked_of_it(name):
 
 @pytest.mark.long
 def test_no_shipped_scenario_repeats_a_number_of_a_node():
-    assert {n: found for n in list_scenarios() if (found := [*repeated(n), *derived(n), *absolute(n)])} == {}
+    assert {n: results for n in list_scenarios() if (results := [*repeated(n), *derived(n), *absolute(n)])} == {}
 
 
 def judged(name: str, overrides: dict) -> dict[str, bool | None]:
@@ -168,9 +168,9 @@ def judged(name: str, overrides: dict) -> dict[str, bool | None]:
 
 def test_a_tracker_that_cannot_reach_the_maximum_misses_it():
     sun = [1000.0, 1000.0, 1000.0, 1000.0]
-    found = judged("pv_mppt", {"mppt_optimizer.d_max": 0.5, "irradiance": sun})
-    assert (found["finds"], found["tracking_efficiency"]) == (False, False)
-    assert found["power"] is None  # 169.8 W are above the 115.3 W of the paper's shade
+    result = judged("pv_mppt", {"mppt_optimizer.d_max": 0.5, "irradiance": sun})
+    assert (result["finds"], result["tracking_efficiency"]) == (False, False)
+    assert result["power"] is None  # 169.8 W are above the 115.3 W of the paper's shade
 
 
 @pytest.mark.long
@@ -180,8 +180,8 @@ def test_a_tracker_that_reaches_another_maximum_finds_it():
 
 
 def test_bounds_of_a_flux_follow_its_reference():
-    found = judged("induction_dtc_short", {"dtc_controller.flux_ref": 0.7})
-    assert found == {"flux_error_peak": None, "current_peak": True}
+    result = judged("induction_dtc_short", {"dtc_controller.flux_ref": 0.7})
+    assert result == {"flux_error_peak": None, "current_peak": True}
     run = simulate("induction_dtc", duration=0.5, overrides={"dtc_controller.flux_ref": 0.7})
     flux = next(r for r in run.results if r.name == "flux_band")
     assert flux.judged
@@ -219,9 +219,9 @@ def test_a_load_that_comes_after_the_end_has_no_torque():
 
 @pytest.mark.long
 def test_a_plan_ends_at_its_own_horizon():
-    found = judged("optimal_control_mvim", {"horizon": 60.0})
-    assert found["at_rest"] is True
-    assert found["J_plant"] is None
+    result = judged("optimal_control_mvim", {"horizon": 60.0})
+    assert result["at_rest"] is True
+    assert result["J_plant"] is None
 
 
 @pytest.mark.long
@@ -229,10 +229,10 @@ def test_a_higher_supply_is_no_violation():
     run = simulate(
         "rehab_impedance", duration=4.0, overrides={"rehab_plant.v_max": 40.0, "voltage_controller.v_max": 40.0}
     )
-    found = {r.name: r for r in run.results}
-    assert found["voltage"].judged
-    assert found["voltage"].passed
-    assert found["peak_voltage_hip"].value > 24.0
+    results = {r.name: r for r in run.results}
+    assert results["voltage"].judged
+    assert results["voltage"].passed
+    assert results["peak_voltage_hip"].value > 24.0
 
 
 @pytest.mark.parametrize(("kind", "least"), few([("AG", 13000.0), ("BCG", 30000.0)], 1))
@@ -447,10 +447,10 @@ def test_each_scenario_is_of_a_system_whose_parameters_are_changed():
 def test_no_verdict_of_a_system_changes_with_a_tenth_without_a_reason(system):
     names = [name for name in list_scenarios() if name.startswith(system) and judged_by_itself(name)]
     changed = {
-        (name, key, str(value)): found
+        (name, key, str(value)): result
         for name in names
         for key, value in tenths(name)
-        if (found := unexplained(name, key, value))
+        if (result := unexplained(name, key, value))
     }
     assert changed == {}
 
@@ -476,4 +476,4 @@ def test_what_is_asked_of_a_node_is_taken_from_it_and_not_from_what_it_shares(na
 
 @pytest.mark.long
 def test_no_shipped_scenario_asks_by_a_value_that_its_nodes_share():
-    assert {name: found for name in list_scenarios() if (found := by_shared(name))} == {}
+    assert {name: result for name in list_scenarios() if (result := by_shared(name))} == {}

@@ -40,58 +40,60 @@ def references(pq, **more):
 @pytest.mark.parametrize("pq", TABLE)
 def test_power_flow_table(pq):
     """Acceptance: 2e-5 pu and 0.002 deg; Newton from a flat start in at most 7 steps to 1e-10."""
-    found = PowerFlow(NETWORK).solve(references(pq))
+    solution = PowerFlow(NETWORK).solve(references(pq))
     v2, v3, v4, v12, v34, p12, p34, s_sh, v_sh, a1 = TABLE[pq]
     for value, (size, angle) in (
-        (found.bus["2"], v2),
-        (found.bus["3"], v3),
-        (found.bus["4"], v4),
-        (found.v12, v12),
-        (found.v34, v34),
-        (found.v_sh, v_sh),
-        (found.bus["1"], (1.0, a1)),
+        (solution.bus["2"], v2),
+        (solution.bus["3"], v3),
+        (solution.bus["4"], v4),
+        (solution.v12, v12),
+        (solution.v34, v34),
+        (solution.v_sh, v_sh),
+        (solution.bus["1"], (1.0, a1)),
     ):
         assert abs(value) == pytest.approx(size, abs=2e-5)
         assert math.degrees(cmath.phase(value)) == pytest.approx(angle, abs=2e-3)
-    assert (found.p12, found.p34) == pytest.approx((p12, p34), abs=2e-5)
-    assert (found.s_sh.real, found.s_sh.imag) == pytest.approx(s_sh, abs=2e-5)
-    assert found.iterations <= 7
-    assert found.mismatch <= 1e-10
+    assert (solution.p12, solution.p34) == pytest.approx((p12, p34), abs=2e-5)
+    assert (solution.s_sh.real, solution.s_sh.imag) == pytest.approx(s_sh, abs=2e-5)
+    assert solution.iterations <= 7
+    assert solution.mismatch <= 1e-10
 
 
 @pytest.mark.parametrize("pq", TABLE)
 def test_power_flow_against_circuit_equations(pq):
     """The solution put into Kirchhoff's laws with the converters as voltage sources, nothing of the injections."""
-    found = PowerFlow(NETWORK).solve(references(pq))
+    solution = PowerFlow(NETWORK).solve(references(pq))
     network = Network(NETWORK)
-    u = np.array([found.bus[b] for b in BUSES])
-    norton = found.v12 / NETWORK.z_se, found.v34 / NETWORK.z_se
-    injected = network.injection + np.array([0.0, found.i_sh - norton[0], norton[0], -norton[1], norton[1], 0.0])
+    u = np.array([solution.bus[b] for b in BUSES])
+    norton = solution.v12 / NETWORK.z_se, solution.v34 / NETWORK.z_se
+    injected = network.injection + np.array([0.0, solution.i_sh - norton[0], norton[0], -norton[1], norton[1], 0.0])
     assert np.linalg.solve(network.admittance, injected) == pytest.approx(u, abs=1e-9)
-    flow1, flow2 = found.flows
+    flow1, flow2 = solution.flows
     assert (flow1.real, flow1.imag, flow2.real, flow2.imag) == pytest.approx(pq, abs=1e-9)
-    p12, p34 = (found.v12 * found.i12.conjugate()).real, (found.v34 * found.i34.conjugate()).real
-    assert (p12, p34) == pytest.approx((found.p12, found.p34), abs=1e-9)
-    assert found.s_sh.real + p12 + p34 == pytest.approx(0.0, abs=1e-9)
-    v1, a1 = cmath.polar(found.bus["1"])
-    (v_sh, a_sh), z = cmath.polar(found.v_sh), NETWORK.z_sh
+    p12, p34 = (solution.v12 * solution.i12.conjugate()).real, (solution.v34 * solution.i34.conjugate()).real
+    assert (p12, p34) == pytest.approx((solution.p12, solution.p34), abs=1e-9)
+    assert solution.s_sh.real + p12 + p34 == pytest.approx(0.0, abs=1e-9)
+    v1, a1 = cmath.polar(solution.bus["1"])
+    (v_sh, a_sh), z = cmath.polar(solution.v_sh), NETWORK.z_sh
     turned = z.imag * math.cos(a1 - a_sh) + z.real * math.sin(a1 - a_sh)
     q_sh = (v1 * v_sh * turned - z.imag * v1**2) / abs(z) ** 2  # (14) with the term in V_1^2 that it lacks
-    assert q_sh == pytest.approx(found.s_sh.imag, abs=1e-9)
+    assert q_sh == pytest.approx(solution.s_sh.imag, abs=1e-9)
 
 
 def test_printed_equations_are_wrong():
     """Printed (7), (8) and (13) together give P12 = -0.239 instead of -0.0417 at the first operating point."""
-    found = PowerFlow(NETWORK).solve(references((1.0, -0.3, 1.0, -0.4)))
+    solution = PowerFlow(NETWORK).solve(references((1.0, -0.3, 1.0, -0.4)))
     R, X, z2 = NETWORK.r_se, NETWORK.x_se, abs(NETWORK.z_se) ** 2
-    (v1, a1), (v2, a2), (v12, a12) = (cmath.polar(v) for v in (found.bus["1"], found.bus["2"], found.v12))
+    (v1, a1), (v2, a2), (v12, a12) = (cmath.polar(v) for v in (solution.bus["1"], solution.bus["2"], solution.v12))
     p1 = v1 * v12 / z2 * (X * math.sin(a1 - a12) - R * math.sin(a1 - a12))
     p2 = v2 * v12 / z2 * (-X * math.sin(a2 - a12) + R * math.sin(a2 - a12))
     assert p1 + p2 - v12**2 * R / z2 == pytest.approx(-0.239, abs=1e-3)
     z = NETWORK.z_se
-    assert converter_power(v1, a1, v2, a2, found.v12.real, found.v12.imag, z) == pytest.approx(-0.04174, abs=2e-5)
-    s1 = -found.bus["1"] * (found.v12 / z).conjugate()
-    assert series_power(v1, a1, found.v12.real, found.v12.imag, z, -1) == pytest.approx((s1.real, s1.imag), abs=1e-9)
+    assert converter_power(v1, a1, v2, a2, solution.v12.real, solution.v12.imag, z) == pytest.approx(-0.04174, abs=2e-5)
+    s1 = -solution.bus["1"] * (solution.v12 / z).conjugate()
+    assert series_power(v1, a1, solution.v12.real, solution.v12.imag, z, -1) == pytest.approx(
+        (s1.real, s1.imag), abs=1e-9
+    )
 
 
 def test_line_without_the_device():
@@ -112,9 +114,9 @@ def test_line_without_the_device():
 def test_published_reference_of_series_2_is_out_of_reach():
     """-1.2 pu needs 0.85 pu of series voltage; reversed signs of Q reproduce the text, but need 0.303 pu."""
     assert abs(PowerFlow(NETWORK).solve(references((1.2, -0.3, -1.2, -0.4))).v34) == pytest.approx(0.852, abs=1e-3)
-    found = PowerFlow(NETWORK).solve(references((1.0, 0.3, 1.0, 0.4)))
-    assert (found.s_sh.real, found.s_sh.imag) == pytest.approx((-0.42, 0.38), abs=6e-3)
-    assert abs(found.v34) == pytest.approx(0.303, abs=1e-3)
+    solution = PowerFlow(NETWORK).solve(references((1.0, 0.3, 1.0, 0.4)))
+    assert (solution.s_sh.real, solution.s_sh.imag) == pytest.approx((-0.42, 0.38), abs=6e-3)
+    assert abs(solution.v34) == pytest.approx(0.303, abs=1e-3)
 
 
 @functools.cache
@@ -164,28 +166,28 @@ def test_no_reachable_point_is_missed(draws, seed):
     while seen < draws:
         for asked, u, size in reachable(rng):
             seen += 1
-            found = solver.solve(asked)
-            assert isinstance(found, Solution)
-            assert found.mismatch <= 1e-10
-            taken = max(abs(found.v12), abs(found.v34))
-            assert taken == pytest.approx(found.sizes[0], abs=1e-8)
-            assert found.sizes == tuple(sorted(found.sizes))
-            assert taken <= size + 1e-8
-            if taken > size - 1e-8:
-                assert np.abs(np.array(list(found.bus.values())) - u).max() < 1e-7
-            flat += found.iterations > 4  # from the closed form it takes none or one
+            solution = solver.solve(asked)
+            assert isinstance(solution, Solution)
+            assert solution.mismatch <= 1e-10
+            used = max(abs(solution.v12), abs(solution.v34))
+            assert used == pytest.approx(solution.sizes[0], abs=1e-8)
+            assert solution.sizes == tuple(sorted(solution.sizes))
+            assert used <= size + 1e-8
+            if used > size - 1e-8:
+                assert np.abs(np.array(list(solution.bus.values())) - u).max() < 1e-7
+            flat += solution.iterations > 4  # from the closed form it takes none or one
     assert 0.8 * draws < flat < draws  # what the flat start finds is its own, to the last bit
 
 
 def test_points_that_a_flat_start_misses():
     """One diverged; the other one ended where V3 is 0 and said that 1.01 pu was needed."""
-    found = PowerFlow(NETWORK).solve(References(p1=1.3, q1=0.15, p2=0.85, q2=-0.1, v=1.02))
-    assert (abs(found.v12), abs(found.v34)) == pytest.approx((0.1289, 0.2363), abs=1e-4)
-    found = PowerFlow(NETWORK).solve(References(p1=1.2692, q1=-0.1611, p2=0.8449, q2=-0.2579, v=0.9977))
-    assert max(abs(found.v12), abs(found.v34)) == pytest.approx(0.221, abs=1e-3)
-    assert abs(found.bus["3"]) == pytest.approx(1.02, abs=0.06)
-    assert len(found.sizes) == 8
-    assert found.sizes[1] == pytest.approx(0.947, abs=1e-3)
+    solution = PowerFlow(NETWORK).solve(References(p1=1.3, q1=0.15, p2=0.85, q2=-0.1, v=1.02))
+    assert (abs(solution.v12), abs(solution.v34)) == pytest.approx((0.1289, 0.2363), abs=1e-4)
+    solution = PowerFlow(NETWORK).solve(References(p1=1.2692, q1=-0.1611, p2=0.8449, q2=-0.2579, v=0.9977))
+    assert max(abs(solution.v12), abs(solution.v34)) == pytest.approx(0.221, abs=1e-3)
+    assert abs(solution.bus["3"]) == pytest.approx(1.02, abs=0.06)
+    assert len(solution.sizes) == 8
+    assert solution.sizes[1] == pytest.approx(0.947, abs=1e-3)
 
 
 @pytest.mark.parametrize("flows", [(1.3 + 0.15j, 0.85 - 0.1j), (0.6 - 0.5j, 1.8 + 0.3j), (-1.0 + 0.2j, 0.3 - 1.0j)])
@@ -198,15 +200,15 @@ def test_operating_points_are_all_of_them(flows):
 
     def mismatch(x):
         v = x[:2] + 1j * x[2:]
-        rest = v * np.conj(Y @ v + J) - flows
-        return [*rest.real, *rest.imag]
+        remaining = v * np.conj(Y @ v + J) - flows
+        return [*remaining.real, *remaining.imag]
 
     known = [np.array([p.bus[2], p.bus[4]]) for p in operating_points(NETWORK, *flows, 1.0)]
     rng, met = np.random.default_rng(1), set()
     for _ in range(150):
-        found = root(mismatch, rng.uniform(-1.5, 1.5, 4), tol=1e-12)
-        if found.success and np.abs(found.fun).max() < 1e-10:
-            v = found.x[:2] + 1j * found.x[2:]
+        result = root(mismatch, rng.uniform(-1.5, 1.5, 4), tol=1e-12)
+        if result.success and np.abs(result.fun).max() < 1e-10:
+            v = result.x[:2] + 1j * result.x[2:]
             assert min(np.abs(v - other).max() for other in known) < 1e-6
             met.add(complex(np.round(v[0], 4)))
     assert len(met) >= 3
@@ -216,17 +218,17 @@ def test_references_without_a_point_are_told_whatever_they_are():
     rng, solver = random.Random(4), PowerFlow(NETWORK, converter_loss=True)
     for _ in range(20):
         p1, q1, p2, q2 = (rng.choice((0.0, -10.0, 10.0, rng.uniform(-10.0, 10.0))) for _ in range(4))
-        found = solver.solve(References(p1=p1, q1=q1, p2=p2, q2=q2, v=rng.uniform(0.01, 2.0)))
-        assert math.isfinite(found.mismatch)
-        if isinstance(found, Solution):
-            assert (found.flows[0].real, found.flows[1].imag) == pytest.approx((p1, q2), abs=1e-8)
+        solution = solver.solve(References(p1=p1, q1=q1, p2=p2, q2=q2, v=rng.uniform(0.01, 2.0)))
+        assert math.isfinite(solution.mismatch)
+        if isinstance(solution, Solution):
+            assert (solution.flows[0].real, solution.flows[1].imag) == pytest.approx((p1, q2), abs=1e-8)
 
 
 def test_power_flow_without_a_solution():
-    found = PowerFlow(NETWORK).solve(references((8.0, 0.0, 8.0, 0.0)))
-    assert isinstance(found, Diverged)
-    assert found.mismatch > 0.1
-    assert math.isfinite(found.mismatch)
+    solution = PowerFlow(NETWORK).solve(references((8.0, 0.0, 8.0, 0.0)))
+    assert isinstance(solution, Diverged)
+    assert solution.mismatch > 0.1
+    assert math.isfinite(solution.mismatch)
 
 
 # pulses ---------------------------------------------------------------------------------------------------------
@@ -249,8 +251,8 @@ def samples(theta, sigma):
 def spectrum(sigma, count=23040):
     """Amplitude by signed order, by FFT; whole samples in half a degree, so that edges lie between two."""
     theta = (np.arange(count) + 0.5) * 2.0 * np.pi / count
-    found = np.fft.fft(samples(theta, sigma)) / count
-    return {n: abs(found[n]) for n in range(-100, 101)}
+    result = np.fft.fft(samples(theta, sigma)) / count
+    return {n: abs(result[n]) for n in range(-100, 101)}
 
 
 @pytest.mark.parametrize("sigma", [0.3, 2.0, SIGMA, math.pi])

@@ -88,9 +88,9 @@ def test_injections_by_the_currents_of_the_converter():
         z = complex(0.02, 0.3)
         norton = v / z
         for bus, side in ((v1, -1), (v2, 1)):
-            found = series_power(abs(bus), cmath.phase(bus), v.real, v.imag, z, side)
+            result = series_power(abs(bus), cmath.phase(bus), v.real, v.imag, z, side)
             s = side * bus * norton.conjugate()
-            assert found == pytest.approx((s.real, s.imag))
+            assert result == pytest.approx((s.real, s.imag))
         i = (v1 + v - v2) / z
         delivered = converter_power(abs(v1), cmath.phase(v1), abs(v2), cmath.phase(v2), v.real, v.imag, z)
         assert delivered == pytest.approx((v * i.conjugate()).real)
@@ -117,13 +117,13 @@ def test_numbers_with_their_derivatives_by_differences():
         )
 
     h = 1e-6
-    for n, found in enumerate(formulas(Dual(x, np.eye(6)))):
+    for n, result in enumerate(formulas(Dual(x, np.eye(6)))):
         values = list(formulas(x))[n]
-        assert found.value == pytest.approx(values)
+        assert result.value == pytest.approx(values)
         for k in range(6):
             step = h * np.eye(6)[k]
             slope = (list(formulas(x + step))[n] - list(formulas(x - step))[n]) / (2.0 * h)
-            assert found.slope[..., k] == pytest.approx(slope, abs=1e-8)
+            assert result.slope[..., k] == pytest.approx(slope, abs=1e-8)
 
 
 # Power flow ----------------------------------------------------------------------------------------------
@@ -159,33 +159,33 @@ def test_the_equations_of_the_power_flow_by_currents_and_their_derivatives_by_di
 @pytest.mark.parametrize(("loss", "surplus"), [(False, 0.0), (True, 0.0), (True, 0.03)])
 def test_a_solution_is_one_in_all_its_numbers(loss, surplus):
     asked = References(p1=1.1, q1=-0.2, p2=0.8, q2=-0.3, v=1.01)
-    found = PowerFlow(NETWORK, converter_loss=loss).solve(asked, surplus=surplus)
-    assert isinstance(found, Solution)
-    u = found.bus
+    solution = PowerFlow(NETWORK, converter_loss=loss).solve(asked, surplus=surplus)
+    assert isinstance(solution, Solution)
+    u = solution.bus
     assert abs(u["1"]) == pytest.approx(1.01)
-    assert found.flows == pytest.approx((1.1 - 0.2j, 0.8 - 0.3j))
-    assert found.i12 == pytest.approx((u["1"] + found.v12 - u["2"]) / NETWORK.z_se)
-    assert found.i34 == pytest.approx((u["3"] + found.v34 - u["4"]) / NETWORK.z_se)
-    assert found.s_sh == pytest.approx(u["1"] * found.i_sh.conjugate())
-    assert found.v_sh == pytest.approx(u["1"] + NETWORK.z_sh * found.i_sh)
-    assert found.p12 == pytest.approx((found.v12 * found.i12.conjugate()).real)
-    assert found.p34 == pytest.approx((found.v34 * found.i34.conjugate()).real)
-    delivered = (found.v_sh * found.i_sh.conjugate()).real if loss else found.s_sh.real
-    assert delivered + found.p12 + found.p34 == pytest.approx(surplus, abs=1e-9)
+    assert solution.flows == pytest.approx((1.1 - 0.2j, 0.8 - 0.3j))
+    assert solution.i12 == pytest.approx((u["1"] + solution.v12 - u["2"]) / NETWORK.z_se)
+    assert solution.i34 == pytest.approx((u["3"] + solution.v34 - u["4"]) / NETWORK.z_se)
+    assert solution.s_sh == pytest.approx(u["1"] * solution.i_sh.conjugate())
+    assert solution.v_sh == pytest.approx(u["1"] + NETWORK.z_sh * solution.i_sh)
+    assert solution.p12 == pytest.approx((solution.v12 * solution.i12.conjugate()).real)
+    assert solution.p34 == pytest.approx((solution.v34 * solution.i34.conjugate()).real)
+    delivered = (solution.v_sh * solution.i_sh.conjugate()).real if loss else solution.s_sh.real
+    assert delivered + solution.p12 + solution.p34 == pytest.approx(surplus, abs=1e-9)
     vector = np.array(list(u.values()))
     into = Network(NETWORK).admittance @ vector - Network(NETWORK).injection
     wanted = [
         0.0,
-        found.i_sh - found.v12 / NETWORK.z_se,
-        found.v12 / NETWORK.z_se,
-        -found.v34 / NETWORK.z_se,
-        found.v34 / NETWORK.z_se,
+        solution.i_sh - solution.v12 / NETWORK.z_se,
+        solution.v12 / NETWORK.z_se,
+        -solution.v34 / NETWORK.z_se,
+        solution.v34 / NETWORK.z_se,
         0.0,
     ]
     assert into == pytest.approx(np.array(wanted), abs=1e-8)
-    assert found.mismatch <= 1e-10
-    assert found.sizes[0] == pytest.approx(max(abs(found.v12), abs(found.v34)))
-    assert list(found.sizes) == sorted(found.sizes)
+    assert solution.mismatch <= 1e-10
+    assert solution.sizes[0] == pytest.approx(max(abs(solution.v12), abs(solution.v34)))
+    assert list(solution.sizes) == sorted(solution.sizes)
 
 
 def test_points_in_closed_form_are_points_of_the_circuit():
@@ -223,16 +223,16 @@ def test_points_in_closed_form_are_points_of_the_circuit():
 
 def test_the_voltage_at_the_end_of_a_line_by_its_quadratic():
     for a, k, s in some(20, 3):
-        found = _alone(a, k, 0.1 * s)
+        result = _alone(a, k, 0.1 * s)
         half = (a * 0.1 * s).real + 0.5 * abs(k) ** 2
         if half**2 > abs(a * 0.1 * s) ** 2:
-            assert len(found) == 2
-            assert abs(found[0]) > abs(found[1])
-            for v in found:
+            assert len(result) == 2
+            assert abs(result[0]) > abs(result[1])
+            for v in result:
                 assert v * (a * v + k).conjugate() == pytest.approx(0.1 * s)
         else:
-            assert len(found) == 1  # the point between
-            assert found[0] == pytest.approx((((0.1 * s).conjugate() - a * half / abs(a) ** 2) / k).conjugate())
+            assert len(result) == 1  # the point between
+            assert result[0] == pytest.approx((((0.1 * s).conjugate() - a * half / abs(a) ** 2) / k).conjugate())
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
@@ -242,9 +242,9 @@ def test_the_far_side_with_a_share_of_its_coupling(share):
     own, other = a - b * (1.0 - share), -b * share
     s1 = v2 * (own * v2 + other * v4 + k).conjugate()
     s2 = v4 * (own * v4 + other * v2 + k).conjugate()
-    found = _newton(a, b, share, k, s1, s2, v2 + 0.05, v4 - 0.04j)
-    assert found[:2] == (pytest.approx(v2), pytest.approx(v4))
-    assert found[2] <= 1e-11
+    result = _newton(a, b, share, k, s1, s2, v2 + 0.05, v4 - 0.04j)
+    assert result[:2] == (pytest.approx(v2), pytest.approx(v4))
+    assert result[2] <= 1e-11
     for far in ((-0.24 + 0.81j, 0.32 + 0.53j), (0.4 - 0.47j, 2.19 + 2.94j), (-1.9 + 2.3j, 2.0 + 1.2j)):
         again = _newton(a, b, share, k, s1, s2, v2 + far[0], v4 + far[1])  # not by whole steps
         assert again[2] <= 1e-11
@@ -279,15 +279,15 @@ def test_the_integral_of_the_pulses_is_that_of_their_samples(monkeypatch, sigma)
 
 def test_the_spectrum_of_the_pulses_and_its_distortion():
     for sigma in (1.0, 2.5, math.radians(172.5)):
-        found = pulses.harmonics(sigma, 49)
-        assert list(found) == [1, -23, 25, -47, 49]
-        for n, amplitude in found.items():
+        result = pulses.harmonics(sigma, 49)
+        assert list(result) == [1, -23, 25, -47, 49]
+        for n, amplitude in result.items():
             assert amplitude == pytest.approx(2.0 / math.pi * abs(math.sin(n * sigma / 2.0) / n))
         assert list(pulses.harmonics(sigma, 48)) == [1, -23, 25, -47]
         assert list(pulses.harmonics(sigma, 22)) == [1]
         first = 2.0 / math.pi * math.sin(sigma / 2.0)
         assert pulses.fundamental(sigma) == pytest.approx(first)
-        part = math.sqrt(sum(found[n] ** 2 for n in (-23, 25, -47, 49)))
+        part = math.sqrt(sum(result[n] ** 2 for n in (-23, 25, -47, 49)))
         assert pulses.distortion(sigma, 50) == pytest.approx(100.0 * part / first)
         many = pulses.harmonics(sigma, 60_000)
         whole = math.sqrt(sum(a * a for n, a in many.items() if n != 1))
@@ -534,9 +534,9 @@ def test_the_series_law_in_complex_numbers(kind, circuit):
             integral += v * 0.25 / abs(v) - v
             v *= 0.25 / abs(v)
         angle = theta + NETWORK.omega * PERIOD * k + cmath.phase(v)
-        found = law.update(0, reference=(asked.real, asked.imag), **measured(law, k, u0, i0))[f"series_{circuit}"]
-        assert found[0] == pytest.approx(abs(v), abs=5e-6)
-        assert math.remainder(found[1] - angle, math.tau) == pytest.approx(0.0, abs=5e-6)
+        result = law.update(0, reference=(asked.real, asked.imag), **measured(law, k, u0, i0))[f"series_{circuit}"]
+        assert result[0] == pytest.approx(abs(v), abs=5e-6)
+        assert math.remainder(result[1] - angle, math.tau) == pytest.approx(0.0, abs=5e-6)
 
 
 def test_the_limit_of_a_series_voltage_in_words():
@@ -545,9 +545,9 @@ def test_the_limit_of_a_series_voltage_in_words():
     law.update(0, reference=(1.5, 0.25), **measured(law, 0, point.u2, point.i12))
     flows = point.u2 * point.i12.conjugate()
     text = f"series voltage at its limit of 0.25 pu while 1.5+0.25j pu is asked for and {flows:.4g} pu flows"
-    level, said, _ = law.reports["series_voltage_limited"]
+    level, message, _ = law.reports["series_voltage_limited"]
     assert level is Level.WARN
-    assert said.split(" and ")[0] == text.split(" and ")[0]
+    assert message.split(" and ")[0] == text.split(" and ")[0]
     low = ByHand(SeriesController(law="printed", kp=0.01, ki=0.0))
     before = low.x
     low.update(0, reference=(0.02, 0.0), **measured(low, 0, 0.05 * cmath.rect(1.0, cmath.phase(point.u2)), 0j))
@@ -572,8 +572,8 @@ def test_the_shunt_law_is_two_regulators_one_after_the_other():
     point = law.block._point
     alpha = math.degrees(cmath.phase(point.v_sh / point.u1))
     i_q = -(point.i_sh * cmath.exp(-1j * cmath.phase(point.u1))).imag
-    found = law.update(0, reference=None, **measured(law, 0, point.u1, point.i_sh))["shunt"]
-    assert found == pytest.approx((NETWORK.shunt_sigma, cmath.phase(point.v_sh), NETWORK.omega), abs=2e-6)
+    result = law.update(0, reference=None, **measured(law, 0, point.u1, point.i_sh))["shunt"]
+    assert result == pytest.approx((NETWORK.shunt_sigma, cmath.phase(point.v_sh), NETWORK.omega), abs=2e-6)
     outer, inner, e_v = i_q, -alpha, 0.02  # what both have integrated, and the error of the voltage
     for k in range(1, 5):
         asked = 3.0 * e_v + outer
@@ -582,9 +582,9 @@ def test_the_shunt_law_is_two_regulators_one_after_the_other():
         angle = 4.0 * e_i + inner
         inner += 2.0 * PERIOD * e_i
         wanted = cmath.phase(point.u1) + NETWORK.omega * PERIOD * k - math.radians(angle)
-        found = law.update(0, reference=(abs(point.u1) + e_v,), **measured(law, k, point.u1, point.i_sh))["shunt"]
-        assert math.remainder(found[1] - wanted, math.tau) == pytest.approx(0.0, abs=3e-4)
-        assert (found[0], found[2]) == (NETWORK.shunt_sigma, pytest.approx(NETWORK.omega, rel=1e-6))
+        result = law.update(0, reference=(abs(point.u1) + e_v,), **measured(law, k, point.u1, point.i_sh))["shunt"]
+        assert math.remainder(result[1] - wanted, math.tau) == pytest.approx(0.0, abs=3e-4)
+        assert (result[0], result[2]) == (NETWORK.shunt_sigma, pytest.approx(NETWORK.omega, rel=1e-6))
     assert law.reports == {}
 
 
@@ -646,31 +646,31 @@ W = NETWORK.omega
     ],
 )
 def test_which_commands_can_be_meant(k, command, good):
-    found, reports, v_dc = taken(command, 0, k)
+    result, reports, v_dc = taken(command, 0, k)
     name = ("shunt", "series_1", "series_2")[k]
     if good:
         sigma = command[0] if k == 0 else conduction(command[0], v_dc, 0.25)
-        assert found == Command(sigma, 0.3, command[2])
+        assert result == Command(sigma, 0.3, command[2])
         assert reports == {}
         return
-    assert found == Command(1.0, pytest.approx(0.5 + 400.0 * PERIOD), 400.0, 1)
+    assert result == Command(1.0, pytest.approx(0.5 + 400.0 * PERIOD), 400.0, 1)
     text = f"{name}: command {command} cannot be meant: the last one holds for a period"
     assert reports == {f"{name}_held": (Level.WARN, text, 1)}
-    found, reports, _ = taken(command, 0, k, bad=1)
+    result, reports, _ = taken(command, 0, k, bad=1)
     text = f"{name}: command {command} cannot be meant, twice in a row: converter blocked"
     assert reports == {f"{name}_blocked": (Level.ERROR, text, 1)}
     if k == 0:
         plant = steady_plant()
         u1 = complex(*plant.outputs(plant.first(), 0)["u1"][:2])
-        assert found == Command(1.0, pytest.approx(cmath.phase(u1)), W, 2)
+        assert result == Command(1.0, pytest.approx(cmath.phase(u1)), W, 2)
     else:
-        assert found == Command(0.0, pytest.approx(0.5 + 400.0 * PERIOD), 400.0, 2)
+        assert result == Command(0.0, pytest.approx(0.5 + 400.0 * PERIOD), 400.0, 2)
 
 
 def test_commands_that_are_late_or_have_not_come():
-    found, _, v_dc = taken((0.1, 3.0, 380.0), age=2_000_000)
+    result, _, v_dc = taken((0.1, 3.0, 380.0), age=2_000_000)
     sigma = conduction(0.1, v_dc, 0.25)
-    assert found == Command(sigma, pytest.approx(math.remainder(3.0 + 380.0 * 0.002, math.tau)), 380.0)
+    assert result == Command(sigma, pytest.approx(math.remainder(3.0 + 380.0 * 0.002, math.tau)), 380.0)
     assert taken((9.0, 3.0, 380.0), age=None)[0] == Command(1.0, pytest.approx(0.5 + 400.0 * PERIOD), 400.0)
 
 
@@ -700,15 +700,15 @@ def test_the_link_trips_beyond_its_limits_for_good(v_dc, trips):
 def test_what_the_plant_tells_of_its_steady_start():
     plant = GupfcPlant(trace=True)
     x = plant.first()
-    said, point = plant.outputs(x, 0), plant._point
+    outputs, point = plant.outputs(x, 0), plant._point
     for name in ("u1", "u2", "u4", "i_sh", "i12", "i34"):
-        assert complex(*said[name][:2]) == pytest.approx(getattr(point, name), abs=1e-9)
-        assert said[name][2] == 0.0
-    assert said["dc_link"] == (pytest.approx(point.v_dc * 16070.0),)
+        assert complex(*outputs[name][:2]) == pytest.approx(getattr(point, name), abs=1e-9)
+        assert outputs[name][2] == 0.0
+    assert outputs["dc_link"] == (pytest.approx(point.v_dc * 16070.0),)
     powers = point.start.power
     wanted = (1.0, -0.3, 1.0, -0.4, 1.0, point.v_dc, *powers, abs(point.v12), abs(point.v34))
-    assert said["status"] == pytest.approx(wanted, abs=2e-6)
-    trace = np.reshape(said["trace"], (16, 8))
+    assert outputs["status"] == pytest.approx(wanted, abs=2e-6)
+    trace = np.reshape(outputs["trace"], (16, 8))
     rows = x.seen.rows
     for column, values in enumerate((rows.converter[:, 0], rows.converter[:, 1], rows.bus[:, 1], rows.current[:, 4])):
         assert trace[:, 2 * column] + 1j * trace[:, 2 * column + 1] == pytest.approx(values[1:])
@@ -746,8 +746,8 @@ def test_the_node_answers_what_is_new():
         ({"request": (0.0,)}, 0),
     ]:
         given |= change
-        x, said = node.update(x, 0, **given)
-        assert len(said) == answers
+        x, outputs = node.update(x, 0, **given)
+        assert len(outputs) == answers
     assert asked == [(1.0, -0.3, 1.0, -0.4, 1.0)] * 3 + [
         (1.1, -0.2, 1.0, -0.4, 1.0),
         (1.1, -0.2, 0.9, -0.1, 1.0),
@@ -761,23 +761,23 @@ def test_the_node_answers_what_is_new():
 
 
 def test_the_tables_of_an_answer():
-    found = PowerFlow(NETWORK).solve(References())
-    tables = PowerFlowNode()._tables(found)
+    solution = PowerFlow(NETWORK).solve(References())
+    tables = PowerFlowNode()._tables(solution)
     rows = dict(zip("A1234B", np.reshape(tables["bus"], (6, 4)), strict=True))
-    n12, n34 = found.v12 / NETWORK.z_se, found.v34 / NETWORK.z_se
+    n12, n34 = solution.v12 / NETWORK.z_se, solution.v34 / NETWORK.z_se
     injected = {
         "A": 0j,
         "B": 0j,
-        "2": found.bus["2"] * n12.conjugate(),
-        "4": found.bus["4"] * n34.conjugate(),
-        "3": -found.bus["3"] * n34.conjugate(),
-        "1": found.s_sh - found.bus["1"] * n12.conjugate(),
+        "2": solution.bus["2"] * n12.conjugate(),
+        "4": solution.bus["4"] * n34.conjugate(),
+        "3": -solution.bus["3"] * n34.conjugate(),
+        "1": solution.s_sh - solution.bus["1"] * n12.conjugate(),
     }
     for bus, row in rows.items():
-        u, s = found.bus[bus], injected[bus]
+        u, s = solution.bus[bus], injected[bus]
         assert row.tolist() == pytest.approx([abs(u), cmath.phase(u), s.real, s.imag])
-    v = [x for u in (found.v12, found.v34, found.v_sh) for x in (abs(u), cmath.phase(u))]
-    assert tables["device"] == pytest.approx((*v, found.p12, found.p34, found.s_sh.real, found.s_sh.imag))
+    v = [x for u in (solution.v12, solution.v34, solution.v_sh) for x in (abs(u), cmath.phase(u))]
+    assert tables["device"] == pytest.approx((*v, solution.p12, solution.p34, solution.s_sh.real, solution.s_sh.imag))
 
 
 def test_how_many_points_there_are_in_words():
@@ -803,11 +803,11 @@ def test_the_gates_of_the_newest_command_turned_on():
     ):
         omega = (2.0 * math.pi * 60.0, 400.0, 400.0, 400.0, 100.0, 100.0)[k]
         theta = angle + omega * (k % 3) * 1e-4
-        said = node.update(k * 100_000, command=command)
+        outputs = node.update(k * 100_000, command=command)
         wanted = pulses.vector(theta, sigma)
-        assert said["voltage"] == pytest.approx((wanted.real, wanted.imag, 0.0))
-        assert np.reshape(said["gates"], (4, 12)).tolist() == pulses.gates(theta, sigma).tolist()
-        assert (said["spectrum"], said["quality"]) == judged(sigma)
+        assert outputs["voltage"] == pytest.approx((wanted.real, wanted.imag, 0.0))
+        assert np.reshape(outputs["gates"], (4, 12)).tolist() == pulses.gates(theta, sigma).tolist()
+        assert (outputs["spectrum"], outputs["quality"]) == judged(sigma)
     assert node.reports["command"] == (Level.ERROR, "command (3.15, 0.1, 100.0) refused, the last one holds", 2)
 
 
@@ -865,8 +865,8 @@ def test_the_distortion_of_a_trace_and_the_harmonics_of_the_pulses():
     y = 2.0 * math.pi * np.arange(n + 5) / n
     vector = 0.6 * np.exp(1j * y) + 0.06 * np.exp(-5j * y)
     voltage = {"pulses/voltage/x": signal(*vector.real), "pulses/voltage/y": signal(*vector.imag)}
-    found = [figures.voltage_harmonic(voltage, order=k, cycle=float(n)) for k in (1, -5, 7)]
-    assert found == pytest.approx([60.0, 10.0, 0.0], abs=1e-9)
+    results = [figures.voltage_harmonic(voltage, order=k, cycle=float(n)) for k in (1, -5, 7)]
+    assert results == pytest.approx([60.0, 10.0, 0.0], abs=1e-9)
     levels = {"pulses/voltage/x": signal(*[0.0, 1.0, 1.0 + 1e-12, 2.0, 9.0])}
     assert figures.voltage_levels(levels, cycle=4.0) == 3.0
     with pytest.raises(ValueError, match=r"^pulses/voltage is recorded to 4 s, a cycle lasts 5\.6 s$"):

@@ -44,8 +44,8 @@ def run(name, **changes):
     return simulate(name, **changes)
 
 
-def status(found, name):
-    return found.signals[f"gupfc/status/{name}/position"].x
+def status(result, name):
+    return result.signals[f"gupfc/status/{name}/position"].x
 
 
 # scenarios ------------------------------------------------------------------------------------------------------
@@ -68,11 +68,11 @@ def status(found, name):
 )
 def test_scenario(name):
     """Every figure as expected, every verdict of a claim borne out by the measurement."""
-    found = run(name)
-    assert [f"{r.name} = {r.value}" for r in found.missed] == []
-    for key, claim in found.rig.scenario.claims.items():
-        value = found.figures[claim.figure or key]
-        others = {kind: found.figures[x] if isinstance(x, str) else x for kind, x in claim.compared().items()}
+    result = run(name)
+    assert [f"{r.name} = {r.value}" for r in result.missed] == []
+    for key, claim in result.rig.scenario.claims.items():
+        value = result.figures[claim.figure or key]
+        others = {kind: result.figures[x] if isinstance(x, str) else x for kind, x in claim.compared().items()}
         assert claim.holds(claim.agrees(value, others)), key
 
 
@@ -90,38 +90,38 @@ TRACE = {  # t: V1, v_dc, P1, P2
 
 def test_trace_of_s1():
     """Asked for: 0.006 pu; with the same order of operations it is 0.001."""
-    found = run("gupfc")
-    assert len(found.recording.topics["shunt/command"].data) == 4320
+    result = run("gupfc")
+    assert len(result.recording.topics["shunt/command"].data) == 4320
     for t, expected in TRACE.items():
         k = round(t / PERIOD)
         for name, value in zip(("v1", "v_dc", "p1", "p2"), expected, strict=True):
-            assert status(found, name)[k] == pytest.approx(value, abs=1e-3)
+            assert status(result, name)[k] == pytest.approx(value, abs=1e-3)
 
 
 def test_measured_between_limits_in_s1():
-    found = run("gupfc")
-    assert status(found, "v1").min() >= 0.990
-    assert status(found, "v1").max() <= 1.007
-    assert status(found, "v_dc").min() >= 0.970
-    assert status(found, "v_dc").max() <= 0.995
+    result = run("gupfc")
+    assert status(result, "v1").min() >= 0.990
+    assert status(result, "v1").max() <= 1.007
+    assert status(result, "v_dc").min() >= 0.970
+    assert status(result, "v_dc").max() <= 0.995
 
 
 @pytest.mark.parametrize(("name", "tolerance"), [("gupfc", 1e-6), ("gupfc_s2", 3e-4)])
 def test_start_in_steady_state(name, tolerance):
     """Every published number constant to 0.001 before the first step; with pulses, from cycle to cycle."""
-    found = run(name)
+    result = run(name)
     before = round(0.5 / PERIOD)
     for part in STATUS:
-        x = status(found, part)[: before + 1]
+        x = status(result, part)[: before + 1]
         means = np.convolve(x, np.full(48, 1.0 / 48.0), "valid")
         assert np.abs(means - means[0]).max() < tolerance, part
         assert np.abs(x[48:] - x[:-48]).max() < tolerance, part
         if name == "gupfc":
             assert np.abs(x - x[0]).max() < tolerance, part
     for name in ("u1", "u2", "u4", "i_sh", "i12", "i34"):
-        z = (found.signals[f"{name}/x"].x + 1j * found.signals[f"{name}/y"].x)[: before + 1]
+        z = (result.signals[f"{name}/x"].x + 1j * result.signals[f"{name}/y"].x)[: before + 1]
         assert np.abs(z[48:] - z[:-48]).max() < tolerance, name
-    assert status(found, "v_dc")[:48].mean() == pytest.approx(0.98457, abs=2e-4)  # |V_sh|, not 1
+    assert status(result, "v_dc")[:48].mean() == pytest.approx(0.98457, abs=2e-4)  # |V_sh|, not 1
 
 
 def test_spectrum_of_the_simulated_shunt_voltage():
@@ -140,16 +140,16 @@ def test_spectrum_of_the_simulated_shunt_voltage():
 @pytest.mark.long  # golden bags hold the plant's bytes daily
 def test_halved_steps_agree():
     """43.4 and 10.85 us agree with 21.7 us to 5e-5 and 3e-5 pu in P, in V better, also in the transient."""
-    found = {}
+    results = {}
     for substeps in (8, 16, 32):
         overrides = {
             f"{node}.substeps": substeps
             for node in ("gupfc_plant", "shunt_controller", "series_controller_1", "series_controller_2")
         }
-        found[substeps] = simulate("gupfc", duration=0.7, overrides=overrides)
+        results[substeps] = simulate("gupfc", duration=0.7, overrides=overrides)
     for name in ("p1", "p2", "v1"):
         for substeps, tolerance in ((8, 6e-5), (32, 3e-5)):
-            assert status(found[substeps], name) == pytest.approx(status(found[16], name), abs=tolerance)
+            assert status(results[substeps], name) == pytest.approx(status(results[16], name), abs=tolerance)
 
 
 # independent solutions ------------------------------------------------------------------------------------------
@@ -249,15 +249,15 @@ def test_line_against_a_pi_ladder(solver):
         y = [x0 - goal]
         for _ in range(count // every):
             y.append(turn @ y[-1])
-        found = np.array(y).T + goal[:, None]
+        result = np.array(y).T + goal[:, None]
     else:
-        found = solve_ivp(
+        result = solve_ivp(
             lambda _, x: ladder.A @ x + b, (0.0, t[-1]), x0, method=solver, t_eval=t[::every], rtol=1e-6, atol=1e-6
         ).y
-    p1_ladder = (found[2] * found[ladder.current("12")].conj()).real
+    p1_ladder = (result[2] * result[ladder.current("12")].conj()).real
     assert np.sqrt(np.mean((p1_ladder - p1[::every]) ** 2)) < 0.009
-    assert np.sqrt(np.mean((np.abs(found[1]) - u1[::every]) ** 2)) < 0.004
-    assert abs(u2[0] - found[2][0]) < 1e-4
+    assert np.sqrt(np.mean((np.abs(result[1]) - u1[::every]) ** 2)) < 0.004
+    assert abs(u2[0] - result[2][0]) < 1e-4
 
 
 @pytest.mark.long
@@ -390,8 +390,8 @@ def test_second_order_filter():
     small = SecondOrderFilter(2.0 * math.pi * 30.0, 0.7, 1e-5)
     x, y = small.first(0.0), []
     for _ in range(20_000):
-        x, found = small(x, 1.0)
-        y.append(found)
+        x, result = small(x, 1.0)
+        y.append(result)
     assert max(y) == pytest.approx(1.0 + math.exp(-0.7 * math.pi / math.sqrt(1.0 - 0.49)), abs=1e-3)
     assert y[-1] == pytest.approx(1.0, abs=1e-6)
     with pytest.raises(ValueError, match="not stable"):
@@ -432,14 +432,14 @@ def test_bad_command_is_held_then_blocks_the_converter(which, bad):
     for k in range(2, 30):
         plant.advance(0, **commands(plant, k) | {name: bad})
         assert plant.reports[f"{name}_blocked"][0] is Level.ERROR  # from the second one on
-    found = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
-    assert all(math.isfinite(x) for x in found.values())
+    results = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
+    assert all(math.isfinite(x) for x in results.values())
     if which == 0:
         assert plant.x.commands[0].sigma == NETWORK.shunt_sigma
         u1, v_sh = complex(*plant.outputs(0)["u1"][:2]), plant.x.seen.rows.converter[-1, 0]
         assert cmath.phase(v_sh / u1) == pytest.approx(-0.5 * TURN / 16, abs=0.02)  # alpha = 0
     else:
-        assert found[("v12", "v34")[which - 1]] == 0.0
+        assert results[("v12", "v34")[which - 1]] == 0.0
         assert np.all(plant.x.seen.rows.converter[1:, which] == 0.0)
     plant.advance(0, **commands(plant, 30))
     assert [c.bad for c in plant.x.commands] == [0, 0, 0]
@@ -462,11 +462,11 @@ def test_trip_of_the_dc_link(high):
     assert v_dc > 1.3 if high else v_dc < 0.5
     for k in range(200, 300):
         plant.advance(0, **commands(plant, k))
-    found = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
-    assert found["v_dc"] == v_dc
-    assert (found["p_sh"], found["p12"], found["v12"], found["v34"]) == (0.0, 0.0, 0.0, 0.0)
+    results = dict(zip(STATUS, plant.outputs(0)["status"], strict=True))
+    assert results["v_dc"] == v_dc
+    assert (results["p_sh"], results["p12"], results["v12"], results["v34"]) == (0.0, 0.0, 0.0, 0.0)
     assert plant.outputs(0)["i_sh"] == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    assert all(math.isfinite(x) for x in found.values())
+    assert all(math.isfinite(x) for x in results.values())
 
 
 @pytest.mark.parametrize("reference", [(1e6, -1e6), (5.0, 5.0), (-1.2, -0.4)])
@@ -526,8 +526,8 @@ def test_gains_beyond_the_published_range():
     """Limits: series Ki 30 still settles, 40 is unstable; shunt 6/75 is fine, 24/300 unstable."""
 
     def settled(**overrides):
-        found = simulate("gupfc", duration=1.0, overrides=overrides)
-        p1, v1 = status(found, "p1")[-288:], status(found, "v1")[-288:]
+        result = simulate("gupfc", duration=1.0, overrides=overrides)
+        p1, v1 = status(result, "p1")[-288:], status(result, "v1")[-288:]
         return np.abs(p1 - 1.1).max() < 0.02 and np.abs(v1 - 1.0).max() < 0.01
 
     def series(ki):
@@ -585,11 +585,11 @@ def test_pulse_generator():
     node = ByHand(PulseGenerator(period=1.0 / 46080.0, command_period=PERIOD))
     for k in range(40):
         command = (2.0, 0.3 + (k // 16) * TURN, NETWORK.omega)
-        found = node.update(round(k * 1e9 / 46080.0), command=command)
+        outputs = node.update(round(k * 1e9 / 46080.0), command=command)
         theta = 0.3 + k * TURN / 16
-        assert np.reshape(found["gates"], (4, 12)) == pytest.approx(gates(theta, 2.0))
-        assert complex(*found["voltage"][:2]) == pytest.approx(vector(theta, 2.0), abs=1e-12)
-    assert found["quality"] == pytest.approx((2.0 / math.pi * math.sin(1.0), distortion(2.0), distortion(2.0, 50)))
+        assert np.reshape(outputs["gates"], (4, 12)) == pytest.approx(gates(theta, 2.0))
+        assert complex(*outputs["voltage"][:2]) == pytest.approx(vector(theta, 2.0), abs=1e-12)
+    assert outputs["quality"] == pytest.approx((2.0 / math.pi * math.sin(1.0), distortion(2.0), distortion(2.0, 50)))
     before = node.update(0, command=(2.0, 0.0, NETWORK.omega))
     for bad in ((0.0, 0.0, 377.0), (3.2, 0.0, 377.0)):
         assert node.update(0, command=bad) == before
@@ -623,16 +623,16 @@ def test_in_real_time_a_command_turns_on_until_the_next_one_comes():
 
 
 def test_in_real_time_a_law_that_has_missed_ticks_knows_it():
-    found = []
+    results = []
     for lost in (0, 30):
         law = ByHand(ShuntController())
         point = law.block._point
         for k in [0, *range(1 + lost, 40)]:
             law.block.unanswered = lost if k == 1 + lost else 0
             u, i = (v * cmath.rect(1.0, TURN * k) for v in (point.u1, point.i_sh))
-            said = law.update(k, u1=(u.real, u.imag, 0.0), i_sh=(i.real, i.imag, 0.0), reference=None)
-        found.append(said["shunt"])
-    assert found[1] == pytest.approx(found[0], abs=1e-6)
+            outputs = law.update(k, u1=(u.real, u.imag, 0.0), i_sh=(i.real, i.imag, 0.0), reference=None)
+        results.append(outputs["shunt"])
+    assert results[1] == pytest.approx(results[0], abs=1e-6)
 
 
 # nodes ----------------------------------------------------------------------------------------------------------
@@ -728,10 +728,10 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
                 process.kill()
                 process.wait()
     assert outcome.error == ""
-    found = Signals(outcome.recording)
+    signals = Signals(outcome.recording)
     for name in STATUS:
         expected = status(ours, name)
-        assert found[f"gupfc/status/{name}/position"].x == pytest.approx(expected, abs=1e-6)
+        assert signals[f"gupfc/status/{name}/position"].x == pytest.approx(expected, abs=1e-6)
     assert np.ptp(status(ours, "p2")) > 0.08
 
 

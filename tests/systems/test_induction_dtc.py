@@ -181,8 +181,8 @@ def test_electrical_part_at_standstill_is_the_matrix_exponential():
     a = np.array([[-m.R_s, m.R_s], [m.R_R, -m.R_R - m.R_R * m.L_sigma / m.L_M]]) / m.L_sigma
     u = 540.0 * voltage(VECTORS[2])
     psi = np.linalg.solve(a, (expm(a * 400 * T_S) - np.eye(2)) @ [1.0, 0.0]) * u
-    found = np.array(plant.x[:STATES])
-    np.testing.assert_allclose(found[0:4:2] + 1j * found[1:4:2], psi, rtol=1e-9)
+    result = np.array(plant.x[:STATES])
+    np.testing.assert_allclose(result[0:4:2] + 1j * result[1:4:2], psi, rtol=1e-9)
     i = (psi[0] - psi[1]) / m.L_sigma
     currents = plant.outputs(0)["currents_true"]
     np.testing.assert_allclose(currents, [(i * np.exp(-2j * np.pi * n / 3)).real for n in range(3)], rtol=1e-8)
@@ -288,8 +288,8 @@ def test_comparators_remember():
     errors = (0.0, -0.01, -0.011, 0.005, 0.011, -0.005)
     assert [*accumulate(errors, partial(flux_level, band=0.01), initial=1)][1:] == [1, 1, 0, 0, 1, 1]
     errors = (0.4, 0.6, 0.1, 0.0, -0.4, -0.6, -0.1, 0.6, -0.6, 0.0, 0.5)
-    found = [*accumulate(errors, partial(torque_level, band=0.5), initial=0)][1:]
-    assert found == [0, 1, 1, 0, 0, -1, -1, 1, -1, 0, 0]
+    result = [*accumulate(errors, partial(torque_level, band=0.5), initial=0)][1:]
+    assert result == [0, 1, 1, 0, 0, -1, -1, 1, -1, 0, 0]
 
 
 def test_voltage_model_is_the_trapezoidal_rule():
@@ -314,9 +314,9 @@ def test_observer_stays_near_the_current_model():
 def test_controller_starts_by_magnetising():
     controller = ByHand(DtcController(magnetising_time=0.2))
     zero = {"currents_meas": (0.0, 0.0, 0.0), "dc_link": (540.0,), "torque_ref": (15.0,)}
-    found = [controller.update(k * 50_000, **zero)["switches"] for k in range(3999)]
-    assert set(found) == {VECTORS[0], VECTORS[1]}
-    assert found[0] == VECTORS[1]
+    results = [controller.update(k * 50_000, **zero)["switches"] for k in range(3999)]
+    assert set(results) == {VECTORS[0], VECTORS[1]}
+    assert results[0] == VECTORS[1]
     later = [controller.update(200_000_000 + k * 50_000, **zero)["switches"] for k in range(3)]
     assert later[0] in (VECTORS[2], VECTORS[3])  # sector 1, more torque
 
@@ -329,11 +329,11 @@ def test_controller_reproduces_its_record():
     currents = np.column_stack([signals[f"currents_meas/{c}"].x for c in "xyz"]).tolist()
     torque_ref = signals["torque_ref/shaft/effort"].x.tolist()
     for k, row in enumerate(legs(signals).tolist()):
-        found = controller.update(
+        outputs = controller.update(
             k * 50_000, currents_meas=tuple(currents[k]), dc_link=(540.0,), torque_ref=(torque_ref[k // 20],)
         )
-        assert found["switches"] == tuple(row)
-        assert found["flux_estimate"][0] == signals["flux_estimate/x"].x[k]
+        assert outputs["switches"] == tuple(row)
+        assert outputs["flux_estimate"][0] == signals["flux_estimate/x"].x[k]
 
 
 def test_computation_delay_is_known_to_the_estimator():
@@ -348,8 +348,8 @@ def test_speed_controller_slews_and_limits():
     controller = ByHand(SpeedController())
     first = controller.update(0, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0]
     assert first == pytest.approx(1.5 * 0.5)
-    found = [controller.update(k, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0] for k in range(400)]
-    assert max(found) == found[-1] == 20.0
+    results = [controller.update(k, joint_states=(0.0,), speed_ref=(100.0,))["torque_ref"][0] for k in range(400)]
+    assert max(results) == results[-1] == 20.0
     controller.reset(0)
     assert controller.update(0, joint_states=(0.0,), speed_ref=None)["torque_ref"] == (0.0,)
     assert controller.update(0, joint_states=(-40.0,), speed_ref=(-1.0,))["torque_ref"][0] == 20.0
@@ -481,7 +481,7 @@ def test_a_refused_current_holds_the_switches_and_the_flux_is_integrated_all_the
     good = {"currents_meas": (3.0, -1.0, -2.0), "dc_link": (540.0,), "torque_ref": (5.0,)}
     for k in range(5):
         before = block.update(k * 50_000, **good)
-    found = block.refused(250_000)
-    assert found["switches"] == before["switches"]
-    step = math.hypot(*(a - b for a, b in zip(found["flux_estimate"], before["flux_estimate"], strict=True)))
+    answer = block.refused(250_000)
+    assert answer["switches"] == before["switches"]
+    step = math.hypot(*(a - b for a, b in zip(answer["flux_estimate"], before["flux_estimate"], strict=True)))
     assert step == pytest.approx(50e-6 * 540.0 * 2 / 3, rel=0.2)  # the voltage of one period, less the resistance's

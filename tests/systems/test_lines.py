@@ -97,15 +97,15 @@ def test_steps_hold_the_sinusoidal_steady_state(kind):
     voltages = np.array([[1.0, 0.9 * cmath.exp(-0.2j)], [0.8j, 1.1 * cmath.exp(0.5j)]])
     currents = np.array([discrete_two_port(s, omega, step) @ u for s, u in zip(sections, voltages, strict=True)])
     ring = steady_history(prepared, voltages, currents, omega, step)
-    take = np.real if kind == "phase" else np.asarray
-    ring = np.ascontiguousarray(take(ring))
+    accept = np.real if kind == "phase" else np.asarray
+    ring = np.ascontiguousarray(accept(ring))
     assert ring.shape == (2, 2, history_length(prepared))
-    history, found = np.empty((2, 2), ring.dtype), np.empty((2, 2), ring.dtype)
+    history, result = np.empty((2, 2), ring.dtype), np.empty((2, 2), ring.dtype)
     for k in range(1, 3 * ring.shape[2]):
         turn = cmath.exp(1j * omega * step * k)
         histories(prepared, ring, k, history)
-        store(prepared, ring, k, np.ascontiguousarray(take(voltages * turn)), history, found)
-        np.testing.assert_allclose(found, take(currents * turn), atol=1e-13)
+        store(prepared, ring, k, np.ascontiguousarray(accept(voltages * turn)), history, result)
+        np.testing.assert_allclose(result, accept(currents * turn), atol=1e-13)
 
 
 def test_step_response_of_a_matched_lossless_line():
@@ -210,24 +210,24 @@ def test_the_lossy_section_by_the_equations_of_its_page(delay):
 
 def test_the_numbers_of_prepared_sections():
     step = 2e-6
-    found = lines([PLAIN, PLAIN.part(40.0)], step)
+    result = lines([PLAIN, PLAIN.part(40.0)], step)
     for k, section in enumerate((PLAIN, PLAIN.part(40.0))):
         r, plus = section.resistance, section.z + section.resistance / 4.0
-        assert found.conductance[k] == pytest.approx(1.0 / plus)
-        assert found.z_minus[k] == pytest.approx(section.z - r / 4.0)
-        assert found.far[k] == pytest.approx(-section.z / plus**2)
-        assert found.near[k] == pytest.approx(-r / 4.0 / plus**2)
+        assert result.conductance[k] == pytest.approx(1.0 / plus)
+        assert result.z_minus[k] == pytest.approx(section.z - r / 4.0)
+        assert result.far[k] == pytest.approx(-section.z / plus**2)
+        assert result.near[k] == pytest.approx(-r / 4.0 / plus**2)
         delay = section.tau / step
-        assert found.newest[k] == math.floor(delay) - 1
-        ages = found.newest[k] + np.arange(4)
+        assert result.newest[k] == math.floor(delay) - 1
+        ages = result.newest[k] + np.arange(4)
         for n, age in enumerate(ages):
             product = math.prod((delay - m) / (age - m) for m in ages if m != age)
-            assert found.weights[k, n] == pytest.approx(product, abs=1e-12)
+            assert result.weights[k, n] == pytest.approx(product, abs=1e-12)
     size = 1
-    while size <= found.newest.max() + 4:
+    while size <= result.newest.max() + 4:
         size *= 2
-    assert history_length(found) == size
-    assert [history_length(found._replace(newest=np.array([n]))) for n in (3, 4, 11, 12, 27, 28)] == [
+    assert history_length(result) == size
+    assert [history_length(result._replace(newest=np.array([n]))) for n in (3, 4, 11, 12, 27, 28)] == [
         8,
         16,
         16,
@@ -245,7 +245,7 @@ def test_what_arrives_and_what_is_stored_in_loops():
     """Values of any kind: what is told at a step arrives after the travel time, by the cubic."""
     step = 5e-6
     prepared, chance = lines([PLAIN, PLAIN.part(40.0)], step), np.random.default_rng(1)
-    size, told = history_length(prepared), []
+    size, messages = history_length(prepared), []
     ring, out, current = np.zeros((2, 2, size), complex), np.empty((2, 2), complex), np.empty((2, 2), complex)
     for k in range(1, 3 * size):
         histories.py_func(prepared, ring, k, out)
@@ -253,7 +253,7 @@ def test_what_arrives_and_what_is_stored_in_loops():
         for n in range(2):
             for end in range(2):
                 ages = [prepared.newest[n] + m for m in range(4)]
-                seen = [told[k - 1 - age][n][end] if age < k else 0.0 for age in ages]
+                seen = [messages[k - 1 - age][n][end] if age < k else 0.0 for age in ages]
                 assert out[n, end] == pytest.approx(sum(w * x for w, x in zip(prepared.weights[n], seen, strict=True)))
         store.py_func(prepared, ring, k, u, out, current)
         arriving = np.empty((2, 2), complex)
@@ -262,7 +262,7 @@ def test_what_arrives_and_what_is_stored_in_loops():
             assert current[n] == pytest.approx(i)
             leaving = u[n] + prepared.z_minus[n] * i
             arriving[n] = prepared.far[n] * leaving[::-1] + prepared.near[n] * leaving
-        told.append(arriving)
+        messages.append(arriving)
 
 
 def test_the_sinusoidal_past_slot_by_slot():

@@ -57,9 +57,9 @@ def run_of(name, overrides="{}"):
 
 def annotation(model, name):
     """Type of a parameter with a dotted name."""
-    first, _, rest = name.partition(".")
-    found = model.model_fields[first].annotation
-    return annotation(found, rest) if rest else found
+    first, _, remaining = name.partition(".")
+    result = model.model_fields[first].annotation
+    return annotation(result, remaining) if remaining else result
 
 
 def others(kind, value):
@@ -123,26 +123,26 @@ def test_a_change_takes_effect_at_its_tick_and_never_before(name):
         assert recorded(base) == [], member.name
         tick = member.schedule.next(round(at * 1e9) - 1)
         for one in values:
-            found = answers(rig, recording, member, at, {one: values[one]})
+            result = answers(rig, recording, member, at, {one: values[one]})
             where = f"{member.name}.{one}"
-            assert cut(found, at) == cut(base, at), where
+            assert cut(result, at) == cut(base, at), where
             last = member.schedule.last
-            taken = [(tick, member.name, {one: values[one]})] if last is None or tick <= last else []
-            assert recorded(found) == taken, where
-            assert all(np.isfinite(signal.x).all() for signal in Signals(found).values()), where
+            used = [(tick, member.name, {one: values[one]})] if last is None or tick <= last else []
+            assert recorded(result) == used, where
+            assert all(np.isfinite(signal.x).all() for signal in Signals(result).values()), where
 
 
 def test_every_live_parameter_may_change_in_some_rig():
     """One that the others of its block, or the rig, would always refuse is not live."""
-    told, allowed = set(), set()
+    messages, allowed = set(), set()
     for name in CASES:
         for member in run_of(name)[0].members:
             key = f"{member.package}/{member.executable}"
             known = flatten(member.params)  # an empty list says that there is no such field
-            told |= {f"{key}.{p}" for p in changeable(member.block_class.Params) if known[p] != []}
+            messages |= {f"{key}.{p}" for p in changeable(member.block_class.Params) if known[p] != []}
             allowed |= {f"{key}.{p}" for p in variations(member)}
     # which needs a solver: softrig_power's, of the same class, has one in a scenario
-    assert told - allowed == {"softrig_control/gpc_controller.du_max"}
+    assert messages - allowed == {"softrig_control/gpc_controller.du_max"}
 
 
 @pytest.mark.parametrize("name", few(EVERY, 6))
@@ -217,14 +217,14 @@ def test_the_command_is_continuous_when_integral_action_changes(name, node, valu
     rig, recording = run_of(name, json.dumps(overrides))
     member = next(m for m in rig.members if m.name == node)
     tick = member.schedule.next(round(TIMES[name][1] * 1e9) - 1)
-    base, found = (Signals(answers(rig, recording, member, TIMES[name][1], v)) for v in ({}, values))
+    base, result = (Signals(answers(rig, recording, member, TIMES[name][1], v)) for v in ({}, values))
     labels = [label for label in base if label.startswith(f"{member.outputs[0].topic}/")]
     moved = 0
     for label in labels:
         k = list(base[label].t).index(tick / 1e9)
-        before, a, b = base[label].x[k - 1], base[label].x[k], found[label].x[k]
+        before, a, b = base[label].x[k - 1], base[label].x[k], result[label].x[k]
         assert b == pytest.approx(a, rel=1e-3, abs=0.2 * abs(a - before) + 1e-9), label
-        moved += sum(base[label].x[k + 1 :] != found[label].x[k + 1 :])
+        moved += sum(base[label].x[k + 1 :] != result[label].x[k + 1 :])
     assert labels
     assert moved, "the change has no effect at all"
 

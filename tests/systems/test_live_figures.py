@@ -83,8 +83,8 @@ def test_a_run_of_many_records_what_its_figures_read_and_measures_what_a_whole_o
     name, duration, silent, monkeypatch
 ):
     monkeypatch.setenv("SOFTRIG_JIT", "0")
-    found, unread = of_a_study(name, duration)
-    assert repr(found) == repr(simulate(name, duration=duration).results)
+    result, unread = of_a_study(name, duration)
+    assert repr(result) == repr(simulate(name, duration=duration).results)
     assert unread == silent
 
 

@@ -61,7 +61,7 @@ def test_the_current_loops_are_their_formulas(options):
     for k in range(150):
         x, v, force = draw.uniform(-0.2, 0.2), draw.uniform(-1.0, 1.0), draw.choice((0.0, draw.uniform(-40.0, 40.0)))
         currents = [draw.choice((0.0, 0.019, 0.021, draw.uniform(0.0, 9.0))) for _ in range(4)]
-        found = law.update(k, joint_states=(x, v), phase_currents=tuple(currents), force_cmd=(force,))
+        outputs = law.update(k, joint_states=(x, v), phase_currents=tuple(currents), force_cmd=(force,))
         seen = p.resolution * math.floor(x / p.resolution + 0.5)
         target = min(math.sqrt(2.0 * abs(force) / p.G), 8.0)
         for phase, i in enumerate(currents):
@@ -75,7 +75,7 @@ def test_the_current_loops_are_their_formulas(options):
                 u = 100.0 * duty
             else:
                 z[phase], u = 0.0, -100.0 if i > 0.02 else 0.0
-            assert (law.x.integral[phase], found["phase_voltage"][phase]) == (near(z[phase]), near(u))
+            assert (law.x.integral[phase], outputs["phase_voltage"][phase]) == (near(z[phase]), near(u))
 
 
 def test_what_the_integrals_of_the_currents_give_stays_under_another_gain():
@@ -162,10 +162,10 @@ def test_a_profile_accelerates_cruises_and_brakes_as_it_is_said(kind, v_d):
         if kind == "step":
             speed = v_d if t <= 1.0 + 1e-12 else 0.0
         if k % 250 == 125:  # between the edges
-            found = p.at(t)
-            assert found[0] == pytest.approx(way, abs=1e-4)
-            assert found[1] == pytest.approx(speed, abs=1e-4)
-            assert found[2] == (0.0 if kind == "step" else near(pull(t)))
+            result = p.at(t)
+            assert result[0] == pytest.approx(way, abs=1e-4)
+            assert result[1] == pytest.approx(speed, abs=1e-4)
+            assert result[2] == (0.0 if kind == "step" else near(pull(t)))
         if kind != "step":
             after = speed + dt * pull(t + dt / 2)
             way += dt * (speed + after) / 2
@@ -199,7 +199,7 @@ def test_the_range_of_a_speed_is_that_of_its_samples():
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "reported"),
     [
         ({"v_d": 0.5, "t_d": 0.4, "F_max": 17.2}, "reference infeasible: it needs 17.3 N, the motor gives 17.2 N"),
         ({"v_d": 0.5, "t_d": 0.4, "F_max": 17.29}, ""),
@@ -214,15 +214,15 @@ def test_the_range_of_a_speed_is_that_of_its_samples():
         ({"x_d": 0.2, "profile": "trapezoid"}, ""),
     ],
 )
-def test_a_profile_that_nobody_can_follow_is_told(values, told):
+def test_a_profile_that_nobody_can_follow_is_told(values, reported):
     source = ByHand(ProfileGenerator(**{"F_max": 1e4, **values}))
-    said = [text for _, text, *_ in source.reports.values()]
-    assert bool(said) is bool(told)
-    assert told in "".join(said)
+    messages = [text for _, text, *_ in source.reports.values()]
+    assert bool(messages) is bool(reported)
+    assert reported in "".join(messages)
     source.reports.clear()
     source.block.go_on((), source.block.p)
     source.tell()
-    assert bool(source.reports) is bool(told)
+    assert bool(source.reports) is bool(reported)
 
 
 def test_the_largest_force_is_that_of_both_ramps():
@@ -260,8 +260,8 @@ def test_each_phase_trips_the_half_bridges(phase):
         assert plant.x.fault is trips
         assert plant.outputs(0)["phase_currents"][phase] == pytest.approx(current, rel=1e-6)
         plant.advance(0, phase_voltage=(0.0,) * 4, load=None)  # after a fault the supply takes the flux away
-        taken = 0.006 * current - getattr(plant.x, names[phase])
-        assert taken == pytest.approx(150.0 * 5e-5 if trips else 0.0, abs=1e-9)
+        used = 0.006 * current - getattr(plant.x, names[phase])
+        assert used == pytest.approx(150.0 * 5e-5 if trips else 0.0, abs=1e-9)
 
 
 def test_markers_are_teeth_at_each_pitch_and_four_poles_on_a_body():

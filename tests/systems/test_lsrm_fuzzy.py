@@ -54,8 +54,8 @@ def measured(name):
 
 def value(name, figure):
     """Measured value; infinity for what never happens."""
-    found = measured(name)[figure].value
-    return math.inf if found is None else found
+    result = measured(name)[figure].value
+    return math.inf if result is None else result
 
 
 def daily_or_long(names):
@@ -119,11 +119,11 @@ def test_locked_translator():
     plant = ByHand(LsrmPlant(locked=True, x_0=0.0415))
     for k in range(200):
         plant.advance(k, phase_voltage=(15.0, 0.0, 0.0, 0.0), load=None)
-    found = plant.outputs(0)
-    assert found["phase_currents"][0] == pytest.approx(5.35621, abs=1e-4)
-    assert found["phase_currents"][0] == pytest.approx(6.0 * (1.0 - math.exp(-0.01 * 2.5 / 11.2e-3)), abs=1e-8)
-    assert found["joint_states"] == (0.0415, 0.0, pytest.approx(11.4756, abs=1e-3))
-    assert found["force_phases"] == (found["joint_states"][2], 0.0, 0.0, 0.0)
+    outputs = plant.outputs(0)
+    assert outputs["phase_currents"][0] == pytest.approx(5.35621, abs=1e-4)
+    assert outputs["phase_currents"][0] == pytest.approx(6.0 * (1.0 - math.exp(-0.01 * 2.5 / 11.2e-3)), abs=1e-8)
+    assert outputs["joint_states"] == (0.0415, 0.0, pytest.approx(11.4756, abs=1e-3))
+    assert outputs["force_phases"] == (outputs["joint_states"][2], 0.0, 0.0, 0.0)
 
 
 def independent(state, u, duration):
@@ -250,11 +250,11 @@ def test_quintic_agrees_with_a_linear_solve(v_0, a_0, v_d, D, T):
         [0, 2, 0, 0, 0],
     ]
     alpha = np.linalg.solve(rows, [v_d, 0.0, D, v_0, a_0])
-    found = Quintic.between(v_0, a_0, v_d, T, D)
+    result = Quintic.between(v_0, a_0, v_d, T, D)
     for t in (0.3 * T, 0.8 * T):
         x = sum(a * t**n for n, a in enumerate(alpha, 1))
         v = sum(n * a * t ** (n - 1) for n, a in enumerate(alpha, 1))
-        assert found.at(t)[:2] == pytest.approx((x, v), abs=1e-9)
+        assert result.at(t)[:2] == pytest.approx((x, v), abs=1e-9)
 
 
 def test_free_distance_has_the_least_jerk():
@@ -395,9 +395,9 @@ def test_fuzzy_controller_is_a_pi_controller():
 
 def test_pi_controller_clips_and_does_not_wind_up():
     controller = ByHand(LsrmPi())
-    rest = {"joint_states": (0.0,), "reference": (0.0, 5.0, 0.0)}
-    found = [controller.update(k * MS, **rest)["force_cmd"][0] for k in range(100)]
-    assert set(found) == {40.0}
+    remaining = {"joint_states": (0.0,), "reference": (0.0, 5.0, 0.0)}
+    results = [controller.update(k * MS, **remaining)["force_cmd"][0] for k in range(100)]
+    assert set(results) == {40.0}
     last = controller.update(101 * MS, joint_states=(5.0,), reference=(0.0, 5.0, 0.0))
     assert last["force_cmd"] == (0.0,)
     first = ByHand(LsrmPi()).update(0, joint_states=(0.0,), reference=(0.0, 0.1, 0.0))["force_cmd"][0]
@@ -413,15 +413,15 @@ def test_mrac_gain_solves_the_riccati_equation():
 
 def test_mrac_adapts_before_it_acts_and_stays_within_its_bounds():
     controller = ByHand(LsrmMrac())
-    found = controller.update(0, joint_states=(0.1,), reference=(0.0, 0.2, 1.0))
+    outputs = controller.update(0, joint_states=(0.1,), reference=(0.0, 0.2, 1.0))
     phi = (1.0 + controller.block.k * 0.1, 0.1, 1.0)
     theta = (3.0 + 0.2 * phi[0] * 0.1, 10.0 + 2.0 * 0.1 * 0.1, 0.0 + 2.0 * 0.1)
-    assert found["theta"] == pytest.approx(theta)
-    assert found["force_cmd"][0] == pytest.approx(sum(a * b for a, b in zip(theta, phi, strict=True)))
+    assert outputs["theta"] == pytest.approx(theta)
+    assert outputs["force_cmd"][0] == pytest.approx(sum(a * b for a, b in zip(theta, phi, strict=True)))
     for k in range(3000):
-        found = controller.update(k, joint_states=(0.5,), reference=(0.0, 5.0, 0.0))
-    assert found["theta"] == (20.0, 60.0, 20.0)
-    assert found["force_cmd"] == (40.0,)
+        outputs = controller.update(k, joint_states=(0.5,), reference=(0.0, 5.0, 0.0))
+    assert outputs["theta"] == (20.0, 60.0, 20.0)
+    assert outputs["force_cmd"] == (40.0,)
 
 
 def test_reversed_force_switches_to_the_phases_with_negative_slope():
@@ -449,8 +449,8 @@ def test_reversed_force_pushes_back_without_negative_current():
 
 def test_command_is_limited_to_the_rated_current():
     controller = ByHand(CurrentController(K_pc=0.001, K_ic=0.0))
-    found = controller.update(0, joint_states=(0.004, 0.0), phase_currents=OFF, force_cmd=(400.0,))
-    assert found["phase_voltage"][1] == pytest.approx(150 * 0.001 * 10.0)
+    outputs = controller.update(0, joint_states=(0.004, 0.0), phase_currents=OFF, force_cmd=(400.0,))
+    assert outputs["phase_voltage"][1] == pytest.approx(150 * 0.001 * 10.0)
 
 
 def test_position_is_quantised():

@@ -71,11 +71,11 @@ def test_the_plant_is_the_machine_in_phases():
         duty = tuple((0.5 + 0.3 * np.cos(0.3 * k - THIRD * np.arange(3)) + 0.05 * draw.standard_normal(3)).tolist())
         block.advance(k * 100_000, duty=duty, load_torque=None)
         y = in_phases(p, duty, y, p.period)
-    found = block.outputs(20 * 100_000)
-    i_a, i_b, i_c = found["currents"]
+    outputs = block.outputs(20 * 100_000)
+    i_a, i_b, i_c = outputs["currents"]
     wanted = [y[0], y[1], y[2], y[3], y[4], y[5], y[6]]
-    have = [i_a, (i_b - i_c) / 3**0.5, found["joint_states"][1], found["joint_states"][0]]
-    have += [found["load_shaft"][1], found["load_shaft"][0], found["dc_link"][0]]
+    have = [i_a, (i_b - i_c) / 3**0.5, outputs["joint_states"][1], outputs["joint_states"][0]]
+    have += [outputs["load_shaft"][1], outputs["load_shaft"][0], outputs["dc_link"][0]]
     assert have == pytest.approx(wanted, rel=1e-8, abs=1e-8)
 
 
@@ -129,11 +129,11 @@ def test_harmonics_of_the_carrier_are_bessel_functions(updates):
     for m, n in ((0, 1), (1, 0), (1, 2), (1, -2), (2, 1), (2, -1), (3, 0)):
         order = m * pulses + n
         rate = -2j * math.pi * order
-        found = 2.0 * abs(np.sum(levels * (np.exp(rate * times[1:]) - np.exp(rate * times[:-1]))) / rate)
+        result = 2.0 * abs(np.sum(levels * (np.exp(rate * times[1:]) - np.exp(rate * times[:-1]))) / rate)
         q = m + n / pulses
         turn = 0.5 * math.pi * ((q + n) if updates == 1 else (m + n))
         wanted = abs(4.0 / (math.pi * q) * jv(n, q * math.pi / 2 * M) * math.sin(turn))
-        assert found == pytest.approx(wanted, abs=2e-3 if n else 1e-9), (m, n)
+        assert result == pytest.approx(wanted, abs=2e-3 if n else 1e-9), (m, n)
 
 
 def test_power_in_is_power_out():
@@ -313,10 +313,10 @@ def test_a_current_step_is_followed_as_the_bandwidth_says(axis):
             t = round(k * period * NS)
             seen = machine.outputs(t)
             rows.append(machine.x.i_d if axis == "d" else machine.x.i_q)
-            found = law.update(
+            outputs = law.update(
                 t, currents=seen["currents"], joint_states=seen["joint_states"][:2], dc_link=(540.0,), current_ref=ref
             )
-            machine.advance(t, duty=found["duty"], load_torque=None)
+            machine.advance(t, duty=outputs["duty"], load_torque=None)
         t = period * np.arange(len(rows))
         errors.append(np.abs(np.array(rows) / 4.0 - (1.0 - np.exp(-alpha * t))).max())
     assert errors[0] < 0.02
@@ -344,11 +344,11 @@ def test_the_drive_is_its_linear_loop(name, alpha_s, J):
     up = lti(num, den).step(T=t)[1]
     run = simulate(name)
     assert not run.missed
-    found = run.figures
-    assert found["rise_time"] == pytest.approx(np.interp(0.9, up, t) - np.interp(0.1, up, t), rel=0.01)
+    result = run.figures
+    assert result["rise_time"] == pytest.approx(np.interp(0.9, up, t) - np.interp(0.1, up, t), rel=0.01)
     load = 10.0 if name == "pmsm_foc" else 0.05
     dip = lti([1.0 / alpha_c, 1.0, 0.0], den).step(T=t)[1].max()
-    assert found["load_dip"] == pytest.approx(load * dip, rel=0.02)
+    assert result["load_dip"] == pytest.approx(load * dip, rel=0.02)
 
 
 def test_field_weakening_keeps_the_voltage():

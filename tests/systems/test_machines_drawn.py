@@ -27,15 +27,15 @@ NS = 1e9
 
 def sets(node, of):
     """Return the constants of each machine that a scenario has, with its DC voltage, by the first of its names."""
-    found = {}
+    results = {}
     for name in sorted(list_scenarios(), key=len):
         parameters = load_scenario(name).nodes.get(node)
         if parameters is not None:
             given = {k: v for k, v in parameters.parameters.items() if k in of.model_fields and "table" not in k}
             given["U_dc"] = parameters.parameters.get("U_dc", 540.0)
-            if given not in found.values():
-                found[name] = given
-    return found
+            if given not in results.values():
+                results[name] = given
+    return results
 
 
 SYNCHRONOUS = sets("pmsm_plant", SynchronousConstants)
@@ -66,13 +66,13 @@ def test_a_current_step_is_followed_at_any_bandwidth_and_speed(name, seed):
     period = 0.01 / rate
     step = 0.3 * given["U_dc"] / 3**0.5 / (rate * max(m.L_d, m.L_q))
     ref = (step, 0.0, 0.0) if axis == 0 else (0.0, step, 0.0)
-    rest = {k: v for k, v in given.items() if k != "U_dc"}
+    remaining = {k: v for k, v in given.items() if k != "U_dc"}
     machine = ByHand(
         PmsmPlant(PmsmPlantParams(**given, period=period, delay=0, J=1e6, w_0=w, trip_current=1e5, trip_voltage=1e4))
     )
     law = ByHand(
         FocController(
-            FocControllerParams(**rest, mode="current", period=period, current_bandwidth=alpha, delay=0, i_max=1e5)
+            FocControllerParams(**remaining, mode="current", period=period, current_bandwidth=alpha, delay=0, i_max=1e5)
         )
     )
     law.x = law.x._replace(u=Integrals())
@@ -82,8 +82,10 @@ def test_a_current_step_is_followed_at_any_bandwidth_and_speed(name, seed):
         rows.append((machine.x.i_d, machine.x.i_q))
         seen = machine.outputs(at)
         shaft = seen["joint_states"][:2]
-        found = law.update(at, currents=seen["currents"], joint_states=shaft, dc_link=(given["U_dc"],), current_ref=ref)
-        machine.advance(at, duty=found["duty"], load_torque=None)
+        outputs = law.update(
+            at, currents=seen["currents"], joint_states=shaft, dc_link=(given["U_dc"],), current_ref=ref
+        )
+        machine.advance(at, duty=outputs["duty"], load_torque=None)
     wanted = np.zeros((len(times), 2))
     wanted[:, axis] = 1.0 - np.exp(-alpha * times)
     assert np.abs(np.array(rows) / step - wanted).max() < 0.015
@@ -124,8 +126,8 @@ def test_a_torque_step_of_an_induction_machine_too(name, seed):
     """With its flux there, the torque is that of i_q, which follows as 1 - exp(-alpha t); the flux stays."""
     draw = np.random.default_rng([seed, 2])
     given = INDUCTION[name]
-    rest = {k: v for k, v in given.items() if k != "U_dc"}
-    m = InductionConstants(**rest)
+    remaining = {k: v for k, v in given.items() if k != "U_dc"}
+    m = InductionConstants(**remaining)
     flux = 0.0016 * given["U_dc"] * draw.uniform(0.5, 1.0)
     w = draw.uniform(-0.3, 0.3) * given["U_dc"] / 3**0.5 / flux / m.pole_pairs
     slow = max((m.R_s + m.R_R) / m.L_sigma, m.pole_pairs * abs(w))
@@ -142,7 +144,7 @@ def test_a_torque_step_of_an_induction_machine_too(name, seed):
     law = ByHand(
         ImFocController(
             ImFocParams(
-                **rest, mode="torque", period=period, current_bandwidth=alpha, delay=0, i_max=1e5, flux=flux,
+                **remaining, mode="torque", period=period, current_bandwidth=alpha, delay=0, i_max=1e5, flux=flux,
                 voltage_use=1.0, torque_max=1e6,
             )
         )
@@ -153,11 +155,11 @@ def test_a_torque_step_of_an_induction_machine_too(name, seed):
         at = round(float(t) * NS)
         seen = machine.outputs(at)
         rows.append((seen["joint_states"][2], math.hypot(machine.x.psi_R_alpha, machine.x.psi_R_beta)))
-        found = law.update(
+        outputs = law.update(
             at, currents=seen["currents"], joint_states=seen["joint_states"][:2], dc_link=(given["U_dc"],),
             torque_ref=(k * flux * i_q,),
         )  # fmt: skip
-        machine.advance(at, duty=found["duty"], load_torque=None)
+        machine.advance(at, duty=outputs["duty"], load_torque=None)
     torque, psi = np.array(rows).T
     assert np.abs(torque / (k * flux * i_q) - (1.0 - np.exp(-alpha * times))).max() < 0.02
     assert np.abs(psi / flux - 1.0).max() < 0.01
@@ -237,10 +239,10 @@ def test_harmonics_of_any_carrier_and_modulation_are_bessel_functions(seed):
     levels = np.array([2.0 * s - 1.0 for _, s in corners])
     for m, n in [(0, 1), (1, 0), *((int(draw.integers(1, 4)), int(draw.integers(-4, 5))) for _ in range(5))]:
         rate = -2j * math.pi * (m * pulses + n)
-        found = 2.0 * abs(np.sum(levels * (np.exp(rate * times[1:]) - np.exp(rate * times[:-1]))) / rate)
+        result = 2.0 * abs(np.sum(levels * (np.exp(rate * times[1:]) - np.exp(rate * times[:-1]))) / rate)
         q = m + n / pulses
         turn = 0.5 * math.pi * ((q + n) if updates == 1 else (m + n))
-        assert found == pytest.approx(abs(4.0 / (math.pi * q) * jv(n, q * math.pi / 2 * M) * math.sin(turn)), abs=2e-3)
+        assert result == pytest.approx(abs(4.0 / (math.pi * q) * jv(n, q * math.pi / 2 * M) * math.sin(turn)), abs=2e-3)
 
 
 def rivals(torque, k, L_d, L_q, psi_f):
@@ -331,15 +333,15 @@ def test_six_steps_carry_load_and_losses(name, seed):
             )["gates"]  # fmt: skip
         rows.append((*i, *gates, torque, w))
         block.advance(t, gates=gates, load_torque=None)
-    found = np.array(rows)
-    i, gate, torque, w = found[:, :3], found[:, 3:6], found[:, 6], found[:, 7]
+    result = np.array(rows)
+    i, gate, torque, w = result[:, :3], result[:, 3:6], result[:, 6], result[:, 7]
     largest, square = np.abs(i).max(axis=1), np.sum(i * i, axis=1)
     two = (np.abs(i).min(axis=1) == 0.0) & (largest > 0.3 * i_load)
     assert np.count_nonzero(two) > 1000
     assert np.median(np.abs(torque[two]) / (2.0 * p.k_e * largest[two])) == pytest.approx(1.0, rel=1e-6)
     mean = 0.5 * (i[1:] + i[:-1])
     diode = np.where(mean > 0.0, -p.v_diode, p.U_dc + p.v_diode)
-    taken = np.sum(np.where(gate[:-1] >= 0.0, gate[:-1] * p.U_dc, diode) * mean) * period
+    used = np.sum(np.where(gate[:-1] >= 0.0, gate[:-1] * p.U_dc, diode) * mean) * period
     out = np.sum(p.R * square + torque * w) * period + 0.5 * p.L * (square[-1] - square[0])
     # While it brakes, what comes in is the small difference of heat and motion.
-    assert taken == pytest.approx(out, abs=2e-3 * np.sum(p.R * square + np.abs(torque * w)) * period)
+    assert used == pytest.approx(out, abs=2e-3 * np.sum(p.R * square + np.abs(torque * w)) * period)

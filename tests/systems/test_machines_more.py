@@ -44,8 +44,12 @@ def test_the_induction_machine_is_its_t_circuit():
         u = 540.0 * complex((2 * duty[0] - duty[1] - duty[2]) / 3, (duty[1] - duty[2]) / 3**0.5)
         block.advance(k * 100_000, duty=duty, load_torque=(1.0,))
         y = solve_ivp(slope, (0.0, 1e-4), y, args=(u,), method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    found = block.outputs(0)
-    have = [found["currents"][0], (found["currents"][1] - found["currents"][2]) / 3**0.5, found["joint_states"][1]]
+    outputs = block.outputs(0)
+    have = [
+        outputs["currents"][0],
+        (outputs["currents"][1] - outputs["currents"][2]) / 3**0.5,
+        outputs["joint_states"][1],
+    ]
     assert have == pytest.approx([y[0], y[1], y[4]], rel=1e-8, abs=1e-8)
 
 
@@ -63,9 +67,9 @@ def test_voltage_over_frequency_slips_as_the_circuit_says():
         return 1.5 * p * abs(i * rotor) ** 2 * w_r / (w_s * R_R) / w_s
 
     slip = brentq(lambda w_r: torque(w_r) - 10.0, 0.0, 30.0)
-    found = simulate("im_vhz")
-    assert not found.missed
-    assert found.figures["speed_end"] == pytest.approx((w_s - slip) / p, abs=0.05)
+    result = simulate("im_vhz")
+    assert not result.missed
+    assert result.figures["speed_end"] == pytest.approx((w_s - slip) / p, abs=0.05)
 
 
 def loop(alpha_s, alpha_c, J, sensor=None):
@@ -195,11 +199,11 @@ def test_each_sector_drives_the_flat_tops():
     for n in range(6):
         angle = math.pi / 6 + math.pi / 3 * (n + 0.5)
         hall = sensor.update(n, joint_states=(angle, 0.0))["hall"]
-        rest = {"currents": (0.0, 0.0, 0.0), "joint_states": (0.0, 0.0), "dc_link": (24.0,), "speed_ref": (10.0,)}
-        _, found = law.update(law.first(), 0, hall=hall, **rest)
+        remaining = {"currents": (0.0, 0.0, 0.0), "joint_states": (0.0, 0.0), "dc_link": (24.0,), "speed_ref": (10.0,)}
+        _, result = law.update(law.first(), 0, hall=hall, **remaining)
         upper, lower = STEPS[n]
         assert (shape(angle - upper * THIRD), shape(angle - lower * THIRD)) == (1.0, -1.0)
-        gates = found["gates"]
+        gates = result["gates"]
         assert gates[upper] > 0.0 == gates[lower]
         assert gates[3 - upper - lower] == -1.0
     held = ByHand(law)

@@ -86,9 +86,10 @@ def random_states(n, seed=0, joints=3):
 
 def answer(block, q, v, tau, acceleration=None):
     n = len(q)
-    found = block.update(0, joint_query=(*q, *v, *tau), reference=acceleration)
+    outputs = block.update(0, joint_query=(*q, *v, *tau), reference=acceleration)
     return {
-        k: np.reshape(x, (n, n) if k == "mass_matrix" else (6, n) if k == "jacobian" else -1) for k, x in found.items()
+        k: np.reshape(x, (n, n) if k == "mass_matrix" else (6, n) if k == "jacobian" else -1)
+        for k, x in outputs.items()
     }
 
 
@@ -96,11 +97,11 @@ def answer(block, q, v, tau, acceleration=None):
 
 
 def test_dynamics_node_gives_the_reference_values():
-    found = answer(ByHand(RobotDynamics()), Q, V, np.zeros(3))
+    result = answer(ByHand(RobotDynamics()), Q, V, np.zeros(3))
     M = [[10.440676, 0, 0], [0, 13.166804, 3.022827], [0, 3.022827, 1.672924]]
-    np.testing.assert_allclose(found["mass_matrix"], M, atol=1e-5)
-    np.testing.assert_allclose(found["bias"], [-2.299374, 123.854263, 28.000033], atol=1e-5)
-    np.testing.assert_allclose(found["gravity"], [0, 124.242844, 27.472338], atol=1e-5)
+    np.testing.assert_allclose(result["mass_matrix"], M, atol=1e-5)
+    np.testing.assert_allclose(result["bias"], [-2.299374, 123.854263, 28.000033], atol=1e-5)
+    np.testing.assert_allclose(result["gravity"], [0, 124.242844, 27.472338], atol=1e-5)
     np.testing.assert_allclose(
         answer(ByHand(RobotDynamics()), np.zeros(3), V, V)["tool_pose"][:3], [1.69, 0, 0.28], atol=1e-12
     )
@@ -115,12 +116,12 @@ def test_dynamics_node_agrees_with_the_lagrangian():
     for q, v, tau in random_states(200):
         D, C, gravity, D_dot, _ = (np.array(x) for x in lagrangian()(q, v))
         bias = (C @ v) + gravity.ravel()
-        found = answer(block, q, v, tau, tuple(tau / 10))
-        np.testing.assert_allclose(found["mass_matrix"], D, atol=1e-9)
-        np.testing.assert_allclose(found["bias"], bias, atol=1e-9 * (1 + np.abs(bias).max()))
-        np.testing.assert_allclose(found["gravity"], gravity.ravel(), atol=1e-9 * 200)
-        np.testing.assert_allclose(found["forward_dynamics"], np.linalg.solve(D, tau - bias), rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found["inverse_dynamics"], D @ tau / 10 + bias, rtol=1e-9, atol=1e-7)
+        result = answer(block, q, v, tau, tuple(tau / 10))
+        np.testing.assert_allclose(result["mass_matrix"], D, atol=1e-9)
+        np.testing.assert_allclose(result["bias"], bias, atol=1e-9 * (1 + np.abs(bias).max()))
+        np.testing.assert_allclose(result["gravity"], gravity.ravel(), atol=1e-9 * 200)
+        np.testing.assert_allclose(result["forward_dynamics"], np.linalg.solve(D, tau - bias), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(result["inverse_dynamics"], D @ tau / 10 + bias, rtol=1e-9, atol=1e-7)
         skew = D_dot - 2 * C
         np.testing.assert_allclose(skew, -skew.T, atol=1e-9)
 
@@ -140,10 +141,10 @@ def test_armature_adds_to_the_diagonal():
         answer(ByHand(RobotDynamics()), Q, V, V, (1.0, 2.0, 3.0)),
         ByHand(RobotDynamics(armature=[2.0, 3.0, 4.0])),
     )
-    found = answer(geared, Q, V, V, (1.0, 2.0, 3.0))
-    np.testing.assert_allclose(found["mass_matrix"] - plain["mass_matrix"], np.diag([2.0, 3.0, 4.0]), atol=1e-12)
-    np.testing.assert_allclose(found["inverse_dynamics"] - plain["inverse_dynamics"], [2, 6, 12], atol=1e-12)
-    np.testing.assert_allclose(found["mass_matrix"] @ found["forward_dynamics"], V - found["bias"], atol=1e-11)
+    result = answer(geared, Q, V, V, (1.0, 2.0, 3.0))
+    np.testing.assert_allclose(result["mass_matrix"] - plain["mass_matrix"], np.diag([2.0, 3.0, 4.0]), atol=1e-12)
+    np.testing.assert_allclose(result["inverse_dynamics"] - plain["inverse_dynamics"], [2, 6, 12], atol=1e-12)
+    np.testing.assert_allclose(result["mass_matrix"] @ result["forward_dynamics"], V - result["bias"], atol=1e-11)
 
 
 def test_a_refused_query_is_not_answered():
@@ -301,9 +302,9 @@ def test_without_a_compiler_the_same_numbers(monkeypatch, tmp_path):
 def test_outputs_are_the_reference_values():
     plant = ByHand(ManipulatorPlant(position=0.1, velocity=0.2))
     plant.x = plant.x._replace(i=(1.0, 2.0, 3.0))
-    found = plant.outputs(0)
-    assert found["joint_states"] == pytest.approx((0.1,) * 3 + (0.2,) * 3 + (26.0, 52.0, 78.0))
-    assert found["motor_states"] == pytest.approx((10.0,) * 3 + (20.0,) * 3 + (1.0, 2.0, 3.0))
+    outputs = plant.outputs(0)
+    assert outputs["joint_states"] == pytest.approx((0.1,) * 3 + (0.2,) * 3 + (26.0, 52.0, 78.0))
+    assert outputs["motor_states"] == pytest.approx((10.0,) * 3 + (20.0,) * 3 + (1.0, 2.0, 3.0))
 
 
 # laws ------------------------------------------------------------------------------------------------------------
@@ -328,8 +329,8 @@ def test_printed_mu1_reaches_the_law(law):
     def second_voltage(**options):
         block = ByHand(VcsController(law=law, **options))
         for t in (0, 1):
-            found = block.update(t, joint_states=(0.0,) * 6, reference=(*(0.0,) * 6, *(1.0,) * 3))
-        return found["motor_command"][0]
+            outputs = block.update(t, joint_states=(0.0,) * 6, reference=(*(0.0,) * 6, *(1.0,) * 3))
+        return outputs["motor_command"][0]
 
     mu1 = {"adsmc": (30.0, 10.2), "dsmc": (300.0, 700.0)}[law]
     assert second_voltage() == pytest.approx(1e-3 * mu1[0])  # first voltage 0, Upsilon = 1
@@ -348,10 +349,10 @@ def test_surfaces_are_those_of_the_error(law):
     s_int = 0.0
     for k in range(1000):
         now = [float(x) for x in exact(k * T)]
-        found = block.update(k, joint_states=(0.0,) * 6, reference=(now[0],) * 3 + (now[1],) * 3 + (0.0,) * 3)
+        outputs = block.update(k, joint_states=(0.0,) * 6, reference=(now[0],) * 3 + (now[1],) * 3 + (0.0,) * 3)
         if k > 1:
-            assert found["controller_state"][3] == pytest.approx(now[2], abs=5e-3)
-            assert found["controller_state"][6] == pytest.approx(now[3] + 4 * s_int, abs=2e-2)
+            assert outputs["controller_state"][3] == pytest.approx(now[2], abs=5e-3)
+            assert outputs["controller_state"][6] == pytest.approx(now[3] + 4 * s_int, abs=2e-2)
         s_int += T * now[2]
 
 
@@ -386,9 +387,9 @@ NAMES = sorted(n for n in list_scenarios() if n.startswith("manipulator_adsmc"))
 
 @pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 1))
 def test_scenario_meets_its_numbers(name):
-    found = evaluate(rig_of(name), run(name))
-    assert any(m.judged for m in found)
-    assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
+    result = evaluate(rig_of(name), run(name))
+    assert any(m.judged for m in result)
+    assert [f"{m.name} = {m.value}" for m in result if not m.passed] == []
 
 
 @pytest.mark.long

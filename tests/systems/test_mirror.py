@@ -69,24 +69,24 @@ def driven(package, executable, sign=1.0, begin=0):
             held = {p.name: tuple(sign * rng.uniform(-1.0, 1.0) for _ in range(p.size)) for p in inputs}
         given = {p.name: Sample(t, held[p.name]) if p.delayed else held[p.name] for p in inputs}
         if issubclass(cls, Plant):
-            found = block.outputs(x, t)
+            result = block.outputs(x, t)
             x = block.advance(x, t, **given)
         else:
-            x, found = block.update(x, t, **given)
-        said = [found.get(p.name) for p in outputs if not p.sporadic]
-        rows.append([tuple(r.data if isinstance(r, Sample) else r) for r in said])
+            x, result = block.update(x, t, **given)
+        messages = [result.get(p.name) for p in outputs if not p.sporadic]
+        rows.append([tuple(r.data if isinstance(r, Sample) else r) for r in messages])
     return rows
 
 
 def test_every_executable_is_here():
-    found = {
+    results = {
         (d.metadata["Name"], name)
         for d in importlib.metadata.distributions()
         if (d.metadata["Name"] or "").startswith("softrig")
         for name in executables(d.metadata["Name"])
         if block_of(load_main(d.metadata["Name"], name)) is not None
     }
-    assert sorted(found) == sorted(pairs(ODD, LATER, TIME, NOT_OPEN))
+    assert sorted(results) == sorted(pairs(ODD, LATER, TIME, NOT_OPEN))
 
 
 @pytest.mark.parametrize(("package", "executable"), pairs(ODD))

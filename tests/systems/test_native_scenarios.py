@@ -52,12 +52,12 @@ def ran(rig: Rig, make: Make | None) -> tuple[Recording, Mapping[str, Any], str,
 
 def held(scenario: Any, make: Make = plain) -> Native:
     """Hold both against each other: messages, reports, errors, states, times."""
-    found, others, other_error, native = ran(rig_of(scenario), make)
+    result, others, other_error, native = ran(rig_of(scenario), make)
     if not native.ticks:
         return native
     wanted, steps, error, _ = ran(rig_of(scenario), None)
     assert other_error == error
-    assert found.topics == wanted.topics
+    assert result.topics == wanted.topics
     for name, step in steps.items():
         other = others[name]
         if not isinstance(step.block, Solver):  # which remembers how long it took
@@ -73,8 +73,8 @@ def held(scenario: Any, make: Make = plain) -> Native:
 
 def scenario(name: str, **more: Any) -> Scenario:
     """Give a scenario of a short duration."""
-    found = load_scenario(name)
-    return found.having(duration=short(rig_of(name)), **more)
+    result = load_scenario(name)
+    return result.having(duration=short(rig_of(name)), **more)
 
 
 # scenarios that go natively, by system; the others by what is in the way

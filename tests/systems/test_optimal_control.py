@@ -133,22 +133,22 @@ def test_operations_without_a_series_are_refused():
 
 
 def test_example_1():
-    found = solve(SCALAR, 20)
-    assert found.J[:5] == pytest.approx([0.25, 0.25, 0.2349330357, 0.2349330357, 0.2353315110], abs=1e-9)
-    assert [a[0] for a in found.alphas[:6]] == pytest.approx([-1.0] * 6, abs=1e-12)
-    assert found.J[-1] == pytest.approx(0.2353270772, abs=1e-9)
-    assert found.alpha[0] == pytest.approx(-0.9989582066, abs=5e-9)
+    solution = solve(SCALAR, 20)
+    assert solution.J[:5] == pytest.approx([0.25, 0.25, 0.2349330357, 0.2349330357, 0.2353315110], abs=1e-9)
+    assert [a[0] for a in solution.alphas[:6]] == pytest.approx([-1.0] * 6, abs=1e-12)
+    assert solution.J[-1] == pytest.approx(0.2353270772, abs=1e-9)
+    assert solution.alpha[0] == pytest.approx(-0.9989582066, abs=5e-9)
     # the "maximum state error" of the paper is a residual
-    assert found.state_residual[4] == pytest.approx(3.2359e-5, abs=1e-9)
-    assert found.ratio[4] == pytest.approx(1.69e-3, abs=1e-5)
-    assert found.ratio[7] == pytest.approx(1.4e-4, abs=1e-5)
-    assert found.ratio[8] == pytest.approx(5.5e-5, abs=1e-6)
+    assert solution.state_residual[4] == pytest.approx(3.2359e-5, abs=1e-9)
+    assert solution.ratio[4] == pytest.approx(1.69e-3, abs=1e-5)
+    assert solution.ratio[7] == pytest.approx(1.4e-4, abs=1e-5)
+    assert solution.ratio[8] == pytest.approx(5.5e-5, abs=1e-6)
 
 
 def test_the_papers_rule_misfires_and_the_sound_one_does_not():
-    found = solve(SCALAR, 1, 20, eps_res=1e-2)
-    assert found.seed_order == 2  # even orders change nothing
-    assert (found.converged, found.order) == (True, 9)
+    solution = solve(SCALAR, 1, 20, eps_res=1e-2)
+    assert solution.seed_order == 2  # even orders change nothing
+    assert (solution.converged, solution.order) == (True, 9)
     assert solve(SCALAR, 1, 4).converged is False
     assert solve(SCALAR, 1, 20, eps_res=1e-12).converged is False  # the residual counts
 
@@ -175,34 +175,34 @@ OWN = {
 
 
 def test_example_2():
-    found = solve(SPACECRAFT, 12)
+    solution = solve(SPACECRAFT, 12)
     for n, J in OWN.items():
-        assert found.J[n - 1] == pytest.approx(J, abs=1e-10 if n > 1 else 1.3e-10), n  # the list has 11 digits
-    assert found.alphas[3] == pytest.approx([0.74359199, 0.36195558, 0.12909877], abs=1e-8)
-    assert found.alpha == pytest.approx(np.array(INERTIA) ** 2 * SPACECRAFT.x0 / 100.0, abs=1e-8)
-    assert found.J[-1] == pytest.approx(exact.least_cost(SPACECRAFT), abs=1e-12)
-    assert found.state_residual[3] == pytest.approx(9.66e-8, abs=1e-10)
+        assert solution.J[n - 1] == pytest.approx(J, abs=1e-10 if n > 1 else 1.3e-10), n  # the list has 11 digits
+    assert solution.alphas[3] == pytest.approx([0.74359199, 0.36195558, 0.12909877], abs=1e-8)
+    assert solution.alpha == pytest.approx(np.array(INERTIA) ** 2 * SPACECRAFT.x0 / 100.0, abs=1e-8)
+    assert solution.J[-1] == pytest.approx(exact.least_cost(SPACECRAFT), abs=1e-12)
+    assert solution.state_residual[3] == pytest.approx(9.66e-8, abs=1e-10)
 
 
 def test_example_2_tables_are_of_a_frozen_alpha():
-    found = solve(SPACECRAFT, 4, alpha_mode="frozen", frozen_alpha=PRINTED)
-    assert found.J[:3] == pytest.approx([0.00468052, 0.00467797, 0.00467903], abs=5e-9)
-    assert found.J[3] == pytest.approx(0.0046788970, abs=1e-10)  # printed 0.00467886
-    assert max(found.J) < exact.least_cost(SPACECRAFT)
-    assert not found.accurate
+    solution = solve(SPACECRAFT, 4, alpha_mode="frozen", frozen_alpha=PRINTED)
+    assert solution.J[:3] == pytest.approx([0.00468052, 0.00467797, 0.00467903], abs=5e-9)
+    assert solution.J[3] == pytest.approx(0.0046788970, abs=1e-10)  # printed 0.00467886
+    assert max(solution.J) < exact.least_cost(SPACECRAFT)
+    assert not solution.accurate
 
 
 @pytest.mark.parametrize("horizon", [30.0, 100.0])
 @pytest.mark.parametrize("inertia", [INERTIA, (50.0, 90.0, 70.0)])
 def test_the_closed_form_of_the_spacecraft_holds_for_every_inertia_and_horizon(inertia, horizon):
     problem = spacecraft(inertia).changed(horizon=horizon, x0=(0.01, -0.004, 0.006))
-    found = solve(problem, 24, stages=2)
+    solution = solve(problem, 24, stages=2)
     moments = np.array(inertia)
-    assert found.J[-1] == pytest.approx(exact.least_cost(problem), rel=1e-10)
-    assert found.alpha == pytest.approx(moments**2 * problem.x0 / horizon, rel=1e-9)
+    assert solution.J[-1] == pytest.approx(exact.least_cost(problem), rel=1e-10)
+    assert solution.alpha == pytest.approx(moments**2 * problem.x0 / horizon, rel=1e-9)
     h0 = np.linalg.norm(moments * problem.x0)
     for t in np.linspace(0.0, horizon, 7):
-        assert np.linalg.norm(moments * found(t)[:3]) == pytest.approx(h0 * (1.0 - t / horizon), abs=1e-9 * h0)
+        assert np.linalg.norm(moments * solution(t)[:3]) == pytest.approx(h0 * (1.0 - t / horizon), abs=1e-9 * h0)
 
 
 TWO_STATE_J = {
@@ -220,22 +220,22 @@ TWO_STATE_J = {
 
 
 def test_example_3():
-    found = solve(TWO_STATE, 30)
-    assert found.alphas[0] == pytest.approx([0.0, -0.8], abs=1e-9)
-    assert found.alphas[1] == pytest.approx([-1.39061579, 0.53603619], abs=1e-7)
+    solution = solve(TWO_STATE, 30)
+    assert solution.alphas[0] == pytest.approx([0.0, -0.8], abs=1e-9)
+    assert solution.alphas[1] == pytest.approx([-1.39061579, 0.53603619], abs=1e-7)
     for n, J in TWO_STATE_J.items():
-        assert found.J[n - 1] == pytest.approx(J, abs=1e-6), n
-    assert found.J[-1] == pytest.approx(0.4432859766, abs=1e-8)
+        assert solution.J[n - 1] == pytest.approx(J, abs=1e-6), n
+    assert solution.J[-1] == pytest.approx(0.4432859766, abs=1e-8)
     second = solve(TWO_STATE, 2)
     assert second.coefficients[0, 4] == pytest.approx([-0.53603619, 0.25791303, 0.27812316], abs=1e-7)
-    wrong = max(abs(second(t)[:2] - found(t)[:2]).max() for t in np.linspace(0.0, 1.0, 101))
+    wrong = max(abs(second(t)[:2] - solution(t)[:2]).max() for t in np.linspace(0.0, 1.0, 101))
     assert wrong == pytest.approx(0.308, abs=1e-3)
 
 
 def test_example_3_tables_are_of_a_frozen_alpha():
-    found = solve(TWO_STATE, 4, alpha_mode="frozen", frozen_order=2)
-    assert found.J[:3] == pytest.approx([0.417241, 0.410274, 0.427145], abs=1e-6)
-    assert found.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed 0.431156
+    solution = solve(TWO_STATE, 4, alpha_mode="frozen", frozen_order=2)
+    assert solution.J[:3] == pytest.approx([0.417241, 0.410274, 0.427145], abs=1e-6)
+    assert solution.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed 0.431156
 
 
 @pytest.mark.parametrize(
@@ -251,16 +251,18 @@ def test_example_3_tables_are_of_a_frozen_alpha():
 def test_of_several_roots_the_one_that_the_plant_pays_least_for(x0, T, J, roots):
     """The nearest root gave 1.172, 1.41, 0.61 and 0.59 in the first four, up to 90 times as much in the plant."""
     problem = TWO_STATE.changed(x0=x0, horizon=T)
-    found = mvim.solve(problem, 2)
-    assert found.J[-1] == pytest.approx(J, rel=1e-3)
-    assert len(found.roots[2]) == roots
-    assert found.roots[2][0].paid == min(r.paid for r in found.roots[2])
+    solution = mvim.solve(problem, 2)
+    assert solution.J[-1] == pytest.approx(J, rel=1e-3)
+    assert len(solution.roots[2]) == roots
+    assert solution.roots[2][0].paid == min(r.paid for r in solution.roots[2])
     best = exact.tpbvp(problem).cost
-    assert best <= found.roots[2][0].paid < 1.4 * best
-    assert all(r.paid > 1.2 * found.roots[2][0].paid for r in found.roots[2][1:])
-    for root in found.roots[2]:
+    assert best <= solution.roots[2][0].paid < 1.4 * best
+    assert all(r.paid > 1.2 * solution.roots[2][0].paid for r in solution.roots[2][1:])
+    for root in solution.roots[2]:
         assert np.abs(mvim._ends(problem, root.alpha, 2, 1, T)[0]).max() < 1e-8
-    assert f"{roots} roots at order 2, under which the plant pays {found.roots[2][0].paid:.5g}" in mvim.several(found)
+    assert f"{roots} roots at order 2, under which the plant pays {solution.roots[2][0].paid:.5g}" in mvim.several(
+        solution
+    )
 
 
 def test_the_plant_of_a_root_pays_what_the_evaluators_pays():
@@ -307,15 +309,15 @@ def test_the_boundary_value_solver_agrees_with_the_exact_answers(problem):
     ids=["scalar", "spacecraft", "two_state"],
 )
 def test_collocation(problem, off):
-    found = collocation.solve(problem)
+    solution = collocation.solve(problem)
     least = exact.tpbvp(problem).cost if problem is TWO_STATE else exact.least_cost(problem)
-    assert found.success
-    assert abs(found.J - least) < off
-    assert found.alpha == pytest.approx(solve(problem, 30).alpha, abs=2e-7)  # the multipliers are the costates
+    assert solution.success
+    assert abs(solution.J - least) < off
+    assert solution.alpha == pytest.approx(solve(problem, 30).alpha, abs=2e-7)  # the multipliers are the costates
     n = len(problem.states)
     along = np.array([solve(problem, 30)(t) for t in np.linspace(0.0, problem.horizon, 101)]).T
-    assert found.rows[:n] == pytest.approx(along[:n], abs=1e-5)
-    assert found.rows[n : 2 * n] == pytest.approx(along[n : 2 * n], abs=1e-4)
+    assert solution.rows[:n] == pytest.approx(along[:n], abs=1e-5)
+    assert solution.rows[n : 2 * n] == pytest.approx(along[n : 2 * n], abs=1e-4)
 
 
 def test_a_warm_start_saves_iterations():
@@ -346,11 +348,11 @@ def true_end_error(times, order, stages):
     from scipy.integrate import solve_ivp
 
     problem = SPACECRAFT.changed(x0=tuple(times * w for w in SPACECRAFT.x0))
-    found = solve(problem, order, stages=stages)
+    solution = solve(problem, order, stages=stages)
     x, u, dx, _ = problem.expressions()
     f = ca.Function("f", [x, u], [dx])
     end = solve_ivp(
-        lambda t, w: np.array(f(w, found(t)[6:])).ravel(),
+        lambda t, w: np.array(f(w, solution(t)[6:])).ravel(),
         (0.0, 100.0),
         problem.x0,
         rtol=1e-12,
@@ -367,8 +369,8 @@ def true_end_error(times, order, stages):
 def test_the_true_state_error_is_below_1e_9(problem, order):
     n, T = len(problem.states), problem.horizon
     fine = solve(problem, 30, stages=4)
-    found = solve(problem, order)
-    assert max(np.abs(found(t)[:n] - fine(t)[:n]).max() for t in np.linspace(0.0, T, 201)) < 1e-9
+    solution = solve(problem, order)
+    assert max(np.abs(solution(t)[:n] - fine(t)[:n]).max() for t in np.linspace(0.0, T, 201)) < 1e-9
     coarse = solve(problem, order - 4)  # the bound is not met by just any order
     assert max(np.abs(coarse(t)[:n] - fine(t)[:n]).max() for t in np.linspace(0.0, T, 201)) > 1e-9
 

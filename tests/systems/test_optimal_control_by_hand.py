@@ -178,7 +178,7 @@ def test_a_problem_changed_is_checked():
     assert (changed.x0, changed.horizon, changed.x_end, changed.R) == ((1.0, 2.0), 3.0, (4.0, 5.0), (2.0,))
     assert MOVER.changed() == MOVER
     assert changed.end_error(np.array([5.0, 7.0, 1.0, 1.0])).tolist() == [1.0, 2.0]
-    for values, said in (
+    for values, text in (
         ({"x0": (1.0,)}, r"^x0 = \(1.0,\): expected 2 finite numbers$"),
         ({"x_end": (1.0, math.nan)}, r"^x_end = \(1.0, nan\): expected 2 finite numbers$"),
         ({"horizon": 0.0}, "^horizon = 0 s: expected a positive time$"),
@@ -186,7 +186,7 @@ def test_a_problem_changed_is_checked():
         ({"R": (1.0, 2.0)}, "^R: expected 1 numbers, row by row, not 2$"),
         ({"R": (0.0,)}, r"^R = \[\[0.0\]\]: expected a symmetric positive definite matrix$"),
     ):
-        with pytest.raises(ProblemError, match=said):
+        with pytest.raises(ProblemError, match=text):
             MOVER.changed(**values)
     free = Problem(**{**MOVER.__dict__, "name": "free", "x_end": None})
     assert free.end_error(np.array([5.0, 7.0, 1.0, 2.0])).tolist() == [1.0, 2.0]
@@ -222,24 +222,26 @@ def test_ports_of_a_problem():
 @pytest.mark.parametrize(("x0", "x_end", "T"), [(0.0, 0.5, 1.0), (0.9, 0.2, 2.0), (-0.3, 0.6, 0.5)])
 def test_the_scalar_problem_by_quadrature_ends_where_it_shall_at_its_cost(x0, x_end, T):
     """Its costate at the start, integrated with the state and the cost."""
-    found = exact.scalar(x_end, T, x0)
+    result = exact.scalar(x_end, T, x0)
 
     def slopes(t, z):
         x, lam, _ = z
         u = -lam / 2
         return [x * x * math.sin(x) / 2 + u, -lam * (x * math.sin(x) + x * x * math.cos(x) / 2), u * u]
 
-    end = solve_ivp(slopes, (0.0, T), [x0, found.alpha, 0.0], rtol=1e-11, atol=1e-12).y[:, -1]
-    assert (end[0], end[2]) == pytest.approx((x_end, found.cost), rel=1e-8)
+    end = solve_ivp(slopes, (0.0, T), [x0, result.alpha, 0.0], rtol=1e-11, atol=1e-12).y[:, -1]
+    assert (end[0], end[2]) == pytest.approx((x_end, result.cost), rel=1e-8)
     problem = find("scalar").changed(x0=(x0,), x_end=(x_end,), horizon=T)
-    assert exact.least_cost(problem) == found.cost
+    assert exact.least_cost(problem) == result.cost
 
 
 def test_the_boundary_value_solver_from_a_start_of_ones_own():
     problem = find("scalar").changed(x0=(0.1,), x_end=(0.3,), horizon=2.0)
-    found = exact.tpbvp(problem, 1e-5, np.array([0.2, -0.2]))
-    assert found.cost == pytest.approx(exact.scalar(0.3, 2.0, 0.1).cost, rel=1e-5)
-    assert (found.t[0], found.t[-1], found.z[:, 0][0], found.z[0, -1]) == pytest.approx((0.0, 2.0, 0.1, 0.3), abs=1e-6)
+    result = exact.tpbvp(problem, 1e-5, np.array([0.2, -0.2]))
+    assert result.cost == pytest.approx(exact.scalar(0.3, 2.0, 0.1).cost, rel=1e-5)
+    assert (result.t[0], result.t[-1], result.z[:, 0][0], result.z[0, -1]) == pytest.approx(
+        (0.0, 2.0, 0.1, 0.3), abs=1e-6
+    )
 
 
 # roots -----------------------------------------------------------------------------------------------------------
@@ -338,8 +340,8 @@ def test_a_costate_follows_its_branch(monkeypatch, order, reached, answer):
 
     monkeypatch.setattr(mvim, "newton", replaced)
     monkeypatch.setattr(mvim, "distinct", lambda *args: pytest.fail("no low order"))
-    found, several = costate(SimpleNamespace(horizon=1.0), np.array([1.0]), order, 1, 1e-8)
-    assert (found[0], several) == (answer, [])
+    result, several = costate(SimpleNamespace(horizon=1.0), np.array([1.0]), order, 1, 1e-8)
+    assert (result[0], several) == (answer, [])
 
 
 def test_a_costate_of_a_low_order_is_the_best_of_all(monkeypatch):
@@ -349,8 +351,8 @@ def test_a_costate_of_a_low_order_is_the_best_of_all(monkeypatch):
     monkeypatch.setattr(mvim, "best", lambda problem, roots, z_of, cost: [Root(r, 0.0, 0.0) for r in roots[::-1]])
     for order, given, answer in ((2, [1.2, 7.0], 7.0), (3, [1.2, 7.0, 5.0], 5.0), (2, [3.0], 3.0), (2, [], 1.2)):
         monkeypatch.setattr(mvim, "distinct", lambda *args, given=given: [np.array([g]) for g in given])
-        found, several = costate(problem, np.array([1.0]), order, 1, 1e-8)
-        assert (found[0], len(several)) == (answer, len(given) if len(given) > 1 else 0)
+        result, several = costate(problem, np.array([1.0]), order, 1, 1e-8)
+        assert (result[0], len(several)) == (answer, len(given) if len(given) > 1 else 0)
     monkeypatch.setattr(mvim, "distinct", lambda *args: pytest.fail("no low order"))
     assert costate(problem, np.array([1.0]), 4, 1, 1e-8)[0][0] == 1.2
 
@@ -367,8 +369,8 @@ def test_a_costate_that_nothing_reaches_grows_with_the_horizon(monkeypatch, limi
         return alpha - 5.0, 1.0
 
     monkeypatch.setattr(mvim, "newton", replaced)
-    found, several = costate(SimpleNamespace(horizon=4.0), np.array([0.3]), 9, 1, 1e-8)
-    assert (found[0], several) == (near(answer), [])
+    result, several = costate(SimpleNamespace(horizon=4.0), np.array([0.3]), 9, 1, 1e-8)
+    assert (result[0], several) == (near(answer), [])
     assert asked == [(near(0.4 * k), near(0.01 * (k - 1))) for k in range(1, 11) if 0.4 * k < limit - 1e-9]
 
 
@@ -395,8 +397,8 @@ def test_roots_that_are_one_are_counted_once():
         end = ends[np.argmin(np.abs(ends - start[0]))]
         return np.array([end]), 0.01 if end == 40.0 else 1e-9
 
-    found = distinct(np.array([1.0]), np.array([1.0]), 1e-9, 1e-9, newton)
-    assert [f[0] for f in found] == [1.0, -2.0]
+    result = distinct(np.array([1.0]), np.array([1.0]), 1e-9, 1e-9, newton)
+    assert [f[0] for f in result] == [1.0, -2.0]
     missed = distinct(np.array([1.0]), np.array([1.0]), 1e-8, 1e-9, newton)
     assert sorted(round(f[0], 3) for f in missed) == [-2.0, 1.0]
     apart = distinct(np.array([1.0]), np.array([1.0]), 1e-9, 1e-9, lambda s: (np.array([1.0 + 3e-6]), 1e-9))
@@ -415,10 +417,10 @@ def test_roots_are_ordered_by_what_the_plant_pays():
         return 2.0 * u * u / 2 + 3.0 * abs(2.0 * u - 1.0) + 0.5 * abs(2.0 * u)
 
     given = [np.array([u]) for u in (2.0, 0.4, -1.0, 1e7)]
-    found = best(MOVER, given, z_of, lambda z, u: 7.0 * float(u[0, 0, 0]))
-    assert [r.alpha[0] for r in found] == [0.4, -1.0, 2.0, 1e7]
-    assert [r.paid for r in found] == pytest.approx([paid(0.4), paid(-1.0), paid(2.0), math.inf])
-    assert [r.series for r in found] == near([2.8, -7.0, 14.0, 7e7])
+    result = best(MOVER, given, z_of, lambda z, u: 7.0 * float(u[0, 0, 0]))
+    assert [r.alpha[0] for r in result] == [0.4, -1.0, 2.0, 1e7]
+    assert [r.paid for r in result] == pytest.approx([paid(0.4), paid(-1.0), paid(2.0), math.inf])
+    assert [r.series for r in result] == near([2.8, -7.0, 14.0, 7e7])
     free = Problem(**{**MOVER.__dict__, "name": "free mover", "x_end": None})
     escaped = best(free, [np.array([u]) for u in (3e6, 2e6, 0.5)], z_of, lambda z, u: float(u[0, 0, 0]))
     assert [(r.alpha[0], r.paid) for r in escaped] == [(0.5, near(0.25)), (2e6, math.inf), (3e6, math.inf)]
@@ -438,10 +440,10 @@ def test_reasons_and_roots_in_words():
     assert reason(residual=[1.0, 1e-4]) == "residual 0.0001 is not below 0.0001"
     assert reason(residual=[0.9e-4]) == "cost has not settled: ratios 0.01, 0.002 against 0.001"
     assert reason(residual=[0.9e-4], converged=True) == "converged at order 4"
-    found = Solution(
+    solution = Solution(
         **base, roots={2: [Root(None, 0.5, 0.0), Root(None, math.inf, 0.0)], 3: [Root(None, 1.23456789, 0.0)]}
     )
-    assert mvim.several(found) == (
+    assert mvim.several(solution) == (
         "2 roots at order 2, under which the plant pays 0.5, without end: the first is taken; "
         "1 roots at order 3, under which the plant pays 1.2346: the first is taken"
     )
@@ -492,26 +494,26 @@ def test_the_judgement_of_a_series_is_its_integral_and_its_slopes():
 
 def test_collocation_of_a_mass_is_its_closed_form_at_any_sampling():
     """The exact answer is a cubic, which three points an interval hold."""
-    found = collocation.solve(MOVER, intervals=2, samples=9)
+    solution = collocation.solve(MOVER, intervals=2, samples=9)
     t = np.linspace(0.0, 2.0, 9)
     rows = [0.75 * t**2 - 0.25 * t**3, 1.5 * t - 0.75 * t**2, -1.5 + 0 * t, -1.5 * (1.0 - t), 1.5 * (1.0 - t)]
-    assert found.rows == pytest.approx(np.array(rows), abs=1e-7)
-    assert (found.J, found.success, found.iterations > 0) == (pytest.approx(0.75), True, True)
-    assert found.alpha == pytest.approx([-1.5, -1.5])
-    assert (found.residual < 1e-9, found.end_error < 1e-8) == (True, True)
+    assert solution.rows == pytest.approx(np.array(rows), abs=1e-7)
+    assert (solution.J, solution.success, solution.iterations > 0) == (pytest.approx(0.75), True, True)
+    assert solution.alpha == pytest.approx([-1.5, -1.5])
+    assert (solution.residual < 1e-9, solution.end_error < 1e-8) == (True, True)
 
 
 def test_the_residual_of_a_coarse_collocation_is_that_of_its_polynomial():
     """One interval of two points: x a parabola, u a line, read off their samples; between the points of Legendre."""
     problem = find("scalar").changed(horizon=2.0, x_end=(1.2,))
-    found = collocation.solve(problem, intervals=1, degree=2, samples=41)
+    solution = collocation.solve(problem, intervals=1, degree=2, samples=41)
     t = np.linspace(0.0, 2.0, 41)
-    x, u = np.polynomial.Polynomial.fit(t, found.rows[0], 2), np.polynomial.Polynomial.fit(t, found.rows[2], 1)
+    x, u = np.polynomial.Polynomial.fit(t, solution.rows[0], 2), np.polynomial.Polynomial.fit(t, solution.rows[2], 1)
     points = [0.0, *(1.0 + np.polynomial.legendre.leggauss(2)[0])]  # of 2 s
     between = [(a + b) / 2 for a, b in itertools.pairwise(points)]
     off = max(abs(x.deriv()(s) - x(s) ** 2 * math.sin(x(s)) / 2 - u(s)) for s in between)
     assert off > 1e-3
-    assert found.residual == pytest.approx(2.0 * off / max(abs(x(s)) for s in points), rel=1e-6)
+    assert solution.residual == pytest.approx(2.0 * off / max(abs(x(s)) for s in points), rel=1e-6)
 
 
 def test_what_is_left_of_a_plan_is_its_end():
@@ -546,7 +548,7 @@ def test_what_a_planner_says_of_an_answer():
 
     def said(new=True, **more):
         planner.events.clear()
-        found = Planned(
+        planned = Planned(
             **{
                 "values": (1.0,) * 10,
                 "order": 4,
@@ -560,8 +562,8 @@ def test_what_a_planner_says_of_an_answer():
                 **more,
             }
         )
-        x, values = planner.answer(planner.first(), 9, Result(3 * S, request, found, True), new)
-        return values.get("summary"), sorted(planner.reports), x.last is found
+        x, values = planner.answer(planner.first(), 9, Result(3 * S, request, planned, True), new)
+        return values.get("summary"), sorted(planner.reports), x.last is planned
 
     assert said() == ((3.0, 0.7, 4.0, 0.5, 0.099, 0.25, 1.0, 1.0), [], True)
     assert said(residual=0.1, converged=False) == ((3.0, 0.7, 4.0, 0.5, 0.1, 0.25, 0.0, 0.0), ["not_converged"], True)
@@ -577,35 +579,38 @@ def test_planners_solve_what_they_are_asked():
     """Of the mass nobody knows; the two-state problem by both, and a frozen alpha that misses its end."""
     series = MvimPlanner(problem="two_state", order=4, order_max=6, eps=1e-9)
     request = series.request(series.first(), 0, state=(-0.4, 0.1))[1]
-    found, own = MvimPlanner.solve(request, None), mvim.solve(find("two_state").changed(x0=(-0.4, 0.1)), 4, 6, eps=1e-9)
-    table = np.reshape(found.values, (1, 5, 7))
+    solution, own = (
+        MvimPlanner.solve(request, None),
+        mvim.solve(find("two_state").changed(x0=(-0.4, 0.1)), 4, 6, eps=1e-9),
+    )
+    table = np.reshape(solution.values, (1, 5, 7))
     assert table.tolist() == own.coefficients.tolist()
-    assert found[1:5] == (6, own.J[-1], own.residual[-1], own.end_error)
-    assert (found.accurate, found.converged) == (True, False)
-    assert found.details["J per order"] == " ".join(f"{J:.10g}" for J in own.J)
-    assert found.details["alpha"] == " ".join(f"{a:.10g}" for a in own.alpha)
-    assert (found.details["end error"], found.details["order"]) == (f"{own.end_error:.3g}", "6")
+    assert solution[1:5] == (6, own.J[-1], own.residual[-1], own.end_error)
+    assert (solution.accurate, solution.converged) == (True, False)
+    assert solution.details["J per order"] == " ".join(f"{J:.10g}" for J in own.J)
+    assert solution.details["alpha"] == " ".join(f"{a:.10g}" for a in own.alpha)
+    assert (solution.details["end error"], solution.details["order"]) == (f"{own.end_error:.3g}", "6")
     assert MvimPlanner.shape(series.p) == (1, 7)
-    assert (found.accurate, own.residual[-1] >= 1e-4) == (True, True)  # so it says how many stages would do
+    assert (solution.accurate, own.residual[-1] >= 1e-4) == (True, True)  # so it says how many stages would do
     stages = mvim.enough_stages(find("two_state").changed(x0=(-0.4, 0.1)), 6, 1e-4)
-    assert found.reason == f"{own.reason}; stages: {stages} do; {mvim.several(own)}"
+    assert solution.reason == f"{own.reason}; stages: {stages} do; {mvim.several(own)}"
     edge = MvimPlanner(problem="two_state", order=4, order_max=6, eps=1e-9, eps_res=own.residual[-1])
     assert "; stages: " in MvimPlanner.solve(edge.request(edge.first(), 0, state=(-0.4, 0.1))[1], None).reason
     met = series.request(series.first(), 0, state=(0.0, 0.0))[1]
     assert "stages" not in MvimPlanner.solve(met, None).reason
     coarse = CollocationPlanner(problem="two_state", intervals=4, samples=5)
     request = coarse.request(coarse.first(), 0, state=(-0.8, 0.0))[1]
-    found = CollocationPlanner.solve(request, None)
+    solution = CollocationPlanner.solve(request, None)
     again = collocation.solve(find("two_state"), intervals=4, samples=5)
-    assert (np.reshape(found.values, (5, 5)).tolist(), found.order) == (again.rows.tolist(), 3)
+    assert (np.reshape(solution.values, (5, 5)).tolist(), solution.order) == (again.rows.tolist(), 3)
     assert again.end_error == 0.0  # of a free end nothing is missed
-    assert found[2:8] == (again.J, again.residual, again.end_error, True, again.residual < 1e-4, again.reason)
-    assert found.details["alpha"] == f"{again.alpha[0]} {again.alpha[1]}"
-    assert (found.details["J"], found.details["iterations"]) == (f"{again.J:.12g}", str(again.iterations))
-    assert (found.memory[0].tolist(), found.memory[1]) == (again.rows.tolist(), 1.0)
+    assert solution[2:8] == (again.J, again.residual, again.end_error, True, again.residual < 1e-4, again.reason)
+    assert solution.details["alpha"] == f"{again.alpha[0]} {again.alpha[1]}"
+    assert (solution.details["J"], solution.details["iterations"]) == (f"{again.J:.12g}", str(again.iterations))
+    assert (solution.memory[0].tolist(), solution.memory[1]) == (again.rows.tolist(), 1.0)
     assert CollocationPlanner.shape(coarse.p) == (1, 5)
     x = coarse.first()._replace(
-        last=found
+        last=solution
     )  # from the last plan on there is nothing to do, from a straight line there is
     warm = CollocationPlanner.solve(coarse.request(x, 0, state=(-0.8, 0.0))[1], None)
     cold = CollocationPlanner(problem="two_state", intervals=4, samples=5, warm_start=False)
@@ -647,10 +652,10 @@ def test_the_player_reads_the_newest_plan(form, sampling):
         new = k == 1
         player.block.ages = lambda name, new=new: 0 if new else None
         given = {"plan": tuple(table.ravel()), "summary": about(start=1.5)}
-        said = player.update(to_ns(t), state=(*first, 0.0, 0.0, 0.0), **given)
+        outputs = player.update(to_ns(t), state=(*first, 0.0, 0.0, 0.0), **given)
         began = 1.5 if new or began else None
         left = max(4.5 - t, 0.0) if began else 0.0
-        assert said["progress"] == near((t - 1.5 if began else 0.0, left))
+        assert outputs["progress"] == near((t - 1.5 if began else 0.0, left))
         s = min((t - 1.5 + shift) / 3.0, 1.0)
         if left == 0.0:
             expected = [0.0] * 3
@@ -660,12 +665,12 @@ def test_the_player_reads_the_newest_plan(form, sampling):
             from scipy.interpolate import CubicSpline
 
             expected = CubicSpline(np.linspace(0.0, 1.0, 7), table[6:], axis=1)(s)
-        assert said["command"] == near(tuple(expected))
+        assert outputs["command"] == near(tuple(expected))
     assert player.reports == {}
 
 
 @pytest.mark.parametrize(
-    ("t", "summary", "off", "options", "said"),
+    ("t", "summary", "off", "options", "message"),
     [
         (0.0, {}, 0.0, {}, ""),
         (0.0, {"horizon": 0.0}, 0.0, {}, "the plan is over: it began at 0 s and lasts 0 s"),
@@ -680,15 +685,15 @@ def test_the_player_reads_the_newest_plan(form, sampling):
         (0.0, {"trusted": 0.0}, 0.0, {"allow_unconverged": True}, ""),
     ],
 )
-def test_the_player_says_why_it_refuses_a_plan(t, summary, off, options, said):
+def test_the_player_says_why_it_refuses_a_plan(t, summary, off, options, message):
     player = ByHand(OcpPlayer(order=2, **options))
     player.block.ages = lambda name: 0
     table = power_plan(np.random.default_rng(4))
     table[0, :3, 0] = 2.0, -1.0, 0.5
     x = (2.0, -1.0 + off, 0.5)
-    found = player.update(to_ns(t), state=(*x, 0.0, 0.0, 0.0), plan=tuple(table.ravel()), summary=about(**summary))
-    assert (found["command"] == (0.0, 0.0, 0.0)) is bool(said)
-    assert [text[: len(said)] for _, text, *_ in player.reports.values()] == ([said] if said else [])
+    outputs = player.update(to_ns(t), state=(*x, 0.0, 0.0, 0.0), plan=tuple(table.ravel()), summary=about(**summary))
+    assert (outputs["command"] == (0.0, 0.0, 0.0)) is bool(message)
+    assert [text[: len(message)] for _, text, *_ in player.reports.values()] == ([message] if message else [])
 
 
 def test_the_player_of_a_small_state_is_not_finer_than_a_billionth():
@@ -704,8 +709,8 @@ def test_the_player_of_a_small_state_is_not_finer_than_a_billionth():
 def test_the_feedback_of_the_momentum_is_its_formula():
     law = ByHand(MomentumFeedback(horizon=10.0, period=1.0, inertia=(2.0, 3.0, 4.0)))
     for t, left in ((5.0, 10.0), (9.0, 6.0), (14.0, 1.0), (14.5, 1.0), (15.0 - 2e-9, 1.0)):
-        said = law.update(to_ns(t), state=(0.1, -0.2, 0.3, 9.0, 9.0, 9.0))["command"]
-        assert said == near((-0.2 / left, 0.6 / left, -1.2 / left))
+        outputs = law.update(to_ns(t), state=(0.1, -0.2, 0.3, 9.0, 9.0, 9.0))["command"]
+        assert outputs == near((-0.2 / left, 0.6 / left, -1.2 / left))
     assert law.update(to_ns(15.0), state=(0.1, -0.2, 0.3, 9.0, 9.0, 9.0))["command"] == (0.0, 0.0, 0.0)
 
 
@@ -724,8 +729,8 @@ def test_the_evaluator_is_a_loop_over_what_it_sees(form):
         if comes is not None:
             newest, start, residual = tables[comes], t - 0.25, (1e-5, 1e-6)[comes]
             given = {"plan": tuple(newest.ravel()), "summary": about(start=start, horizon=2.0, residual=residual)}
-        said = evaluator.update(to_ns(t), state=(*w, 0.0, 0.0, 0.0), command=tuple(u), **given)["evaluation"]
-        found = dict(zip(FIGURES, said, strict=True))
+        outputs = evaluator.update(to_ns(t), state=(*w, 0.0, 0.0, 0.0), command=tuple(u), **given)["evaluation"]
+        results = dict(zip(FIGURES, outputs, strict=True))
         begin = w if k == 0 else begin
         left = 3.0 - 0.5 * k
         if newest is not None and t <= start + 2.0 + 1e-9:
@@ -740,11 +745,11 @@ def test_the_evaluator_is_a_loop_over_what_it_sees(form):
         if left >= 0.0:
             missed = w - (0.1, 0.0, -0.2)
         paid += 0.5 * float(u @ u) * min(max(left, 0.0), 0.5)
-        assert found["J_plant"] == near(paid)
-        assert found["distance"] == near(far)
-        assert (found["end_error"], found["end_error_max"]) == near((np.linalg.norm(missed), np.abs(missed).max()))
-        assert found["J_exact"] == near(float(np.sum((np.array(INERTIA) * begin) ** 2)) / 6.0)
-        assert (found["residual"], found["J_series"]) == (residual, 0.1 if k else 0.0)
+        assert results["J_plant"] == near(paid)
+        assert results["distance"] == near(far)
+        assert (results["end_error"], results["end_error_max"]) == near((np.linalg.norm(missed), np.abs(missed).max()))
+        assert results["J_exact"] == near(float(np.sum((np.array(INERTIA) * begin) ** 2)) / 6.0)
+        assert (results["residual"], results["J_series"]) == (residual, 0.1 if k else 0.0)
 
 
 @pytest.mark.parametrize(
@@ -762,10 +767,10 @@ def test_the_evaluator_flags_what_no_optimum_can_be(summary, flag):
     """The least cost is 1: |I w|^2 = 6 over 3 s."""
     w = math.sqrt(6.0) / INERTIA[0]
     evaluator = ByHand(OcpEvaluator(horizon=3.0, x0=(w, 0.0, 0.0), order=2))
-    told = about(**{"J_series": 1.0, **summary})
+    reported = about(**{"J_series": 1.0, **summary})
     table = tuple(power_plan(np.random.default_rng(1)).ravel())
     given = {"state": (w, 0.0, 0.0, 0.0, 0.0, 0.0), "command": (0.0,) * 3, "plan": table}
-    assert evaluator.update(0, summary=told, **given)["evaluation"][-1] == flag
+    assert evaluator.update(0, summary=reported, **given)["evaluation"][-1] == flag
     assert ("infeasible" in evaluator.reports) is bool(flag)
     evaluator.update(1, summary=about(residual=0.5), **given)  # a second plan is not judged, only shown
     assert (evaluator.status()["infeasible"][0], evaluator.status()["residual"][0]) == (flag, 0.5)

@@ -50,9 +50,9 @@ def test_figures_of_the_scenarios(name):
 
 
 def test_the_verdicts_on_the_paper():
-    found = [f for n in ("", "_printed", "_s3_n2", "_s1_n5") for f in run(f"optimal_control_mvim{n}").claims]
-    assert all(f.holds for f in found)
-    assert sorted(f.verdict for f in found) == ["refuted"] * 4 + ["reproduced"] * 3
+    results = [f for n in ("", "_printed", "_s3_n2", "_s1_n5") for f in run(f"optimal_control_mvim{n}").claims]
+    assert all(f.holds for f in results)
+    assert sorted(f.verdict for f in results) == ["refuted"] * 4 + ["reproduced"] * 3
 
 
 def end_error(name):
@@ -241,10 +241,10 @@ def test_a_problem_of_ones_own_gets_plant_planner_and_evaluator(tmp_path, monkey
         return simulate(scenario.model_copy(update=changes)).figures
 
     assert flown(1)["infeasible"] == 1.0
-    found = flown(8)
-    assert found["infeasible"] == 0.0
-    assert found["J_series"] == pytest.approx(found["J_exact"], rel=1e-7)
-    assert found["J_plant"] == pytest.approx(found["J_exact"], rel=1e-4)
+    result = flown(8)
+    assert result["infeasible"] == 0.0
+    assert result["J_series"] == pytest.approx(result["J_exact"], rel=1e-7)
+    assert result["J_plant"] == pytest.approx(result["J_exact"], rel=1e-4)
 
 
 # Player
@@ -252,8 +252,8 @@ def test_a_problem_of_ones_own_gets_plant_planner_and_evaluator(tmp_path, monkey
 
 def planned(horizon=100.0, start=0.0, x=W0):
     problem = find("spacecraft").changed(x0=x, horizon=horizon)
-    found = solve(problem, 8)
-    return tuple(found.coefficients.ravel()), (start, horizon, 8.0, found.J[-1], 1e-7, 0.0, 1.0, 1.0)
+    solution = solve(problem, 8)
+    return tuple(solution.coefficients.ravel()), (start, horizon, 8.0, solution.J[-1], 1e-7, 0.0, 1.0, 1.0)
 
 
 def fed(player, t, plan=None, summary=None, state=STATE):
@@ -263,20 +263,20 @@ def fed(player, t, plan=None, summary=None, state=STATE):
 
 
 def test_the_player_holds_the_middle_of_each_period_and_zero_after_the_horizon():
-    found = solve(find("spacecraft"), 8)
+    solution = solve(find("spacecraft"), 8)
     player = ByHand(OcpPlayer())
     assert fed(player, 0)["command"] == (0.0, 0.0, 0.0)
-    assert fed(player, 0, *planned())["command"] == pytest.approx(found(0.5)[6:], rel=1e-12)
-    assert fed(player, 37 * S)["command"] == pytest.approx(found(37.5)[6:], rel=1e-12)
+    assert fed(player, 0, *planned())["command"] == pytest.approx(solution(0.5)[6:], rel=1e-12)
+    assert fed(player, 37 * S)["command"] == pytest.approx(solution(37.5)[6:], rel=1e-12)
     assert fed(player, 37 * S)["progress"] == (37.0, 63.0)
     assert fed(player, 100 * S) == {"command": (0.0, 0.0, 0.0), "progress": (100.0, 0.0)}
-    assert player.refused(38 * S)["command"] == pytest.approx(found(38.5)[6:], rel=1e-12)
+    assert player.refused(38 * S)["command"] == pytest.approx(solution(38.5)[6:], rel=1e-12)
     player = ByHand(OcpPlayer(sampling="start"))
-    assert fed(player, 0, *planned())["command"] == pytest.approx(found(0.0)[6:], rel=1e-12)
+    assert fed(player, 0, *planned())["command"] == pytest.approx(solution(0.0)[6:], rel=1e-12)
 
 
 def test_a_plan_that_comes_ticks_after_its_stamp_is_played():
-    found = solve(find("spacecraft"), 8)
+    solution = solve(find("spacecraft"), 8)
     plan, summary = planned()
     player = ByHand(OcpPlayer())
     player.block.ages = lambda name: {"plan": None, "summary": 2 * S}.get(name)
@@ -284,7 +284,7 @@ def test_a_plan_that_comes_ticks_after_its_stamp_is_played():
     player.block.ages = lambda name: 3 * S
     elsewhere = (0.02, *STATE[1:])  # by then
     command = player.update(3 * S, state=elsewhere, plan=plan, summary=summary)["command"]
-    assert command == pytest.approx(found(3.5)[6:], rel=1e-12)
+    assert command == pytest.approx(solution(3.5)[6:], rel=1e-12)
 
 
 def test_markers_show_the_momentum():
@@ -328,13 +328,13 @@ def test_the_feedback_is_zero_after_the_horizon_and_bounded_in_the_last_period()
 
 def evaluated(problem, order, **mode):
     """What the evaluator says of a plan of a given order."""
-    found = solve(find(problem), order, **mode)
-    about = (0.0, found.horizon, float(order), found.J[-1], found.residual[-1], found.end_error, 0.0, 0.0)
+    solution = solve(find(problem), order, **mode)
+    about = (0.0, solution.horizon, float(order), solution.J[-1], solution.residual[-1], solution.end_error, 0.0, 0.0)
     evaluator = ByHand(OcpEvaluator(problem=problem, order=order))
     n = len(find(problem).states)
     state = (*find(problem).x0, *((0.0,) * n if problem == "spacecraft" else ()))
     control = (0.0,) * len(find(problem).controls)
-    answer = evaluator.update(0, state=state, command=control, plan=tuple(found.coefficients.ravel()), summary=about)
+    answer = evaluator.update(0, state=state, command=control, plan=tuple(solution.coefficients.ravel()), summary=about)
     return dict(zip(FIGURES, answer["evaluation"], strict=True)), evaluator
 
 
@@ -350,8 +350,8 @@ def evaluated(problem, order, **mode):
     ],
 )
 def test_impossible_optima_are_flagged(problem, order, mode, flag):
-    found, evaluator = evaluated(problem, order, **mode)
-    assert found["infeasible"] == flag
+    result, evaluator = evaluated(problem, order, **mode)
+    assert result["infeasible"] == flag
     assert ("infeasible" in evaluator.reports) == bool(flag)
     if flag:
         assert evaluator.reports["infeasible"][1].startswith("infeasible: not an optimum")
@@ -360,8 +360,8 @@ def test_impossible_optima_are_flagged(problem, order, mode, flag):
 def test_a_cost_below_the_least_is_flagged_whatever_the_residual():
     evaluator = ByHand(OcpEvaluator())
     plan, about = planned()
-    said = (*about[:3], 0.00467886, *about[4:])
-    evaluator.update(0, state=STATE, command=(0.0, 0.0, 0.0), plan=plan, summary=said)
+    text = (*about[:3], 0.00467886, *about[4:])
+    evaluator.update(0, state=STATE, command=(0.0, 0.0, 0.0), plan=plan, summary=text)
     assert evaluator.status()["infeasible"] == (1.0, "")
 
 

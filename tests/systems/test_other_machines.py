@@ -40,11 +40,11 @@ def test_every_system_has_another_machine_on_its_page(name):
 def test_a_motor_of_a_data_sheet_runs_at_its_no_load_point():
     p = parameters("dc_motor_smc_re40", "dc_motor_plant")
     R, b, k, V = p["R"], p["b"], p["Kt"], 24.0
-    found = simulate("dc_motor_smc_re40").figures
+    result = simulate("dc_motor_smc_re40").figures
     speed = k * V / (R * b + k * k)
-    assert found["final_speed"] == pytest.approx(speed, rel=1e-6)
+    assert result["final_speed"] == pytest.approx(speed, rel=1e-6)
     assert speed == pytest.approx(7580 * np.pi / 30, rel=1e-3)  # 1/min of the data sheet
-    assert found["no_load_current"] == pytest.approx(b * speed / k, rel=1e-6)
+    assert result["no_load_current"] == pytest.approx(b * speed / k, rel=1e-6)
     poles = np.roots([p["J"] * p["L"], R * p["J"] + p["L"] * b, R * b + k * k]).real
     fast, slow = poles
 
@@ -52,7 +52,7 @@ def test_a_motor_of_a_data_sheet_runs_at_its_no_load_point():
         return 1 + (slow * np.exp(fast * t) - fast * np.exp(slow * t)) / (fast - slow)
 
     times = [brentq(lambda t, level=level: step(t) - level, 0.0, 0.1) for level in (0.1, 0.9)]
-    assert found["rise_time"] == pytest.approx(times[1] - times[0], rel=2e-4)
+    assert result["rise_time"] == pytest.approx(times[1] - times[0], rel=2e-4)
 
 
 def test_the_law_of_a_motor_computes_its_model():
@@ -68,11 +68,11 @@ def test_the_law_of_a_motor_computes_its_model():
     t = np.linspace(0.0, 0.06, 6001)
     w = r - solve_ivp(rate, (0.0, 0.06), [r, c * r], t_eval=t, rtol=1e-9, atol=1e-6).y[0]
     crossing = [np.interp(level * r, w, t) for level in (0.1, 0.9, 0.98)]
-    found = simulate("dc_motor_smc_re40_law").figures
-    assert found["rise_time"] == pytest.approx(crossing[1] - crossing[0], rel=0.01)  # sampled
-    assert found["settling_time"] == pytest.approx(crossing[2], rel=0.01)
+    result = simulate("dc_motor_smc_re40_law").figures
+    assert result["rise_time"] == pytest.approx(crossing[1] - crossing[0], rel=0.01)  # sampled
+    assert result["settling_time"] == pytest.approx(crossing[2], rel=0.01)
     printed = simulate("dc_motor_smc_re40_law", overrides={"dc_motor_smc.model": "printed"}).figures
-    assert abs(printed["rise_time"] - found["rise_time"]) > 0.1 * found["rise_time"]  # the paper's model misses it
+    assert abs(printed["rise_time"] - result["rise_time"]) > 0.1 * result["rise_time"]  # the paper's model misses it
 
 
 def test_an_axis_has_the_poles_that_were_asked_for():
@@ -92,11 +92,11 @@ def test_an_axis_has_the_poles_that_were_asked_for():
         v = v * decay + g * u / pole * (1 - decay)
         motion.append(y)
     times = [np.interp(level * r, motion, np.arange(301) * T) for level in (0.1, 0.9)]
-    found = simulate("dc_motor_fsfb_ctms").figures
-    assert found["rise_time"] == pytest.approx(times[1] - times[0], rel=0.01)
-    assert found["rest_error"] <= 0.01
+    result = simulate("dc_motor_fsfb_ctms").figures
+    assert result["rise_time"] == pytest.approx(times[1] - times[0], rel=0.01)
+    assert result["rest_error"] <= 0.01
     fast = simulate("dc_motor_fsfb_ctms", overrides={"fsfb_controller.poles": [-8.0, -16.0, -60.0]}).figures
-    assert fast["rise_time"] == pytest.approx(found["rise_time"] / 2, rel=0.03)
+    assert fast["rise_time"] == pytest.approx(result["rise_time"] / 2, rel=0.03)
 
 
 def test_poles_change_while_the_axis_rests_without_a_bump(tmp_path):
@@ -181,9 +181,9 @@ def test_a_string_of_other_modules_gives_its_maximum():
         return total * i
 
     best = max(power(i) for i in np.linspace(7.3, 7.9, 301))
-    found = simulate("pv_mppt_kc200gt").figures
-    assert found["gmpp"] == pytest.approx(best, abs=0.01)
-    assert found["power"] == pytest.approx(best, rel=0.005)
+    result = simulate("pv_mppt_kc200gt").figures
+    assert result["gmpp"] == pytest.approx(best, abs=0.01)
+    assert result["power"] == pytest.approx(best, rel=0.005)
     I_sc, I_0, aVt = curve(25.0)
     U = 26.3 + m["R_s"] * 7.61
     assert I_sc - I_0 * np.expm1(U / aVt) - U / m["R_p"] == pytest.approx(7.61, rel=0.01)  # the data sheet's maximum
@@ -192,12 +192,12 @@ def test_a_string_of_other_modules_gives_its_maximum():
 @pytest.mark.long
 def test_three_units_of_the_textbook_are_dispatched_as_there():
     a, b, c = np.array([[0.001562, 0.00194, 0.00482], [7.92, 7.85, 7.97], [561.0, 310.0, 78.0]])
-    found = simulate("economic_dispatch_wood").figures
+    result = simulate("economic_dispatch_wood").figures
     price = (850 + (b / (2 * a)).sum()) / (1 / (2 * a)).sum()
     P = (price - b) / (2 * a)
-    assert found["cost"] == pytest.approx((a * P**2 + b * P + c).sum(), abs=1e-4)
-    assert found["cost"] == pytest.approx(8194.3561, abs=1e-4)
-    assert [found[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P, abs=0.05)
+    assert result["cost"] == pytest.approx((a * P**2 + b * P + c).sum(), abs=1e-4)
+    assert result["cost"] == pytest.approx(8194.3561, abs=1e-4)
+    assert [result[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P, abs=0.05)
     lossy = simulate("economic_dispatch_wood_losses").figures
     B = np.array([3e-5, 9e-5, 12e-5])
     best = minimize(
@@ -212,7 +212,7 @@ def test_three_units_of_the_textbook_are_dispatched_as_there():
 
 
 def test_the_generators_of_the_30_bus_system_are_dispatched_at_equal_slopes():
-    found = simulate("economic_dispatch_ieee30").figures
+    result = simulate("economic_dispatch_ieee30").figures
     a = np.array([0.00375, 0.0175, 0.0625, 0.00834, 0.025, 0.025])
     b = np.array([2.0, 1.75, 1.0, 3.25, 3.0, 3.0])
     least, most = np.array([[50, 20, 15, 10, 10, 12], [200, 80, 50, 35, 30, 40]])
@@ -221,9 +221,9 @@ def test_the_generators_of_the_30_bus_system_are_dispatched_at_equal_slopes():
         return np.clip((price - b) / (2 * a), least, most)
 
     P = dispatch(brentq(lambda price: dispatch(price).sum() - 283.4, 1.0, 10.0, xtol=1e-13))
-    assert found["cost"] == pytest.approx((a * P**2 + b * P).sum(), abs=1e-3)
-    assert 0.0 <= found["gap"] + 1e-9 <= 1e-3
-    assert [found[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P[:3], abs=0.3)
+    assert result["cost"] == pytest.approx((a * P**2 + b * P).sum(), abs=1e-3)
+    assert 0.0 <= result["gap"] + 1e-9 <= 1e-3
+    assert [result[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P[:3], abs=0.3)
 
 
 def long_line(r, x, b, length):
@@ -234,13 +234,13 @@ def long_line(r, x, b, length):
 
 
 def test_a_500_kv_line_carries_its_current_and_its_fault_is_found():
-    found = simulate("fault_location_500kv").figures
-    assert abs(found["error"]) <= 5.0  # m of 130 km
+    result = simulate("fault_location_500kv").figures
+    assert abs(result["error"]) <= 5.0  # m of 130 km
     Y = long_line(0.028, 0.325, 5.20e-6, 200.0) + np.eye(2) / complex(1.31, 15.0)
     E = 500e3 * np.sqrt(2 / 3) * np.exp(1j * np.radians([0.0, -10.0]))
     U = np.linalg.solve(Y, E / complex(1.31, 15.0))
     I = (E[0] - U[0]) / complex(1.31, 15.0)  # noqa: E741
-    assert found["prefault_current"] == pytest.approx(abs(I), rel=2e-3)
+    assert result["prefault_current"] == pytest.approx(abs(I), rel=2e-3)
 
 
 def test_converters_in_another_double_line_give_the_powers_of_the_phasors():
@@ -273,10 +273,10 @@ def test_converters_in_another_double_line_give_the_powers_of_the_phasors():
     x = fsolve(residual, [1.0, 1.0, 0.0, 0.0, 0.0, 0.0], xtol=1e-12)
     assert np.max(np.abs(residual(x))) < 1e-9
     u, i12, i34, _, shunt = state(x)
-    found = simulate("gupfc_345kv").figures
-    assert found["p_sh"] == pytest.approx(shunt.real, abs=0.001)
-    assert found["v12"] == pytest.approx(abs(u[2] - u[1] + z_se * i12), abs=0.001)
-    assert found["v34"] == pytest.approx(abs(u[4] - u[3] + z_se * i34), abs=0.001)
+    result = simulate("gupfc_345kv").figures
+    assert result["p_sh"] == pytest.approx(shunt.real, abs=0.001)
+    assert result["v12"] == pytest.approx(abs(u[2] - u[1] + z_se * i12), abs=0.001)
+    assert result["v34"] == pytest.approx(abs(u[4] - u[3] + z_se * i34), abs=0.001)
 
 
 def test_another_rectifier_answers_its_commands_as_its_equations():
@@ -438,18 +438,18 @@ def test_the_queue_of_another_router_follows_the_delay_equations():
         w_R, R_R = w[max(k - back, 0)], R[max(k - back, 0)]
         w[k + 1] = min(max(w[k] + h * (1 / R[k] - w[k] * w_R / (2 * R_R) * sent), 1.0), 60.0)
         q[k + 1] = min(max(q[k] + h * (N * w[k] / R[k] - C), 0.0), room)
-    found = simulate("tcp_aqm_smc_hollot").figures
-    assert found["probability_end"] == pytest.approx(2 / (0.246 * C / N) ** 2, rel=2e-3)
-    assert found["queue_end"] == pytest.approx(goal, abs=0.2)
-    assert found["peak"] == pytest.approx(q.max(), rel=0.01)
+    result = simulate("tcp_aqm_smc_hollot").figures
+    assert result["probability_end"] == pytest.approx(2 / (0.246 * C / N) ** 2, rel=2e-3)
+    assert result["queue_end"] == pytest.approx(goal, abs=0.2)
+    assert result["peak"] == pytest.approx(q.max(), rel=0.01)
 
 
 @pytest.mark.long
 def test_another_spacecraft_pays_what_scipy_finds():
     I = np.array([10000.0, 9000.0, 12000.0])  # noqa: E741
     w0 = np.radians([0.53, 0.53, 0.053])
-    found = simulate("optimal_control_mvim_wie").figures
-    assert found["J_exact"] == pytest.approx(np.sum((I * w0) ** 2) / 200.0, rel=1e-12)
+    result = simulate("optimal_control_mvim_wie").figures
+    assert result["J_exact"] == pytest.approx(np.sum((I * w0) ** 2) / 200.0, rel=1e-12)
     # the torque that turns the momentum's size straight to zero, applied to Euler's equations
     H = np.linalg.norm(I * w0)
 
@@ -460,8 +460,8 @@ def test_another_spacecraft_pays_what_scipy_finds():
 
     end = solve_ivp(slopes, (0.0, 99.999), [*w0, 0.0], rtol=1e-10, atol=1e-14).y[:, -1]
     assert np.max(np.abs(end[:3])) < 1e-6
-    assert found["J_plant"] == pytest.approx(end[3], rel=2e-5)
-    assert found["infeasible"] == 0.0
+    assert result["J_plant"] == pytest.approx(end[3], rel=2e-5)
+    assert result["infeasible"] == 0.0
 
 
 @pytest.mark.long

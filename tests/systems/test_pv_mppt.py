@@ -98,8 +98,8 @@ def test_peaks_of_the_static_map(pattern):
 @pytest.mark.parametrize("pattern", BOUNDARIES)
 def test_basins_in_duty(pattern):
     source = string(pattern)
-    found = [duty_for(CONVERTER, dip.v / dip.i) for dip in source.valleys]
-    assert found == pytest.approx(BOUNDARIES[pattern], abs=0.001)
+    gathered = [duty_for(CONVERTER, dip.v / dip.i) for dip in source.valleys]
+    assert gathered == pytest.approx(BOUNDARIES[pattern], abs=0.001)
     assert [source.basin(peak.v) for peak in source.peaks] == [0, 1, 2, 3]
     assert source.global_basin == 2
 
@@ -117,10 +117,10 @@ def test_module_at_standard_conditions():
 @pytest.mark.timeout(20)
 def test_currents_too_large_for_the_fine_tolerance_are_found():
     c = cell(ModuleParams(V_oc=0.001, R_s=2.35e-6, R_p=1e12), 1000.0, 25.0)
-    found = c.current(-0.8)  # thousands of A, whose neighbours are further apart than 1e-14 A
-    junction = -0.8 + c.R_s * found
-    assert found > 1e3
-    assert c.I_ph - c.I_0 * math.expm1(junction / c.aV_t) - junction / c.R_p == pytest.approx(found, rel=1e-12)
+    actual = c.current(-0.8)  # thousands of A, whose neighbours are further apart than 1e-14 A
+    junction = -0.8 + c.R_s * actual
+    assert actual > 1e3
+    assert c.I_ph - c.I_0 * math.expm1(junction / c.aV_t) - junction / c.R_p == pytest.approx(actual, rel=1e-12)
 
 
 def exact_voltage(i, irradiance, temperature):
@@ -148,8 +148,8 @@ def test_string_against_lambert_w(irradiance, temperature):
     for k in range(50, 20001, 333):
         v, i = float(source.v[k]), float(source.i[k])
         if i > 1e-6:
-            found = brentq(lambda x: exact_voltage(x, irradiance, temperature) - v, 1e-9, 4.5, xtol=1e-12)  # noqa: B023
-            assert i == pytest.approx(found, abs=1e-7)
+            actual = brentq(lambda x: exact_voltage(x, irradiance, temperature) - v, 1e-9, 4.5, xtol=1e-12)  # noqa: B023
+            assert i == pytest.approx(actual, abs=1e-7)
     for peak in source.peaks:
         currents = np.linspace(0.95 * peak.i, min(1.05 * peak.i, 0.9999 * float(source.current(0.0))), 2001)
         best = max(x * exact_voltage(x, irradiance, temperature) for x in currents)
@@ -302,12 +302,12 @@ def static_runs(algorithm, n=400, **settings):
         k = min(int(at), 7999)
         return powers[k] + (at - k) * (powers[k + 1] - powers[k])
 
-    found = []
+    gathered = []
     for seed in range(n):
         search = make(algorithm, [0.1], [0.9], seed, AlgorithmParams(**settings), maximise=True)
         best = run(search, power)
-        found.append((best.x[0], best.value, search.evaluations))
-    return np.array(found).T
+        gathered.append((best.x[0], best.value, search.evaluations))
+    return np.array(gathered).T
 
 
 @pytest.mark.parametrize(
@@ -444,9 +444,9 @@ def test_light_that_comes_back_during_a_search_starts_another(algorithm):
         overrides = {"mppt_optimizer.algorithm": algorithm, "shading_source.times": (0.0, 0.1, 0.3)}
         overrides["shading_source.irradiance"] = PATTERN1 + light + PATTERN1
         run = simulate("pv_mppt_s5", duration=7.0, overrides=overrides | changes)
-        restarts, found = (run.signals[f"mppt/status/{key}/position"].x for key in ("restarts", "best_value"))
+        restarts, actual = (run.signals[f"mppt/status/{key}/position"].x for key in ("restarts", "best_value"))
         ends = np.flatnonzero(np.diff(restarts)).tolist()
-        return restarts[-1], any(found[k] < best / 1.04 for k in (*ends, -1))
+        return restarts[-1], any(actual[k] < best / 1.04 for k in (*ends, -1))
 
     count, missed = searches(tuple(0.7 * g for g in PATTERN1))
     assert count in ((1.0, 2.0, 3.0) if missed else (1.0, 2.0))  # seen when it goes, when it comes, or both
@@ -550,9 +550,9 @@ def short(name, **changes):
 def test_stretch(name):
     """Short form of the target beyond the paper: 3 of the 60 draws of conditions and unknown load."""
     draws = load_study(name).draws.model_dump() | {"count": 3, "seed": 5}
-    found = short(name, draws=draws)
+    actual = short(name, draws=draws)
     bounds = ("certified", "certified_3", "certified_transients", "ramp", "search_time_ramp")
-    assert [(n, found[n].value) for n in bounds if not found[n].passed] == []
+    assert [(n, actual[n].value) for n in bounds if not actual[n].passed] == []
 
 
 def test_noise_costs_a_percent():
@@ -621,13 +621,13 @@ def test_going_back_in_mid_search_repeats_it(name):
         next(ticks)
     tables = Tables(steps.values())
     kept = tables.keep()
-    told = steps["mppt_optimizer"].x.search.now.evaluations
+    reported = steps["mppt_optimizer"].x.search.now.evaluations
     ways = []
     for _ in range(3):
         tables.go_back(kept)
         again = Loop(list(steps.values())).run(150)
         ways.append([(next(again), *(s.x for s in steps.values())) for _ in range(200)])
-        assert steps["mppt_optimizer"].x.search.now.evaluations > told
+        assert steps["mppt_optimizer"].x.search.now.evaluations > reported
     assert ways[0] == ways[1] == ways[2]
 
 
@@ -731,12 +731,12 @@ def test_a_search_that_meets_darkness_begins_anew_in_the_light(algorithm, dark):
     assert values["restart_threshold"] == 0.0
     begin, end = dark
     power, states, _ = in_changing_light(lambda s: (0.0,) * 4 if begin <= s < end else PATTERN1, end + 2.2, **values)
-    found = np.array(states)
-    assert found[-1][0] == 2.0
-    assert found[-1][3] == 1.0
+    actual = np.array(states)
+    assert actual[-1][0] == 2.0
+    assert actual[-1][3] == 1.0
     assert power > 0.98 * 116.46
     if algorithm == "issa":
-        assert found[-1][2] == 44.0  # all of them in the light
+        assert actual[-1][2] == 44.0  # all of them in the light
 
 
 def test_a_search_in_the_dark_stands_still_at_open_circuit():
@@ -786,16 +786,16 @@ def test_the_proven_bound_goes_when_the_light_changes(algorithm):
 @pytest.mark.parametrize("algorithm", ["certified", "ramp"])
 def test_refused_measurements_leave_a_gap_and_no_trace(algorithm):
     """The node refuses NaN: the tracker stays with its duty, measures it again, and finds what it finds without."""
-    plant, tracker, found = ByHand(PvPlant()), ByHand(MpptOptimiser(algorithm=algorithm)), []
+    plant, tracker, gathered = ByHand(PvPlant()), ByHand(MpptOptimiser(algorithm=algorithm)), []
     for tick in range(1500):
-        t, duty = tick * 1_000_000, found[-1] if found else None
+        t, duty = tick * 1_000_000, gathered[-1] if gathered else None
         if tick % 50 == 30:
             answer = tracker.refused(t)
             assert answer["command"] == duty
         else:
             answer = tracked(tracker, t, plant.outputs(t)["port"])
-        found.append(answer["command"])
-        plant.advance(t, duty=found[-1], environment=None)
+        gathered.append(answer["command"])
+        plant.advance(t, duty=gathered[-1], environment=None)
     assert answer["state"][0] == 2.0
     assert power_of(plant) > 0.99 * 116.46
 

@@ -51,9 +51,9 @@ def test_the_junction_voltage_and_its_slope_by_scipy(c):
     assert (top >= np.array(wanted) - 1e-9).all()
     # either all through the diode, or all through the resistance: the lower of the two
     for k, bound in zip(i, top, strict=True):
-        rest = c.I_ph - k
-        diode = c.aV_t * math.log1p(rest / c.I_0) if rest > 0.0 else math.inf
-        assert bound == pytest.approx(min(diode, (rest + c.I_0) * c.R_p))
+        remaining = c.I_ph - k
+        diode = c.aV_t * math.log1p(remaining / c.I_0) if remaining > 0.0 else math.inf
+        assert bound == pytest.approx(min(diode, (remaining + c.I_0) * c.R_p))
     for guess in (None, top - 0.3, top + 5.0):
         u, slope = c.junction(i, guess)
         assert u.tolist() == pytest.approx(wanted, abs=1e-8)
@@ -64,10 +64,10 @@ def test_the_junction_voltage_and_its_slope_by_scipy(c):
 def test_a_module_in_other_light_and_at_other_temperatures():
     p = ModuleParams(V_oc=20.0, I_sc=4.0, N_s=30, K_I=0.003, K_V=-0.07, a=1.2, R_s=0.3, R_p=500.0)
     for g, t in ((1000.0, 25.0), (250.0, 60.0), (0.0, -10.0)):
-        found = cell(p, g, t)
+        result = cell(p, g, t)
         aV_t = 1.2 * 30 * 1.380649e-23 * (t + 273.15) / 1.602176634e-19
         short, open_v = 4.0 + 0.003 * (t - 25.0), 20.0 - 0.07 * (t - 25.0)
-        assert found == pytest.approx((short * g / 1000.0, short / (math.exp(open_v / aV_t) - 1.0), aV_t, 0.3, 500.0))
+        assert result == pytest.approx((short * g / 1000.0, short / (math.exp(open_v / aV_t) - 1.0), aV_t, 0.3, 500.0))
 
 
 # The string ----------------------------------------------------------------------------------------------
@@ -221,8 +221,8 @@ def test_conditions_that_can_be(irradiance, temperature, text):
     )
     if len(irradiance) == len(temperature):
         assert array.possible(block, irradiance + temperature) == (not text)
-        told = f"pv/environment refused, the last one holds: {text}"
-        assert block.events == ([(Level.ERROR, "environment", told, False)] if text else [])
+        reported = f"pv/environment refused, the last one holds: {text}"
+        assert block.events == ([(Level.ERROR, "environment", reported, False)] if text else [])
 
 
 @pytest.mark.parametrize(
@@ -319,10 +319,10 @@ def test_the_plant_tells_what_it_is_and_what_its_sensors_say():
     source = characteristic(ModuleParams(), x.conditions[:4], x.conditions[4:])
     assert x[:3] == pytest.approx(steady_state(ConverterParams(), source, 0.1))
     i = source.current(x.v)
-    said = block.outputs(x, 0)
-    assert said["converter"] == pytest.approx((x.v, x.i_L, x.v_o, x.v * i))
+    outputs = block.outputs(x, 0)
+    assert outputs["converter"] == pytest.approx((x.v, x.i_L, x.v_o, x.v * i))
     drawn = [block.standard_normal(k) for k in (0, 1)]
-    assert said["port"] == pytest.approx((x.v * (1.0 + 0.1 * drawn[0]), i * (1.0 + 0.1 * drawn[1]), 40.0))
+    assert outputs["port"] == pytest.approx((x.v * (1.0 + 0.1 * drawn[0]), i * (1.0 + 0.1 * drawn[1]), 40.0))
     after = block.advance(x, 0, duty=(0.1,), environment=None)
     assert after.k == 2
     assert block.events == []
@@ -333,11 +333,13 @@ def test_the_plant_tells_what_it_is_and_what_its_sensors_say():
 
 @pytest.mark.parametrize(("duty", "used"), [(0.95, 0.9), (0.9, 0.9), (0.1, 0.1), (0.05, 0.1), (0.5, 0.5)])
 def test_a_duty_beyond_its_limits_is_clipped_and_told(duty, used):
-    told, silent = PvPlant(), PvPlant()
-    x = told.first()
-    assert told.advance(x, 0, duty=(duty,), environment=None) == silent.advance(x, 0, duty=(used,), environment=None)
+    reported, silent = PvPlant(), PvPlant()
+    x = reported.first()
+    assert reported.advance(x, 0, duty=(duty,), environment=None) == silent.advance(
+        x, 0, duty=(used,), environment=None
+    )
     text = f"the duty {duty:g} is outside [0.1, 0.9]: clipped"
-    assert told.events == ([(Level.WARN, "duty", text, False)] if duty != used else [])
+    assert reported.events == ([(Level.WARN, "duty", text, False)] if duty != used else [])
 
 
 def test_a_switched_period_is_one_circuit_after_the_other():

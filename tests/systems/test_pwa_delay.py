@@ -71,10 +71,10 @@ def margin(name, low, high, mu=0.0, cell_terms=False, order=0, width=1e-4):
         "scalar": lambda: linear(0.0, -1.0),
     }[name]()
     criterion = Criterion("constant" if order else "theorem1", mu, order or 2, cell_terms)
-    found = certified_margin(system, criterion, low=low, high=high, width=width)
-    assert found.valid
-    assert all(e.positive for e in found.eigenvalues)  # C4, of every certificate in this file
-    return found.h
+    certificate = certified_margin(system, criterion, low=low, high=high, width=width)
+    assert certificate.valid
+    assert all(e.positive for e in certificate.eigenvalues)  # C4, of every certificate in this file
+    return certificate.h
 
 
 @functools.cache
@@ -115,8 +115,8 @@ TABLE = [
     [pytest.param(*row, marks=[pytest.mark.long] * (row[:3] != ("scalar", 0.3, False))) for row in TABLE],
 )
 def test_theorem_1_table(name, mu, cell_terms, expected, tolerance):
-    found = margin(name, 0.98 * expected, 1.02 * expected, mu, cell_terms)
-    assert found == pytest.approx(expected, abs=tolerance)
+    result = margin(name, 0.98 * expected, 1.02 * expected, mu, cell_terms)
+    assert result == pytest.approx(expected, abs=tolerance)
 
 
 @pytest.mark.long
@@ -159,9 +159,9 @@ def test_constant_delay_criterion(name, order, cell_terms, low, high, least, mos
 
 @pytest.mark.long
 def test_constant_delay_criterion_approaches_the_exact_margin_from_below():
-    found = margin("benchmark", 6.17, 6.18, order=3, width=1e-6)
-    assert found == pytest.approx(6.172, abs=0.001)
-    assert found < EXACT + 1e-5
+    result = margin("benchmark", 6.17, 6.18, order=3, width=1e-6)
+    assert result == pytest.approx(6.172, abs=0.001)
+    assert result < EXACT + 1e-5
 
 
 def test_exact_margin_of_the_benchmark():
@@ -215,9 +215,9 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
     assert certify(OSCILLATOR, 3.4, again).valid
     assert certify(OSCILLATOR, 3.4, again).shortest == 3.4
     tried = []
-    found = certified_margin(OSCILLATOR, criterion, low=0.05, high=3.0, width=1e-2, tell=tried.append)
-    assert 0.808 < found.h < 0.81677
-    assert found.shortest == 0.0
+    certificate = certified_margin(OSCILLATOR, criterion, low=0.05, high=3.0, width=1e-2, tell=tried.append)
+    assert 0.808 < certificate.h < 0.81677
+    assert certificate.shortest == 0.0
     # without a gap, each step of matrices that meet the inequalities at its both ends and between
     steps, covered = [c for c in tried if c.valid], 0.0
     for step in steps:
@@ -228,7 +228,7 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
             if step.shortest > 0.0:
                 again = bessel(OSCILLATOR.scaled(d), 2).eigenvalues(step.matrices)
                 assert all(e.positive for e in again), (step.shortest, d)
-    assert covered == found.h
+    assert covered == certificate.h
     # beyond the first window: from `low` on where that is asked for and there is nothing from 0 on
     late = linear([[0.0, 1.0], [-2.0, 0.1]], [[0.0, 0.0], [1.0, 0.0]])
     assert certified_margin(late, criterion) is None  # nobody has named a delay to begin at
@@ -266,22 +266,22 @@ def test_the_node_says_which_delays_its_certificate_covers():
 
 
 def test_a_damaged_certificate_fails_its_check():
-    found = certify(switched(), 0.0185)
-    assert found.valid
+    certificate = certify(switched(), 0.0185)
+    assert certificate.valid
     problem = theorem1(switched().scaled(0.0185), 0.0)
-    assert all(e.positive for e in problem.eigenvalues(found.matrices))
+    assert all(e.positive for e in problem.eigenvalues(certificate.matrices))
     for name in ("R", "L1", "H0"):
-        broken = {**found.matrices, name: -found.matrices[name]}
+        broken = {**certificate.matrices, name: -certificate.matrices[name]}
         assert not all(e.positive for e in problem.eigenvalues(broken)), name
     # the matrices of one delay are no certificate of another one far beyond
-    assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).eigenvalues(found.matrices))
+    assert not all(e.positive for e in theorem1(switched().scaled(0.0300), 0.0).eigenvalues(certificate.matrices))
 
 
-@pytest.mark.parametrize(("least", "told"), [(0.0, []), (-1e-12, ["entries of X"])])
-def test_an_entry_of_nothing_is_no_negative_one(least, told):
+@pytest.mark.parametrize(("least", "reported"), [(0.0, []), (-1e-12, ["entries of X"])])
+def test_an_entry_of_nothing_is_no_negative_one(least, reported):
     problem = Problem()
     problem.symmetric("X", 2, positive=True)
-    assert [e.name for e in problem.eigenvalues({"X": np.array([[1.0, least], [least, 1.0]])})] == told
+    assert [e.name for e in problem.eigenvalues({"X": np.array([[1.0, least], [least, 1.0]])})] == reported
 
 
 @pytest.mark.parametrize("level", [0.25, 0.75])
@@ -372,17 +372,17 @@ def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, va
     assert (abs(h - 5.9716) > 1e-3) == (parameter.split(".")[1] not in ("A", "phi"))
     for profile_of in ("constant", "telegraph"):
         changes = {parameter: value, "tank_plant.delay": h - 0.01, "tank_plant.profile": profile_of}
-        found = simulate("pwa_delay_p2", overrides=changes, duration=20.0 * h)
-        assert (found.figures["h"], found.figures["covered"]) == (h, 1.0)
-        assert found.figures["lowest_level"] >= level_bound(h, **asked.tank).lowest - 1e-6
+        result = simulate("pwa_delay_p2", overrides=changes, duration=20.0 * h)
+        assert (result.figures["h"], result.figures["covered"]) == (h, 1.0)
+        assert result.figures["lowest_level"] >= level_bound(h, **asked.tank).lowest - 1e-6
 
 
 def test_certificate_does_not_cover_a_tank_that_runs_dry():
     """Today's: valid, h = 5.9716 beside a dry tank."""
-    found = simulate("pwa_delay_p2", overrides={"tank_plant.delay": 5.9, "tank_controller.k_high": 0.15}).figures
-    assert found["lowest_level"] == 0.0
-    assert found["h"] == pytest.approx(4.2645, abs=1e-4)
-    assert found["covered"] == 0.0
+    result = simulate("pwa_delay_p2", overrides={"tank_plant.delay": 5.9, "tank_controller.k_high": 0.15}).figures
+    assert result["lowest_level"] == 0.0
+    assert result["h"] == pytest.approx(4.2645, abs=1e-4)
+    assert result["covered"] == 0.0
 
 
 @pytest.mark.parametrize(("parameter", "value"), REFUSED_OF_THE_LEVEL.items())
@@ -417,8 +417,8 @@ def test_certificate_of_another_system_is_refused_by_name(scenario, changes, qua
 def test_certificate_of_the_pendulum_is_of_its_gains():
     """With a weaker gain on the right the margin is another one, and the simulated motion says the same."""
     weak = CriterionParams(system="pendulum", k_positive=2.0, cell_terms=True).build()
-    found = certify(weak, 0.45, Criterion("constant", order=2, cell_terms=True))
-    assert found.valid
+    certificate = certify(weak, 0.45, Criterion("constant", order=2, cell_terms=True))
+    assert certificate.valid
     assert not certify(pendulum(), 0.45, Criterion("constant", order=2, cell_terms=True)).valid
     assert growth_rate(simulate_pwa(weak, profile("constant", 0.45), (1.0, 0.0), 200.0)) < 0.0
     assert growth_rate(simulate_pwa(pendulum(), profile("constant", 0.45), (1.0, 0.0), 200.0)) > 0.0
@@ -436,23 +436,23 @@ def test_certificate_of_the_pendulum_is_of_its_gains():
 
 @pytest.mark.long
 def test_margin_of_the_switched_system():
-    found = pwa_margin(switched(), 0.0195, 0.021, (-2.0, 0.0), 60.0)
-    assert found.h == pytest.approx(0.020005, abs=3e-5)
+    result = pwa_margin(switched(), 0.0195, 0.021, (-2.0, 0.0), 60.0)
+    assert result.h == pytest.approx(0.020005, abs=3e-5)
 
 
 @pytest.mark.parametrize(
     ("h", "rate"), [(0.0193, -0.00351), (0.020, -2.5e-5), (0.0205, 0.00246), (0.021, 0.00494), (0.022, 0.0099)]
 )
 def test_growth_of_the_switched_system(h, rate):
-    found = growth_rate(simulate_pwa(switched(), profile("constant", h), (-2.0, 0.0), 60.0, steps=25))
-    assert found == pytest.approx(rate, abs=6e-5)
+    result = growth_rate(simulate_pwa(switched(), profile("constant", h), (-2.0, 0.0), 60.0, steps=25))
+    assert result == pytest.approx(rate, abs=6e-5)
 
 
 def test_the_margin_by_simulation_is_the_first():
     """Stable again at 1.8 s, and unstable from 3.47 s on: a bracket of 0.3 to 4 s holds both ends."""
-    found = pwa_margin(OSCILLATOR, 0.3, 4.0, (1.0, 0.0), 150.0, steps=40, width=1e-3)
-    assert found.h == pytest.approx(0.81677, abs=2e-3)
-    assert found.low <= found.h <= found.high < 1.3
+    result = pwa_margin(OSCILLATOR, 0.3, 4.0, (1.0, 0.0), 150.0, steps=40, width=1e-3)
+    assert result.h == pytest.approx(0.81677, abs=2e-3)
+    assert result.low <= result.h <= result.high < 1.3
 
 
 def test_located_switches_converge_and_unlocated_do_not():
@@ -476,21 +476,21 @@ def test_margin_of_the_pendulum(sine):
         rates = [growth_rate(run) for run in runs]
         assert rates[0] < -0.01 < rates[1]  # beyond 0.4149 its amplitude stays, sin bounds it
         return
-    found = pwa_margin(pendulum(), 0.40, 0.43, (1.0, 0.0), 200.0, width=1e-4)
-    assert found.h == pytest.approx(0.4192, abs=0.001)
+    result = pwa_margin(pendulum(), 0.40, 0.43, (1.0, 0.0), 200.0, width=1e-4)
+    assert result.h == pytest.approx(0.4192, abs=0.001)
 
 
 @pytest.mark.long
 def test_margin_of_the_pendulum_by_growth():
-    found = pwa_margin(pendulum(), 0.417, 0.421, (1.0, 0.0), 3200.0, width=1e-7)
-    assert found.h == pytest.approx(0.4192648, abs=1e-6)  # towards 0.4192653 as runs get longer
+    result = pwa_margin(pendulum(), 0.417, 0.421, (1.0, 0.0), 3200.0, width=1e-7)
+    assert result.h == pytest.approx(0.4192648, abs=1e-6)  # towards 0.4192653 as runs get longer
 
 
 def test_margins_of_linear_systems_are_exact():
     # as the literature has it; the margin follows from its second state alone
     assert BENCHMARK == ([[-2.0, 0.0], [0.0, -0.9]], [[-1.0, 0.0], [-1.0, -1.0]])
-    found = pwa_margin(linear(*BENCHMARK), 6.0, 6.4, (1.0, 1.0), 1500.0, width=1e-4)
-    assert found.h == pytest.approx(EXACT, abs=2e-4)
+    result = pwa_margin(linear(*BENCHMARK), 6.0, 6.4, (1.0, 1.0), 1500.0, width=1e-4)
+    assert result.h == pytest.approx(EXACT, abs=2e-4)
     assert pwa_margin(linear(0.0, -1.0), 1.5, 1.65, (1.0,), 400.0).h == pytest.approx(math.pi / 2.0, abs=1e-5)
     assert pwa_margin(continuous_tank(), 11.0, 12.0, (1.0,), 3000.0, width=1e-3).h == pytest.approx(11.49, abs=0.005)
 
@@ -507,8 +507,8 @@ def test_delay_at_which_the_tank_runs_empty(level, pwa, h):
     ("h", "low", "high"), [(2.0, 0.386, 0.671), (4.0, 0.241, 0.790), (5.0, 0.149, 0.890), (6.0, 0.052, 0.954)]
 )
 def test_limit_cycles_of_the_tank(h, low, high):
-    found = simulate_tank(h, 0.2, 60.0 * h)
-    late = found.sizes[found.sizes.size // 2 :]
+    result = simulate_tank(h, 0.2, 60.0 * h)
+    late = result.sizes[result.sizes.size // 2 :]
     assert late.min() == pytest.approx(low, abs=0.003)
     assert late.max() == pytest.approx(high, abs=0.003)
 
@@ -527,8 +527,8 @@ def test_motion_agrees_with_an_adaptive_solver_of_delay_equations(tmp_path, monk
         solver.set_integration_parameters(rtol=1e-9, atol=1e-10)
         solver.step_on_discontinuities()
         exact = solver.integrate(5.0 * h)
-        found = simulate_pwa(system, profile("constant", h), x0, 5.0 * h, steps=200)
-        assert found.x == pytest.approx(exact, abs=1e-6)
+        result = simulate_pwa(system, profile("constant", h), x0, 5.0 * h, steps=200)
+        assert result.x == pytest.approx(exact, abs=1e-6)
 
 
 def test_profiles():
@@ -582,11 +582,11 @@ def test_plants_fall_at_the_certified_delay_and_grow_beyond_their_margin(system,
                 system=system, x0=x0, delay=delay, period=delay / 2.0, step=delay / 50.0, profile=kind, mu=mu
             )
         )
-        found = []
+        results = []
         for k in range(round(seconds / plant.params.period)):
             plant.advance(k)
-            found.append(max(map(abs, plant.outputs(k)["state"])))
-        quarters = np.array_split(np.array(found), 4)
+            results.append(max(map(abs, plant.outputs(k)["state"])))
+        quarters = np.array_split(np.array(results), 4)
         return quarters[1].max(), quarters[3].max()
 
     before, after = sizes(stable, "sine" if mu else "constant")
@@ -605,9 +605,9 @@ def test_functional_falls_along_the_certified_trajectory_and_rises_beyond():
 
 @pytest.mark.long
 def test_a_finer_monitor_sees_a_smoother_fall():
-    found = simulate("pwa_delay", overrides={"switched_delay_plant.period": 1e-4, "lyapunov_monitor.period": 1e-4})
-    assert found.figures["largest_rise"] == 0.0
-    assert found.figures["fall"] == pytest.approx(1.5e-4, abs=0.3e-4)
+    result = simulate("pwa_delay", overrides={"switched_delay_plant.period": 1e-4, "lyapunov_monitor.period": 1e-4})
+    assert result.figures["largest_rise"] == 0.0
+    assert result.figures["fall"] == pytest.approx(1.5e-4, abs=0.3e-4)
 
 
 def test_asymptotic_stability_of_the_tank_is_refused():
@@ -654,17 +654,17 @@ def test_verdicts_on_the_paper_hold():
         return values(run(name).results)
 
     names = [n for n in NAMES if n not in SLOW]
-    found = [f for n in names for f in findings(run(n).rig.scenario, measured, {})]
-    assert [f"{f.scenario}.{f.key}: {f.false}" for f in found if f.holds is not True] == []
-    assert {f.verdict for f in found} == {"reproduced", "refuted"}
+    results = [f for n in names for f in findings(run(n).rig.scenario, measured, {})]
+    assert [f"{f.scenario}.{f.key}: {f.false}" for f in results if f.holds is not True] == []
+    assert {f.verdict for f in results} == {"reproduced", "refuted"}
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["pwa_delay_margin", "pwa_delay_p3"])
 def test_verdicts_of_long_scenarios_hold(name):
-    found = findings(run(name).rig.scenario, lambda other: values(run(other).results), {})
-    assert found
-    assert all(f.holds for f in found)
+    result = findings(run(name).rig.scenario, lambda other: values(run(other).results), {})
+    assert result
+    assert all(f.holds for f in result)
 
 
 @pytest.mark.parametrize("page", ["pwa_delay.md", "tcp_aqm.md"])
@@ -776,13 +776,13 @@ def test_a_delay_changes_while_the_loop_runs_and_reads_what_was():
     """Beside the lines of the two delays; beyond twice the first delay nothing is remembered."""
     line = ByHand(DelayLine(delay=0.002))
     ramp = [line.update(k * 10**6, state=(float(k), 0.0))["delayed"][0] for k in range(10)]
-    for delay, found in ((0.004, 6.0), (0.0, 11.0), (0.1, 8.0)):
+    for delay, result in ((0.004, 6.0), (0.0, 11.0), (0.1, 8.0)):
         before = line.block.p
         line.block.change(before.model_copy(update={"delay": delay}))
         line.x = line.block.go_on(line.x, before)
         k = len(ramp)
         ramp.append(line.update(k * 10**6, state=(float(k), 0.0))["delayed"][0])
-        assert ramp[-1] == pytest.approx(found)
+        assert ramp[-1] == pytest.approx(result)
     assert line.reports["delay"][1] == "delay 0.1 s clamped to what is remembered = 0.004 s"
 
 
@@ -798,8 +798,8 @@ def test_a_change_of_the_delay_moves_the_margin():
 
 def test_delay_line_interpolates_and_begins_with_the_first_value():
     line = ByHand(DelayLine(delay=0.0025))
-    found = [line.update(k * 10**6, state=(float(k), -float(k)))["delayed"][0] for k in range(6)]
-    assert found == pytest.approx([0.0, 0.0, 0.0, 0.5, 1.5, 2.5])
+    results = [line.update(k * 10**6, state=(float(k), -float(k)))["delayed"][0] for k in range(6)]
+    assert results == pytest.approx([0.0, 0.0, 0.0, 0.5, 1.5, 2.5])
     assert line.refused(6 * 10**6)["delayed"] == pytest.approx((3.5, -3.5))
 
 
@@ -850,10 +850,10 @@ def test_a_delay_below_zero_is_no_index_into_the_record():
 
 def test_matrices_survive_their_topic():
     p = CriterionParams()
-    found = certify(switched(), 0.018)
-    back = p.unpad(p.pad(found.matrices))
-    assert all(np.array_equal(back[name], m) for name, m in found.matrices.items())
-    assert set(back) == set(found.matrices)
+    certificate = certify(switched(), 0.018)
+    back = p.unpad(p.pad(certificate.matrices))
+    assert all(np.array_equal(back[name], m) for name, m in certificate.matrices.items())
+    assert set(back) == set(certificate.matrices)
 
 
 def test_a_bracket_without_a_margin_is_told():

@@ -54,8 +54,8 @@ def two_cells(rng):
 
 def unknowns(problem, rng):
     """Random matrices in the place of a certificate's."""
-    found = {name: rng.normal(size=u.shape) for name, u in problem.unknowns.items()}
-    return {name: m + m.T if problem.unknowns[name].symmetric else m for name, m in found.items()}
+    results = {name: rng.normal(size=u.shape) for name, u in problem.unknowns.items()}
+    return {name: m + m.T if problem.unknowns[name].symmetric else m for name, m in results.items()}
 
 
 def held(problem, name, matrices, y):
@@ -129,8 +129,8 @@ def test_the_criterion_of_constant_delays_is_the_derivative_of_its_functional(or
         def V(t):
             now = np.concatenate([at(c, t), at(c, t - window)])
             eta = np.concatenate([system.F[i] @ now, *(weight * omega(k, t) for k in range(order))])
-            found = form(eta, L) + over(lambda s: form(both(c, v, s), Q), t - window, t)
-            return found + over(lambda s: (s - t + window) * form(at(v, s), weight * R), t - window, t)
+            result = form(eta, L) + over(lambda s: form(both(c, v, s), Q), t - window, t)
+            return result + over(lambda s: (s - t + window) * form(at(v, s), weight * R), t - window, t)
 
         now = np.concatenate([at(c, 0.0), at(c, -window)])
         y = np.concatenate([now, at(v, -window), *(omega(k, 0.0) for k in range(order))])
@@ -141,10 +141,10 @@ def test_the_criterion_of_constant_delays_is_the_derivative_of_its_functional(or
         c = rng.normal(size=(order, 2))
         now = np.concatenate([at(c, 0.0), at(c, -1.0)])
         omega = [over(lambda s, k=k: shifted(k, s) * at(c, s - 1.0), 0.0, 1.0) for k in range(order)]
-        found = form(np.concatenate([system.F[i] @ now, *omega]), L) - form(system.E[i] @ now, matrices[f"H{i}"])
+        result = form(np.concatenate([system.F[i] @ now, *omega]), L) - form(system.E[i] @ now, matrices[f"H{i}"])
         if scaled:
-            found += over(lambda s: form(both(c, slope(c), s), Q), -1.0, 0.0)
-        return np.concatenate([now, *omega]), found
+            result += over(lambda s: form(both(c, slope(c), s), Q), -1.0, 0.0)
+        return np.concatenate([now, *omega]), result
 
     for i in range(4):
         y, rate = falls(i)
@@ -246,18 +246,18 @@ def test_a_linear_matrix_inequality_is_solved_and_checked():
     p = Problem()
     p.symmetric("X", 4)
     p.positive("X", [quadratic("X", np.eye(4))], traced=True)
-    found = p.solve()
-    assert (found.status, found.t) == ("Solved", pytest.approx(250.0, rel=1e-5))
-    assert found.matrices["X"] == pytest.approx(250.0 * np.eye(4), abs=1e-2)
+    solution = p.solve()
+    assert (solution.status, solution.t) == ("Solved", pytest.approx(250.0, rel=1e-5))
+    assert solution.matrices["X"] == pytest.approx(250.0 * np.eye(4), abs=1e-2)
     p = Problem()  # 10 X >= t of a trace of 1000 and X - Y >= t: with entries of Y from 0 on that does not help
     p.symmetric("X", 2)
     p.symmetric("Y", 2, positive=True)
     p.positive("10 X", [quadratic("X", np.eye(2), 10.0)], traced=True)
     p.positive("X - Y", [quadratic("X", np.eye(2)), quadratic("Y", np.eye(2), -1.0)])
-    found = p.solve()
-    assert found.t == pytest.approx(50.0, rel=1e-4)
-    assert np.diag(found.matrices["Y"]) == pytest.approx(np.zeros(2), abs=1e-2)
-    assert np.min(found.matrices["Y"]) >= 0.0
+    solution = p.solve()
+    assert solution.t == pytest.approx(50.0, rel=1e-4)
+    assert np.diag(solution.matrices["Y"]) == pytest.approx(np.zeros(2), abs=1e-2)
+    assert np.min(solution.matrices["Y"]) >= 0.0
     rng = np.random.default_rng(4)
     p = Problem()
     p.symmetric("S", 3)
@@ -269,8 +269,8 @@ def test_a_linear_matrix_inequality_is_solved_and_checked():
         m["S"] = m["S"] + m["S"].T
         total = left @ m["M"] @ right.T - 1.5 * more @ m["S"] @ more.T + right @ m["S"] @ more.T
         total = total + total.T
-        (found,) = p.eigenvalues(m)
-        assert (found.smallest, found.largest) == near(tuple(np.linalg.eigvalsh(total)[[0, -1]]))
+        (solution,) = p.eigenvalues(m)
+        assert (solution.smallest, solution.largest) == near(tuple(np.linalg.eigvalsh(total)[[0, -1]]))
         # the solver's columns: the upper triangle, what is beside the diagonal times the root of 2
         parts = p._coefficients(p.inequalities[0])
         entries = {"S": [m["S"][a, b] for b in range(3) for a in range(b + 1)], "M": m["M"].ravel()}
@@ -296,9 +296,9 @@ def test_the_largest_delay_is_doubled_to_and_bisected_for():
         asked.append(h)
         return made(h, h <= 1.3)
 
-    found = _bisect(ask, made(0.25, True), 0.25, 1e-3, 1e9)
+    result = _bisect(ask, made(0.25, True), 0.25, 1e-3, 1e9)
     assert asked[:6] == [0.5, 1.0, 2.0, 1.5, 1.25, 1.375]
-    assert 1.3 * (1.0 - 1e-3) <= found.h <= 1.3
+    assert 1.3 * (1.0 - 1e-3) <= result.h <= 1.3
     assert len(asked) == 3 + 10  # the gap of 1 in ten halves is 1/1024 of it
     endless = _bisect(lambda h, shortest=None: made(h, True), made(1.0, True), 1.0, 1e-3, 100.0)
     assert endless.h == 64.0  # 128 is beyond what is asked for
@@ -314,14 +314,14 @@ def test_the_walk_of_constant_delays_leaves_out_none():
         steps.append((shortest, h, valid))
         return made(h, valid, shortest)
 
-    found = _walk(ask, made(0.125, True, 0.1), 0.125, 1e-2, 1e9)
+    result = _walk(ask, made(0.125, True, 0.1), 0.125, 1e-2, 1e9)
     assert [s[:2] for s in steps[:4]] == [(0.125, 0.25), (0.25, 0.5), (0.5, 1.0), (1.0, 2.0)]
     assert [s[1:] for s in steps[4:8]] == [(1.5, True), (2.0, False), (1.75, True), (2.0, False)]
     reached = 0.125
     for begin, end, valid in steps:
         assert begin == reached
         reached = end if valid else reached
-    assert (found.h, found.shortest) == (reached, 0.1)
+    assert (result.h, result.shortest) == (reached, 0.1)
     assert 2.0 - reached <= 1e-3 * 2.0 * 2.0
     assert _walk(lambda h, s: made(h, True, s), made(1.0, True), 1.0, 1e-2, 50.0).h == 64.0
 
@@ -344,12 +344,12 @@ def test_a_margin_is_looked_for_from_what_is_certified(monkeypatch):
     for options, first in (({}, 0.5), ({"high": 0.2}, 0.2), ({"low": 0.1, "high": 0.2}, 0.1)):
         replaced(0.3)
         asked.clear(), sliding.clear()
-        told = []
-        found = certified_margin(system, width=1e-3, tell=told.append, **options)
+        messages = []
+        certificate = certified_margin(system, width=1e-3, tell=messages.append, **options)
         assert asked[0] == first
-        assert 0.3 * (1.0 - 1e-3) <= found.h <= 0.3
-        assert [c.h for c in told] == asked
-        assert sliding == [options.get("high", 1e-9), found.h]
+        assert 0.3 * (1.0 - 1e-3) <= certificate.h <= 0.3
+        assert [c.h for c in messages] == asked
+        assert sliding == [options.get("high", 1e-9), certificate.h]
     replaced(math.inf)  # stable for every delay: doubled up to a billion fastest times, walked until beyond that
     assert certified_margin(system).h == 2.0**28
     assert certified_margin(system, Criterion("constant")).h == 2.0**29
@@ -365,7 +365,7 @@ def test_a_margin_is_looked_for_from_what_is_certified(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("h", "options", "said"),
+    ("h", "options", "text"),
     [
         (0.0, {}, "h = 0.0: expected a positive time"),
         (math.inf, {}, "h = inf: expected a positive time"),
@@ -375,8 +375,8 @@ def test_a_margin_is_looked_for_from_what_is_certified(monkeypatch):
         (1.0, {"criterion": Criterion("constant"), "shortest": -0.1}, "shortest = -0.1: expected from 0 to h = 1.0"),
     ],
 )
-def test_delays_that_cannot_be_certified_are_refused(h, options, said):
-    with pytest.raises(ValueError, match=said):
+def test_delays_that_cannot_be_certified_are_refused(h, options, text):
+    with pytest.raises(ValueError, match=text):
         certify(linear(-1.0, 0.5), h, **options)
 
 
@@ -413,9 +413,9 @@ def illinois(f, low, high):
     ],
 )
 def test_a_margin_by_growth_is_where_it_changes_its_sign_first(growth, first):
-    found = find_margin(growth, 0.0, 1.0, width=1e-6)
-    asked, n = list(found.growth), math.ceil(first * 8) + 1
-    assert found.growth == {h: growth(h) for h in asked}
+    result = find_margin(growth, 0.0, 1.0, width=1e-6)
+    asked, n = list(result.growth), math.ceil(first * 8) + 1
+    assert result.growth == {h: growth(h) for h in asked}
     assert asked[:n] == [k / 8 for k in range(n)]
     own = illinois(growth, *asked[n - 2 : n])
     before = asked[n - 2]
@@ -423,11 +423,11 @@ def test_a_margin_by_growth_is_where_it_changes_its_sign_first(growth, first):
         x, low, high = next(own)
         assert h == near(x)
         assert high - low > 1e-6
-        assert (abs(x - before) < 0.2e-6) is (n + k == len(asked) - 1) or found.high - found.low <= 1e-6
+        assert (abs(x - before) < 0.2e-6) is (n + k == len(asked) - 1) or result.high - result.low <= 1e-6
         before = x
-    assert (found.h, found.low <= found.h <= found.high) == (asked[-1], True)
-    assert growth(found.low) < 0.0 <= growth(found.high)
-    assert found.h == pytest.approx(first, abs=1e-6)
+    assert (result.h, result.low <= result.h <= result.high) == (asked[-1], True)
+    assert growth(result.low) < 0.0 <= growth(result.high)
+    assert result.h == pytest.approx(first, abs=1e-6)
 
 
 def test_of_two_margins_by_growth_the_first_is_found():
@@ -463,24 +463,24 @@ def test_the_bound_of_the_level_is_its_integral(start):
     def lowest(h):
         X = max(s + (kL * s - c * math.sqrt(s)) * h, start or 0.0)
         r = kR * X + c * math.sqrt(X)
-        taken = quad(lambda t: kR * min(s + r * t, X), 0.0, h, points=[min(h, (X - s) / r)])[0]
-        m = s - taken - c * math.sqrt(s) * h
+        used = quad(lambda t: kR * min(s + r * t, X), 0.0, h, points=[min(h, (X - s) / r)])[0]
+        m = s - used - c * math.sqrt(s) * h
         return (m if start is None else min(m, start)), X
 
     enough = c / kL * math.sqrt(s)
     for h in (0.1, 1.0, 2.0, 4.0):
-        found = level_bound(h, s=s, kL=kL, kR=kR, c=c, start=start)
-        assert found[:2] == pytest.approx(lowest(h), rel=1e-9)
-        assert found.certified is (lowest(h)[0] >= enough)
+        result = level_bound(h, s=s, kL=kL, kR=kR, c=c, start=start)
+        assert result[:2] == pytest.approx(lowest(h), rel=1e-9)
+        assert result.certified is (lowest(h)[0] >= enough)
     margin = brentq(lambda h: lowest(h)[0] - enough, 1e-3, 20.0)
     assert level_margin(s=s, kL=kL, kR=kR, c=c, start=start) == pytest.approx(margin, rel=1e-7)
 
 
 def test_no_level_is_bounded_where_the_drain_is_as_much_as_the_inflow():
     for c, bounded in ((0.1, False), (0.0999, True)):  # 0.2 * 0.25 against c * 0.5
-        found = level_bound(0.0, s=0.25, kL=0.2, c=c)
-        assert found[:2] == ((0.25, 0.25) if bounded else (0.0, 0.25))
-        assert found.certified is bounded
+        result = level_bound(0.0, s=0.25, kL=0.2, c=c)
+        assert result[:2] == ((0.25, 0.25) if bounded else (0.0, 0.25))
+        assert result.certified is bounded
     assert level_bound(1.0, s=0.25, kL=0.2, c=0.1, start=0.7) == (0.0, 0.7, False)
     assert level_margin(s=0.25, kL=0.2, c=0.1) < 1e-8
 
@@ -509,18 +509,18 @@ def test_a_delay_line_reads_its_record_at_the_age_that_its_delay_is(kind):
     draw, record = Random(4), []
     for k in range(60):
         if draw.random() < 0.2:
-            found = line.refused(k * 10 * MS)
+            answer = line.refused(k * 10 * MS)
             if not record:
-                assert found is None
+                assert answer is None
                 continue
             record.append(record[-1])
         else:
             record.append((draw.random(), draw.random()))
-            found = line.update(k * 10 * MS, state=record[-1])
+            answer = line.update(k * 10 * MS, state=record[-1])
         back = delay_at(line.x.delay.profile, k * 0.01)
         ages = (len(record) - 1 - np.arange(len(record))) * 0.01
         expected = [np.interp(-back, -ages, [row[c] for row in record]) for c in (0, 1)]
-        assert found["delayed"] == near(tuple(expected))
+        assert answer["delayed"] == near(tuple(expected))
     (given,), (gives,) = DelayLine.ports(line.block.p)
     assert given.units == gives.units == ("rad/s", "rad/s")
 
@@ -533,8 +533,8 @@ def test_gains_change_on_their_edges():
     dry = ByHand(TankPlant(x0=0.0, delay=0.0, k_low=0.0))
     dry.advance(0, inflow=(0.0,))
     assert dry.reports["dry"][:2] == (Level.ERROR, "the tank is DRY: its level stays at 0")
-    for delay, told in ((0.05, []), (0.0501, ["delay"])):
-        assert list(ByHand(SwitchedDelayPlant(delay=delay, max_delay=0.05)).reports) == told
+    for delay, reported in ((0.05, []), (0.0501, ["delay"])):
+        assert list(ByHand(SwitchedDelayPlant(delay=delay, max_delay=0.05)).reports) == reported
 
 
 def test_cells_are_the_signs_of_their_lines():
@@ -597,7 +597,7 @@ def test_systems_that_are_none_are_refused():
     both = {k: v * 2 for k, v in given.items() if isinstance(v, tuple)} | {"lines": none, "lines_delayed": none}
     half = (np.array([[1.0, 0.0]]), np.array([[-1.0, 0.0]]))
     offset = (np.zeros(1),) * 2
-    for values, said in (
+    for values, text in (
         (given | {"a": ()}, "^0 matrices a for 1 cells$"),
         (given | {"Ad": (np.eye(2),)}, r"^Ad of cell 0 has the shape \(2, 2\), expected \(1, 1\)$"),
         (given | {"A": (np.array([[math.nan]]),)}, "^A of cell 0 is not finite$"),
@@ -609,7 +609,7 @@ def test_systems_that_are_none_are_refused():
         (both | {"E": half, "e": (np.full(1, -0.3), np.zeros(1))}, r"^no cell holds x = .*: the cells leave a gap$"),
         (both | {"E": half, "e": offset, "F": (np.eye(2), 2.0 * np.eye(2))}, "^features of cells 0 and 1 differ by"),
     ):
-        with pytest.raises(BadSystem, match=said):
+        with pytest.raises(BadSystem, match=text):
             PwaSystem(**values)
     split = PwaSystem(**(both | {"E": half, "e": offset}))
     assert split.faces() == [(0, 0, 1), (1, 0, 0)]
@@ -725,23 +725,23 @@ def test_what_a_certificate_node_says():
     count, rows, columns = p.padded()
     assert (count, rows, columns) == (3, 3, 3)
     for valid in (True, False):
-        found = Certificate(0.7, valid, 0.25, matrices, eigenvalues[::2], "Solved", 0.1, 0.7)
-        _x, said = node.answer(node.first(), 0, SimpleNamespace(answer=Answer(found, "")), True)
-        assert said["verdict"] == (0.7, float(valid), 0.25, 0.5, 2.0)
+        certificate = Certificate(0.7, valid, 0.25, matrices, eigenvalues[::2], "Solved", 0.1, 0.7)
+        _x, outputs = node.answer(node.first(), 0, SimpleNamespace(answer=Answer(certificate, "")), True)
+        assert outputs["verdict"] == (0.7, float(valid), 0.25, 0.5, 2.0)
         padded = np.zeros((3, 3, 3))
         for k, m in enumerate(matrices.values() if valid else ()):
             padded[k, : m.shape[0], : m.shape[1]] = m
-        assert said["matrices"] == tuple(padded.ravel().tolist())
+        assert outputs["matrices"] == tuple(padded.ravel().tolist())
         assert node.reports == {}
-    assert node.answer(node.first(), 0, SimpleNamespace(answer=Answer(found, "")), False)[1] == {}
+    assert node.answer(node.first(), 0, SimpleNamespace(answer=Answer(certificate, "")), False)[1] == {}
     assert node.answer(node.first(), 0, None, True)[1] == {}
-    for answer, said in (
+    for answer, outputs in (
         (Answer(None, "not applicable: why"), "not applicable: why"),
         (None, "no answer before the limit"),
     ):
         node.events.clear()
         assert node.answer(node.first(), 0, SimpleNamespace(answer=answer), True)[1] == {"verdict": (0.0,) * 5}
-        assert node.reports["no_certificate"][:2] == (Level.WARN, said)
+        assert node.reports["no_certificate"][:2] == (Level.WARN, outputs)
     smallest = Certificate(0.7, False, 0.25, matrices, eigenvalues[1:2], "Solved", 0.1)
     assert node.answer(node.first(), 0, SimpleNamespace(answer=Answer(smallest, "")), True)[1]["verdict"][3] < -1e299
     level = CertificateNode(method="level", system="tank")
@@ -778,29 +778,31 @@ def test_a_monitor_speaks_once_its_record_is_whole():
     }
     given, verdict, system = p.pad(m), (0.64, 1.0, 0.1, 0.1, 9.0), p.build()
     states = (2.0 + np.cos(0.3 * np.arange(200))) * 1.012 ** np.arange(200)
-    record, slopes, values, told, age = [], [], [], False, 0
+    record, slopes, values, reported, age = [], [], [], False, 0
     monitor.block.ages = lambda name: age
     assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=given, verdict=(0.64, 0.0, 0, 0, 0)) == {}
     for k, state in enumerate(states):
         monitor.reports.clear()
         age = k
-        said = monitor.update(k, state=(state,), mode=(0.0, 0.32), matrices=given, verdict=verdict)
+        outputs = monitor.update(k, state=(state,), mode=(0.0, 0.32), matrices=given, verdict=verdict)
         record.append(state)
         slopes.append(-0.64 * record[max(k - 32, 0)])
         if k < 64 + 32:
-            assert said == {}
+            assert outputs == {}
             continue
         value = functional(system, m, np.array(record[-65:])[:, None], np.array(slopes[-65:])[:, None], 0.5)
         rate = (value - values[-1]) / 0.01 if values else 0.0
-        assert said == {"value": near((value, rate))}
+        assert outputs == {"value": near((value, rate))}
         rises = len(values) > 64 and value / values[-65] - 1.0 > 0.5
-        told |= rises
+        reported |= rises
         assert ("rises" in monitor.reports) is rises
         values.append(value)
-    assert told
-    _, said = monitor.block.update(monitor.x, 0, state=(9.0,), mode=(0.0, 0.66), matrices=given, verdict=verdict)
+    assert reported
+    _, outputs = monitor.block.update(monitor.x, 0, state=(9.0,), mode=(0.0, 0.66), matrices=given, verdict=verdict)
     rows, rates = np.array([*record[-64:], 9.0]), np.array([*slopes[-64:], -0.64 * record[-66]])
-    assert said["value"][0] == near(functional(system, m, rows[:, None], rates[:, None], 1.0))  # not beyond the bound
+    assert outputs["value"][0] == near(
+        functional(system, m, rows[:, None], rates[:, None], 1.0)
+    )  # not beyond the bound
     assert monitor.refused(0) == {}
     assert monitor.update(0, state=(1.0,), mode=(0.0, 0.32), matrices=given, verdict=verdict) == {}  # from anew
     for h, coarse in ((0.64, False), (0.63, True)):
@@ -825,8 +827,8 @@ def test_figures_of_the_functional_and_of_what_a_level_covers():
 
     def covered(h, valid, delay):
         named = {"h": [0.0, h], "valid": [0.0, valid]}
-        told = {f"certificate/verdict/{k}/position": (np.arange(2.0), np.array(x)) for k, x in named.items()}
-        return level_covered(told, delay=delay, hold=0.5)
+        entries = {f"certificate/verdict/{k}/position": (np.arange(2.0), np.array(x)) for k, x in named.items()}
+        return level_covered(entries, delay=delay, hold=0.5)
 
     assert [covered(*given) for given in ((2.0, 1.0, 1.5), (2.0, 1.0, 1.51), (2.0, 0.0, 1.0))] == [1.0, 0.0, 0.0]
 

@@ -94,19 +94,19 @@ def test_spectral_radius_of_the_closed_loop(period, weight, radius):
 )
 def test_critical_weight_puts_a_pole_on_the_unit_circle(period, weight, tolerance):
     model = seed19(period)
-    found = brentq(lambda w: _radius(Gpc(model, Tuning(weight=w))) - 1.0, 0.5 * weight, 2.0 * weight)
-    assert found == pytest.approx(weight, abs=tolerance)
+    result = brentq(lambda w: _radius(Gpc(model, Tuning(weight=w))) - 1.0, 0.5 * weight, 2.0 * weight)
+    assert result == pytest.approx(weight, abs=tolerance)
 
 
 @pytest.mark.long
 def test_verdicts_on_the_papers_claims_hold():
-    found = [
+    results = [
         finding
         for name in SCENARIOS
         for finding in findings(load_scenario(name), lambda other: values(run_of(other).results), {})
     ]
-    assert [f"{f.scenario}: {f.false}" for f in found if not f.holds] == []
-    assert Counter(f.verdict for f in found) == {"reproduced": 9, "fitted": 3, "refuted": 12}
+    assert [f"{f.scenario}: {f.false}" for f in results if not f.holds] == []
+    assert Counter(f.verdict for f in results) == {"reproduced": 9, "fitted": 3, "refuted": 12}
 
 
 def test_poles_are_those_of_the_simulated_loop():
@@ -153,10 +153,10 @@ def test_prediction_is_what_the_model_does(m, moves):
     g, f, h = predict(model, 1, horizon, horizon)
     past_y = [y[now - i] for i in range(len(f[0]))]
     past_moves = [moves[now - 1 - i] for i in range(len(h[0]))]
-    found = np.array(g) @ moves[now : now + horizon] + np.array(f) @ past_y
+    result = np.array(g) @ moves[now : now + horizon] + np.array(f) @ past_y
     if past_moves:
-        found = found + np.array(h) @ past_moves
-    np.testing.assert_allclose(found, y[now + 1 : now + 1 + horizon], atol=1e-6)
+        result = result + np.array(h) @ past_moves
+    np.testing.assert_allclose(result, y[now + 1 : now + 1 + horizon], atol=1e-6)
 
 
 def test_step_matrix_begins_with_the_step_response():
@@ -233,12 +233,12 @@ def test_certificate():
         T: ((-0.64812, 0.42658), (0.97640, -0.53451, 0.39160), 0.66098),
     }
     for period, (gain, terminal, modulus) in rows.items():
-        found = certify(seed19(period))
-        assert found.gain[0] == pytest.approx(gain, abs=1e-5)
-        assert found.terminal[np.triu_indices(2)] == pytest.approx(terminal, abs=1e-5)
-        assert found.moduli == pytest.approx([modulus] * 2, abs=1e-5)
-        assert found.residual < 1e-10
-        assert found.valid
+        certificate = certify(seed19(period))
+        assert certificate.gain[0] == pytest.approx(gain, abs=1e-5)
+        assert certificate.terminal[np.triu_indices(2)] == pytest.approx(terminal, abs=1e-5)
+        assert certificate.moduli == pytest.approx([modulus] * 2, abs=1e-5)
+        assert certificate.residual < 1e-10
+        assert certificate.valid
 
 
 @pytest.mark.parametrize(
@@ -247,19 +247,19 @@ def test_certificate():
 )
 def test_the_papers_equation_33_is_no_certificate(gain, moduli):
     c = np.array([[0.2383, 0.218]])
-    found = assess([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
-    assert found.moduli == pytest.approx(moduli, abs=2e-3)
-    assert found.definite > 0
-    assert found.residual > 1.0
-    assert not found.valid
+    result = assess([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
+    assert result.moduli == pytest.approx(moduli, abs=2e-3)
+    assert result.definite > 0
+    assert result.residual > 1.0
+    assert not result.valid
 
 
 def test_a_certificate_is_refused_when_one_entry_is_wrong():
-    found = certify(seed19(T))
+    certificate = certify(seed19(T))
     a, b = [[-x for x in seed19(T).a[1:]], [1, 0]], [[1], [0]]
     c = np.array([seed19(T).b])
-    assert assess(a, b, found.gain, found.terminal, c.T @ c, 1.0).valid
-    assert not assess(a, b, found.gain, found.terminal * 0.99, c.T @ c, 1.0).valid
+    assert assess(a, b, certificate.gain, certificate.terminal, c.T @ c, 1.0).valid
+    assert not assess(a, b, certificate.gain, certificate.terminal * 0.99, c.T @ c, 1.0).valid
 
 
 def test_closed_form_is_the_least_squares_solution():
@@ -297,7 +297,7 @@ def best_of_active_sets(h, q, low, high, most):
     limits = [(-most, most), (-most, most), (low, high), (low, high)]
     bounds = [(rows[i], b) for i in range(4) for b in limits[i]]
     choices = [[], *([b] for b in bounds), *([a, b] for i, a in enumerate(bounds) for b in bounds[i + 1 :])]
-    found = []
+    results = []
     for chosen in choices:
         e = np.array([r for r, _ in chosen]).reshape(-1, 2)
         system = np.block([[h, e.T], [e, np.zeros((len(e), len(e)))]])
@@ -305,8 +305,8 @@ def best_of_active_sets(h, q, low, high, most):
             continue
         x = np.linalg.solve(system, np.concatenate([-q, [b for _, b in chosen]]))[:2]
         if all(lo - 1e-9 <= r @ x <= hi + 1e-9 for r, (lo, hi) in zip(rows, limits, strict=True)):
-            found.append((0.5 * x @ h @ x + q @ x, *x))
-    return min(found)[1:]
+            results.append((0.5 * x @ h @ x + q @ x, *x))
+    return min(results)[1:]
 
 
 def test_infeasible_programme_is_told_and_solved_again_afterwards():
@@ -329,9 +329,9 @@ def test_bounds_that_hold_are_counted_over_all_moves():
 def test_no_solution_holds_the_last_command_and_warns():
     law = ByHand(GpcController(solver="daqp", u_min=10.0, u_max=20.0, du_max=1.0, u_start=0.0, set_point=400.0))
     for k in range(2):
-        found = law.update(k, measured=(390.0,), reference=None)
-        assert found["command"] == (0.0,)
-        assert found["health"] == (2.0, 0.0, k + 1.0)
+        outputs = law.update(k, measured=(390.0,), reference=None)
+        assert outputs["command"] == (0.0,)
+        assert outputs["health"] == (2.0, 0.0, k + 1.0)
     level, text, _ = law.reports["no_solution"]
     assert (level, text) == (Level.WARN, "daqp: infeasible; the last command is held")
 
@@ -350,9 +350,9 @@ def test_anti_windup(solver):
     values = {"set_point": 400.0, "u_min": 0.0, "u_max": 3.0, "period": T, "solver": solver}
     law, fresh = ByHand(GpcController(**values)), ByHand(GpcController(**values, u_start=3.0))
     for k in range(30):
-        found = law.update(k, measured=(100.0,), reference=None)
-    assert found["command"] == (3.0,)
-    assert found["health"][0] == 1.0
+        outputs = law.update(k, measured=(100.0,), reference=None)
+    assert outputs["command"] == (3.0,)
+    assert outputs["health"][0] == 1.0
     fresh.update(0, measured=(100.0,), reference=None)
     assert law.block.law.move(law.x.law, 400.0) == pytest.approx(fresh.block.law.move(fresh.x.law, 400.0), abs=1e-9)
     back = [[x.update(k, measured=(500.0,), reference=None)["command"][0] for k in range(5)] for x in (law, fresh)]
@@ -364,8 +364,8 @@ def test_bad_samples_hold_then_trip_for_good():
     law = ByHand(GpcController(set_point=400.0, u_safe=-1.5))
     last = law.update(0, measured=(10.0,), reference=None)["command"]
     for k in (1, 2):
-        found = law.refused(k)
-        assert (found["command"], found["health"][0]) == (last, 2.0)
+        answer = law.refused(k)
+        assert (answer["command"], answer["health"][0]) == (last, 2.0)
     last = law.update(3, measured=(10.0,), reference=None)["command"]
     assert [law.refused(k)["command"] for k in (4, 5, 6)] == [last, last, (-1.5,)]
     assert law.reports["bad_input"][::2] == (Level.ERROR, 5)
@@ -403,8 +403,8 @@ def held(plant, periods, command=CONSTANTS.drop, events=NOMINAL):
     """Run a plant with a constant command; its power-quality figures by name."""
     for k in range(periods):
         plant.advance(k * NS, command=(command,), events=events)
-    found = plant.outputs(periods * NS)["power_quality"]
-    return dict(zip(POWER_QUALITY.channels, found, strict=True))
+    result = plant.outputs(periods * NS)["power_quality"]
+    return dict(zip(POWER_QUALITY.channels, result, strict=True))
 
 
 def test_models_agree_on_every_event():
@@ -416,8 +416,8 @@ def test_models_agree_on_every_event():
         plant = ByHand(RectifierPlant(model=model))
         traces[model] = []
         for k, u in enumerate(commands):
-            found = plant.outputs(k * NS)
-            traces[model].append((*found["grid_current"], found["dc_link"][0]))
+            outputs = plant.outputs(k * NS)
+            traces[model].append((*outputs["grid_current"], outputs["dc_link"][0]))
             plant.advance(k * NS, command=(u,), events=events[k * len(events) // len(commands)])
     dq, abc, switched = (np.array(t) for t in traces.values())
     assert np.abs(dq - abc).max() < 1e-6
@@ -463,11 +463,11 @@ def test_linear_model_is_the_slope_of_the_plant():
     """N3 against a small step of the nonlinear plant."""
     response = _step_response(n3(CONSTANTS, T), 11)
     plant = ByHand(RectifierPlant())
-    found = []
+    results = []
     for k in range(11):
         plant.advance(k * NS, command=(CONSTANTS.drop + 1e-4,), events=None)
-        found.append((plant.x.v - 400.0) / 1e-4)
-    assert found == pytest.approx(response, abs=1e-3)
+        results.append((plant.x.v - 400.0) / 1e-4)
+    assert results == pytest.approx(response, abs=1e-3)
 
 
 def test_decoupled_current_follows_its_ramp_exactly():
@@ -485,11 +485,11 @@ def test_decoupled_current_follows_its_ramp_exactly():
 @pytest.mark.parametrize(("carrier_hz", "thd"), [(5e3, 3.768), (1e4, 1.883), (2e4, 0.941)])
 def test_switching_harmonics_are_those_of_the_double_fourier_series(carrier_hz, thd):
     """Open loop, so that nothing but the carrier is there."""
-    found = held(ByHand(RectifierPlant(model="switched", carrier_hz=carrier_hz)), 245)
-    assert found["windows"] == 2.0
-    assert found["thd"] == pytest.approx(thd, abs=0.003)
-    assert found["thd50"] < 0.002
-    assert found["current"] == pytest.approx(CONSTANTS.current, abs=0.01)
+    result = held(ByHand(RectifierPlant(model="switched", carrier_hz=carrier_hz)), 245)
+    assert result["windows"] == 2.0
+    assert result["thd"] == pytest.approx(thd, abs=0.003)
+    assert result["thd50"] < 0.002
+    assert result["current"] == pytest.approx(CONSTANTS.current, abs=0.01)
 
 
 def test_edges_are_exact_whatever_the_internal_step():
@@ -547,15 +547,15 @@ def test_power_quality_of_known_signals():
         rows.append(np.array(plant.outputs((k + 1) * NS)["waveform"]).reshape(83, 5))
     trace = np.concatenate(rows)[30_000 - 1 : 40_000 - 1]  # 0.3 to 0.4 s at 10 us
     spectrum = np.abs(np.fft.rfft(trace, axis=0)) * 2 / len(trace)
-    found = dict(zip(FIGURES, plant.outputs(0)["power_quality"], strict=True))
-    assert found["windows"] == 4.0
-    assert found["current"] == pytest.approx(spectrum[6, :3].mean(), rel=1e-6)
-    assert found["current_5"] == pytest.approx(np.sqrt((spectrum[30, :3] ** 2).mean()), rel=1e-6)
-    assert found["voltage_6"] == pytest.approx(spectrum[36, 4], rel=1e-6)
-    assert found["ripple"] == pytest.approx(np.ptp(trace[:, 4]), rel=1e-6)
+    results = dict(zip(FIGURES, plant.outputs(0)["power_quality"], strict=True))
+    assert results["windows"] == 4.0
+    assert results["current"] == pytest.approx(spectrum[6, :3].mean(), rel=1e-6)
+    assert results["current_5"] == pytest.approx(np.sqrt((spectrum[30, :3] ** 2).mean()), rel=1e-6)
+    assert results["voltage_6"] == pytest.approx(spectrum[36, 4], rel=1e-6)
+    assert results["ripple"] == pytest.approx(np.ptp(trace[:, 4]), rel=1e-6)
     i, v = trace[:, 0], trace[:, 3]
-    assert found["pf"] == pytest.approx((i * v).mean() / np.sqrt((i**2).mean() * (v**2).mean()), rel=1e-4)
-    assert found["current_5"] == pytest.approx(36 / abs(0.1 + 5j * CONSTANTS.omega * CONSTANTS.L), rel=0.12)
+    assert results["pf"] == pytest.approx((i * v).mean() / np.sqrt((i**2).mean() * (v**2).mean()), rel=1e-4)
+    assert results["current_5"] == pytest.approx(36 / abs(0.1 + 5j * CONSTANTS.omega * CONSTANTS.L), rel=0.12)
 
 
 def test_grid_is_what_it_says():
@@ -592,14 +592,14 @@ def test_impossible_events_are_refused_and_the_last_good_ones_hold():
 
 def off(plant, ticks):
     """Voltages of a link whose switches are off from the start."""
-    found = []
+    results = []
     for k in range(ticks):
         plant.advance(k * NS, command=(0.0,), events=None)
         outputs = plant.outputs((k + 1) * NS)
         assert all(math.isfinite(x) for port in outputs.values() for x in port)
         assert sum(outputs["grid_current"]) == pytest.approx(0.0, abs=1e-9)
-        found.append(outputs["dc_link"][0])
-    return np.array(found)
+        results.append(outputs["dc_link"][0])
+    return np.array(results)
 
 
 @pytest.mark.parametrize("model", ["averaged_dq", "averaged_abc", "switched"])
@@ -693,8 +693,8 @@ def test_absurd_commands_end_in_a_report_not_in_nan(model, command):
     plant = ByHand(RectifierPlant(model=model))
     for k in range(300):
         plant.advance(k * NS, command=(command,), events=(1.0, 180.0, 0.0))
-        found = plant.outputs((k + 1) * NS)
-        assert all(math.isfinite(x) for port in found.values() for x in port)
+        outputs = plant.outputs((k + 1) * NS)
+        assert all(math.isfinite(x) for port in outputs.values() for x in port)
 
 
 def test_divergence_ends_as_a_reported_trip():
@@ -740,15 +740,15 @@ def test_native_and_plain_code_give_the_same_bits(monkeypatch):
 
 def test_certificate_node_answers_a_press_once():
     node = ByHand(CertificateNode())
-    found = node.update(0, certify=None)
-    assert found["gain"] == pytest.approx((-0.76362, 0.46805), abs=1e-5)
-    assert found["terminal"][1] == found["terminal"][2] == pytest.approx(-0.58845, abs=1e-5)
-    assert found["verdict"][0] == 1.0
+    outputs = node.update(0, certify=None)
+    assert outputs["gain"] == pytest.approx((-0.76362, 0.46805), abs=1e-5)
+    assert outputs["terminal"][1] == outputs["terminal"][2] == pytest.approx(-0.58845, abs=1e-5)
+    assert outputs["verdict"][0] == 1.0
     assert node.update(1, certify=None) == {}
-    assert node.update(2, certify=(1.0,)) == found
+    assert node.update(2, certify=(1.0,)) == outputs
     assert node.update(3, certify=(1.0,)) == {}
     assert node.update(4, certify=(0.0,)) == {}
-    assert node.update(5, certify=(1.0,)) == found
+    assert node.update(5, certify=(1.0,)) == outputs
     assert node.refused(6) == {}
     printed = ByHand(CertificateNode(K=(-1.833, 1.077), Qbar=(5.34, 1.83, 1.83, 1.0)))
     assert printed.update(0, certify=(1.0,))["verdict"][0] == 0.0
@@ -821,9 +821,9 @@ def test_time_may_jump():
         t = k * NS + 7_770_000_000
         assert all(math.isfinite(x) for x in plant.outputs(t)["power_quality"])
         plant.advance(t, command=(CONSTANTS.drop,), events=None)
-    found = dict(zip(FIGURES, plant.outputs(t)["power_quality"], strict=True))
-    assert found["windows"] == 80.0
-    assert found["current"] == pytest.approx(CONSTANTS.current, rel=0.05)
+    results = dict(zip(FIGURES, plant.outputs(t)["power_quality"], strict=True))
+    assert results["windows"] == 80.0
+    assert results["current"] == pytest.approx(CONSTANTS.current, rel=0.05)
     short = ByHand(RectifierPlant())
     for k in range(100):  # from the middle of a window to a tenth of a window beyond its end
         short.advance(k * NS + 50_000_000, command=(CONSTANTS.drop,), events=None)

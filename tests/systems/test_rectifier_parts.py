@@ -34,8 +34,8 @@ def plain(monkeypatch):
     names = ("wanted", "limited", "phases", "turned", "grid", "sample", "turn_over", "modulation", "carrier", "compare")
     for module in (circuit, averaged, switched, diodes, quality):
         for name in (*names, "crossing", "piece", "slopes", "slopes_dq", "seen", "settle", "carried", "read", *MORE):
-            if hasattr(found := getattr(module, name, None), "py_func"):
-                monkeypatch.setattr(module, name, found.py_func)
+            if hasattr(result := getattr(module, name, None), "py_func"):
+                monkeypatch.setattr(module, name, result.py_func)
 
 
 MORE = ("phases_of", "grid_of", "amplitude", "squares_of", "measure")
@@ -48,9 +48,9 @@ def ode(t, x, p, dx):
 
 def figures(sums):
     """The figures of a window by name."""
-    found = np.zeros(len(FIGURES))
-    quality.measure(sums, found)
-    return dict(zip(FIGURES, found.tolist(), strict=True))
+    result = np.zeros(len(FIGURES))
+    quality.measure(sums, result)
+    return dict(zip(FIGURES, result.tolist(), strict=True))
 
 
 def rk4(ode):
@@ -115,8 +115,8 @@ def test_the_averaged_equations_with_complex_vectors(plain, period):
             v_g = period.amplitude - period.fifth * np.exp(-6j * OMEGA * t)
             slope = (-(R + 1j * OMEGA * L) * i + v_g - v_r) / L
             link = (1.5 * (v_r * i.conjugate()).real / v_dc - v_dc / period.load) / C
-            found = averaged.slopes_dq(t, i.real, i.imag, v_dc, CIRCUIT, period)
-            assert found == pytest.approx((slope.real, slope.imag, link))
+            result = averaged.slopes_dq(t, i.real, i.imag, v_dc, CIRCUIT, period)
+            assert result == pytest.approx((slope.real, slope.imag, link))
             by_phase = np.empty(4)
             averaged.ode_abc.py_func(t, np.array([*phases_of(i, t), v_dc]), (CIRCUIT, period), by_phase)
             wanted = phases_of(slope + 1j * OMEGA * i, t)  # the frame turns
@@ -147,14 +147,14 @@ def test_a_walk_over_a_period_sums_by_trapezia_and_turns_over_at_windows(plain, 
         d, q, v = at(t)
         return [*phases_of(d + 1j * q, t), v]
 
-    for found, (a, b, c) in ((complete, edges[:3]), (sums, edges[2:])):
+    for result, (a, b, c) in ((complete, edges[:3]), (sums, edges[2:])):
         h = b - a
         link = 0.5 * h * (seen(a)[3] + 2.0 * seen(b)[3] + seen(c)[3])
-        assert found[quality.PLAIN, quality.TIME] == pytest.approx(c - a)
-        assert found[quality.PLAIN, quality.LINK] == pytest.approx(link)
-        assert found[quality.PLAIN, quality.HIGH] == pytest.approx(seen(a)[3])
-        assert found[quality.PLAIN, quality.LOW] == pytest.approx(seen(c)[3])
-        assert found[quality.PLAIN, quality.WINDOWS] == 3.0
+        assert result[quality.PLAIN, quality.TIME] == pytest.approx(c - a)
+        assert result[quality.PLAIN, quality.LINK] == pytest.approx(link)
+        assert result[quality.PLAIN, quality.HIGH] == pytest.approx(seen(a)[3])
+        assert result[quality.PLAIN, quality.LOW] == pytest.approx(seen(c)[3])
+        assert result[quality.PLAIN, quality.WINDOWS] == 3.0
     for row, t in zip(trace, edges[1:], strict=False):
         wave = circuit.grid(t, CIRCUIT, SENSORLESS)[0]
         i_a, i_b, i_c, v = seen(t)
@@ -301,8 +301,8 @@ def bridge(t, h, x, period):
         i[(upper & (i < 0.0)) | (~upper & (i > 0.0))] = 0.0
         left = i != 0.0
         if left.any():
-            rest = i.sum() / left.sum()
-            i[left] -= rest
+            remaining = i.sum() / left.sum()
+            i[left] -= remaining
             i[(upper & (i < 0.0)) | (~upper & (i > 0.0))] = 0.0
     else:
         i[:] = 0.0
@@ -399,9 +399,9 @@ def test_all_figures_of_known_harmonics(plain):
         "current_5": math.sqrt(square[5] / 3.0),
         "current_7": math.sqrt(square[7] / 3.0),
     }
-    found = figures(other)
-    assert list(found) == list(FIGURES)
-    assert found == pytest.approx(wanted)
+    result = figures(other)
+    assert list(result) == list(FIGURES)
+    assert result == pytest.approx(wanted)
     assert sorted({*np.flatnonzero(other[quality.LINK_COS])}) == [6, 12]  # what figures ask for
 
 
@@ -412,8 +412,8 @@ def test_figures_without_a_window_or_a_current():
         at = math.sin(angle), math.cos(angle), 1.0 / 3840.0
         quality.sample.py_func(still, *at, (0.0, 0.0, 0.0, 390.0), (1.0, 2.0, 3.0))
     still[quality.PLAIN, quality.WINDOWS] = 7.0
-    found = figures(still)
-    assert found == pytest.approx(dict.fromkeys(FIGURES, 0.0) | {"windows": 7.0, "voltage": 390.0}, abs=1e-9)
+    result = figures(still)
+    assert result == pytest.approx(dict.fromkeys(FIGURES, 0.0) | {"windows": 7.0, "voltage": 390.0}, abs=1e-9)
     kept = quality.opened(still.tobytes())
     assert kept.tolist() == still.tolist()
     kept[0, 0] = 5.0  # to be added to
@@ -520,12 +520,12 @@ def test_how_the_plant_begins(model, structure):
     assert x[:3] == pytest.approx((12.0, 0.0, 390.0) if model == "averaged_dq" else of)
     assert x.applied == ((12.0,) if structure == "decoupled" else ())
     assert (x.events.load, x.events.amplitude, x.events.fifth, x.end, x.collapsed) == (30.0, 180.0, 0.0, 0, False)
-    said = plant.outputs(x, 0)
-    assert said["dc_link"] == (390.0, 13.0)
-    assert said["grid_current"] == pytest.approx(of)
-    assert said["grid_voltage"] == pytest.approx(phases_of(180.0, 0.0))
-    assert said["power_quality"] == (0.0,) * 13
-    assert said["waveform"] == pytest.approx((*of, 0.0, 390.0) * 2)
+    outputs = plant.outputs(x, 0)
+    assert outputs["dc_link"] == (390.0, 13.0)
+    assert outputs["grid_current"] == pytest.approx(of)
+    assert outputs["grid_voltage"] == pytest.approx(phases_of(180.0, 0.0))
+    assert outputs["power_quality"] == (0.0,) * 13
+    assert outputs["waveform"] == pytest.approx((*of, 0.0, 390.0) * 2)
     assert "waveform" not in RectifierPlant().outputs(RectifierPlant().first(), 0)
 
 
@@ -573,11 +573,11 @@ def test_figures_are_those_of_whole_windows_only():
         assert x.record.figures == (0.0,) * 13
         x = plant.advance(x, k * 10_000_000, command=(plant.p.drop,), events=None)
     assert x.record.figures[0] == 1.0
-    found = x.record.figures
+    result = x.record.figures
     x = plant.advance(x, 50_000_000, command=(plant.p.drop - 1.0,), events=None)  # back into the middle of a window
     for k in range(6, 12):
         x = plant.advance(x, k * 10_000_000, command=(plant.p.drop - 1.0,), events=None)
-    assert x.record.figures == found  # half a window is none
+    assert x.record.figures == result  # half a window is none
     for k in range(12, 21):
         x = plant.advance(x, k * 10_000_000, command=(plant.p.drop - 1.0,), events=None)
     assert x.record.figures[0] == 2.0

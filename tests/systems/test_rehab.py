@@ -89,10 +89,10 @@ def run(name, duration=None, **overrides):
 
 
 def test_dynamics_node_gives_the_reference_values():
-    found = dynamics((0.3 + math.pi / 2, -0.7), (0.4, -0.5), (0.0, 0.0))
-    assert found["mass_matrix"] == pytest.approx((5.143434, 1.764842, 1.764842, 1.0), abs=1e-5)
-    assert found["bias"] == pytest.approx((64.599543, 17.968142), abs=1e-5)
-    assert found["gravity"] == pytest.approx((64.696175, 18.071217), abs=1e-5)
+    result = dynamics((0.3 + math.pi / 2, -0.7), (0.4, -0.5), (0.0, 0.0))
+    assert result["mass_matrix"] == pytest.approx((5.143434, 1.764842, 1.764842, 1.0), abs=1e-5)
+    assert result["bias"] == pytest.approx((64.599543, 17.968142), abs=1e-5)
+    assert result["gravity"] == pytest.approx((64.696175, 18.071217), abs=1e-5)
 
 
 def test_dynamics_node_agrees_with_the_lagrangian():
@@ -102,13 +102,13 @@ def test_dynamics_node_agrees_with_the_lagrangian():
         rng.uniform(-3, 3, (200, 2)), rng.uniform(-5, 5, (200, 2)), rng.uniform(-50, 50, (200, 2)), strict=True
     ):
         M, bias, gravity, _ = (np.array(x) for x in lagrangian()(q, v))
-        found = block.update(0, joint_query=(*q, *v, *tau), reference=None)
-        np.testing.assert_allclose(found["mass_matrix"], M.ravel(), rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(found["bias"], bias.ravel(), rtol=1e-9, atol=1e-8)
-        np.testing.assert_allclose(found["gravity"], gravity.ravel(), rtol=1e-9, atol=1e-8)
+        outputs = block.update(0, joint_query=(*q, *v, *tau), reference=None)
+        np.testing.assert_allclose(outputs["mass_matrix"], M.ravel(), rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(outputs["bias"], bias.ravel(), rtol=1e-9, atol=1e-8)
+        np.testing.assert_allclose(outputs["gravity"], gravity.ravel(), rtol=1e-9, atol=1e-8)
         expected = np.linalg.solve(M, tau - bias.ravel())
-        np.testing.assert_allclose(found["forward_dynamics"], expected, rtol=1e-9, atol=1e-9)
-        jacobian = np.reshape(found["jacobian"], (6, 2))
+        np.testing.assert_allclose(outputs["forward_dynamics"], expected, rtol=1e-9, atol=1e-9)
+        jacobian = np.reshape(outputs["jacobian"], (6, 2))
         np.testing.assert_allclose(foot_jacobian(*q, 0.5, 0.45), jacobian[[0, 0, 2, 2], [0, 1, 0, 1]], atol=1e-12)
 
 
@@ -243,9 +243,9 @@ NAMES = sorted(n for n in list_scenarios() if n.startswith("rehab_impedance"))
 
 @pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 2))
 def test_scenario_meets_its_numbers(name):
-    found = evaluate(rig_of(name), run(name))
-    assert any(m.judged for m in found)
-    assert [f"{m.name} = {m.value}" for m in found if not m.passed] == []
+    result = evaluate(rig_of(name), run(name))
+    assert any(m.judged for m in result)
+    assert [f"{m.name} = {m.value}" for m in result if not m.passed] == []
 
 
 def rms(signals):
@@ -335,10 +335,10 @@ def test_law_goes_on_from_the_voltage_that_the_plant_applied():
     ],
 )
 def test_errors_repeat_whatever_happens_to_the_plant(other, expected, limit):
-    found = [repeatability(run("rehab_impedance_r7"), run(other), e) for e in E_SIGNAL]
-    assert max(found) < limit
+    results = [repeatability(run("rehab_impedance_r7"), run(other), e) for e in E_SIGNAL]
+    assert max(results) < limit
     if expected:
-        assert found == pytest.approx(expected, rel=0.06)
+        assert results == pytest.approx(expected, rel=0.06)
 
 
 # B9: stability
@@ -409,8 +409,8 @@ def test_stability_limit_is_of_the_robot_in_the_rig(name):
     assert limit != pytest.approx(5.1073, abs=2e-4)
     for share in (0.97, 1.03) if limit > 0.0 else (1.03,):
         gain = {"voltage_controller.emvc.alpha_hat": share * (limit or 1e-2)}
-        _, said = limit_in(rig_of(load_scenario("rehab_impedance_b9", change | gain)))
-        assert bool(said) == (share > 1.0)
+        _, text = limit_in(rig_of(load_scenario("rehab_impedance_b9", change | gain)))
+        assert bool(text) == (share > 1.0)
 
 
 @pytest.mark.parametrize(
@@ -425,7 +425,7 @@ def test_stability_limit_is_of_the_robot_in_the_rig(name):
     ),
 )
 def test_robot_is_quiet_below_its_limit_and_oscillates_above(name):
-    value, told = ROBOTS[name]
+    value, reported = ROBOTS[name]
     change = {
         f"rehab_plant.{name}": value,
         "rehab_plant.rom_speed": 1000.0,
@@ -433,10 +433,10 @@ def test_robot_is_quiet_below_its_limit_and_oscillates_above(name):
         "rehab_plant.drift.duration": 1.0,
     }
     limit, _ = limit_in(rig_of(load_scenario("rehab_impedance_b9", change)))
-    for share, quiet in ((0.8, True), *((1.3, False),) * told):
+    for share, quiet in ((0.8, True), *((1.3, False),) * reported):
         gain = {"voltage_controller.emvc.alpha_hat": share * limit}
-        found = simulate("rehab_impedance_b9", overrides=change | gain, duration=6.0).figures
-        assert (found["total_variation_hip"] < 10.0) == quiet
+        result = simulate("rehab_impedance_b9", overrides=change | gain, duration=6.0).figures
+        assert (result["total_variation_hip"] < 10.0) == quiet
 
 
 def test_stability_limit_of_another_robot_is_refused_by_name():
@@ -467,11 +467,13 @@ def test_stretch_beats_the_default_gain():
 
 @pytest.mark.long
 def test_exercise_of_the_tuner_is_the_scenario():
-    found = exercise(4.592)
+    result = exercise(4.592)
     signals = run("rehab_impedance_r6")
     mse = [math.degrees(1.0) ** 2 * np.mean(signals[e].x ** 2) for e in E_SIGNAL]
-    assert found.mse == pytest.approx(np.mean(mse), rel=1e-9)
-    assert found.variation == pytest.approx(np.mean([measures.total_variation(signals, v) for v in V_SIGNAL]), rel=1e-9)
+    assert result.mse == pytest.approx(np.mean(mse), rel=1e-9)
+    assert result.variation == pytest.approx(
+        np.mean([measures.total_variation(signals, v) for v in V_SIGNAL]), rel=1e-9
+    )
 
 
 @pytest.mark.long
@@ -496,16 +498,16 @@ def test_beyond_the_edge_the_cost_rises_steeply():
 
 @pytest.mark.long
 def test_published_cost_tunes_to_the_edge():
-    found = tune(1, guarded=False, n_pop=8, n_iter=5)
-    assert 6.1 <= found.x[0] <= 6.6
-    assert found.value <= 1.1e-5
+    result = tune(1, guarded=False, n_pop=8, n_iter=5)
+    assert 6.1 <= result.x[0] <= 6.6
+    assert result.value <= 1.1e-5
 
 
 @pytest.mark.long
 def test_guarded_cost_keeps_a_margin():
-    found = tune(0, n_pop=6, n_iter=4)
-    assert 4.4 <= found.x[0] <= 4.6
-    assert exercise(found.x[0]).mse <= 1.8e-5
+    result = tune(0, n_pop=6, n_iter=4)
+    assert 4.4 <= result.x[0] <= 4.6
+    assert exercise(result.x[0]).mse <= 1.8e-5
 
 
 def test_a_guarded_search_has_room_below_its_limit():
@@ -520,8 +522,8 @@ def test_a_search_by_hand_is_that_of_the_node():
     params = Tuner.Params()
     assert guarded_limit() < params.upper
     for guarded, upper in ((False, params.upper), (True, guarded_limit())):
-        found = search(guarded=guarded)
-        assert (*found.lower, *found.upper, found.n_pop) == (params.lower, upper, params.n_pop)
+        match = search(guarded=guarded)
+        assert (*match.lower, *match.upper, match.n_pop) == (params.lower, upper, params.n_pop)
     assert list(search(upper=1.0).upper) == [1.0]
 
 
@@ -554,25 +556,25 @@ def test_computation_times_has_every_law():
 
 def impedance_run(force, ticks, block=None, start=0):
     block = block or ByHand(Impedance())
-    found = []
+    results = []
     for k in range(start, start + ticks):
         wrench = None if force is None else Sample(k * 1_000_000, (*force, 0.0, 0.0, 0.0))
-        found.append(
+        results.append(
             block.update(
                 k * 1_000_000, reference=(0.5, -0.5, 0.0, 0.0, 0.0, 0.0), patient_force=wrench, joint_states=(0.5, -0.5)
             )["regenerated"]
         )
-    return block, np.array(found)
+    return block, np.array(results)
 
 
 def test_impedance_is_a_second_order_filter_of_the_force():
-    _, found = impedance_run((12.0, 0.0, 5.0), 1500)
+    _, result = impedance_run((12.0, 0.0, 5.0), 1500)
     x1, x2, z1, z2 = foot_jacobian(0.5, -0.5, 0.5, 0.45)
     torque = np.array([12.0 * x1 + 5.0 * z1, 12.0 * x2 + 5.0 * z2])
     t = np.arange(1500) * 1e-3
-    for i, rest in enumerate((0.5, -0.5)):
-        expected = rest - torque[i] / 100.0 * (1.0 - (1.0 + 10.0 * t) * np.exp(-10.0 * t))
-        np.testing.assert_allclose(found[:, i], expected, atol=2e-3 * abs(torque[i]) / 100.0 * 5)
+    for i, remaining in enumerate((0.5, -0.5)):
+        expected = remaining - torque[i] / 100.0 * (1.0 - (1.0 + 10.0 * t) * np.exp(-10.0 * t))
+        np.testing.assert_allclose(result[:, i], expected, atol=2e-3 * abs(torque[i]) / 100.0 * 5)
     assert np.array_equal(impedance_run(None, 10)[1][:, :2], np.tile([0.5, -0.5], (10, 1)))
 
 
@@ -669,15 +671,15 @@ def test_references_refused_for_good_bring_0_volt_or_stand_still(law):
     if law is Impedance:
         inputs = {"joint_states": (0.2, -0.5), "patient_force": None}
     reference = (0.21, -0.49, 0.1, 0.1, 0.0, 0.0)
-    said = dict(block.update(0, reference=reference, **inputs))
+    messages = dict(block.update(0, reference=reference, **inputs))
     for _ in range(20):
         assert block.refused(0) is None
     after = block.refused(0)
     if law is Impedance:
         assert after["regenerated"][2:] == (0.0,) * 4
     else:
-        assert min(said["motor_command"]) > 0.0
-        assert after == said | {"motor_command": (0.0, 0.0)}
+        assert min(messages["motor_command"]) > 0.0
+        assert after == messages | {"motor_command": (0.0, 0.0)}
         assert block.reports["SAFE"][0] == Level.ERROR
         assert set(block.update(0, reference=reference, **inputs)["motor_command"]) != {0.0}
         assert block.refused(0) is None
@@ -687,21 +689,21 @@ def test_references_refused_for_good_bring_0_volt_or_stand_still(law):
 def test_lost_states_bring_0_volt_whatever_the_reference(lost):
     block = ByHand(VoltageController(reference_lost="hold"))
     block.block.ages = {lost: 21_000_000}.get
-    found = block.update(
+    outputs = block.update(
         0,
         joint_states=(0.2, -0.5, 0.0, 0.0),
         motor_states=(0.5, 0.2),
         applied_voltage=(2.0, 1.0),
         reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0),
     )
-    assert found["motor_command"] == (0.0, 0.0)
+    assert outputs["motor_command"] == (0.0, 0.0)
     assert block.reports["SAFE"][1] == f"SAFE: no new {lost} for more than 20 periods: 0 V"
 
 
 def test_large_force_is_cut_down_with_a_warning():
     for limited, same in (((500.0, 0.0, 0.0), (200.0, 0.0, 0.0)), ((300.0, 0.0, -400.0), (120.0, 0.0, -160.0))):
-        block, found = impedance_run(limited, 20)
-        np.testing.assert_allclose(found, impedance_run(same, 20)[1], atol=1e-15)
+        block, result = impedance_run(limited, 20)
+        np.testing.assert_allclose(result, impedance_run(same, 20)[1], atol=1e-15)
         assert block.reports["force"][0] == Level.WARN
     plants = [ByHand(RehabPlant()), ByHand(RehabPlant())]
     for plant, force in zip(plants, (500.0, 200.0), strict=True):
@@ -757,15 +759,15 @@ def test_leg_that_stood_alone_is_taken_over(alone):
         plant.advance(k * 1_000_000, motor_command=(0.0, 0.0))
     fastest = 0.0
     for k in range(begin, begin + 5000):
-        t, found = k * 1_000_000, plant.outputs(k * 1_000_000)
-        state = found["joint_states"][:4]
+        t, outputs = k * 1_000_000, plant.outputs(k * 1_000_000)
+        state = outputs["joint_states"][:4]
         reference = source.update(t - begin * 1_000_000)["reference"]
         command = controller.update(
             t,
             joint_states=state,
-            motor_states=found["motor_states"],
+            motor_states=outputs["motor_states"],
             reference=reference,
-            applied_voltage=found["applied_voltage"],
+            applied_voltage=outputs["applied_voltage"],
         )["motor_command"]
         plant.advance(t, motor_command=command)
         fastest = max(fastest, abs(state[2]), abs(state[3]))

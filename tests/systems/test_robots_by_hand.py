@@ -92,7 +92,7 @@ def test_the_voltage_laws_of_the_arm_are_their_formulas(law, option):
     limited = 0
     for k in range(60):
         q, qd, ref, rate, acceleration = ([draw.uniform(-0.4, 0.4) for _ in range(2)] for _ in range(5))
-        said = arm.update(k, joint_states=(*q, *qd), reference=(*ref, *rate, *acceleration))
+        outputs = arm.update(k, joint_states=(*q, *qd), reference=(*ref, *rate, *acceleration))
         shown = []
         for j in range(2):
             e, ed, qdd = ref[j] - q[j], rate[j] - qd[j], acceleration[j]
@@ -117,8 +117,8 @@ def test_the_voltage_laws_of_the_arm_are_their_formulas(law, option):
                     v[j], sigma = clipped(free, 6.0), step / T
                 before[j] = qdd, total
             shown.append((e, s, sigma, f[j]))
-        assert said["motor_command"] == near(tuple(v))
-        assert said["controller_state"] == near(tuple(x for kind in zip(*shown, strict=True) for x in kind))
+        assert outputs["motor_command"] == near(tuple(v))
+        assert outputs["controller_state"] == near(tuple(x for kind in zip(*shown, strict=True) for x in kind))
     assert limited > 5 or law != "adsmc"
 
 
@@ -134,8 +134,8 @@ def test_other_gains_of_the_adaptive_law_bring_no_jump():
     for k in range(6):
         block = before if k < 3 else after
         x = after.go_on(x, before.p) if k == 3 else x
-        x, said = block.update(x, k, **inputs)
-        volts.append(said["motor_command"][0])
+        x, outputs = block.update(x, k, **inputs)
+        volts.append(outputs["motor_command"][0])
     assert max(abs(b - a) for a, b in itertools.pairwise(volts)) < 2e-3
 
 
@@ -176,7 +176,7 @@ def test_the_voltage_laws_of_the_rehabilitation_robot_are_their_formulas(law, us
     for k in range(120):
         q, qd, i, r, rd, rdd, applied = ([draw.uniform(-0.9, 0.9) for _ in range(2)] for _ in range(7))
         given = {"applied_voltage": tuple(applied)} if use_applied else {}
-        said = robot.update(k, joint_states=(*q, *qd), motor_states=tuple(i), reference=(*r, *rd, *rdd), **given)
+        outputs = robot.update(k, joint_states=(*q, *qd), motor_states=tuple(i), reference=(*r, *rd, *rdd), **given)
         volts, shown = [], []
         for j in range(2):
             e, last = r[j] - q[j], (applied if use_applied else sent)[j]
@@ -204,9 +204,9 @@ def test_the_voltage_laws_of_the_rehabilitation_robot_are_their_formulas(law, us
                 shown.append(tuple(theta[j]))
             volts.append(clipped(u, 9.0))
         sent = tuple(volts)
-        assert said["motor_command"] == near(sent)
+        assert outputs["motor_command"] == near(sent)
         errors = [b - a for a, b in zip(q, r, strict=True)]
-        assert said["controller_state"] == near((*errors, *(x for row in zip(*shown, strict=True) for x in row)))
+        assert outputs["controller_state"] == near((*errors, *(x for row in zip(*shown, strict=True) for x in row)))
     assert law != "arsc" or {0.02, 2.0, 0.0, -8.0, 0.6, 8.0, 1.0} <= ends
 
 
@@ -270,7 +270,7 @@ def test_the_impedance_law_is_its_formula():
         force = [draw.uniform(-12.0, 12.0) for _ in range(3)] if draw.random() < 0.8 else None
         stiff, damp = draw.choice((None, None, 0.0, 44.0, -1.0)), draw.choice((None, None, 0.0, 6.0, -1.0))
         wrench = None if force is None else Sample(k, (*force, 1.0, 2.0, 3.0))
-        said = law.update(
+        outputs = law.update(
             k,
             reference=tuple(ref),
             patient_force=wrench,
@@ -292,7 +292,7 @@ def test_the_impedance_law_is_its_formula():
             ref[4 + j] + (B[j] * (ref[2 + j] - v[j]) + K[j] * (ref[j] - q[j]) - torque[j]) / (2.0, 0.5)[j]
             for j in range(2)
         ]
-        assert said["regenerated"] == pytest.approx((*q, *v, *a), rel=1e-7, abs=1e-7)
+        assert outputs["regenerated"] == pytest.approx((*q, *v, *a), rel=1e-7, abs=1e-7)
         v = [x + T * y for x, y in zip(v, a, strict=True)]
         q = [x + T * y for x, y in zip(q, v, strict=True)]
 
@@ -302,12 +302,12 @@ def test_the_impedance_law_waits_as_long_as_it_is_allowed():
     inputs = {"reference": (0.5, -0.5, 0.1, 0.2, 0.3, 0.4), "joint_states": (0.5, -0.5)}
     for late, stands in ((20 * MS, False), (20 * MS + 1, True)):
         law = ByHand(Impedance())
-        said = law.update(late, patient_force=Sample(0, (0.0,) * 6), **inputs)["regenerated"]
-        assert said == ((0.5, -0.5, 0.0, 0.0, 0.0, 0.0) if stands else inputs["reference"])
+        outputs = law.update(late, patient_force=Sample(0, (0.0,) * 6), **inputs)["regenerated"]
+        assert outputs == ((0.5, -0.5, 0.0, 0.0, 0.0, 0.0) if stands else inputs["reference"])
         law = ByHand(Impedance())
         law.block.ages = {"reference": late}.get
-        said = law.update(0, patient_force=None, **inputs)["regenerated"]
-        assert said == ((0.5, -0.5, 0.0, 0.0, 0.0, 0.0) if stands else inputs["reference"])
+        outputs = law.update(0, patient_force=None, **inputs)["regenerated"]
+        assert outputs == ((0.5, -0.5, 0.0, 0.0, 0.0, 0.0) if stands else inputs["reference"])
     before, after = Impedance(damping=4.0, stiffness=7.0), Impedance(damping=4.0, stiffness=9.0)
     x = before.first()._replace(damping=(1.0, 1.0), stiffness=(2.0, 2.0))
     assert after.go_on(x, before.p)[:2] == ((1.0, 1.0), (9.0, 9.0))
@@ -315,11 +315,11 @@ def test_the_impedance_law_waits_as_long_as_it_is_allowed():
 
 
 def test_the_force_at_the_foot_is_cut_down_beyond_its_limit_alone():
-    for size, said in ((10.0, []), (10.001, ["force"])):
+    for size, text in ((10.0, []), (10.001, ["force"])):
         plant = ByHand(RehabPlant(force_limit=10.0))
         force = (0.6 * size, 0.48 * size, -0.64 * size)
         plant.advance(0, motor_command=(0.0, 0.0), patient_force=(*force, 0.0, 0.0, 0.0))
-        assert [name for name in plant.reports if name != "torque_constant"] == said
+        assert [name for name in plant.reports if name != "torque_constant"] == text
         assert plant.x.force == near((6.0, 4.8, -6.4))
 
 
@@ -341,12 +341,12 @@ def test_the_exercise_goes_up_and_back_on_sigmoids():
         return low + 0.5 * span * (math.tanh((t - 8.0) / (2.0 * width)) - math.tanh((t - 21.0) / (2.0 * width)))
 
     for t in (0.0, 5.0, 8.0, 15.0, 22.0, 38.0, 61.0):
-        found, h = source.update(to_ns(t))["reference"], 1e-4
+        result, h = source.update(to_ns(t))["reference"], 1e-4
         for j, of in enumerate(((-0.5, 2.5, 0.5), (-1.5, 1.5, 0.4))):
             before, now, after = (place(t % 30.0 + d, *of) for d in (-h, 0.0, h))
-            assert found[j] == near(now)
-            assert found[2 + j] == pytest.approx((after - before) / (2.0 * h), abs=1e-7)
-            assert found[4 + j] == pytest.approx((after - 2.0 * now + before) / h**2, abs=1e-6)
+            assert result[j] == near(now)
+            assert result[2 + j] == pytest.approx((after - before) / (2.0 * h), abs=1e-7)
+            assert result[4 + j] == pytest.approx((after - 2.0 * now + before) / h**2, abs=1e-6)
 
 
 # plants ----------------------------------------------------------------------------------------------------------
@@ -460,18 +460,18 @@ def test_the_sampled_leg_is_the_plant_near_a_pose():
         return 9.81 * (5.5 * thigh + 5.0 * shank + 1.5 * foot(*q)[1])
 
     pull = [(potential(pose + 1e-6 * d) - potential(pose - 1e-6 * d)) / 2e-6 for d in np.eye(2)]
-    rest = np.array([*pose, 0.0, 0.0, *(g / (4.32 / r) for g, r in zip(pull, (0.1, 0.05), strict=True))])
+    remaining = np.array([*pose, 0.0, 0.0, *(g / (4.32 / r) for g, r in zip(pull, (0.1, 0.05), strict=True))])
 
     def moved(change, volts):
-        flat = (rest + change).tolist()
+        flat = (remaining + change).tolist()
         x = plant.first()._replace(q=tuple(flat[:2]), v=tuple(flat[2:4]), i=tuple(flat[4:]))
-        after = plant.advance(x, 0, motor_command=tuple(4.0 * rest[4:] + volts))
+        after = plant.advance(x, 0, motor_command=tuple(4.0 * remaining[4:] + volts))
         return np.array([*after.q, *after.v, *after.i])
 
     columns = [(moved(eps * d, 0.0) - moved(-eps * d, 0.0)) / (2 * eps) for d in np.eye(6)]
     pushes = [(moved(0.0, eps * d) - moved(0.0, -eps * d)) / (2 * eps) for d in np.eye(2)]
     A, B = _sampled(*pose, 1e-3, robot, 1.0, 1.0)
-    np.testing.assert_allclose(moved(0.0, 0.0), rest, atol=1e-9)
+    np.testing.assert_allclose(moved(0.0, 0.0), remaining, atol=1e-9)
     np.testing.assert_allclose(np.array(columns).T, A, rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose(np.array(pushes).T, B, rtol=1e-3, atol=1e-5)
 
@@ -544,7 +544,7 @@ class Tuned(JointGains):
 def test_no_body_has_a_moment_beyond_the_sum_of_the_others():
     check_inertia("m", 1.0, "I", (1.0, 2.0, 3.0))
     check_inertia("m", 1.0, "I", (3.0 * (1.0 + 0.9e-9), 1.0, 2.0))  # of rounding
-    for mass, moments, said in (
+    for mass, moments, text in (
         (0.0, (1.0, 1.0, 1.0), "^m = 0 kg: expected a positive mass$"),
         (1.0, (1.0, 0.0, 1.0), r"^I = \[1.0, 0.0, 1.0\] kg m\^2: expected a positive definite inertia$"),
         (
@@ -553,7 +553,7 @@ def test_no_body_has_a_moment_beyond_the_sum_of_the_others():
             r"^I = .*: no body has one moment larger than the sum of the other two",
         ),
     ):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=text):
             check_inertia("m", mass, "I", moments)
 
 
@@ -611,10 +611,10 @@ def test_the_time_of_a_law_is_that_of_an_update_over_states_that_change(monkeypa
             "reference": (x + 0.01, 0.01 - x, 0.2, -0.1, 0.0, x),
             "applied_voltage": (x, -x),
         }
-    took = itertools.count(1)
-    monkeypatch.setattr(computation, "_mean_time", lambda controller, updates: float(next(took)) + updates)
+    elapsed = itertools.count(1)
+    monkeypatch.setattr(computation, "_mean_time", lambda controller, updates: float(next(elapsed)) + updates)
     assert computation.computation_times(10) == {"emvc": 11.0, "tsarc": 12.0, "arsc": 13.0}  # the best of three rounds
-    assert next(took) == 10
+    assert next(elapsed) == 10
     monkeypatch.setattr(computation, "computation_times", lambda: {"emvc": 1.0, "tsarc": 2.5, "arsc": 30.0})
     computation.main()
     assert capsys.readouterr().out.splitlines() == [
@@ -641,17 +641,17 @@ def test_an_exercise_by_hand_has_the_figures_of_its_definition():
     update = VoltageController.update
 
     def watched(self, x, t, **inputs):
-        x, said = update(self, x, t, **inputs)
-        seen.append((said["controller_state"][:2], said["motor_command"]))
-        return x, said
+        x, text = update(self, x, t, **inputs)
+        seen.append((text["controller_state"][:2], text["motor_command"]))
+        return x, text
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(VoltageController, "update", watched)
-        found = tuner.exercise(3.0, 0.04)
+        result = tuner.exercise(3.0, 0.04)
     assert len(seen) == 40
     squares = [math.degrees(e) ** 2 for errors, _ in seen for e in errors]
     steps = [abs(b - a) for (_, x), (_, y) in itertools.pairwise(seen) for a, b in zip(x, y, strict=True)]
-    assert found == near((sum(squares) / 80, sum(steps) / (2 * 39 * 0.001)))
+    assert result == near((sum(squares) / 80, sum(steps) / (2 * 39 * 0.001)))
 
 
 def test_the_tuner_asks_when_its_button_goes_down_and_tells_the_best():
@@ -668,19 +668,19 @@ def test_the_tuner_asks_when_its_button_goes_down_and_tells_the_best():
     for k in range(60):
         value = math.inf if k == 0 else (request[0][0] - 3.0) ** 2
         before = x
-        x, said = block.answer(x, k, Reply(request, None if k == 0 else value), True)
+        x, outputs = block.answer(x, k, Reply(request, None if k == 0 else value), True)
         best = min(best, value)
         if math.isinf(best):
-            assert said["result"][1:] == (0.0, 0.0)
+            assert outputs["result"][1:] == (0.0, 0.0)
         else:
-            assert said["result"][2] == best
+            assert outputs["result"][2] == best
         assert block.answer(before, k, Reply(request, value), False)[0] == before  # nothing new
         assert block.answer(before, k, Reply(((-1.0,), 0, 0), value), True)[0] == before  # of another search
         x, request = block.request(x, k, start=(1.0,))
         if request is None:
             break
     assert x.search.now.done
-    assert x.search.now.iteration == said["result"][0] == 1.0
+    assert x.search.now.iteration == outputs["result"][0] == 1.0
     assert Tuner(autostart=True).first().search is not None
 
 

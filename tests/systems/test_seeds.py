@@ -30,12 +30,12 @@ SWARMS = {  # a smaller search draws as well
 
 def digest(scenario, seed, duration):
     recording = simulate(scenario, seed=seed, duration=duration, overrides=SWARMS.get(scenario)).recording
-    found = hashlib.sha256()
+    result = hashlib.sha256()
     for name, topic in sorted(recording.topics.items()):
-        found.update(name.encode())
+        result.update(name.encode())
         for data in topic.data:
-            found.update(data)
-    return found.hexdigest()
+            result.update(data)
+    return result.hexdigest()
 
 
 LONG = {"pwa_delay_p2_telegraph", "pv_mppt_s4", "fault_location_woa"}
@@ -73,12 +73,12 @@ OWN = {  # generators that are not made of a rig's seed, by file: how many, and 
 
 def test_there_are_no_other_random_numbers():
     root = Path(__file__).parents[2] / "ros_pkgs"
-    found = {}
+    results = {}
     for path in root.glob("*/softrig_*/**/*.py"):
         text = path.read_text(encoding="utf-8")
         if path.parent.name == "rig" and path.stem in ("contents", "outside"):
             continue  # they look at the generators of others, and draw nothing
         assert not re.search(r"^import random|np\.random\.(?!default_rng|Generator)", text, re.M), path
         if count := len(re.findall(r"default_rng\(|\bRandom\(", text)):
-            found[str(path.relative_to(root)).partition("/")[2]] = count
-    assert found == {name: count for name, (count, _) in OWN.items()}
+            results[str(path.relative_to(root)).partition("/")[2]] = count
+    assert results == {name: count for name, (count, _) in OWN.items()}

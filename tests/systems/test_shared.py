@@ -34,11 +34,11 @@ def test_a_shared_value_reaches_all_that_have_it(scenario, name, value, nodes):
     rig = rig_of(load_scenario(scenario, {name: given}))
     first, _, last = name.partition(".")
     parameter = {"table": "unit_table"}.get(first, first)
-    found = {}
+    results = {}
     for m in rig.members:
         had = getattr(m.params, parameter, None)
-        found |= {m.name: getattr(had, last) if last else had} if had is not None else {}
-    assert {node for node, had in found.items() if had == value} == nodes
+        results |= {m.name: getattr(had, last) if last else had} if had is not None else {}
+    assert {node for node, had in results.items() if had == value} == nodes
 
 
 @pytest.mark.parametrize(
@@ -101,8 +101,8 @@ def test_an_operating_point_that_a_flat_start_misses_is_held_by_the_rig():
         "gupfc", overrides={"initial": flows, "flows_1": [1.3, 0.15] * 3, "flows_2": [0.85, -0.1] * 3}, duration=0.5
     )
     for name, value in flows.items():
-        found = run.signals[f"gupfc/status/{'v1' if name == 'v' else name}/position"].x
-        assert np.abs(found - value).max() < 1e-3
+        result = run.signals[f"gupfc/status/{'v1' if name == 'v' else name}/position"].x
+        assert np.abs(result - value).max() < 1e-3
 
 
 def test_power_flow_says_how_many_operating_points_there_are():

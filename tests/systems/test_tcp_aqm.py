@@ -50,15 +50,15 @@ def measured(name):
 def loop(plant, controller, seconds):
     """Queue, window and command of a closed loop at every tick of the held plant, the end included."""
     period, every = plant.params.period, round(controller.p.period / plant.params.period)
-    law, command, found = ByHand(controller), (0.0,), []
+    law, command, results = ByHand(controller), (0.0,), []
     for k in range(round(seconds / period) + 1):
         t = round(k * period * 1e9)
         state = plant.outputs(t)["state"]
         if k % every == 0:
             command = law.update(t, state=state, reference=None)["command"]
-        found.append((state[1], state[0], command[0]))
+        results.append((state[1], state[0], command[0]))
         plant.advance(t, command=command)
-    return np.array(found).T
+    return np.array(results).T
 
 
 # B1 to B8 and the stretch: what the files expect
@@ -87,9 +87,9 @@ def test_figures_of_the_scenarios(name):
 )
 def test_verdicts_on_the_paper_hold(later):
     names = [n for n in NAMES if n not in later]
-    found = [f for n in names for f in findings(run(n)[0].scenario, measured, {})]
-    assert [f"{f.scenario}.{f.key}: {f.false}" for f in found if f.holds is not True] == []
-    assert {f.verdict for f in found} == {"reproduced", "refuted", "not_checkable"}
+    results = [f for n in names for f in findings(run(n)[0].scenario, measured, {})]
+    assert [f"{f.scenario}.{f.key}: {f.false}" for f in results if f.holds is not True] == []
+    assert {f.verdict for f in results} == {"reproduced", "refuted", "not_checkable"}
 
 
 @pytest.mark.long
@@ -97,26 +97,28 @@ def test_verdicts_on_the_paper_hold(later):
 @pytest.mark.parametrize("flows", [pytest.param(n, marks=[pytest.mark.long] * (n != 66)) for n in (54, 66, 72, 80)])
 def test_a_wrong_number_of_flows_moves_the_queue_to_where_the_law_rests(flows, law):
     """At rest w = R C/N and p = 2/w^2, so Phi + Psi p = C (m - m^2)/R with m = 60/N, and q' seems to be C (m - 1)."""
-    found = figures("tcp_aqm_smc_s3", tcp_fluid__N=flows, aqm_controller__law=law)
-    q, m = found["queue_end"].value, 60.0 / flows
+    result = figures("tcp_aqm_smc_s3", tcp_fluid__N=flows, aqm_controller__law=law)
+    q, m = result["queue_end"].value, 60.0 / flows
     e, R, rate = q - 120.0, q / 3750.0 + 0.2, 3750.0 * (m - 1.0)
     left = 3750.0 * (m - m * m) / R
     if law == "sspd":
         s = rate + 20.0 * e
-        rest = left + 15.0 * s + 10.0 * np.sign(s) + 20.0 * rate
+        remaining = left + 15.0 * s + 10.0 * np.sign(s) + 20.0 * rate
     else:
-        rest = left + 16.0 * rate + 64.0 * e + 5.0 * np.sign(found["s_late"].value) * (1.0 if flows > 60 else -1.0)
+        remaining = (
+            left + 16.0 * rate + 64.0 * e + 5.0 * np.sign(result["s_late"].value) * (1.0 if flows > 60 else -1.0)
+        )
     if q < 300.0:
-        assert rest == pytest.approx(0.0, abs=40.0)  # 0.1 packets are 30 packet/s^2
+        assert remaining == pytest.approx(0.0, abs=40.0)  # 0.1 packets are 30 packet/s^2
     else:
-        assert rest < 0.0
+        assert remaining < 0.0
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("flows", [40, 48, 72, 80])
 def test_pi_holds_the_queue_for_any_number_of_flows(flows):
-    found = figures("tcp_aqm_smc_s3_pi_delay", tcp_fluid__N=flows)
-    assert found["queue_end"].value == pytest.approx(120.0, abs=0.5)
+    result = figures("tcp_aqm_smc_s3_pi_delay", tcp_fluid__N=flows)
+    assert result["queue_end"].value == pytest.approx(120.0, abs=0.5)
 
 
 def test_sspd_at_rest_with_the_printed_phi():
@@ -268,39 +270,39 @@ def test_sspd_agrees_with_an_adaptive_solver_of_delay_equations(tmp_path, monkey
 def seeds(name):
     """Mean of each figure over seeds 1 to 5."""
     rig = rig_of(name)
-    found = []
+    results = []
     for seed in range(1, 6):
-        found.append([r.value for r in evaluate(rig, Signals(in_process(rig, seed)))])
-    return dict(zip(figures(name), np.mean(found, axis=0), strict=True))
+        results.append([r.value for r in evaluate(rig, Signals(in_process(rig, seed)))])
+    return dict(zip(figures(name), np.mean(results, axis=0), strict=True))
 
 
 @pytest.mark.long
 def test_packets_under_pi():
-    found = seeds("tcp_aqm_smc_s4")
-    assert found["mean_queue"] == pytest.approx(120.0, abs=8.0)
-    assert found["deviation"] == pytest.approx(34.0, abs=10.0)
-    assert found["mean_window"] == pytest.approx(14.75, abs=0.3)
-    assert found["mean_p"] == pytest.approx(0.0090, abs=0.001)
-    assert found["utilisation"] == pytest.approx(0.952, abs=0.005)
-    assert found["J_q"] == pytest.approx(2950.0, rel=0.15)
+    result = seeds("tcp_aqm_smc_s4")
+    assert result["mean_queue"] == pytest.approx(120.0, abs=8.0)
+    assert result["deviation"] == pytest.approx(34.0, abs=10.0)
+    assert result["mean_window"] == pytest.approx(14.75, abs=0.3)
+    assert result["mean_p"] == pytest.approx(0.0090, abs=0.001)
+    assert result["utilisation"] == pytest.approx(0.952, abs=0.005)
+    assert result["J_q"] == pytest.approx(2950.0, rel=0.15)
 
 
 @pytest.mark.long  # the published deviation stands in the scenario, too
 def test_packets_under_sspd_with_the_gains_of_the_paper():
-    found = seeds("tcp_aqm_smc_s4_sspd")
-    assert found["deviation"] == pytest.approx(54.0, abs=6.0)
-    assert found["mean_queue"] == pytest.approx(55.0, abs=10.0)
-    assert found["utilisation"] == pytest.approx(0.893, abs=0.015)
+    result = seeds("tcp_aqm_smc_s4_sspd")
+    assert result["deviation"] == pytest.approx(54.0, abs=6.0)
+    assert result["mean_queue"] == pytest.approx(55.0, abs=10.0)
+    assert result["utilisation"] == pytest.approx(0.893, abs=0.015)
 
 
 @pytest.mark.long
 def test_packets_under_sspd_with_gains_for_the_delay():
-    found = seeds("tcp_aqm_smc_s4_detuned")
-    assert found["mean_queue"] == pytest.approx(102.0, abs=12.0)
-    assert found["deviation"] == pytest.approx(25.0, abs=6.0)
-    assert found["J_q"] == pytest.approx(2220.0, rel=0.15)
-    assert found["utilisation"] == pytest.approx(0.952, abs=0.005)
-    assert found["J_q"] < seeds("tcp_aqm_smc_s4")["J_q"]  # the stretch
+    result = seeds("tcp_aqm_smc_s4_detuned")
+    assert result["mean_queue"] == pytest.approx(102.0, abs=12.0)
+    assert result["deviation"] == pytest.approx(25.0, abs=6.0)
+    assert result["J_q"] == pytest.approx(2220.0, rel=0.15)
+    assert result["utilisation"] == pytest.approx(0.952, abs=0.005)
+    assert result["J_q"] < seeds("tcp_aqm_smc_s4")["J_q"]  # the stretch
 
 
 def test_packets_are_conserved_and_events_bounded():
@@ -437,12 +439,12 @@ def test_a_stale_state_is_not_used():
     held = controller.update(0, state=good, reference=None)["command"]
     for age, command in ((5, None), (6, held), (49, held), (50, (0.0,))):
         controller.block.ages = lambda name, age=age: age * 10**6
-        found = controller.update(0, state=(16.0, 140.0, 0.237), reference=None)["command"]
+        result = controller.update(0, state=(16.0, 140.0, 0.237), reference=None)["command"]
         if command is None:
-            held = found
+            held = result
             assert held != (0.0,)
         else:
-            assert found == (held if command[0] else (0.0,))
+            assert result == (held if command[0] else (0.0,))
     assert controller.reports["stale"][0] is Level.WARN
     assert controller.reports["no_state"][0] is Level.ERROR
 
@@ -520,7 +522,7 @@ for plant, period in ((TcpFluid(input_delay=True, w0=14.0, q0=110.0), 0.001), (T
 
 @pytest.mark.long
 def test_native_and_plain_python_give_the_same_bits():
-    found = [
+    results = [
         subprocess.run(
             [sys.executable, "-c", PLAIN],
             env={**os.environ, "SOFTRIG_JIT": jit},
@@ -531,7 +533,7 @@ def test_native_and_plain_python_give_the_same_bits():
         ).stdout
         for jit in "01"
     ]
-    assert found[0] == found[1]
+    assert results[0] == results[1]
 
 
 # Through processes

@@ -101,7 +101,7 @@ def test_the_controller_is_its_law_on_its_own_record(law, options):
     """Random states, references and refusals; the record is a list, read by linear interpolation."""
     made = {"N": 40, "C": 2000.0, "tau_p": 0.05, "q_max": 100.0, "history": 0.1, "period": 0.01, "set_point": 60.0}
     block = ByHand(AqmController(law=law, **made, **GAINS, **options))
-    draw, integral, q_d, last, record, said = Random(law), 0.0, 60.0, None, [], ((0.0,), (0.0, 0.0, 0.0))
+    draw, integral, q_d, last, record, text = Random(law), 0.0, 60.0, None, [], ((0.0,), (0.0, 0.0, 0.0))
     g = block.block.p
     for k in range(150):
         w, q, R = draw.uniform(1.0, 9.0), draw.uniform(0.0, 100.0), draw.uniform(0.05, 0.12)
@@ -109,13 +109,15 @@ def test_the_controller_is_its_law_on_its_own_record(law, options):
         kind = draw.choice(("good", "good", "good", "good", "bad", "refused"))
         block.reports.clear()
         if kind == "refused":
-            found = block.refused(k * 10 * MS)
+            answer = block.refused(k * 10 * MS)
         else:
             w = 0.0 if kind == "bad" else w
-            found = block.update(k * 10 * MS, state=(w, q, R), reference=asked and (asked,) if asked != 0.0 else (0.0,))
+            answer = block.update(
+                k * 10 * MS, state=(w, q, R), reference=asked and (asked,) if asked != 0.0 else (0.0,)
+            )
         if kind != "good":
             record += record[-1:]
-            assert (found["command"], found["health"]) == said
+            assert (answer["command"], answer["health"]) == text
             assert ("bad_state" in block.reports) is (kind == "bad")
             continue
         if asked is not None and asked != q_d:
@@ -139,18 +141,18 @@ def test_the_controller_is_its_law_on_its_own_record(law, options):
         if not ((law == "robust" or options.get("anti_windup")) and ((u > 1.0 and e > 0.0) or (u < 0.0 and e < 0.0))):
             integral += e * 0.01
         last, drop = e, min(max(u, 0.0), 1.0)
-        said = ((drop,), (s, integral, float(not 0.0 <= u <= 1.0)))
-        assert found == {"command": near(said[0]), "health": near(said[1])}
-        said = found["command"], found["health"]
+        text = ((drop,), (s, integral, float(not 0.0 <= u <= 1.0)))
+        assert answer == {"command": near(text[0]), "health": near(text[1])}
+        text = answer["command"], answer["health"]
 
 
 def test_the_controller_at_the_edges_of_what_it_takes():
     """A command of just 0 or 1 is not clipped; a state without a window is none, one without a queue is."""
     for bias, queue, way in ((1.0, 130.0, 10.0), (0.0, 110.0, -10.0)):
         block = ByHand(AqmController(law="pi", kp=0.0, ki=0.0, bias=bias, anti_windup=True))
-        said = block.update(0, state=(9.0, queue, 0.2), reference=None)
-        assert (said["command"], said["health"]) == ((bias,), near((0.0, way * 0.001, 0.0)))
-    for state, said in (
+        outputs = block.update(0, state=(9.0, queue, 0.2), reference=None)
+        assert (outputs["command"], outputs["health"]) == ((bias,), near((0.0, way * 0.001, 0.0)))
+    for state, outputs in (
         ((0.0, 9.0, 0.2), ["bad_state"]),
         ((9.0, 9.0, 0.0), ["bad_state"]),
         ((9.0, -1e-9, 0.2), ["bad_state"]),
@@ -160,7 +162,7 @@ def test_the_controller_at_the_edges_of_what_it_takes():
     ):
         block = ByHand(AqmController())
         block.update(0, state=state, reference=None)
-        assert list(block.reports) == said
+        assert list(block.reports) == outputs
     block = ByHand(AqmController())
     block.update(0, state=(9.0, -2.0, 0.25), reference=None)
     assert block.reports["bad_state"][:2] == (
@@ -172,9 +174,9 @@ def test_the_controller_at_the_edges_of_what_it_takes():
 def test_after_fifty_ticks_without_a_state_nothing_is_dropped_and_what_was_known_is_still_told():
     block = ByHand(AqmController(law="pi"))
     last = block.update(0, state=(9.0, 130.0, 0.2), reference=None)
-    said = [block.refused(k) for k in range(60)]
-    assert said[:49] == [last] * 49
-    assert said[49:] == [{"command": (0.0,), "health": last["health"]}] * 11
+    messages = [block.refused(k) for k in range(60)]
+    assert messages[:49] == [last] * 49
+    assert messages[49:] == [{"command": (0.0,), "health": last["health"]}] * 11
     assert last["command"] != (0.0,)
 
 

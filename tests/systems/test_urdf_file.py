@@ -184,9 +184,9 @@ def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path, encoding, dec
     word = "Ж" if encoding == "cp1251" else "Ä"
     text = f"<?xml version='1.0'{f' encoding={declared!r}' if declared else ''}?><!-- {word} -->{FULL}"
     (tmp_path / "a.urdf").write_text(text, encoding=encoding)
-    found = read_urdf(str(tmp_path / "a.urdf"))
-    assert found == f"<?xml version='1.0'?><!-- {word} -->{FULL}"
-    assert reading(found) == reading(FULL)
+    result = read_urdf(str(tmp_path / "a.urdf"))
+    assert result == f"<?xml version='1.0'?><!-- {word} -->{FULL}"
+    assert reading(result) == reading(FULL)
     (tmp_path / "a.urdf").write_bytes("<!-- Ä -->".encode("latin-1") + FULL.encode())
     with pytest.raises(ValueError, match=r"a\.urdf: its bytes are not utf-8-sig; name it in"):
         read_urdf(str(tmp_path / "a.urdf"))
@@ -347,9 +347,9 @@ def test_limits_are_reported_or_act(tmp_path):
     p = pendulum(tmp_path, effort=1.5)
     for k in range(1000):
         p.advance(k * 10**6, motor_command=(2.6,))
-    told = {key: text for key, (_, text, _) in p.reports.items()}
-    assert set(told) == {"position limit of hinge", "velocity limit of hinge", "effort limit of hinge"}
-    assert "is outside of -1 to 1, the limits of " in told["position limit of hinge"]
+    entries = {key: text for key, (_, text, _) in p.reports.items()}
+    assert set(entries) == {"position limit of hinge", "velocity limit of hinge", "effort limit of hinge"}
+    assert "is outside of -1 to 1, the limits of " in entries["position limit of hinge"]
     assert p.x.q[0] > 1.5
     p = pendulum(tmp_path, effort=1.5, limits="act")
     for k in range(600):

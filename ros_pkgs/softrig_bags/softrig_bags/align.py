@@ -169,7 +169,7 @@ def align(
     notes = [f"{t}: {reason}: bag time is used" for t, pair in tables.items() if (reason := _useless(pair))]
     axes = {t: [x.t if _useless(pair) else x.stamp for x in pair] for t, pair in tables.items()}
     starts = [_start(signals, [pair[k] for pair in axes.values()]) for k, signals in enumerate((a, b))]
-    found, spans = [], []
+    results, spans = [], []
     unread = [
         f"{t} cannot be decoded; leave it out with --ignore"
         for t in names
@@ -191,18 +191,18 @@ def align(
                 one, two = (_single(*samples) for samples in (one, two))
             span = max(one[0][0], two[0][0]), min(one[0][-1], two[0][-1])
             if span[0] <= span[1]:
-                found.append(_deviation(name, one, two, span, limit))
+                results.append(_deviation(name, one, two, span, limit))
                 spans.append(span)
                 length = max(float(np.ptp(t)) for t, _ in (one, two))
                 if (alone := length - (span[1] - span[0])) > ALONE * length:
                     unread.append(f"{name}: {alone:.3g} of {length:.3g} s, which only one of the bags has")
             else:
                 unread.append(f"{name}: A and B have no time in common")
-    if not found:
+    if not results:
         raise BagError("; ".join(["the bags have no time in common", *unread]))
     names_a, names_b = (_names(s, topics, ignore) for s in (a, b))
     return Alignment(
-        sorted(found, key=lambda d: d.signal),
+        sorted(results, key=lambda d: d.signal),
         (min(s[0] for s in spans), max(s[1] for s in spans)),
         [n for n in names_a if n not in names_b],
         [n for n in names_b if n not in names_a],

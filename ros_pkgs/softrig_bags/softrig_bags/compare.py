@@ -125,8 +125,8 @@ class Comparison:
     @property
     def first(self) -> Difference | None:
         """The earliest difference of all topics."""
-        found = [t.first for t in self.topics if t.first is not None]
-        return min(found, key=lambda d: d.stamp, default=None)
+        results = [t.first for t in self.topics if t.first is not None]
+        return min(results, key=lambda d: d.stamp, default=None)
 
     def to_json(self) -> str:
         """Return everything as JSON; NaN and infinity as text."""
@@ -205,25 +205,25 @@ def compare(
             if name not in names:
                 raise BagError(f"no topic {name} to compare; there are {', '.join(names)}")
         chosen = names if topics is None else dict.fromkeys(topics)
-        found = [
+        gathered = [
             _TopicPair(name, pair, sides, known, limits)
             for name in chosen
             if not any(fnmatchcase(name, p) for p in ignore)
             for pair in _pairs(name, known)
         ]
-        places = [{i: pair for pair in found if (i := pair.numbers[k]) is not None} for k in (0, 1)]
+        places = [{i: pair for pair in gathered if (i := pair.numbers[k]) is not None} for k in (0, 1)]
         streams = [side.blocks(list(place)) for side, place in zip(sides, places, strict=True)]
         for k, block in _in_step(streams):
             for number in distinct(block.topic):
                 if number in places[k]:
                     places[k][number].add(k, block.take(np.flatnonzero(block.topic == number)))
-        results = [pair.finish() for pair in found]
+        results = [pair.finish() for pair in gathered]
     # Two bags without a message on these topics would count as equal, but nothing is no agreement.
     if topics != [] and not any(r.count_a or r.count_b for r in results):
         raise BagError("nothing to compare: neither has a message on the topics that are compared")
-    notes = [f"{pair.result.topic}: {pair.pairing.note}" for pair in found if pair.pairing.note]
+    notes = [f"{pair.result.topic}: {pair.pairing.note}" for pair in gathered if pair.pairing.note]
     whole = all(side.is_whole for side in sides)
-    return Comparison(results, sum(pair.pairing.paired for pair in found), notes, whole)
+    return Comparison(results, sum(pair.pairing.paired for pair in gathered), notes, whole)
 
 
 def _pairs(name: str, known: Sequence[list[Described]]) -> Iterator[tuple[int | None, int | None]]:

@@ -109,16 +109,16 @@ def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
     Some file systems ignore case, so no two names differ in case alone. The name is the topic's name with dots in place
     of slashes; any other name is reported.
     """
-    taken = {name.casefold() for name in known}
+    used = {name.casefold() for name in known}
     for label in labels[len(known) :]:
         dotted = label.strip("/").replace("/", ".")
         short = dotted.encode(errors="replace")[:LONGEST_NAME].decode(errors="ignore")
         name = first = re.sub(r'^\.|[\x00-\x1f\x7f<>:"\\|?*]', "_", short) or "topic"
         k = 1
-        while name.casefold() in taken:
+        while name.casefold() in used:
             k += 1
             name = f"{first}_{k}"
-        taken.add(name.casefold())
+        used.add(name.casefold())
         if name != dotted:
             say(f"topic {label} is in the file {name}")
         yield name

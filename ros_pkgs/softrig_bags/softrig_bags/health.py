@@ -48,8 +48,8 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
     add(result, "diagnostics", ARRAY, end, header=header(end, "world"), status=health)
     for topic, figures in observers.items():
         values = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in figures.items()}
-        said = _message(topic.removesuffix("/metrics"), 0, "", values)
-        add(result, topic, ARRAY, end, header=header(end, "world"), status=[said])
+        message = _message(topic.removesuffix("/metrics"), 0, "", values)
+        add(result, topic, ARRAY, end, header=header(end, "world"), status=[message])
     return result
 
 

@@ -88,9 +88,9 @@ class Pairing:
             self.paired += len(pairs[0])
             self._compare(one, pairs[0], two, pairs[1], keys[0][pairs[0]])
         for blocks, block, rows in zip(self._waiting, (one, two), pairs, strict=True):
-            rest = np.ones(len(block), bool)
-            rest[rows] = False
-            blocks[:] = [block.take(rest).compact()] if rest.any() else []
+            remaining = np.ones(len(block), bool)
+            remaining[rows] = False
+            blocks[:] = [block.take(remaining).compact()] if remaining.any() else []
         self._left, self._new = sum(len(b) for blocks in self._waiting for b in blocks), 0
 
     def _decide(self, one: Block, two: Block) -> None:

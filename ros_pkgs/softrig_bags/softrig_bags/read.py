@@ -38,13 +38,13 @@ def read_bag(path: Path | str, namespace: str = "") -> Recording:
         No bag there, or it is damaged.
     """
     with BagReader(path, namespace=namespace) as bag:
-        found: dict[int, tuple[list[int], list[bytes]]] = {}
+        results: dict[int, tuple[list[int], list[bytes]]] = {}
         for topic, t, data in bag.messages():
-            times, messages = found.setdefault(topic, ([], []))
+            times, messages = results.setdefault(topic, ([], []))
             times.append(t)
             messages.append(data)
         recording = _empty(bag)
-        for i, (times, messages) in found.items():
+        for i, (times, messages) in results.items():
             topic_of_it = recording.topics[bag.labels[i]]
             topic_of_it.times.extend(times)
             topic_of_it.data.extend(messages)
@@ -93,17 +93,17 @@ class BagSignals(Signals):
         for i in bag.chosen:
             label = bag.labels[i]
             if columns.decoder(i) is not None and not columns.reason(i):
-                t, stamp, found, self.absent[label] = tables.get(i, Growing()).whole()
-                self._tables[label] = Table((t - epoch) / SECOND, (stamp - epoch) / SECOND, found)
+                t, stamp, result, self.absent[label] = tables.get(i, Growing()).whole()
+                self._tables[label] = Table((t - epoch) / SECOND, (stamp - epoch) / SECOND, result)
         self.left_out = {bag.labels[i]: left for i, left in columns.left.items()}
         self.undecodable = [x for i in bag.chosen if bag.counts[i] and (x := bag.labels[i]) not in self._tables]
 
     def _load(self) -> None:
         for topic in self.recording.topics.values():
             topic.settle = lambda: None
-        for name, found in read_bag(self.path, self.namespace).topics.items():
-            self.recording.topics[name].times.extend(found.times)
-            self.recording.topics[name].data.extend(found.data)
+        for name, result in read_bag(self.path, self.namespace).topics.items():
+            self.recording.topics[name].times.extend(result.times)
+            self.recording.topics[name].data.extend(result.data)
 
     def _table(self, topic: str) -> Table:
         if topic not in self._tables and topic in self.recording.topics:

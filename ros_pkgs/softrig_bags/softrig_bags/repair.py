@@ -105,12 +105,12 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     BagError
         There is nothing to save, or the target exists.
     """
-    found = remains(Path(path).absolute())
-    place = found.place
+    result = remains(Path(path).absolute())
+    place = result.place
     target = Path(out).absolute() if out is not None else None
-    if found.shards:
-        return _repair_shards(found.shards, target or place.with_name("bag"))
-    if place.is_dir() and target is None and not found.pending and _is_sound(place):
+    if result.shards:
+        return _repair_shards(result.shards, target or place.with_name("bag"))
+    if place.is_dir() and target is None and not result.pending and _is_sound(place):
         return Repair(None, [])
     original = None
     if target is None and place.is_file():
@@ -126,7 +126,7 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     # A repair that was killed may have left its folder here.
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        reports, saved = _rewrite(found, temporary, target.name)
+        reports, saved = _rewrite(result, temporary, target.name)
         # Definitions or names in it may be damaged too; such a bag must not replace the files it was made of.
         if not _is_sound(temporary):
             raise BagError(f"{place}: what is left of it makes no readable bag")
@@ -135,7 +135,7 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
         temporary.rename(target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-    claimed = Counter({(t.name, t.msgtype): t.count for t in found.claimed.topics})
+    claimed = Counter({(t.name, t.msgtype): t.count for t in result.claimed.topics})
     differing = [
         f"{name}: {saved[name, msgtype]} messages, metadata.yaml claimed {count}"
         for (name, msgtype), count in claimed.items()
@@ -156,19 +156,19 @@ def _is_sound(path: Path) -> bool:
     return not differing
 
 
-def _rewrite(found: Remains, directory: Path, name: str) -> tuple[list[FileReport], Counter[tuple[str, str]]]:
+def _rewrite(result: Remains, directory: Path, name: str) -> tuple[list[FileReport], Counter[tuple[str, str]]]:
     """Write what is whole; return a report of each file and the number of messages by topic and type."""
     writer: BagWriter | None = None
     # The key holds type and encoding too, because a topic may return with another one.
     numbers: dict[tuple[str, ...], int] = {}
     reports = []
     saved: Counter[tuple[str, str]] = Counter()
-    for i, source in enumerate(found.files):
+    for i, source in enumerate(result.files):
         report = FileReport(" with ".join(file.name for file in [source, *journals(source)]))
         reports.append(report)
         for topic, t, data in _recover(source, report, directory.parent):
             if writer is None:
-                mcap = any(plain(file).suffix == ".mcap" for file in found.files)
+                mcap = any(plain(file).suffix == ".mcap" for file in result.files)
                 writer = BagWriter(
                     directory,
                     storage="mcap" if mcap else "sqlite3",
@@ -192,12 +192,12 @@ def _rewrite(found: Remains, directory: Path, name: str) -> tuple[list[FileRepor
                 if key not in numbers:
                     numbers[key] = writer.add_topic(topic)
     if writer is None:
-        hint = "; `sqlite3 FILE .recover` may find rows" if plain(found.files[0]).suffix == ".db3" else ""
-        raise BagError(f"{', '.join(s.name for s in found.files)}: not one whole message in it{hint}")
+        hint = "; `sqlite3 FILE .recover` may find rows" if plain(result.files[0]).suffix == ".db3" else ""
+        raise BagError(f"{', '.join(s.name for s in result.files)}: not one whole message in it{hint}")
     writer.close()
 
     absent = "all of it: metadata.yaml lists this file, but it does not exist"
-    return [*reports, *(FileReport(name, 0, [absent]) for name in found.absent)], saved
+    return [*reports, *(FileReport(name, 0, [absent]) for name in result.absent)], saved
 
 
 def _recover(source: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:

@@ -237,7 +237,7 @@ class Growing:
         lacking = self._columns.keys() - piece.columns.keys() if len(self._columns) > len(piece.columns) else ()
         for label in (*lacking, *piece.absent):
             self._absent.setdefault(label, np.zeros(first, bool))
-        for arrays, found, fill in (
+        for arrays, result, fill in (
             (self._times, piece._asdict(), 0),
             (self._columns, piece.columns, np.nan),
             (self._absent, piece.absent, None),
@@ -245,7 +245,7 @@ class Growing:
             for name, array in arrays.items():
                 if len(array) < last:
                     array.resize(max(last, len(array) * 3 // 2), refcheck=False)
-                array[first:last] = found.get(name, (name in lacking) if fill is None else fill)
+                array[first:last] = result.get(name, (name in lacking) if fill is None else fill)
 
     def whole(self) -> tuple[Ints, Ints, dict[str, Array], dict[str, NDArray[np.bool_]]]:
         """Return the times, stamps, columns and absences of all rows, as a piece has them."""

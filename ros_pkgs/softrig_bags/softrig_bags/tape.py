@@ -22,14 +22,14 @@ from .read import read_bag
 
 def written(port: Port) -> str:
     """Describe a port as JSON, what differs from a plain one."""
-    found = {f.name: getattr(port, f.name) for f in fields(Port)}
-    return json.dumps({name: value for name, value in found.items() if value not in ((), "", False)})
+    results = {f.name: getattr(port, f.name) for f in fields(Port)}
+    return json.dumps({name: value for name, value in results.items() if value not in ((), "", False)})
 
 
 def port_of(text: str) -> Port:
     """Create the output that publishes what a port has read; `text` is from `written`."""
-    found = {name: _tuples(value) for name, value in json.loads(text).items()}
-    return replace(Port(**found), held=False, partial=False, sporadic=True)
+    results = {name: _tuples(value) for name, value in json.loads(text).items()}
+    return replace(Port(**results), held=False, partial=False, sporadic=True)
 
 
 def _tuples(value: Any) -> Any:
@@ -111,10 +111,10 @@ class Tape(Block[TapeParams]):
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, Any]]:
         """Describe what counts from this tick on."""
-        found, said = {}, []
+        results, messages = {}, []
         for (name, rows), before in zip(self._rows.items(), x.said, strict=True):
             k = bisect_right(rows, t, before, key=lambda row: row[0])
-            said.append(k)
+            messages.append(k)
             if k > before:
-                found[name] = rows[k - 1][1]
-        return State(tuple(said)) if found else x, found
+                results[name] = rows[k - 1][1]
+        return State(tuple(messages)) if results else x, results

@@ -49,8 +49,8 @@ def _end_in_order(context, launched):
 
 
 def _nodes(context):
-    if told := strange(sys.argv):
-        raise RuntimeError(told)
+    if reported := strange(sys.argv):
+        raise RuntimeError(reported)
     launched = begin({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
     _end_in_order(context, launched)
     at_end = {"rig": partial(_ended, launched), "viewer": Shutdown(reason="the viewer is closed")}

@@ -77,18 +77,18 @@ def plausible(name: str, value: float, unit: str, lower: float, upper: float, wh
 
 def head(given: Given, asked: Asked, assumed: Sequence[str], what: str) -> str:
     """Return the comment at the beginning of a scenario: given and assumed values."""
-    said = [
+    messages = [
         f"#   {name} = {value:g} {asked[name][1]}".rstrip() + f": {asked[name][0]}" for name, value in given.items()
     ]
     noted = [f"#   {line}" for line in assumed]
-    return "\n".join([f"# {what} from the values of a data sheet:", *said,
+    return "\n".join([f"# {what} from the values of a data sheet:", *messages,
                       "# Assumed, to be replaced by what you know:", *noted])  # fmt: skip
 
 
 def text(value: float) -> str:
     """Return a number as YAML reads it: always as a float."""
-    found = f"{value:.6g}"
-    return found if "." in found and "e" not in found else repr(float(found))
+    result = f"{value:.6g}"
+    return result if "." in result and "e" not in result else repr(float(result))
 
 
 def mapping(values: Mapping[str, Any]) -> str:

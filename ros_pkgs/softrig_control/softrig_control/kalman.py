@@ -96,10 +96,10 @@ class SteadyKalman:
             Wrong number of inputs or measurements.
         """
         known = (*x, *u, *y)
-        found = []
+        results = []
         for row in self._rows:
             total = 0.0
             for m, z in zip(row, known, strict=True):
                 total += m * z
-            found.append(total)
-        return tuple(found)
+            results.append(total)
+        return tuple(results)

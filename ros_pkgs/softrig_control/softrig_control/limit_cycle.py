@@ -58,19 +58,19 @@ def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, floa
     y, reference : float
         In the unit of the signal.
     """
-    before, turn, far, up, since, found, swings, spans = x
+    before, turn, far, up, since, result, swings, spans = x
     if reference != before:
-        turn, far, up, since, found, swings, spans = y, y, True, 0, 0, NONE, NEVER
+        turn, far, up, since, result, swings, spans = y, y, True, 0, 0, NONE, NEVER
     since += 1
     if (y > far) == up and y != far:
         far = y
     elif abs(y - far) > BAND * abs(reference):
-        swings, spans, found = (*swings[1:], abs(far - turn)), (*spans[1:], since), min(found + 1, SWINGS)
+        swings, spans, result = (*swings[1:], abs(far - turn)), (*spans[1:], since), min(result + 1, SWINGS)
         turn, far, up, since = far, y, not up, 0
-    if found and since > LONGEST * max(spans):  # it has come to rest
-        turn, far, up, since, found, swings, spans = y, y, True, 0, 0, NONE, NEVER
-    x = Swinging(reference, turn, far, up, since, found, swings, spans)
-    if found < SWINGS or min(swings) < ALIKE * max(swings):
+    if result and since > LONGEST * max(spans):  # it has come to rest
+        turn, far, up, since, result, swings, spans = y, y, True, 0, 0, NONE, NEVER
+    x = Swinging(reference, turn, far, up, since, result, swings, spans)
+    if result < SWINGS or min(swings) < ALIKE * max(swings):
         return x, 0.0
     first, second = total(swings[: SWINGS // 2]), total(swings[SWINGS // 2 :])
     return x, second / (SWINGS // 2) if second >= KEPT * first else 0.0

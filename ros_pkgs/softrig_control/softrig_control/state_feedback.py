@@ -93,10 +93,10 @@ def _has_poles(
     for pole in poles:
         sizes = [up + abs(pole) * down for up, down in zip([*sizes, 0.0], [0.0, *sizes], strict=True)]
     try:
-        found = exact.characteristic(loop)
+        result = exact.characteristic(loop)
     except ArithmeticError:
         return False
-    return all(abs(x - w) <= PLACED * size for x, w, size in zip(found, wanted, sizes, strict=True))
+    return all(abs(x - w) <= PLACED * size for x, w, size in zip(result, wanted, sizes, strict=True))
 
 
 def closed_loop_poles(
@@ -123,8 +123,8 @@ def closed_loop_poles(
     if ki is not None:
         below = np.append(-np.asarray(c, dtype=float), 0.0)
         loop = np.vstack([np.column_stack([loop, ki * np.asarray(b, dtype=float)]), below])
-    found = np.linalg.eigvals(loop)
-    return tuple(sorted((complex(p) for p in found), key=lambda p: (p.real, p.imag)))
+    result = np.linalg.eigvals(loop)
+    return tuple(sorted((complex(p) for p in result), key=lambda p: (p.real, p.imag)))
 
 
 def require_stable(poles: Sequence[complex]) -> None:

@@ -98,16 +98,16 @@ class Exact:
             a, b = self.matrices(bits)
             both = np.vstack([a, self._row(bits)])
             x = b
-            found: list[Integers] = []
-            while len(found) < CHECKED and max(map(abs, x.flat)).bit_length() < bits + GROWN:
+            results: list[Integers] = []
+            while len(results) < CHECKED and max(map(abs, x.flat)).bit_length() < bits + GROWN:
                 moved = product(both, x, bits)
                 x = moved[:-1] + b
-                found.append(moved[-1:])
-            if max(y[0, 0].bit_length() for y in found) < DIGITS:
+                results.append(moved[-1:])
+            if max(y[0, 0].bit_length() for y in results) < DIGITS:
                 raise exact.UnsettledError("too little is left of the response")
-            return [exact.floats(y, bits)[0][0] for y in found]
+            return [exact.floats(y, bits)[0][0] for y in results]
 
-        return exact.settled(response, lambda found, wanted: off(found, wanted) < CONVERGED)
+        return exact.settled(response, lambda results, wanted: off(results, wanted) < CONVERGED)
 
     def polynomials(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Compute A(z) and B(z) of A(z) y(t) = B(z) u(t-1), coefficients of z^0, z^-1, ...
@@ -123,8 +123,8 @@ class Exact:
                 markov.append(product(row, x, bits)[0, 0])
                 x = product(a, x, bits)
             b = [sum(characteristic[i] * markov[k - i] for i in range(k + 1)) >> bits for k in range(n)]
-            found = exact.floats(np.array([characteristic, [*b, 0]], dtype=object), bits)
-            return found[0], found[1][:n]
+            result = exact.floats(np.array([characteristic, [*b, 0]], dtype=object), bits)
+            return result[0], result[1][:n]
 
         return exact.settled(both)
 
@@ -132,7 +132,7 @@ class Exact:
         return exact.integers((self.c,), bits)
 
 
-def off(found: Sequence[float], wanted: Sequence[float]) -> float:
+def off(values: Sequence[float], wanted: Sequence[float]) -> float:
     """Compute the largest difference of two responses, relative to the largest value of the second.
 
     Parameters
@@ -140,7 +140,7 @@ def off(found: Sequence[float], wanted: Sequence[float]) -> float:
     found, wanted : sequence of float
     """
     largest = max(map(abs, wanted))
-    return max(abs(x - y) for x, y in zip(found, wanted, strict=True)) / largest if largest else 0.0
+    return max(abs(x - y) for x, y in zip(values, wanted, strict=True)) / largest if largest else 0.0
 
 
 def sample_transfer_function(num: Sequence[float], den: Sequence[float], period: float) -> Sampled:
@@ -191,11 +191,11 @@ def sampled_exactly(num: tuple[float, ...], den: tuple[float, ...], period: floa
         wanted = right.step_response()
     except ArithmeticError as reason:
         raise ValueError(f"{cannot}: {reason}; split it into plants of lower order") from None
-    found = Sampled(*zero_order_hold(a, b, period), c)
-    error = off(found.step_response(len(wanted)), wanted)
+    sampled = Sampled(*zero_order_hold(a, b, period), c)
+    error = off(sampled.step_response(len(wanted)), wanted)
     if not error <= ACCURACY:
         raise ValueError(
             f"{cannot}: its step response would be off by {error:.1g} of its largest value, expected at most "
             f"{ACCURACY:g}; split it into plants of lower order"
         )
-    return found, right
+    return sampled, right

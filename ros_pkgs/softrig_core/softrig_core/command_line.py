@@ -70,13 +70,13 @@ def _half(value: object) -> bool:
 
 def without_ros(arguments: Sequence[str]) -> list[str]:
     """Remove ``--ros-args ... --``, which launch passes to every executable, also to a tool without a node."""
-    rest, ros = [], False
+    remaining, ros = [], False
     for word in arguments:
         if word == "--ros-args" or (ros and word == "--"):
             ros = word == "--ros-args"
         elif not ros:
-            rest.append(word)
-    return rest
+            remaining.append(word)
+    return remaining
 
 
 class Parser(argparse.ArgumentParser):
@@ -107,19 +107,19 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Parse, and refuse the rest here, where it is known which options there are."""
-        found, rest = super().parse_known_args(args, namespace)
-        if rest:
-            self.error(self._unexpected(found, rest[0]))
-        return found, rest
+        result, remaining = super().parse_known_args(args, namespace)
+        if remaining:
+            self.error(self._unexpected(result, remaining[0]))
+        return result, remaining
 
-    def _unexpected(self, found: argparse.Namespace, word: str) -> str:
+    def _unexpected(self, result: argparse.Namespace, word: str) -> str:
         """Describe a word that no option accepts, and what it may have been meant for."""
         from difflib import get_close_matches
 
         pairs = [a for a in self._actions if a.option_strings and "NAME=" in str(a.metavar)]
         named = " or ".join(a.option_strings[0] for a in pairs)
         if not word.startswith("-"):
-            if any(_half(getattr(found, a.dest, None)) for a in pairs):
+            if any(_half(getattr(result, a.dest, None)) for a in pairs):
                 return f"unexpected argument {word!r}; NAME=VALUE is one word, without spaces"
             if "=" in word and named:
                 return f"unexpected argument {word!r}; each NAME=... has its own option before it, {named}"

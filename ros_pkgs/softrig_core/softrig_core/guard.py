@@ -143,12 +143,12 @@ def say(what: object) -> None:
     tell("softrig", what)
 
 
-def _warn(other: Callable[..., None], message: Warning | str, category: type[Warning], *rest: Any) -> None:
+def _warn(other: Callable[..., None], message: Warning | str, category: type[Warning], *remaining: Any) -> None:
     """Print a warning about an old name as one line; Python shows all others."""
     if issubclass(category, FutureWarning):
         say(message)
     else:
-        other(message, category, *rest)
+        other(message, category, *remaining)
 
 
 def incomplete(what: object) -> None:
@@ -178,7 +178,7 @@ def naming(path: Path) -> Iterator[None]:
 
 def plain(text: str) -> str:
     """Escape the control characters of a foreign text, because a terminal would execute them."""
-    return _CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
+    return _CONTROL.sub(lambda result: repr(result[0])[1:-1], text)
 
 
 def secure_streams() -> None:

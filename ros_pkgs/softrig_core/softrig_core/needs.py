@@ -20,9 +20,9 @@ def check() -> None:
     spec = importlib.util.find_spec("pydantic")
     folder = Path(spec.origin).parent if spec is not None and spec.origin else None
     if folder is None or not (folder / "_internal").is_dir():  # the first has none; importing it takes 0.1 s
-        found = f"finds an older one in {folder}" if folder else "finds none"
+        text = f"finds an older one in {folder}" if folder else "finds none"
         raise ImportError(
-            f"softrig needs pydantic 2 and {found}: pip install 'pydantic>=2' in a virtual environment "
+            f"softrig needs pydantic 2 and {text}: pip install 'pydantic>=2' in a virtual environment "
             "(softrig_bringup/doc/set_up.md)"
         )
 
@@ -36,14 +36,14 @@ def is_executable() -> bool:
 
 def prefixes(environ: Mapping[str, str] = os.environ) -> list[str]:
     """Return the install prefixes, overlays first: ``AMENT_PREFIX_PATH``, and that of a wheel where it is not in it."""
-    found = [prefix for prefix in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    return found if sys.prefix in found or not _has(sys.prefix, "softrig_core") else [*found, sys.prefix]
+    results = [prefix for prefix in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    return results if sys.prefix in results or not _has(sys.prefix, "softrig_core") else [*results, sys.prefix]
 
 
 def join_prefix(environ: MutableMapping[str, str] = os.environ) -> None:
     """Append the prefix of a wheel to `AMENT_PREFIX_PATH`, as sourcing a workspace would."""
-    if (found := os.pathsep.join(prefixes(environ))) != environ.get("AMENT_PREFIX_PATH", ""):
-        environ["AMENT_PREFIX_PATH"] = found
+    if (text := os.pathsep.join(prefixes(environ))) != environ.get("AMENT_PREFIX_PATH", ""):
+        environ["AMENT_PREFIX_PATH"] = text
 
 
 def _has(prefix: str, package: str) -> bool:

@@ -94,7 +94,7 @@ class Container:
         while rclpy.ok():
             # Someone outside who writes is heard as soon as nothing is left to do; everybody else now and then.
             awake = 0 if exchange.listens else SPIN
-            rest = exchange.serve(time.monotonic_ns() + LOOK, awake)
+            remaining = exchange.serve(time.monotonic_ns() + LOOK, awake)
             states = {a.state for a in self.adapters}
             if states <= {"done", "failed"}:
                 return True
@@ -105,7 +105,7 @@ class Container:
             if time.monotonic_ns() >= next_step:
                 garbage.step()
                 next_step = time.monotonic_ns() + LOOK
-            executor.spin_once((rest - SPIN // 2) / SECOND if rest > SPIN else 0.0)
+            executor.spin_once((remaining - SPIN // 2) / SECOND if remaining > SPIN else 0.0)
         return False
 
     def _broke(self, error: Exception) -> None:

@@ -61,10 +61,10 @@ class DifferentialEvolution(Population):
                 a, b, c = rng.choice([k for k in range(self.n_pop) if k != i], 3, replace=False)
                 base = x[a] if self.variant == "rand1" else x[np.argmin(costs)]
                 mutant = base + rng.uniform(self.f_min, self.f_max) * (x[b] - x[c])
-                take = rng.random(n) < self.cr
+                accept = rng.random(n) < self.cr
                 # One variable always comes from the mutant: without it a trial could be a copy and waste an evaluation.
-                take[rng.integers(n)] = True
-                trial = self.clip(np.where(take, mutant, x[i]))
+                accept[rng.integers(n)] = True
+                trial = self.clip(np.where(accept, mutant, x[i]))
                 (cost,) = yield points(trial[None])
                 # An equal cost replaces too, as in Storn and Price, so that the population can drift over a plateau.
                 if cost <= costs[i]:

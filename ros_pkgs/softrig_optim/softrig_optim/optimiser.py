@@ -303,10 +303,10 @@ class CommandSearch(Block[P], ABC):
 
     # the search ------------------------------------------------------------------------------------------------
 
-    def _begin(self, x: State | None, t: int, look: int = LATER) -> State:
+    def _begin(self, x: State | None, t: int, lookback: int = LATER) -> State:
         """Start a new search; `look` is the time (ns) from which on the node looks back after it for another change."""
-        told = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
-        search = told.now
+        history = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
+        search = history.now
         # An infinite gap means that this search proves nothing, so there is no bound to withdraw.
         void = math.isinf(search.gap)
         # A search that does not rely on old values follows a changed plant by itself and need not be broken off.
@@ -315,10 +315,10 @@ class CommandSearch(Block[P], ABC):
         curve = self.characteristic(max(1, self._hold // (4 * self._period))) if watched else None
         target, phase = search.ask(), Phase.SEARCH
         if x is None:
-            return State(told, phase, t, 0, void, curve, target, (), target, self._nothing)
+            return State(history, phase, t, 0, void, curve, target, (), target, self._nothing)
         return State(
-            told, phase, t, x.restarts + 1, void, curve, target, x.state, x.command, x.window, x.filled, x.pressed
-        )._replace(unconfirmed=x.unconfirmed, look=look)
+            history, phase, t, x.restarts + 1, void, curve, target, x.state, x.command, x.window, x.filled, x.pressed
+        )._replace(unconfirmed=x.unconfirmed, look=lookback)
 
     def _gone(self, x: State, t: int) -> State:
         """Measure the candidate again; after a while abort the search."""

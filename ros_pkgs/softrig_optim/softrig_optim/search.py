@@ -202,12 +202,12 @@ class Search(ABC):
         """
         if math.isnan(value):
             raise ValueError("the value of a candidate is NaN; measure it again")
-        told = Evaluation(self.ask(), value)
-        self.history.append(told)
+        evaluation = Evaluation(self.ask(), value)
+        self.history.append(evaluation)
         # The strict comparison keeps the earliest of equal values, so that the result does not depend on later
         # repetitions.
         if self.best is None or (value > self.best.value if self.maximise else value < self.best.value):
-            self.best = told
+            self.best = evaluation
         self.sample = tuple(sample)
         # Algorithms minimise only, so the sign of a maximisation is turned here and nowhere else.
         self._costs.append(-value if self.maximise else value)
@@ -355,9 +355,9 @@ class Told:
     def _after(self, method: str, values: tuple[Any, ...]) -> Told:
         getattr(self.now, method)(*values)
         self._line.said.append((method, values))
-        told = object.__new__(Told)
-        told._line, told._n = self._line, self._n + 1
-        return told
+        history = object.__new__(Told)
+        history._line, history._n = self._line, self._n + 1
+        return history
 
     def native(self) -> ToldNow:
         """Convert it to its read-only form for native code."""

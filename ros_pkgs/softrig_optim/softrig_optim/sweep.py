@@ -111,10 +111,10 @@ class Workers:
             yield from self._on_cluster(function, numbered)
         elif self._count == 1:
             for k, case in numbered:
-                found = function(case)
+                result = function(case)
                 if not self._frozen:
                     self._frozen = _freeze()
-                yield k, found
+                yield k, result
         else:
             yield from self._on_cores(function, numbered)
 
@@ -127,28 +127,28 @@ class Workers:
         done : callable
             Called after each.
         """
-        found: dict[int, R] = {}
+        results: dict[int, R] = {}
         for k, result in self.stream(function, cases):
-            found[k] = result
+            results[k] = result
             done()
-        return [found[k] for k in range(len(cases))]
+        return [results[k] for k in range(len(cases))]
 
     def _chunks(self, cases: Iterator[tuple[int, C]], room: int, seconds: float, workers: int) -> Iterator[Chunk[C]]:
         """Split cases into so many chunks; a small number is spread over all workers."""
         # Before the first result the mean is infinite, so that the first chunks have one case each.
         size = max(1, min(LARGEST, int(seconds / max(self._mean, 1e-6))))
-        taken = list(islice(cases, room * size))
-        size = min(size, -(-len(taken) // workers)) if len(taken) < room * size else size
-        for first in range(0, len(taken), size or 1):
-            yield taken[first : first + size]
+        used = list(islice(cases, room * size))
+        size = min(size, -(-len(used) // workers)) if len(used) < room * size else size
+        for first in range(0, len(used), size or 1):
+            yield used[first : first + size]
 
     def _told(self, chunk: Chunk[C], answer: tuple[list[R], float]) -> Iterator[tuple[int, R]]:
         """Return the results of a chunk, with the numbers of its cases."""
-        found, seconds = answer
+        result, seconds = answer
         mean = seconds / len(chunk)
         # The newest chunk counts half, so that the size follows a sweep whose cases become slower or faster.
         self._mean = mean if self._mean == math.inf else (self._mean + mean) / 2
-        return zip((k for k, _ in chunk), found, strict=True)
+        return zip((k for k, _ in chunk), result, strict=True)
 
     def _on_cores(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
         # The number beside a chunk counts how often its worker died.
@@ -361,11 +361,11 @@ def _check_peers(client: Any, scheduler: str) -> None:
         say(f"no worker has joined {scheduler} yet: waiting; {how.format(kind='worker')}")
         client.wait_for_workers(1)
     here = _made_of()
-    for address, found in client.run(_made_of, on_error="return").items():
-        if isinstance(found, Exception):
-            why = str(found).splitlines()[0][:200]
+    for address, result in client.run(_made_of, on_error="return").items():
+        if isinstance(result, Exception):
+            why = str(result).splitlines()[0][:200]
             raise ScenarioError(f"worker {address} cannot import softrig ({why}); {how.format(kind='worker')}")
-        if other := [f"{name} {found.get(name)}, here {own}" for name, own in here.items() if found.get(name) != own]:
+        if other := [f"{name} {result.get(name)}, here {own}" for name, own in here.items() if result.get(name) != own]:
             raise ScenarioError(f"worker {address} has {', '.join(other)}; expected the versions of this host")
 
 

@@ -354,7 +354,7 @@ def _end_stops(robot: Any, x: ca.SX, plant: ca.SX, limits: Sequence[Joint]) -> c
     import casadi as ca
 
     n = robot.n
-    q, v, rest = x[:n], x[n : 2 * n], x[2 * n :]
+    q, v, remaining = x[:n], x[n : 2 * n], x[2 * n :]
     torque = ca.SX.sym("tau", n)
     still = robot.forward_dynamics(q, ca.SX.zeros(n), torque, plant[4 * n : 5 * n], plant[9 * n + 2])
     yielding = ca.jacobian(still, torque)  # M^-1, of mimic joints within their constraint
@@ -364,4 +364,4 @@ def _end_stops(robot: Any, x: ca.SX, plant: ca.SX, limits: Sequence[Joint]) -> c
         back = ca.fmax(ca.fmin(q[i], limits[i].upper), limits[i].lower) - q[i]
         q = q + along * back
         v = v - along * ca.if_else(back * v[i] < 0, v[i], 0)
-    return ca.vertcat(q, v, rest)
+    return ca.vertcat(q, v, remaining)

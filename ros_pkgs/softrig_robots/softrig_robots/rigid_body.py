@@ -117,8 +117,8 @@ def ties(urdf: str, names: Sequence[str]) -> list[tuple[int, int, float, float]]
         Moving joints in pinocchio's order, from which the indices count.
     """
     order = {name: k for k, name in enumerate(names)}
-    found = ((name, joint.mimic) for name, joint in read_robot(urdf).joints.items())
-    return [(order[n], order[m.joint], m.multiplier, m.offset) for n, m in found if m is not None]
+    result = ((name, joint.mimic) for name, joint in read_robot(urdf).joints.items())
+    return [(order[n], order[m.joint], m.multiplier, m.offset) for n, m in result if m is not None]
 
 
 def frame_id(model: pin.Model, frame: str) -> int:

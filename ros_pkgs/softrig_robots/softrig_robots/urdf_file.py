@@ -231,8 +231,8 @@ def _check_tree(root: ElementTree.Element, where: str) -> str:
         parents[child] = str(ends[0][1])
     bases = [name for name in links if name not in parents]
     if len(bases) != 1:
-        found = ", ".join(bases) or "none, all in a circle"
-        raise ValueError(f"{where}: expected one root link (the child of no joint), found {found}")
+        text = ", ".join(bases) or "none, all in a circle"
+        raise ValueError(f"{where}: expected one root link (the child of no joint), found {text}")
     return bases[0]
 
 

@@ -70,8 +70,8 @@ def drive(throttles: Array, brakes: Array) -> Array:
 
 def signals(inputs: Array) -> dict[str, Array]:
     """Return the signals of the requirements for inputs of shape (2 * SEGMENTS,)."""
-    found = drive(inputs[:SEGMENTS], inputs[SEGMENTS:])
-    return {f"y{i + 1}": found[:, i] for i in range(CARS)}
+    result = drive(inputs[:SEGMENTS], inputs[SEGMENTS:])
+    return {f"y{i + 1}": result[:, i] for i in range(CARS)}
 
 
 PERIOD = STEP * EVERY

@@ -61,8 +61,8 @@ def cmaes(problem: Problem, margin: Margin, budget: int, seed: int) -> None:
         asked = CMA(np.full(problem.size, 0.5), 0.3, bounds=np.array([[0.0, 1.0]] * problem.size), seed=seed)
         while not asked.should_stop():
             points = [asked.ask() for _ in range(asked.population_size)]
-            found = [margin(tuple(p.tolist())) for p in points]
-            asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, found, strict=True)])
+            results = [margin(tuple(p.tolist())) for p in points]
+            asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, results, strict=True)])
         seed += 1000
 
 

@@ -138,8 +138,8 @@ def drive(throttles: Array, brakes: Array) -> Array:
 
 def signals(inputs: Array) -> dict[str, Array]:
     """Return the signals of the requirements for inputs of shape (2 * SEGMENTS,)."""
-    found = drive(inputs[:SEGMENTS], inputs[SEGMENTS:])
-    return {"speed": found[:, 0], "rpm": found[:, 1]}
+    result = drive(inputs[:SEGMENTS], inputs[SEGMENTS:])
+    return {"speed": result[:, 0], "rpm": result[:, 1]}
 
 
 PERIOD = STEP * EVERY

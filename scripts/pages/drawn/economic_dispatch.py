@@ -25,11 +25,11 @@ def stacked(axes: Any, units: Units, demands: Sequence[float]) -> None:
 def proof(axes: Any, units: Units, demand: float, boxes: Sequence[int]) -> None:
     """Draw best cost and proven bound over the boxes looked at, from a rough start."""
     start = Optimiser(units, max_nodes=1).start(demand)
-    found = [branch_and_bound(units, demand, start, 1e-3, n) for n in boxes]
-    best = min(f.cost for f in found)
-    axes.loglog(boxes, [f.cost - best + 1e-4 for f in found], drawstyle="steps-post", label="best less optimum")
+    results = [branch_and_bound(units, demand, start, 1e-3, n) for n in boxes]
+    best = min(f.cost for f in results)
+    axes.loglog(boxes, [f.cost - best + 1e-4 for f in results], drawstyle="steps-post", label="best less optimum")
     axes.loglog(
-        boxes, [best - f.bound + 1e-4 for f in found], drawstyle="steps-post", label="optimum less proven bound"
+        boxes, [best - f.bound + 1e-4 for f in results], drawstyle="steps-post", label="optimum less proven bound"
     )
     axes.axhline(1e-3, color="0.5", ls="--", lw=1.0, label="tolerance")
     axes.set(xlabel="boxes", ylabel="$/h (+ 1e-4)", title=f"{len(units)} units, {demand:g} MW")

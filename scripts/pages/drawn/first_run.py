@@ -43,7 +43,7 @@ def draw(folder: Path) -> None:
         ran = _typed("run", SCENARIO, "--mode", "container", "--no-plots")
         packed = _typed("pack", f"runs/{SCENARIO}")
         again = _typed("run", "--like", f"{SCENARIO}.softrig.zip", "--mode", "container", "--no-plots")
-        found = signals(Path("runs") / SCENARIO / "bag")
+        result = signals(Path("runs") / SCENARIO / "bag")
     rows = [line for line in ran if line.endswith(("pass", "unit"))][:4]
     assert "number for number" in again[-1], again
     lines = [
@@ -56,13 +56,13 @@ def draw(folder: Path) -> None:
     ]
     drawing = drawing_for(rig_of(SCENARIO))
     assert drawing is not None
-    text = animated(film(drawing, found, START, END, SPEED)).replace(' xmlns="http://www.w3.org/2000/svg"', "")
+    text = animated(film(drawing, result, START, END, SPEED)).replace(' xmlns="http://www.w3.org/2000/svg"', "")
     moving = fromstring(text)
     _, _, wide, high = (float(x) for x in moving.get("viewBox", "").split())
     moving.set("width", number(FILM))
     moving.set("height", number(FILM * high / wide))
     clip = e("clipPath", e("rect", _grow(), x=number(LEFT), y="0", width=number(RIGHT - LEFT), height="320"), id="past")
-    parts = [part for plot in PLOTS for part in _plot(found, *plot)]
+    parts = [part for plot in PLOTS for part in _plot(result, *plot)]
     title = "A leg in its rehabilitation robot gives way to the patient; the run repeats number for number elsewhere"
     picture = root((0.0, 0.0, WIDTH, HEIGHT), title, e("defs", clip), moving, *parts, *_terminal(lines, 336.0))
     (folder / FILE).write_text(tostring(picture, "unicode") + "\n")
@@ -88,7 +88,7 @@ def _grow() -> Element:
 
 
 def _plot(
-    found: Mapping[str, Signal],
+    result: Mapping[str, Signal],
     curves: list[tuple[str, float, str, str]],
     label: str,
     top: float,
@@ -130,7 +130,7 @@ def _plot(
         )
     beside = RIGHT
     for name, factor, role, text in reversed(curves):
-        times, values = found[name]
+        times, values = result[name]
         wanted = np.linspace(START, END, 241)
         shown = factor * values[np.maximum(np.searchsorted(times, wanted + 1e-9, side="right") - 1, 0)]
         track = tuple(place(a, b) for a, b in zip(wanted.tolist(), shown.tolist(), strict=True))
@@ -193,6 +193,6 @@ def _terminal(lines: list[tuple[str, str]], top: float) -> list[Element]:
         role = {"$": "line", "!": "third"}.get(mark, "muted")
         bold = {"font-weight": "bold"} if mark else {}
         shown = f"$ {text}" if mark == "$" else text
-        look = {"font-size": "13", "xml:space": "preserve", "style": MONO} | bold
-        made.append(e("text", shown, x="36", y=number(y), class_=f"f-{role}", **look))
+        style = {"font-size": "13", "xml:space": "preserve", "style": MONO} | bold
+        made.append(e("text", shown, x="36", y=number(y), class_=f"f-{role}", **style))
     return made

@@ -77,7 +77,7 @@ def costs(path: Path) -> None:
     figure.savefig(path, dpi=100)
 
 
-def end_error(problem: Problem, found: Solution, periods: int = 4000) -> float:
+def end_error(problem: Problem, solution: Solution, periods: int = 4000) -> float:
     """Rate left at the end under the planned control, in parts of the rate at the start; in holds of T/4000.
 
     Parameters
@@ -88,9 +88,9 @@ def end_error(problem: Problem, found: Solution, periods: int = 4000) -> float:
     step, n, T = step_function("ocp_picture", problem, 1), len(problem.states), problem.horizon
     x = problem.x0
     for k in range(periods):
-        u = found((k + 0.5) * T / periods)[2 * n :]
-        *rest, _ = step((*x, *u, T / periods))
-        x = tuple(rest)
+        u = solution((k + 0.5) * T / periods)[2 * n :]
+        *remaining, _ = step((*x, *u, T / periods))
+        x = tuple(remaining)
     return float(np.linalg.norm(np.array(x)) / np.linalg.norm(problem.x0))
 
 

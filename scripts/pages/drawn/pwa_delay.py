@@ -109,7 +109,7 @@ def _lowest(h: float, profile: str, seed: int) -> float:
 def draw(folder: Path) -> None:
     """Run what the pictures need and draw them into a folder."""
     trajectory(simulate("pwa_delay").signals, simulate("pwa_delay_beyond").signals, folder / "pwa_delay_trajectory.png")
-    found = []
+    results = []
     for name, system, published, true, bracket, run in (
         ("switched", switched(), 0.0193, 0.0205, (0.018, 0.0205), (0.0195, 0.021, (-2.0, 0.0), 60.0)),
         ("pendulum", pendulum(), 0.18, 0.193, (0.25, 0.28), (0.40, 0.43, (1.0, 0.0), 200.0)),
@@ -121,8 +121,8 @@ def draw(folder: Path) -> None:
         ]
         best = [c.h if c is not None else 0.0 for c in certified]
         margin = pwa_margin(system, *run, width=1e-3 * run[0])
-        found.append(Margins(name, published, true, best[0], best[1], margin.h))
-    margins(found, folder / "pwa_delay_margins.png")
+        results.append(Margins(name, published, true, best[0], best[1], margin.h))
+    margins(results, folder / "pwa_delay_margins.png")
     delays = (1.0, 2.0, 4.0, 5.0, 5.97, 6.4)
     runs = [
         (h, np.array(_lowest(h, "constant", 0)), np.array(min(_lowest(h, "telegraph", s) for s in range(5))))

@@ -73,6 +73,6 @@ def draw(folder: Path) -> None:
     laws(runs, folder / "tcp_aqm_laws.png")
     queues = {}
     for name, law in PACKETS.items():
-        found = [simulate(f"tcp_aqm_smc_s4{law}", seed=seed).signals[QUEUE] for seed in range(1, 6)]
-        queues[name] = [q[t >= 15.0] for t, q in found]
+        results = [simulate(f"tcp_aqm_smc_s4{law}", seed=seed).signals[QUEUE] for seed in range(1, 6)]
+        queues[name] = [q[t >= 15.0] for t, q in results]
     histogram(queues, folder / "tcp_aqm_histogram.png")

@@ -40,10 +40,10 @@ def _tell_native():
         keep(self.py_func)
         return call(self, *arguments)
 
-    def fit(self, kept, *rest):
+    def fit(self, kept, *remaining):
         for function, *_ in kept.text.program.known:
             keep(function)
-        fitted(self, kept, *rest)
+        fitted(self, kept, *remaining)
 
     Jit.__call__, Fitted.__init__ = called, fit
     Jit.direct = property(lambda self: keep(self.py_func) or direct(self))
@@ -82,8 +82,8 @@ def _of_processes(nodeid):
     """Lines that processes of this test have run, from their files, which are removed."""
     for file in Path(lines.FOLDER).iterdir():
         with suppress(FileNotFoundError):  # another worker has read its own
-            head, *told = file.read_text().splitlines() or [""]
+            head, *reported = file.read_text().splitlines() or [""]
             if head == f"# {nodeid}":
                 file.unlink()
-                places = (one.rpartition(":") for one in told)
+                places = (one.rpartition(":") for one in reported)
                 yield from ((place, int(line)) for place, _, line in places if line.isdigit())

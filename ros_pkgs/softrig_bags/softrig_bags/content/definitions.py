@@ -60,9 +60,9 @@ def types_of(msgtype: str, text: str, language: str) -> Types:
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\ufeff", "")
     for part in _DELIMITER.split(text):
         kind, name, body = language, msgtype, part.strip("\n")
-        head, _, rest = body.partition("\n")
+        head, _, remaining = body.partition("\n")
         if head[:5] in ("MSG: ", "IDL: "):
-            kind, name, body = "ros2msg" if head[0] == "M" else "ros2idl", full_type(head[5:].strip()), rest
+            kind, name, body = "ros2msg" if head[0] == "M" else "ros2idl", full_type(head[5:].strip()), remaining
         if not body.strip() and head[:5] not in ("MSG: ", "IDL: ") and msgtype in result:
             continue
         if kind == "ros2idl":
@@ -77,10 +77,10 @@ def full_type(name: str, owner: str = "") -> str:
     """Return the whole name of a type, ``package/msg/Type``, of one that is written shorter."""
     if name in _SHORT:
         return _SHORT[name]
-    package, _, rest = name.partition("/")
-    if not rest:
+    package, _, remaining = name.partition("/")
+    if not remaining:
         return f"{owner.rpartition('/')[0]}/{name}" if owner else name
-    return name if "/" in rest else f"{package}/msg/{rest}"
+    return name if "/" in remaining else f"{package}/msg/{remaining}"
 
 
 def _of_idl(name: str, text: str) -> Types:

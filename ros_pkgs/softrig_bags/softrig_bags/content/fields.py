@@ -28,8 +28,8 @@ def groups_of(decoder: Decoder | None, block: Block, rows: NDArray[np.intp]) -> 
         return [
             (np.array([k]), None, block.raw[a : a + n][None]) for k, (a, n) in enumerate(zip(at, size, strict=True))
         ]
-    found = decoder.groups(block.raw, at, size)
-    return [(chosen, made if isinstance(made, Template) else None, data) for chosen, made, data in found]
+    result = decoder.groups(block.raw, at, size)
+    return [(chosen, made if isinstance(made, Template) else None, data) for chosen, made, data in result]
 
 
 def visit_pairs(msgtype: str, one: Groups, two: Groups, visit: Visit) -> None:
@@ -79,8 +79,8 @@ def _fields(msgtype: str, made: Template, data: Bytes) -> Iterator[tuple[str, An
     blocks: dict[int, NDArray[Any]] = {}
     for label, leaf, k in made.labels:
         if leaf.at not in blocks:
-            found = made.values(data, leaf)
-            blocks[leaf.at] = found if leaf.kind in ("i8", "u8") else found.astype(np.float64)
+            result = made.values(data, leaf)
+            blocks[leaf.at] = result if leaf.kind in ("i8", "u8") else result.astype(np.float64)
         yield label, blocks[leaf.at][:, k]
     texts: dict[str, list[str]] = {}
     names = JOINTS.get(msgtype)
@@ -98,17 +98,17 @@ def _fields(msgtype: str, made: Template, data: Bytes) -> Iterator[tuple[str, An
             yield "time_from_start", ends[f"{DURATION}sec"] + ends[f"{DURATION}nanosec"] / SECOND
 
 
-def _add_text(msgtype: str, names: str | None, texts: dict[str, list[str]], path: str, found: list[str]) -> None:
+def _add_text(msgtype: str, names: str | None, texts: dict[str, list[str]], path: str, result: list[str]) -> None:
     """Name texts of the suite's own types as it does; the number of an array is no part of its label."""
     if names is not None and path.startswith(names):
         known = texts.get("name")
-        texts["name"] = found if known is None else [f"{a}, {b}" for a, b in zip(known, found, strict=True)]
+        texts["name"] = result if known is None else [f"{a}, {b}" for a, b in zip(known, result, strict=True)]
     elif path == "header/frame_id" and msgtype in FRAMED:
-        texts["frame_id"] = found
+        texts["frame_id"] = result
     elif msgtype == "std_msgs/msg/Float64MultiArray":
-        texts[path] = [text.partition(NUMBER)[0] for text in found]
+        texts[path] = [text.partition(NUMBER)[0] for text in result]
     else:
-        texts[path] = found
+        texts[path] = result
 
 
 FRAMED = {

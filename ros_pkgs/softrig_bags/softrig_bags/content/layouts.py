@@ -89,8 +89,8 @@ class Template:
         """Return which rows of shape (n, length) are messages of this shape."""
         good: NDArray[np.bool_] = np.ones(len(rows), bool)
         for begin, mask, expected in self._words:
-            found = rows[:, begin : begin + 8 * len(mask)].view("<u8")
-            good &= ((found & mask) == expected).all(axis=1)
+            result = rows[:, begin : begin + 8 * len(mask)].view("<u8")
+            good &= ((result & mask) == expected).all(axis=1)
         for at, text in self.fixed:
             # These are in the last bytes, which do not fill a word and are not in `_words`.
             if at + len(text) > self.length // 8 * 8:
@@ -114,15 +114,15 @@ class Template:
         width = int(leaf.kind[1:]) * leaf.n
         if not width:
             return np.empty((len(rows), 0), leaf.kind)
-        found = rows[:, leaf.at : leaf.at + width].view(self.order + leaf.kind)
-        return found != 0 if leaf.flag else found
+        result = rows[:, leaf.at : leaf.at + width].view(self.order + leaf.kind)
+        return result != 0 if leaf.flag else result
 
     def stamps(self, rows: Bytes) -> Ints:
         """Return the header stamps of messages, ns, shape (n,)."""
         at = self.stamp_at
         parts = (rows[:, a : a + 4].view(self.order + k)[:, 0] for a, k in ((at, "i4"), (at + 4, "u4")))
-        seconds, rest = (part.astype(np.int64) for part in parts)
-        return seconds * 10**9 + rest
+        seconds, remaining = (part.astype(np.int64) for part in parts)
+        return seconds * 10**9 + remaining
 
     def columns(self, rows: Bytes) -> dict[str, Column]:
         """Return the numbers of messages as columns by label, each of shape (n,).
@@ -165,8 +165,8 @@ def stamps_of(raw: Bytes, at: Ints) -> Ints:
     little = (raw[at + 1] & 1).astype(bool)
     for order, chosen in (("<", little), (">", ~little)):
         some = at if chosen.all() else at[chosen]
-        seconds, rest = numbers_at(raw, some + 4, order + "i4"), numbers_at(raw, some + 8, order + "u4")
-        result[chosen] = seconds.astype(np.int64) * 10**9 + rest
+        seconds, remaining = numbers_at(raw, some + 4, order + "i4"), numbers_at(raw, some + 8, order + "u4")
+        result[chosen] = seconds.astype(np.int64) * 10**9 + remaining
     return result
 
 

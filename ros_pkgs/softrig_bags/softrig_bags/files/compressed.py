@@ -173,18 +173,18 @@ def decompressed(data: bytes | memoryview, compression: str, size: int) -> bytes
         The claim is wrong, too large to be believed, or the data cannot be decompressed.
     """
     # The size in the frame is checked before anything is decompressed: a damaged chunk may claim terabytes.
-    told = None
+    stated = None
     if compression == "zstd":
         with suppress(zstd().ZstdError):
-            told = zstd().get_frame_info(data).decompressed_size
-    if size > LIMIT or (told or 0) > size:
+            stated = zstd().get_frame_info(data).decompressed_size
+    if size > LIMIT or (stated or 0) > size:
         raise Damaged(
             f"a chunk of {len(data)} bytes claims {size} uncompressed, expected the truth and at most {LIMIT}"
         )
     if compression not in ("", "zstd", "lz4"):
         raise Damaged(f"a chunk is compressed by {compression!r}, expected zstd or lz4")
     content, whole = data, True
-    if told == size:
+    if stated == size:
         try:
             content = zstd().decompress(data)
         except zstd().ZstdError as error:

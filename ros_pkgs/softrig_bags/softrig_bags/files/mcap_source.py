@@ -209,12 +209,12 @@ class McapSource:
         view = np.frombuffer(content, np.uint8)
         # The index is a hint only: what it does not name is read record by record in the gaps.
         starts, gaps = self._indexed(part, view) if part.hint else (np.empty(0, np.int64), [(0, len(content))])
-        found = [starts]
+        results = [starts]
         for at, stop in gaps:
             while at < stop:
                 if content[at] == MESSAGE:
                     more, after = message_run(content, view, at, stop)
-                    found.append(more)
+                    results.append(more)
                 else:
                     code, length = _HEAD.unpack_from(_least(content, at, stop, _HEAD.size))
                     after = at + _HEAD.size + length
@@ -223,7 +223,7 @@ class McapSource:
                 if not at < after <= stop:
                     raise Damaged("a record in a chunk is cut off")
                 at = after
-        return _block(view, np.sort(np.concatenate(found)) if len(found) > 1 else starts)
+        return _block(view, np.sort(np.concatenate(results)) if len(results) > 1 else starts)
 
     def _indexed(self, part: Part, view: Bytes) -> tuple[Ints, list[tuple[int, int]]]:
         """Return where the messages begin that the index of a chunk names, and the gaps between them.
@@ -318,7 +318,7 @@ def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) ->
     Damaged
         A message is shorter than its own head.
     """
-    found, probe, unpack = [], _PROBE, _HEAD.unpack_from
+    results, probe, unpack = [], _PROBE, _HEAD.unpack_from
     while True:
         starts: list[int] = []
         while len(starts) < probe and at + _HEAD.size <= stop and content[at] == MESSAGE:
@@ -329,12 +329,12 @@ def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) ->
                 break
             starts.append(at)
             at += 9 + length
-        found.append(np.array(starts, np.int64))
+        results.append(np.array(starts, np.int64))
         if len(starts) < probe:
-            return np.concatenate(found), at
+            return np.concatenate(results), at
         ahead = _expected(view, np.array([*starts, at]), stop)
         if len(ahead):
-            found.append(ahead[:-1])
+            results.append(ahead[:-1])
             at = int(ahead[-1])
         probe = _PROBE if len(ahead) > 4 * probe else min(2 * probe, 1 << 14)
 

@@ -85,8 +85,8 @@ def read_metadata(path: Path) -> Metadata:
 def embedded(text: str) -> Metadata:
     """Read the copy that rosbag2 keeps in a storage file; a copy that cannot be read yields empty metadata."""
     try:
-        found = loaded(text)
-        return parsed(found) if isinstance(found, dict) else Metadata()
+        result = loaded(text)
+        return parsed(result) if isinstance(result, dict) else Metadata()
     except (yaml.YAMLError, Damaged, KeyError, TypeError, AttributeError, RecursionError):
         return Metadata()
 
@@ -133,8 +133,8 @@ def profiles(offered: Any) -> tuple[Qos, ...]:
     is not a list of profiles yields no profiles.
     """
     try:
-        found = loaded(offered) if isinstance(offered, str) else offered
-        return tuple(_profile(item) for item in found or [] if isinstance(item, dict))
+        result = loaded(offered) if isinstance(offered, str) else offered
+        return tuple(_profile(item) for item in result or [] if isinstance(item, dict))
     except (yaml.YAMLError, RecursionError):
         return ()
 
@@ -160,17 +160,17 @@ def _policy(item: Mapping[str, Any], name: str) -> Any:
 def _time(value: Any) -> QosTime:
     if not isinstance(value, dict):
         return FOREVER
-    seconds, rest = (str(value.get(name, "")) for name in ("sec", "nsec"))
-    good = seconds.isdecimal() and rest.isdecimal() and len(seconds) < 19 and len(rest) < 19
-    return QosTime(int(seconds), int(rest)) if good else FOREVER
+    seconds, remaining = (str(value.get(name, "")) for name in ("sec", "nsec"))
+    good = seconds.isdecimal() and remaining.isdecimal() and len(seconds) < 19 and len(remaining) < 19
+    return QosTime(int(seconds), int(remaining)) if good else FOREVER
 
 
 def custom_data(text: str) -> dict[str, str]:
     """Read what the writer of a bag left in its metadata, YAML that may be damaged."""
     try:
-        found = loaded(str(text or ""))
+        result = loaded(str(text or ""))
     # The text may be damaged, and then the parser may raise anything.
     except Exception:
         return {}
-    found = found.get("custom_data") if isinstance(found, dict) else None
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, dict) else {}
+    result = result.get("custom_data") if isinstance(result, dict) else None
+    return {str(k): str(v) for k, v in result.items()} if isinstance(result, dict) else {}

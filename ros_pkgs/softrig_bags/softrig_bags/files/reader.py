@@ -142,9 +142,9 @@ class BagReader:
             except Damaged as error:
                 raise self._damaged(error, file) from error
         if not self.path.is_dir():
-            found = embedded(self._sources[0].metadata)
+            result = embedded(self._sources[0].metadata)
             self.metadata = Metadata(
-                version=found.version, custom_data=found.custom_data, distribution=found.distribution
+                version=result.version, custom_data=result.custom_data, distribution=result.distribution
             )
         self._map_topics()
         # Some files declare topics only where their messages are, so there is nothing to check yet.
@@ -172,12 +172,12 @@ class BagReader:
 
     def _file(self, name: str) -> Path:
         """Return a file of the bag: older versions name it with its folder, and it may be compressed since."""
-        found = [self.path / Path(name).name]
+        results = [self.path / Path(name).name]
         # An absolute path is that of the folder in which the bag was recorded; it may have been moved since.
         if not Path(name).is_absolute():
-            found.insert(0, self.path / name)
-        found += [p.with_name(p.name + ".zstd") for p in found] + [plain(p) for p in found]
-        for path in found:
+            results.insert(0, self.path / name)
+        results += [p.with_name(p.name + ".zstd") for p in results] + [plain(p) for p in results]
+        for path in results:
             if path.is_file():
                 return path
         raise BagError(
@@ -205,30 +205,30 @@ class BagReader:
     def _map_topics(self) -> None:
         """Create one topic of all that have a name and a type, whichever file or channel they are in."""
         for stated in self.metadata.topics:
-            found = SourceTopic(stated.name, stated.msgtype, "", "", stated.digest, stated.offered, "")
-            self._add(found)
+            result = SourceTopic(stated.name, stated.msgtype, "", "", stated.digest, stated.offered, "")
+            self._add(result)
         for source in self._sources:
             # Numbers of topics differ from file to file; name and type identify a topic.
             self._numbers.append({number: self._add(topic) for number, topic in source.topics.items()})
 
-    def _add(self, found: SourceTopic) -> int:
+    def _add(self, topic: SourceTopic) -> int:
         """Return the number of a topic, which may be a new one."""
-        msgtype = full_type(found.msgtype) if "/" in found.msgtype else found.msgtype
+        msgtype = full_type(topic.msgtype) if "/" in topic.msgtype else topic.msgtype
         new = BagTopic(
-            found.name, msgtype, found.definition, found.digest, profiles(found.offered), found.language, found.encoding
+            topic.name, msgtype, topic.definition, topic.digest, profiles(topic.offered), topic.language, topic.encoding
         )
         for i, old in enumerate(self.topics):
             if _is_same(old, new):
                 offered = (*old.offered, *(q for q in new.offered if q not in old.offered))
-                told = old if old.definition or not new.definition else new
+                described = old if old.definition or not new.definition else new
                 self.topics[i] = replace(
-                    told, digest=old.digest or new.digest, offered=offered, wire=old.wire or new.wire
+                    described, digest=old.digest or new.digest, offered=offered, wire=old.wire or new.wire
                 )
                 return i
         self.topics.append(new)
-        label = self.label(found.name) or ""
+        label = self.label(topic.name) or ""
         choices = chain((label, f"{label} ({msgtype})"), (f"{label} ({msgtype}) {k}" for k in count(2)))
-        self.labels.append(next(x for x in choices if x not in self.labels) if self._is_inside(found.name) else "")
+        self.labels.append(next(x for x in choices if x not in self.labels) if self._is_inside(topic.name) else "")
         return len(self.topics) - 1
 
     def _is_inside(self, name: str) -> bool:
@@ -320,10 +320,10 @@ class BagReader:
             rows = block.t >= start
             if chosen is not None:
                 rows &= np.isin(block.topic, chosen)
-            found = self._inside(block if rows.all() else block.take(rows))
-            if len(found):
+            result = self._inside(block if rows.all() else block.take(rows))
+            if len(result):
                 try:
-                    yield plain_messages(found)
+                    yield plain_messages(result)
                 except Damaged as error:
                     raise self._damaged(error) from error
         if whole:
@@ -399,8 +399,8 @@ class BagReader:
         """Compare what was read with the metadata, and report each difference."""
         self._require_namespace()
         self._counts = [0] * len(self.topics)
-        for numbers, found in zip(self._numbers, counted, strict=True):
-            for number, n in found.items():
+        for numbers, result in zip(self._numbers, counted, strict=True):
+            for number, n in result.items():
                 self._counts[numbers[number]] += n
         for line in self.differences(counted):
             if line not in self._said:
@@ -410,12 +410,12 @@ class BagReader:
     def differences(self, counted: list[Counter[int]]) -> Iterator[str]:
         """Describe where what was read is not what metadata.yaml and the statistics of the files claim."""
         assert self._counts is not None
-        for source, file, found in zip(self._sources, self.files, counted, strict=True):
+        for source, file, result in zip(self._sources, self.files, counted, strict=True):
             for number, described in source.topics.items():
                 claimed = source.stated.get(number, 0)
-                if source.stated and claimed != found[number]:
-                    yield f"{described.name}: {found[number]} messages in {file.name}, its statistics claim {claimed}"
-            total = sum(found.values())
+                if source.stated and claimed != result[number]:
+                    yield f"{described.name}: {result[number]} messages in {file.name}, its statistics claim {claimed}"
+            total = sum(result.values())
             if source.stated_count is not None and not source.stated and source.stated_count != total:
                 yield f"{total} messages in {file.name}, its statistics claim {source.stated_count}"
         if not self.path.is_dir():
@@ -494,8 +494,10 @@ def _parted(waiting: list[_Waiting], bound: int) -> tuple[Block, list[_Waiting]]
             ready.append(block)
         else:
             ready.append(block.take(early))
-            rest = block.take(~early)
-            left.append(_Waiting(rank, rest.compact() if 2 * rest.size.sum() < len(rest.raw) else rest))
+            remaining = block.take(~early)
+            left.append(
+                _Waiting(rank, remaining.compact() if 2 * remaining.size.sum() < len(remaining.raw) else remaining)
+            )
     whole = joined([b for b in ready if len(b)])
     if len(whole) and (np.diff(whole.t) < 0).any():
         whole = whole.take(np.argsort(whole.t, kind="stable"))

@@ -82,21 +82,21 @@ def _in_folder(path: Path) -> Remains | None:
     Where rosbag2 was killed while it compressed a file, both are there; the one that is not compressed is whole.
     """
     patterns = [f"*{suffix}{packed}" for packed in (".zstd", "") for suffix in SUFFIXES]
-    found = {plain(p): p for pattern in patterns for p in path.glob(pattern) if p.is_file()}
+    results = {plain(p): p for pattern in patterns for p in path.glob(pattern) if p.is_file()}
     shards = {p.name.removesuffix(SHARD): p for p in path.glob(f"*{SHARD}")}
     # A node that starts again writes its record from the beginning, so the longer one of both has more messages.
     for died in path.glob(f"*{DIED}"):
         name = died.name.removesuffix(DIED)
         if name not in shards or shards[name].stat().st_size < died.stat().st_size:
             shards[name] = died
-    if found and shards:
+    if results and shards:
         raise BagError(
             f"{path} has shards of a run ({sorted(shards.values())[0].name}) and files of a bag "
-            f"({sorted(found.values())[0].name}): expected one of the two; move one of them away"
+            f"({sorted(results.values())[0].name}): expected one of the two; move one of them away"
         )
-    if not found and not shards:
+    if not results and not shards:
         return None
-    files = [found[p] for p in sorted(found, key=lambda p: (len(p.name), p.name))]
+    files = [results[p] for p in sorted(results, key=lambda p: (len(p.name), p.name))]
     claimed = stated(path) if files else Metadata()
     return Remains(path, files, [shards[name] for name in sorted(shards)], claimed)
 

@@ -96,10 +96,10 @@ class SqliteSource:
             f"SELECT id, name, type, coalesce(serialization_format, ''), {offered}, {digest} FROM topics ORDER BY id"
         ):
             definition, language = definitions.get(msgtype, ("", ""))
-            found = SourceTopic(name, msgtype, definition, language, hashed, profiles, encoding)
-            if not all(isinstance(text, str) for text in found):
+            topic = SourceTopic(name, msgtype, definition, language, hashed, profiles, encoding)
+            if not all(isinstance(text, str) for text in topic):
                 raise Damaged(f"topic {name!r} of type {msgtype!r}"[:100] + ", expected names")
-            self.topics[len(self._numbers)] = found
+            self.topics[len(self._numbers)] = topic
             self._numbers[number] = len(self._numbers)
         if self._columns("metadata"):
             for (text,) in self._db.execute("SELECT metadata FROM metadata ORDER BY id"):
@@ -109,8 +109,8 @@ class SqliteSource:
         """Return blocks, before each its place in the file, after it the time before which nothing follows."""
         try:
             rows, n, place = self._db.execute(_MESSAGES, (start,)), 1, 0
-            while found := rows.fetchmany(n):
-                block = self._block(found)
+            while result := rows.fetchmany(n):
+                block = self._block(result)
                 yield place, block, int(block.t[-1])
                 place += len(block)
                 n = max(1, min(ROWS, 2 * n, BYTES * n // max(len(block.raw), 1)))

@@ -76,9 +76,9 @@ class Join:
             return 0
         count = round(self._stamps[0] / mean)
         # The error of the mean interval grows with the number of intervals before the first stamp.
-        rest = abs(self._stamps[0] - count * mean)
+        remaining = abs(self._stamps[0] - count * mean)
         # A first stamp that is no multiple of the interval comes from a topic that begins late by itself.
-        return count if rest <= 1 + Fraction(count, len(intervals)) else 0
+        return count if remaining <= 1 + Fraction(count, len(intervals)) else 0
 
 
 def missed(joins: Iterable[tuple[str, Join]]) -> dict[str, int]:
@@ -94,7 +94,7 @@ def missed(joins: Iterable[tuple[str, Join]]) -> dict[str, int]:
     """
     known = list(joins)
     waited = any(join.from_start for _, join in known)
-    found: dict[str, int] = {}
+    results: dict[str, int] = {}
     for name, join in known:
-        found[name] = found.get(name, 0) + join.number + (0 if waited else join.periods)
-    return {name: n for name, n in found.items() if n}
+        results[name] = results.get(name, 0) + join.number + (0 if waited else join.periods)
+    return {name: n for name, n in results.items() if n}

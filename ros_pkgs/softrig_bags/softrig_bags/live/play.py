@@ -63,12 +63,12 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             lockstep = LockstepPlayer(
                 session, bag, publishers, answers, remap, part, timeout=options.timeout, paused=options.paused
             )
-            found = lockstep.run()
-            counts = ", ".join(f"{len(t.data)} on {t.name}" for t in found.topics.values())
+            result = lockstep.run()
+            counts = ", ".join(f"{len(t.data)} on {t.name}" for t in result.topics.values())
             _say_refused(options, publishers)
             print(f"{lockstep.sent} messages played, answered by {counts}")
             if options.answers:
-                write_bag(options.answers, found)
+                write_bag(options.answers, result)
             return 0
         player = Player(
             session,

@@ -75,8 +75,8 @@ class Publishers:
 
     def unheard(self, names: Sequence[str]) -> list[str]:
         """Return the published topics that have no subscriber."""
-        heard = {p.topic_name for p in self._publishers.values() if p.get_subscription_count()}
-        return [n for n in names if n not in heard]
+        received = {p.topic_name for p in self._publishers.values() if p.get_subscription_count()}
+        return [n for n in names if n not in received]
 
     def finish(self) -> None:
         """Wait until every subscriber has the last messages."""
@@ -287,9 +287,9 @@ class Answers:
     def _check(self, i: int) -> None:
         if not self.stamped or i >= min(len(self.data), len(self.ticks)):
             return
-        found, wanted = stamp(self.data[i]), self.stamps[i]
-        if found != wanted:
-            raise RunError(f"{self.name}: answer stamped {found / SECOND:.9g} s, expected {wanted / SECOND:.9g} s")
+        result, wanted = stamp(self.data[i]), self.stamps[i]
+        if result != wanted:
+            raise RunError(f"{self.name}: answer stamped {result / SECOND:.9g} s, expected {wanted / SECOND:.9g} s")
 
 
 def _changes(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
@@ -511,18 +511,18 @@ class LockstepPlayer:
         ours = {i for i, topic in enumerate(self._bag.topics) if topic.name in self._names}
         # Of two types on a topic one is played.
         ours |= self._publishers.publish.keys()
-        said = self._bag.messages(wanted, part.start)
-        messages = ((t, i, d) for i, t, d in said if t <= part.end and i in ours)
+        published = self._bag.messages(wanted, part.start)
+        messages = ((t, i, d) for i, t, d in published if t <= part.end and i in ours)
         # The first messages show whether bag time is simulated time; one whose stamp is its bag time decides.
         head = list(islice(messages, 200))
         messages = chain(head, messages)
         if not any(stamped[i] and stamp(data) == t for t, i, data in head):
             tick = 0
-            found: list[tuple[int, int, bytes]] = []
+            results: list[tuple[int, int, bytes]] = []
             for _, i, data in messages:
                 tick = stamp(data) if stamped[i] else tick
-                found.append((tick, i, data))
-            messages = iter(sorted(found, key=itemgetter(0)))
+                results.append((tick, i, data))
+            messages = iter(sorted(results, key=itemgetter(0)))
         for tick, group in groupby(messages, key=itemgetter(0)):
             yield tick, [(i, data) for _, i, data in group]
 

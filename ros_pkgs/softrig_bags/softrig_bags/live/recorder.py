@@ -255,8 +255,8 @@ class Recorder:
         self._note_losses()
 
     def _note_losses(self) -> None:
-        found = self.lost
-        text = _listed(found)
+        result = self.lost
+        text = _listed(result)
         if text != self._writer.custom_data.get("lost", ""):
             self._writer.custom_data["lost"] = text
             self._node.get_logger().error(f"messages lost so far: {text}")

@@ -78,8 +78,8 @@ class Outcome:
     @property
     def bounds(self) -> list[str]:
         """Describe which bounds are published for the machine as it was: those that were asked for, and the others."""
-        said = {"asked by name": self.own, "not judged": self.not_judged}
-        return [f"{how}: {', '.join(names)}, published for {self.machine}" for how, names in said.items() if names]
+        messages = {"asked by name": self.own, "not judged": self.not_judged}
+        return [f"{how}: {', '.join(names)}, published for {self.machine}" for how, names in messages.items() if names]
 
 
 class Prepared(NamedTuple):
@@ -179,7 +179,7 @@ def falsify(
             rows.extend(new)
             return [margin(row["figures"], sizes) for row in new]
 
-        found = search(
+        match = search(
             [over.size for over in space.overs],
             measure,
             task.budget,
@@ -192,15 +192,15 @@ def falsify(
         point, last = whole[-1]
         repeated(task.name, trial(space.scenario, space.overrides(point), names, last["number"], task.budget), last)
     broken = [(row["overrides"], row["error"]) for row in rows if row["error"]]
-    worst = next((row for row, point in zip(rows, asked, strict=True) if point == found.point), None)
+    worst = next((row for row, point in zip(rows, asked, strict=True) if point == match.point), None)
     case = None if worst is None else (space.scenario, dict(worst["overrides"]))
     small, small_margins, runs = None, {}, 0
-    if worst is not None and case is not None and found.least < 0.0:
+    if worst is not None and case is not None and match.least < 0.0:
         violated = tuple(n for n, m in worst["figures"].items() if m is not None and m < 0.0)
         small, runs = shrink(space, case[1], lambda c: _violates(c, violated), SHRINKING)
         small_margins = run(trial(*small, names, runs=SHRINKING))["figures"]
     margins = worst["figures"] if worst is not None else {}
-    return Outcome(space, names, nominal, margins, found, case, small, small_margins, runs, broken, own, left, machine)
+    return Outcome(space, names, nominal, margins, match, case, small, small_margins, runs, broken, own, left, machine)
 
 
 def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
@@ -217,9 +217,9 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
         )
     for name in wanted:
         if name not in known and name in scenario.figures:
-            told = "has an expectation on both sides" if name in scenario.expect else "has no expectation"
+            text = "has an expectation on both sides" if name in scenario.expect else "has no expectation"
             raise ScenarioError(
-                f"{scenario.name}: figure {name} {told}, no bound that a run could violate; it needs an entry expect: "
+                f"{scenario.name}: figure {name} {text}, no bound that a run could violate; it needs an entry expect: "
                 f"{name}: at most NUMBER (or at least NUMBER)"
             )
         if name not in known:
@@ -240,8 +240,8 @@ def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:
 
 def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> float:
     """Return the least of several margins, each in its size; NaN where one could not be measured."""
-    found = [m / sizes[n] for n, m in margins.items() if m is not None]
-    return min(found) if len(found) == len(margins) else math.nan
+    results = [m / sizes[n] for n, m in margins.items() if m is not None]
+    return min(results) if len(results) == len(margins) else math.nan
 
 
 def _violates(case: Case, names: tuple[str, ...]) -> bool:

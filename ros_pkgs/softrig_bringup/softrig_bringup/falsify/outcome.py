@@ -42,8 +42,8 @@ def main(options: argparse.Namespace) -> int:
     changes["over"] = dict(named(text, "--over", "LOW..HIGH") for text in options.over)
     written = not any(changes.values())
     task = falsification_of(options.what, changes)
-    said = [*options.over, *options.requirement, *(f"{k}_{changes[k]}" for k in keys if k in changes)]
-    out = options.out or Path("runs") / folder_of([f"falsify_{task.name}", *said])
+    messages = [*options.over, *options.requirement, *(f"{k}_{changes[k]}" for k in keys if k in changes)]
+    out = options.out or Path("runs") / folder_of([f"falsify_{task.name}", *messages])
     folder = ResultsFolder(out, FALSIFICATION)
     # Input that is refused must leave no folder behind.
     prepared = prepare(task)
@@ -208,11 +208,11 @@ def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Pa
 
 def verdict(outcome: Outcome) -> str:
     """Describe in words what was found."""
-    runs, found = outcome.found.runs, outcome.found
+    runs, result = outcome.found.runs, outcome.found
     if outcome.case is None:
         return f"none of {runs} runs could be judged"
-    first = f"corners alone: {number(found.corners)}" if found.corners < math.inf else "no corners asked"
+    first = f"corners alone: {number(result.corners)}" if result.corners < math.inf else "no corners asked"
     if outcome.violated:
         made = f"made small in {outcome.shrinking} more runs"
-        return f"violated: {', '.join(outcome.violated)}, least margin {number(found.least)} ({first}); {made}"
-    return f"no violation in {runs} runs; least margin {number(found.least)} ({first}), at"
+        return f"violated: {', '.join(outcome.violated)}, least margin {number(result.least)} ({first}); {made}"
+    return f"no violation in {runs} runs; least margin {number(result.least)} ({first}), at"

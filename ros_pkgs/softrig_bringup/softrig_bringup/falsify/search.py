@@ -141,7 +141,7 @@ def _sample(
     seed: int,
     tell: Callable[[Sequence[Point]], list[float]],
     over: Callable[[], bool],
-    found: Found,
+    result: Found,
 ) -> None:
     """Ask for batches until it is over."""
     if sampler == "random":
@@ -150,13 +150,13 @@ def _sample(
             tell([tuple(point) for point in rng.random((BATCH, size)).tolist()])
     # One coordinate has no covariance matrix to adapt.
     elif sampler == "cmaes" and size > 1:
-        _cmaes(size, seed, tell, over, found)
+        _cmaes(size, seed, tell, over, result)
     else:
         _tpe(size, seed, tell, over)
 
 
 def _cmaes(
-    size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool], found: Found
+    size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool], result: Found
 ) -> None:
     CMA = _cma_class()
     cube = np.array([[0.0, 1.0]] * size)
@@ -173,7 +173,7 @@ def _cmaes(
             asked.tell([(p, m if math.isfinite(m) else WORST) for p, m in zip(points, margins, strict=True)])
         # It has converged, so it starts again from the best point with other random numbers.
         seed += 1
-        mean = np.array(found.point) if len(found.point) == size else mean
+        mean = np.array(result.point) if len(result.point) == size else mean
 
 
 def _cma_class() -> Any:

@@ -52,8 +52,8 @@ def _greedily(
     candidates: Callable[[Space, Case], Iterator[Case]], space: Space, case: Case, still: Callable[[Case], bool]
 ) -> Case:
     """Replace the case by the first smaller one that violates, again and again."""
-    while (found := next((c for c in candidates(space, case) if still(c)), None)) is not None:
-        case = found
+    while (result := next((c for c in candidates(space, case) if still(c)), None)) is not None:
+        case = result
     return case
 
 

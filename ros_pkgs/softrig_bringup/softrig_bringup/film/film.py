@@ -94,16 +94,16 @@ def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: flo
     if not known:
         raise ScenarioError(f"nothing was recorded of what is drawn: {', '.join(drawing.signals)}")
     times = start + (end - start) * np.arange(count) / (count - 1)
-    found = rows(known, times)
+    result = rows(known, times)
     if not drawing.trail:
-        return Film(drawing, times, [_with_time(drawing, r, (), t, speed) for r, t in zip(found, times)], speed)
+        return Film(drawing, times, [_with_time(drawing, r, (), t, speed) for r, t in zip(result, times)], speed)
     # a grid that frames share: the trail of each is the stretch of it before the frame
     step = max(drawing.trail / PAST, 1e-9)
     first = max(start - drawing.trail, 0.0)
     grid = np.asarray(first + step * np.arange(math.floor((end - first) / step) + 1), dtype=np.float64)
     track = rows(known, grid)
     frames = []
-    for row, t in zip(found, times):
+    for row, t in zip(result, times):
         a, b = np.searchsorted(grid, [t - drawing.trail, t])
         frames.append(_with_time(drawing, row, track[a:b], t, speed))
     return Film(drawing, times, frames, speed)

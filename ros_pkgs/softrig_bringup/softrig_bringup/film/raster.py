@@ -42,8 +42,8 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
     for colours, every in REDUCED:
         made = _written([i.quantize(colours, dither=Image.Dither.NONE) for i in images[::every]], form, every)
         if len(made) <= LARGEST:
-            said = f"reduced to {colours} colours and {len(images[::every])} frames"
-            return made, said if (colours, every) != REDUCED[0] else ""
+            text = f"reduced to {colours} colours and {len(images[::every])} frames"
+            return made, text if (colours, every) != REDUCED[0] else ""
     raise ScenarioError(
         f"a GIF of {len(made) / 1e6:.2f} MB with {colours} colours and {len(images[::every])} frames, "
         f"expected at most {LARGEST / 1e6:g} MB: choose a shorter window (--from, --to), a greater "

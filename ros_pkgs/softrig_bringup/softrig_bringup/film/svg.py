@@ -41,14 +41,14 @@ def element(shape: Shape) -> Element:
         anchor = {} if shape.anchor == "start" else {"text-anchor": shape.anchor}
         own = {"font-size": number(shape.size)} | anchor
         return e("text", shape.text, x=number(x), y=number(y), class_=f"f-{shape.role}", **own)
-    look = [f"s-{shape.role}"] if shape.width else []
+    style = [f"s-{shape.role}"] if shape.width else []
     width = {"stroke-width": number(shape.width)} if shape.width else {}
     if isinstance(shape, Line):
-        look += ["d"] if shape.dashed else []
-        return e("polyline", points=points(shape.points), fill="none", class_=" ".join(look), **width)
-    look += [f"f-{shape.fill}"] if shape.fill else []
+        style += ["d"] if shape.dashed else []
+        return e("polyline", points=points(shape.points), fill="none", class_=" ".join(style), **width)
+    style += [f"f-{shape.fill}"] if shape.fill else []
     filled = {} if shape.fill else {"fill": "none"}
-    own = {"class_": " ".join(look)} | filled | width
+    own = {"class_": " ".join(style)} | filled | width
     if isinstance(shape, Circle):
         (x, y), r = shape.centre, shape.radius
         return e("circle", cx=number(x), cy=number(y), r=number(r), **own)

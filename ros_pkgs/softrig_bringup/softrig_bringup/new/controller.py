@@ -91,14 +91,14 @@ def _member(rig: Rig, node: str) -> tuple[Member, tuple[str, ...]]:
         for m in rig.members
         if m.outputs and not issubclass(m.block_class, Figures) and role(rig, m) in PREFERRED
     }
-    found = sorted(ranks, key=ranks.__getitem__)
-    if not found:
+    results = sorted(ranks, key=ranks.__getitem__)
+    if not results:
         raise ScenarioError(f"--for {name}: it has no controller to replace; `softrig list` shows other scenarios")
     if node and node not in ranks:
-        known = ", ".join(found)
-        raise ScenarioError(f"--for {name}/{node}: no controller of it{closest(node, found)}; it has {known}")
-    chosen = node or found[0]
-    return next(m for m in rig.members if m.name == chosen), tuple(n for n in found if n != chosen)
+        known = ", ".join(results)
+        raise ScenarioError(f"--for {name}/{node}: no controller of it{closest(node, results)}; it has {known}")
+    chosen = node or results[0]
+    return next(m for m in rig.members if m.name == chosen), tuple(n for n in results if n != chosen)
 
 
 def _written(expected: Expectation) -> Any:

@@ -49,12 +49,12 @@ def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], co
         raise ScenarioError(f"name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")
     given: dict[str, float] = {}
     for item in rated:
-        key, found, value = item.partition("=")
+        key, result, value = item.partition("=")
         number = number_of(value.replace(",", "."))
         if _THOUSANDS.fullmatch(value.strip()):
             one, other = value.replace(",", ""), value.replace(",", ".")
             raise ScenarioError(f"--rated {item}: {value} may be {one} or {other}; write one of them")
-        if not found or not math.isfinite(number):
+        if not result or not math.isfinite(number):
             raise ScenarioError(f"--rated {item}: expected NAME=VALUE with a number, as speed=3000")
         given[key.strip()] = number
     try:

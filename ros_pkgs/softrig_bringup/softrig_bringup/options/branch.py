@@ -35,5 +35,5 @@ def began_as(before: Recalled, run: Run, at: float, made_with: Mapping[str, Any]
     if not at:
         return True, []
     old = replace(before, recording=before.recording.before(before.epoch + to_ns(at)))
-    same, told = compared(old, replace(run, recording=run.recording.before(run.epoch + to_ns(at))), made_with)
-    return same, [f"up to t = {at:.9g} s: {line}" for line in told]
+    same, differences = compared(old, replace(run, recording=run.recording.before(run.epoch + to_ns(at))), made_with)
+    return same, [f"up to t = {at:.9g} s: {line}" for line in differences]

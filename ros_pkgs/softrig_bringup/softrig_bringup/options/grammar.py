@@ -88,20 +88,20 @@ def values(name: str, text: str) -> list[Any]:
 
 
 def _steps(name: str, text: str) -> list[Any]:
-    found = re.fullmatch(rf"({NUMBER}):({NUMBER})(?::({NUMBER}))?", text.strip())
-    if found is None:
+    match = re.fullmatch(rf"({NUMBER}):({NUMBER})(?::({NUMBER}))?", text.strip())
+    if match is None:
         if _SPAN.fullmatch(text.strip()):
             raise ScenarioError(
                 f"{name}={text}: expected A,B,C or LOW:HIGH:STEP; numbers of a range LOW..HIGH are drawn by --draw"
             )
         return [text]
-    low, high, step = (float(part) for part in (found[1], found[2], found[3] or "1"))
+    low, high, step = (float(part) for part in (match[1], match[2], match[3] or "1"))
     ratio = (high - low) / step * (1.0 + 1e-12) + 1e-9 if step and all(map(math.isfinite, (low, high, step))) else -1.0
     count = math.floor(ratio) + 1 if math.isfinite(ratio) else 0
     if not 1 <= count <= MOST:
         raise ScenarioError(f"{name}={text}: expected LOW:HIGH:STEP with at least one and at most {MOST} values")
     values = [float(f"{low + k * step:.12g}") for k in range(count)]
-    return [int(v) for v in values] if all(re.fullmatch(r"[-+]?\d+", p) for p in found.groups() if p) else values
+    return [int(v) for v in values] if all(re.fullmatch(r"[-+]?\d+", p) for p in match.groups() if p) else values
 
 
 def span(name: str, text: object) -> Span:
@@ -112,19 +112,19 @@ def span(name: str, text: object) -> Span:
     ScenarioError
         Another form, a range upside down, a logarithm of what is not above 0.
     """
-    found = _SPAN.fullmatch(str(text).strip())
-    if not found:
+    match = _SPAN.fullmatch(str(text).strip())
+    if not match:
         steps = re.fullmatch(rf"{NUMBER}:{NUMBER}:{NUMBER}", str(text).strip())
         two = _TWO.fullmatch(str(text).strip())
         near = f" (did you mean {name}={two[1]}..{two[2]}?)" if two else ""
         raise ScenarioError(f"{name}={text}: {FORMS}{near}" + ("; LOW:HIGH:STEP is a grid, --grid" if steps else ""))
-    low, high, count = float(found[2]), float(found[3]), int(found[5] or 0)
+    low, high, count = float(match[2]), float(match[3]), int(match[5] or 0)
     if not (math.isfinite(low) and math.isfinite(high)):
         raise ScenarioError(f"{name}={text}: expected numbers below 1.8e308")
     if low > high:
         raise ScenarioError(f"{name}={text}: {low:g} is above {high:g}")
-    if found[1] and low <= 0.0:
+    if match[1] and low <= 0.0:
         raise ScenarioError(f"{name}={text}: a logarithm needs a range above 0")
-    if found[4] and not 1 <= count <= MANY:
+    if match[4] and not 1 <= count <= MANY:
         raise ScenarioError(f"{name}={text}: expected 1 to {MANY} numbers, got {count}")
-    return Span(low, high, bool(found[1]), count, found[4] == "~")
+    return Span(low, high, bool(match[1]), count, match[4] == "~")

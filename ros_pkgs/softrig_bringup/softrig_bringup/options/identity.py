@@ -79,7 +79,7 @@ def strangers(content: Mapping[str, Any], bag: Mapping[str, str], recording: Rec
     figures, bagged = str(content.get("run", "")), str(bag.get("run", ""))
     if figures and bagged and figures != bagged:
         return [f"metrics.json is of run {figures[:HALF]}, the bag of run {bagged[:HALF]}: they do not belong together"]
-    said = figures or bagged
-    if said and recording is not None and (found := recorded_half(recording)) != said[:HALF]:
-        return [f"the bag is not as it was written: its messages are {found}, of the run {said[:HALF]}"]
+    stated = figures or bagged
+    if stated and recording is not None and (result := recorded_half(recording)) != stated[:HALF]:
+        return [f"the bag is not as it was written: its messages are {result}, of the run {stated[:HALF]}"]
     return []

@@ -88,8 +88,8 @@ def _reached(recording: Recording, epoch: int) -> int:
 
 def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]:
     """Describe of each node of a run in real time what it has counted that lockstep does not know."""
-    found = {name: {key: int(s[key]) for key in LATE if s.get(key)} for name, s in status.items()}
-    return {name: counts for name, counts in found.items() if counts}
+    results = {name: {key: int(s[key]) for key in LATE if s.get(key)} for name, s in status.items()}
+    return {name: counts for name, counts in results.items() if counts}
 
 
 def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
@@ -142,17 +142,17 @@ def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> R
     folder = opened(path)
     if (folder / STUDY).is_dir():
         raise ScenarioError(f"{path}: holds a study, expected a run; `softrig study --like {path}` repeats it")
-    said = about(folder)
-    need_packages(path, [*said.packages, *said.code])
+    stated = about(folder)
+    need_packages(path, [*stated.packages, *stated.code])
     try:
-        check_scenario(folder, load_scenario(str(folder / SCENARIO / f"{said.scenario}.yaml")), said)
+        check_scenario(folder, load_scenario(str(folder / SCENARIO / f"{stated.scenario}.yaml")), stated)
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
-    options = parse([str(folder / SCENARIO / f"{said.scenario}.yaml")])
-    made_with = said.model_dump(include=set(MADE_WITH))
+    options = parse([str(folder / SCENARIO / f"{stated.scenario}.yaml")])
+    made_with = stated.model_dump(include=set(MADE_WITH))
     bag = folder / "bag"
     if not bag.is_dir():
-        return Recalled(path, options, bag, Recording(()), 0, {}, made_with, said.digests)
+        return Recalled(path, options, bag, Recording(()), 0, {}, made_with, stated.digests)
     with BagReader(bag) as reader:
         data = reader.custom_data
     late, epoch = json.loads(data.get("late", "{}")), int(data.get("epoch", "0"))
@@ -204,14 +204,14 @@ def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
 
 def from_outside(rig: Rig, recording: Recording) -> list[Port]:
     """Return the first port that reads each topic that came from outside, if something has come."""
-    found: dict[str, Port] = {}
+    results: dict[str, Port] = {}
     for member in rig.members:
         for port in member.inputs:
             link = member.links.get(port.name)
             topic = recording.topics.get(port.topic)
             if not member.external and (link is None or link.source.external) and topic is not None and topic.number:
-                found.setdefault(port.topic, replace(port, name=f"input_{len(found) + 1}"))
-    return list(found.values())
+                results.setdefault(port.topic, replace(port, name=f"input_{len(results) + 1}"))
+    return list(results.values())
 
 
 def _text(port: Port) -> str:
@@ -306,13 +306,13 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
         return ((name, a[name], b.get(name, "none")) for name in names if name in a and a[name] != b.get(name, "none"))
 
     own = sorted(there.get("code", ()), key=lambda name: (is_ours(name), name))
-    rest = [name for name in there.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
-    for what, found in (
+    remaining = [name for name in there.get("versions", ()) if name not in (*DECIDE, "commit", "run.lock")]
+    for what, result in (
         ("the code of ", pairs("code", own)),
         ("the files of ", pairs("contents", there.get("contents", ()))),
-        ("", pairs("versions", [*DECIDE, *rest])),
+        ("", pairs("versions", [*DECIDE, *remaining])),
     ):
-        for name, a, b in found:
+        for name, a, b in result:
             commits = [str(w.get("versions", {}).get("commit", ""))[:LETTERS] for w in (there, here)]
             of = f" (commit {commits[0]} there, {commits[1]} here)" if what == "the code of " and all(commits) else ""
             shown = f"{a} there, {b} here" if what != "the files of " else "other hashes"

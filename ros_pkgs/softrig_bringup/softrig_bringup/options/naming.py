@@ -23,12 +23,12 @@ def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:
     apart : sequence of str
         Further inputs that the folder depends on: paths of other runs or files.
     """
-    said = parts[0]
+    text = parts[0]
     for part in parts[1:]:
-        if len(said) + 1 + len(part) > LONGEST:
+        if len(text) + 1 + len(part) > LONGEST:
             break
-        said += f"-{part}"
-    name = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", said[:LONGEST])
+        text += f"-{part}"
+    name = re.sub(r"[^A-Za-z0-9_.,:=+-]+", "_", text[:LONGEST])
     if name == "-".join(parts) and not apart:
         return name
     import hashlib

@@ -48,15 +48,15 @@ def words(packages: Iterable[str], *verb: str) -> list[str]:
 def scenario_word(name: str) -> str:
     """Return a scenario as any folder finds it: by name, or by the whole path of a file that only this one does."""
     try:
-        found, path = locate(name)
+        result, path = locate(name)
     except ScenarioError:
         return name
-    if found != path.stem:  # a variant has no path of its own
+    if result != path.stem:  # a variant has no path of its own
         return name
     command = os.environ.get("SOFTRIG_COMMAND", "")
     home = Path(command).absolute().parent.parent / "config" / "scenarios" if command else None
     known = [f for f in scenario_folders() if f == home or f.parent.parent.name == "share"]
-    return name if name == found and path.parent in known else str(path.absolute())
+    return name if name == result and path.parent in known else str(path.absolute())
 
 
 def for_reader(command: str) -> str:

@@ -240,11 +240,13 @@ def placement_of(options: argparse.Namespace) -> Placement:
 
 def changed_words(options: argparse.Namespace) -> list[str]:
     """Describe what of a scenario was changed on the command line, in words."""
-    found = [str(options.params_file)] if options.params_file is not None else []
-    found += [f"like {options.like}"] if options.like is not None else []
-    found += [f"from {options.origin[0]} at {options.origin[1]:.9g} s"] if options.origin is not None else []
-    found += [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
-    return found + [f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None]
+    results = [str(options.params_file)] if options.params_file is not None else []
+    results += [f"like {options.like}"] if options.like is not None else []
+    results += [f"from {options.origin[0]} at {options.origin[1]:.9g} s"] if options.origin is not None else []
+    results += [*options.set, *(f"{name} outside, its parameters unknown" for name in options.external)]
+    return results + [
+        f"{name} {value}" for name in ("duration", "seed") if (value := getattr(options, name)) is not None
+    ]
 
 
 def folder_name(scenario: str, options: argparse.Namespace, only: Sequence[str] = ()) -> str:

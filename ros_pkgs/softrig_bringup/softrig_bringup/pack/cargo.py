@@ -127,7 +127,7 @@ def true_name(text: str) -> str:
     return text if text.isascii() and text.isprintable() else ascii(text)[1:-1]
 
 
-def cargo_of(folder: Path, said: About) -> Cargo:
+def cargo_of(folder: Path, about: About) -> Cargo:
     """Find all code in an unpacked pack; nothing of it is imported or built.
 
     Raises
@@ -136,27 +136,27 @@ def cargo_of(folder: Path, said: About) -> Cargo:
         A package has the name of a library, offers what is not in it, or would put files elsewhere; the scenario names
         a file outside of the pack, or a package that the pack does not name.
     """
-    check_scenario(folder, load_scenario(str(folder / SCENARIO / f"{said.scenario}.yaml")), said)
+    check_scenario(folder, load_scenario(str(folder / SCENARIO / f"{about.scenario}.yaml")), about)
     packages, kept_out = [], []
     for name in sorted(p.name for p in (folder / PACKAGES).glob("*")):
         if _is_rig_package(name):
             kept_out.append(name)
             continue
         check_name(name)
-        packages.append(_read(folder / PACKAGES / name, said))
+        packages.append(_read(folder / PACKAGES / name, about))
     files = [f for place in (SCENARIO, PACKAGES) for f in sorted((folder / place).rglob("*")) if f.is_file()]
     brought = {p.folder for p in packages}
     units = [
-        Unit(f, str(f.relative_to(folder)), found)
+        Unit(f, str(f.relative_to(folder)), result)
         for f in files
-        if (f.is_relative_to(folder / SCENARIO) or brought & {*f.parents}) and (found := _binaries(f)) is not None
+        if (f.is_relative_to(folder / SCENARIO) or brought & {*f.parents}) and (result := _binaries(f)) is not None
     ]
     return Cargo(tuple(packages), tuple(units), tuple(_natives(folder)), tuple(kept_out))
 
 
-def brings(folder: Path, said: About) -> list[str]:
+def brings(folder: Path, about: About) -> list[str]:
     """List whose code only the pack has: packages that its nodes need, and nodes that run C or a board."""
-    packages = [n for n in said.packages if (folder / PACKAGES / n).is_dir() and not _is_rig_package(n)]
+    packages = [n for n in about.packages if (folder / PACKAGES / n).is_dir() and not _is_rig_package(n)]
     return [*packages, *dict.fromkeys(native.node for native in _natives(folder))]
 
 
@@ -173,8 +173,8 @@ def _natives(folder: Path) -> Iterator[Native]:
             if entry.link is not None:
                 yield Native(node, f"a board at {true_name(entry.link.port)}")
             elif (entry.package, entry.executable) in _C:
-                found = filter(None, (_within(text, folder) for text in _texts(entry.parameters)))
-                files = [f"{true_name(str(p.relative_to(folder)))} (sha256 {digest_of(p)[:LETTERS]})" for p in found]
+                result = filter(None, (_within(text, folder) for text in _texts(entry.parameters)))
+                files = [f"{true_name(str(p.relative_to(folder)))} (sha256 {digest_of(p)[:LETTERS]})" for p in result]
                 flags = [f"flag {true_name(text)}" for text in _texts(entry.parameters.get("flags", ()))]
                 yield Native(node, ", ".join(["C", *files, *flags]))
 
@@ -183,8 +183,8 @@ def _within(text: str, folder: Path) -> Path | None:
     """Return the file of a pack that a parameter names; None where it names none."""
     if not text or len(text) >= 4096 or "\0" in text:
         return None
-    found = (folder / SCENARIO / text).resolve()
-    return found if found.is_file() and found.is_relative_to(folder) else None
+    result = (folder / SCENARIO / text).resolve()
+    return result if result.is_file() and result.is_relative_to(folder) else None
 
 
 def _binaries(path: Path) -> tuple[str, ...] | None:
@@ -234,12 +234,12 @@ def _distributions() -> set[str]:
 @cache
 def _wanted() -> frozenset[str]:
     """List what softrig imports anywhere, also what is not installed here."""
-    found = {*EXTRAS, *(name.partition("/")[0] for name in TYPES), "builtin_interfaces", "rosidl_runtime_py"}
+    results = {*EXTRAS, *(name.partition("/")[0] for name in TYPES), "builtin_interfaces", "rosidl_runtime_py"}
     for place in sys.path:
         for folder in Path(place).glob(f"{OURS}*") if place else ():
             for file in folder.rglob("*.py"):
-                found.update(*_IMPORT.findall(file.read_text(encoding="utf-8")))
-    return frozenset(found)
+                results.update(*_IMPORT.findall(file.read_text(encoding="utf-8")))
+    return frozenset(results)
 
 
 def _is_rig_package(name: str) -> bool:
@@ -251,7 +251,7 @@ def _is_rig_package(name: str) -> bool:
 # scenario -------------------------------------------------------------------------------------------------------------
 
 
-def check_scenario(folder: Path, scenario: Scenario, said: About) -> None:
+def check_scenario(folder: Path, scenario: Scenario, about: About) -> None:
     """Refuse a scenario that reaches out of its pack: to files elsewhere, or to packages that it does not name.
 
     Raises
@@ -259,10 +259,10 @@ def check_scenario(folder: Path, scenario: Scenario, said: About) -> None:
     ScenarioError
     """
     for node, entry in scenario.nodes.items():
-        if entry.package not in said.packages and not is_ours(entry.package):
+        if entry.package not in about.packages and not is_ours(entry.package):
             raise ScenarioError(
                 f"node {node} is of package {entry.package!r}, which pack.json does not name; expected one of "
-                f"{', '.join([f'{OURS}*', *said.packages])}"
+                f"{', '.join([f'{OURS}*', *about.packages])}"
             )
         if (entry.package, entry.executable) in _C:
             for flag in _texts(entry.parameters.get("flags", ())):
@@ -311,7 +311,7 @@ def _texts(value: Any) -> Iterable[str]:
 # packages -------------------------------------------------------------------------------------------------------------
 
 
-def _read(folder: Path, said: About) -> Package:
+def _read(folder: Path, about: About) -> Package:
     """Read a package as data."""
     name = folder.name
     files = {str(f.relative_to(folder)): f for f in sorted(folder.rglob("*")) if f.is_file()}
@@ -326,13 +326,13 @@ def _read(folder: Path, said: About) -> Package:
     config = _setup(folder)
     if (own := config.get("metadata", "name", fallback=name)) != name:
         raise ScenarioError(f"{PACKAGES}/{name}/setup.cfg: name = {own!r}, expected {name}, as its folder is called")
-    offers = said.offers.get(name)
+    offers = about.offers.get(name)
     if offers is None:
         offers = {group: dict(_points(config.get("options.entry_points", group, fallback=""))) for group in GROUPS}
         known = config.options("options.entry_points") if config.has_section("options.entry_points") else []
         offers |= {group: {} for group in known if group not in GROUPS}
     _check_offers(name, offers)
-    version = said.packages[name]
+    version = about.packages[name]
     version = version if re.fullmatch(r"[A-Za-z0-9.+!_-]{1,50}", version) else "unknown"
     return Package(name, version, folder, files, offers, dict(_share(name, files, config)))
 
@@ -364,8 +364,8 @@ def _check_offers(name: str, offers: Mapping[str, Mapping[str, str]]) -> None:
         if group not in GROUPS:
             raise ScenarioError(f"{PACKAGES}/{name}: entry points of {group!r}; expected {', '.join(GROUPS)}")
         for point, target in points.items():
-            found = _TARGET.fullmatch(target)
-            if not _POINT.fullmatch(point) or not found or found[1] != name:
+            match = _TARGET.fullmatch(target)
+            if not _POINT.fullmatch(point) or not match or match[1] != name:
                 raise ScenarioError(
                     f"{PACKAGES}/{name}: {group}: {f'{point} = {target}'[:200]!r}; "
                     f"expected NAME = {name}.MODULE:FUNCTION"

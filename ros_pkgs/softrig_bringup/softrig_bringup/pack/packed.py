@@ -99,7 +99,7 @@ def placeless(value: Any) -> Any:
     What begins with no folder that is here is left alone: a topic, an address.
     """
     if isinstance(value, str):
-        return _PLACE.sub(lambda found: "" if Path("/", found[1]).is_dir() else found[0], value)
+        return _PLACE.sub(lambda result: "" if Path("/", result[1]).is_dir() else result[0], value)
     if isinstance(value, Mapping):
         return {placeless(k): placeless(v) for k, v in value.items()}
     return [placeless(v) for v in value] if isinstance(value, list | tuple) else value
@@ -243,14 +243,14 @@ def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
 
 def _check_content(folder: Path, files: dict[str, str]) -> None:
     """Refuse an unpacked file whose files, packages, scenario or bag do not match its description."""
-    said = about(folder)
-    if said.files and said.files != (there := {k: v for k, v in files.items() if k != ABOUT}):
-        other = sorted(k for k in {*said.files, *there} if said.files.get(k) != there.get(k))
+    stated = about(folder)
+    if stated.files and stated.files != (there := {k: v for k, v in files.items() if k != ABOUT}):
+        other = sorted(k for k in {*stated.files, *there} if stated.files.get(k) != there.get(k))
         raise ScenarioError(f"{other[0]!r} is not the file that {ABOUT} lists; expected the files as they were packed")
-    if f"{SCENARIO}/{said.scenario}.yaml" not in files:
-        raise ScenarioError(f"no {SCENARIO}/{said.scenario}.yaml in it, the scenario that {ABOUT} names")
+    if f"{SCENARIO}/{stated.scenario}.yaml" not in files:
+        raise ScenarioError(f"no {SCENARIO}/{stated.scenario}.yaml in it, the scenario that {ABOUT} names")
     for name in sorted({place.split("/")[1] for place in files if place.startswith(f"{PACKAGES}/")}):
-        if name not in said.packages:
+        if name not in stated.packages:
             raise ScenarioError(f"{PACKAGES}/{name[:100]}: {ABOUT} names no such package; expected the ones it names")
     if any(place.startswith(f"{BAG}/") for place in files):
         try:

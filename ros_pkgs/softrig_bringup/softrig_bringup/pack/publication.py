@@ -36,20 +36,20 @@ def person(text: str) -> dict[str, str]:
     argparse.ArgumentTypeError
         No name, or an ORCID whose check digit (ISO 7064 MOD 11-2) does not belong to its digits.
     """
-    found = _ORCID.search(text)
-    name = " ".join((text[: found.start()] if found else text).strip(" ,<(").split())
+    match = _ORCID.search(text)
+    name = " ".join((text[: match.start()] if match else text).strip(" ,<(").split())
     if not name:
         raise argparse.ArgumentTypeError(f'expected a name, as "Ann Example 0000-0002-1825-0097", got {text!r}')
-    if not found:
+    if not match:
         if digits := re.search(r"[\dX-]{10,}$", text):
             raise argparse.ArgumentTypeError(f"{digits[0]}: expected an ORCID as 0000-0002-1825-0097")
         return {"@id": _local("person", name), "@type": "Person", "name": name}
     total = 0
-    for digit in found[1].replace("-", "")[:-1]:
+    for digit in match[1].replace("-", "")[:-1]:
         total = (total + int(digit)) * 2
-    if (12 - total % 11) % 11 != (10 if found[1][-1] == "X" else int(found[1][-1])):
-        raise argparse.ArgumentTypeError(f"{found[1]}: its last digit does not belong to the others; is it mistyped?")
-    return {"@id": f"https://orcid.org/{found[1]}", "@type": "Person", "name": name}
+    if (12 - total % 11) % 11 != (10 if match[1][-1] == "X" else int(match[1][-1])):
+        raise argparse.ArgumentTypeError(f"{match[1]}: its last digit does not belong to the others; is it mistyped?")
+    return {"@id": f"https://orcid.org/{match[1]}", "@type": "Person", "name": name}
 
 
 def publisher(text: str) -> dict[str, str]:

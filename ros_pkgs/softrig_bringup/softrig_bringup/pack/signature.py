@@ -57,8 +57,8 @@ def signed_by(path: Path) -> str:
         raise ScenarioError(f"{signature}: {_last(checked.stderr) or 'no signature'}: it does not sign {path.name}")
     if not os.path.isfile(signers):
         return f"signed by an unknown key, {key[1]}"
-    found = _keygen(["find-principals", "-s", str(signature), "-f", signers])
-    name = found.stdout.split("\n")[0].strip() if not found.returncode else ""
+    result = _keygen(["find-principals", "-s", str(signature), "-f", signers])
+    name = result.stdout.split("\n")[0].strip() if not result.returncode else ""
     if not name:
         raise ScenarioError(f"{signature}: key {key[1]} is not among the signers in {signers}")
     verified = _keygen(["verify", "-f", signers, "-I", name, "-n", NAMESPACE, "-s", str(signature)], path)

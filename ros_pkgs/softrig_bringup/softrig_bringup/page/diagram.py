@@ -43,9 +43,9 @@ def draw_diagram(wiring: Wiring) -> Element:
         An ``svg`` with one group of class ``node`` for each node and one of class ``wire`` for each wire, which name
         it in ``data-node`` and ``data-topic``.
     """
-    found = columns(wiring)
-    home = {n: k for k, column in enumerate(found) for n in column}
-    lanes = [_lanes(wiring.wires, home, k) for k in range(-1, len(found))]  # of the channel left of column k + 1
+    result = columns(wiring)
+    home = {n: k for k, column in enumerate(result) for n in column}
+    lanes = [_lanes(wiring.wires, home, k) for k in range(-1, len(result))]  # of the channel left of column k + 1
     # from the column before on top, then from the tracks; the first wire has the lowest track: so few wires cross
     ins = {
         n: sorted((w for w in wiring.wires if n in w.readers), key=lambda w: home[w.source] + 1 != home[n])
@@ -53,11 +53,11 @@ def draw_diagram(wiring: Wiring) -> Element:
     }
     outs = {n: [w for w in wiring.wires if w.source == n] for n in wiring.nodes}
     heights = {n: HEAD + ROW * max(1, len(ins[n]), len(outs[n])) for n in wiring.nodes}
-    tall = max((sum(heights[n] + ROW for n in c) - ROW for c in found), default=0)
+    tall = max((sum(heights[n] + ROW for n in c) - ROW for c in result), default=0)
     boxes: dict[str, Box] = {}
     channels: list[float] = []  # x of the first lane of each
     x = 1.0
-    for k, column in enumerate([[], *found]):
+    for k, column in enumerate([[], *result]):
         wide = max((_width(wiring, n) for n in column), default=0.0)
         y = ROW * ((tall - sum(heights[n] + ROW for n in column) + ROW) // (2 * ROW))
         for n in column:
@@ -179,13 +179,13 @@ def _box(name: str, wiring: Wiring, box: Box) -> Element:
     below = "outside" if node.outside else kind if kind != name else "plant" if node.plant else ""
     middle = f"{box.x + box.width / 2:g}"
     about = f"{name}: {node.executable}, every {1e3 * node.period:g} ms{', outside' if node.outside else ''}"
-    look = " ".join(["node", *(["plant"] if node.plant else []), *(["outside"] if node.outside else [])])
+    text = " ".join(["node", *(["plant"] if node.plant else []), *(["outside"] if node.outside else [])])
     return e(
         "g",
         e("title", about),
         e("rect", x=f"{box.x:g}", y=f"{box.y:g}", width=f"{box.width:g}", height=f"{box.height:g}", rx="5"),
         e("text", name, x=middle, y=f"{box.y + 17:g}", class_="name"),
         *([e("text", below, x=middle, y=f"{box.y + 32:g}", class_="kind")] if below else []),
-        class_=look,
+        class_=text,
         **{"data-node": name},
     )

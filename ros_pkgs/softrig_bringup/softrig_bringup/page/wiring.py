@@ -98,9 +98,9 @@ def columns(wiring: Wiring) -> list[list[str]]:
     watched = {n: [m for m in before[n] if m in looking] for n in looking}
     seen = _longest(watched, {n for n in looking if not watched[n]})
     place = {n: last - acting[n] if n in acting else last + 1 + seen[n] for n in wiring.nodes}
-    found = [[n for n in wiring.nodes if place[n] == k] for k in range(max(place.values(), default=-1) + 1)]
+    results = [[n for n in wiring.nodes if place[n] == k] for k in range(max(place.values(), default=-1) + 1)]
     read = {n: [m for m in wiring.nodes if n in after[m]] for n in wiring.nodes}
-    return _ordered(found, {n: [*after[n], *read[n]] for n in wiring.nodes})
+    return _ordered(results, {n: [*after[n], *read[n]] for n in wiring.nodes})
 
 
 def _longest(forward: Mapping[str, list[str]], goals: set[str]) -> dict[str, int]:
@@ -114,11 +114,11 @@ def _longest(forward: Mapping[str, list[str]], goals: set[str]) -> dict[str, int
     return result
 
 
-def _ordered(found: list[list[str]], neighbours: Mapping[str, list[str]]) -> list[list[str]]:
+def _ordered(texts: list[list[str]], neighbours: Mapping[str, list[str]]) -> list[list[str]]:
     """Sort each column by the mean place of the neighbours in other columns."""
     for sweep in range(SWEEPS):
-        for column in found if sweep else found[::-1]:
-            place = {n: (k + 0.5) / len(c) for c in found for k, n in enumerate(c)}
+        for column in texts if sweep else texts[::-1]:
+            place = {n: (k + 0.5) / len(c) for c in texts for k, n in enumerate(c)}
             apart = {n: [place[m] for m in neighbours[n] if m not in column] for n in column}
             column.sort(key=lambda n: sum(apart[n]) / len(apart[n]) if apart[n] else place[n])
-    return found
+    return texts

@@ -30,8 +30,8 @@ def in_words(metric: Result) -> str:
     """Return the words for a missing value: it never happens, or was not measured; empty if there is a value."""
     if metric.value is not None:
         return ""
-    word, *rest = metric.error.split(" ")
-    return word if word == NEVER or " ".join(rest) == DECIDED else "not measured"
+    word, *remaining = metric.error.split(" ")
+    return word if word == NEVER or " ".join(remaining) == DECIDED else "not measured"
 
 
 def measured_here(metric: Result) -> bool:

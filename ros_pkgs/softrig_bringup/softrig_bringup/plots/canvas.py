@@ -467,17 +467,17 @@ class Axes:
         self._called("set_yticks", None, ticks, *([labels] if labels is not None else []))
 
     def _set_ticks(self, axis: str, ticks: Sequence[float] | Array, labels: Sequence[str] | None) -> None:
-        found = [float(t) for t in ticks]
-        self.ticks[axis] = found, None if labels is None else list(labels)
+        results = [float(t) for t in ticks]
+        self.ticks[axis] = results, None if labels is None else list(labels)
         along = self.x if axis == "x" else self.y
-        if found:  # as matplotlib: the limits reach to each tick
+        if results:  # as matplotlib: the limits reach to each tick
             low, high = along.limits()
             along.fixed = (
                 along.fixed
-                if along.fixed is None and low <= min(found) and max(found) <= high
+                if along.fixed is None and low <= min(results) and max(results) <= high
                 else (
-                    (min(low, *found), max(high, *found))
-                    if along.fixed or min(found) < low or max(found) > high
+                    (min(low, *results), max(high, *results))
+                    if along.fixed or min(results) < low or max(results) > high
                     else None
                 )
             )

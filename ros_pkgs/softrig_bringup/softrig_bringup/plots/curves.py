@@ -250,8 +250,8 @@ class Source:
 
 def _reference(port: Port, label: str) -> bool:
     """Return whether a signal is a reference, judged by its message type or its label."""
-    said = label.startswith(("reference", "set point")) or label.endswith((" reference", " set point"))
-    return said or port.msgtype.startswith("trajectory_msgs")
+    is_reference = label.startswith(("reference", "set point")) or label.endswith((" reference", " set point"))
+    return is_reference or port.msgtype.startswith("trajectory_msgs")
 
 
 def _held(rig: Rig) -> set[str]:

@@ -97,7 +97,7 @@ def _shared(runs: Sequence[Overlay]) -> list[PlotEntry]:
     same: dict[tuple[Any, ...], list[PlotEntry]] = {}
     for entry in every:
         same.setdefault((frozenset(entry.signals), entry.window), []).append(entry)
-    return [found[0] for found in same.values() if len(found) > 1]
+    return [result[0] for result in same.values() if len(result) > 1]
 
 
 def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, Drawn], width: int) -> Figure:
@@ -106,15 +106,15 @@ def _figure(about: Mapping[str, Shown], entry: PlotEntry, curves: Mapping[str, D
     references = [n for n in there if n not in names]
     figure = Figure(figsize=(look.WIDTH, 1.3 + 2.3 * len(names)), dpi=look.DPI)
     axes = figure.column(len(names))
-    scale, time = time_scale([[c for _, c in found] for found in curves.values()])
-    said: list[str] = []
+    scale, time = time_scale([[c for _, c in result] for result in curves.values()])
+    messages: list[str] = []
     for ax, name in zip(axes, names, strict=True):
         same = [n for n in references if about[n].unit == about[name].unit]
         lines = [r for n in same if (r := _common([c for _, c in curves[n]], entry.signals[n]))]
         drawn = _overlaid(ax, curves[name], lines, scale)
-        if [c.label for c in drawn] != said:  # once, if it is the same below
+        if [c.label for c in drawn] != messages:  # once, if it is the same below
             legend(ax, drawn, "", width, what="runs")
-            said = [c.label for c in drawn]
+            messages = [c.label for c in drawn]
         label = entry.signals[name] or name
         unit = about[name].unit
         title = entry.quantity or (quantity(unit) if len(names) == 1 else "") or label
@@ -145,10 +145,10 @@ def _common(curves: Sequence[Curve], label: str) -> Curve | None:
     return Curve(label or "reference", longest.unit, longest.x, longest.y, longest.held, True)
 
 
-def _overlaid(ax: Axes, found: Drawn, references: Sequence[Curve], scale: float) -> list[Curve]:
+def _overlaid(ax: Axes, drawn: Drawn, references: Sequence[Curve], scale: float) -> list[Curve]:
     """Draw runs one by one, and groups of draws as their median in a band; returns what was drawn, in order."""
     groups: dict[str, list[Curve]] = {}
-    for run, curve in found:
+    for run, curve in drawn:
         groups.setdefault(run.group, []).append(curve)
     bands: dict[str, tuple[Array, Array, Array]] = {}
     curves: list[Curve] = []

@@ -209,14 +209,14 @@ def _xy_figure(source: Source, entry: PlotEntry) -> Figure:
     """Signals against another signal of their topic; a true shape where both axes have the same unit."""
     figure = Figure(figsize=(0.7 * look.WIDTH, 0.64 * look.WIDTH), dpi=look.DPI)
     ax = figure.subplots()
-    found = [source.against(entry, name) for name in entry.signals]
-    curves = [curve for _, curve in found]
+    results = [source.against(entry, name) for name in entry.signals]
+    curves = [curve for _, curve in results]
     for curve, style in zip(curves, styles(curves), strict=True):
         ax.plot(curve.x, curve.y, label=curve.label, **style)
     ax.margins(0.05)
-    over = _joined(source.units[name] for name, _ in found)
+    over = _joined(source.units[name] for name, _ in results)
     unit = entry.unit or _joined(c.unit for c in curves)
-    ax.set_xlabel(axis_title(_joined(source.axis(name) for name, _ in found), over))
+    ax.set_xlabel(axis_title(_joined(source.axis(name) for name, _ in results), over))
     ax.set_ylabel(axis_title(entry.quantity or _joined(source.axis(name) for name in entry.signals), unit))
     if over == unit:
         ax.set_aspect("equal", adjustable="datalim")
@@ -270,8 +270,8 @@ def places(figure: Figure, count: int, columns: int) -> list[Place]:
     rows = -(-count // columns)
     grid = figure.add_gridspec(rows, columns)
     wide = columns * rows - count
-    found = [grid[0, :]] if wide else []
-    return found + [grid[row, column] for column in range(columns) for row in range(wide, rows)]
+    results = [grid[0, :]] if wide else []
+    return results + [grid[row, column] for column in range(columns) for row in range(wide, rows)]
 
 
 def _panels(source: Source) -> Iterator[tuple[str, str, list[Curve]]]:

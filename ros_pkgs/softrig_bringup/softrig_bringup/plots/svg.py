@@ -384,18 +384,18 @@ class _Writer:
         bold: bool = False,
         turned: bool = False,
     ) -> str:
-        look = f' font-size="{_n(size * self.point)}" fill="{colour}"'
-        look += f' text-anchor="{anchor}"' if anchor != "start" else ""
-        look += ' font-weight="bold"' if bold else ""
-        look += f' transform="rotate(-90 {_n(x)} {_n(y)})"' if turned else ""
+        style = f' font-size="{_n(size * self.point)}" fill="{colour}"'
+        style += f' text-anchor="{anchor}"' if anchor != "start" else ""
+        style += ' font-weight="bold"' if bold else ""
+        style += f' transform="rotate(-90 {_n(x)} {_n(y)})"' if turned else ""
         lines = text.split("\n")
         if len(lines) == 1:
-            return f'<text x="{_n(x)}" y="{_n(y)}"{look}>{escape(text, quote=False)}</text>'
+            return f'<text x="{_n(x)}" y="{_n(y)}"{style}>{escape(text, quote=False)}</text>'
         spans = "".join(
             f'<tspan x="{_n(x)}" y="{_n(y + k * 1.25 * size * self.point)}">{escape(line, quote=False)}</tspan>'
             for k, line in enumerate(lines)
         )
-        return f"<text{look}>{spans}</text>"
+        return f"<text{style}>{spans}</text>"
 
     def _bar(self, box: Box) -> Iterator[str]:
         """Draw the bar of colours of a map, with its numbers and title."""

@@ -39,24 +39,24 @@ def names(runs: Sequence[tuple[Path, RunRecord]], given: Sequence[str] = ()) -> 
 def _by_difference(runs: Sequence[RunRecord]) -> list[str]:
     """Name runs by their differences, such as ``delta 2, seed 3``; empty if that is too long or not unique."""
     changed, _ = differing(runs)
-    told = {what: own for what, own in changed.items() if not what.startswith(("code of", "version of", "node "))}
+    entries = {what: own for what, own in changed.items() if not what.startswith(("code of", "version of", "node "))}
     parts = [
         [value if what in ("scenario", "mode", "ended") else f"{what.split('.')[-1]} {value}" for value in own]
-        for what, own in told.items()
+        for what, own in entries.items()
     ]
-    found = [", ".join(filter(None, own)) for own in zip(*parts, strict=True)]
-    fits = len({*found}) == len(runs) and all(found) and max(map(len, found)) <= LONGEST
-    return found if fits else []
+    results = [", ".join(filter(None, own)) for own in zip(*parts, strict=True)]
+    fits = len({*results}) == len(runs) and all(results) and max(map(len, results)) <= LONGEST
+    return results if fits else []
 
 
 def _tails(paths: Sequence[Path]) -> list[str]:
     """The last parts of each path, as many as make them different."""
     parts = [path.absolute().parts for path in paths]
     for n in range(1, max(map(len, parts)) + 1):
-        found = ["/".join(p[-n:]) for p in parts]
-        if len({*found}) == len({*parts}):
+        results = ["/".join(p[-n:]) for p in parts]
+        if len({*results}) == len({*parts}):
             break
-    return [f"{name} [{k}]" if found.count(name) > 1 else name for k, name in enumerate(found, 1)]
+    return [f"{name} [{k}]" if results.count(name) > 1 else name for k, name in enumerate(results, 1)]
 
 
 def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
@@ -78,23 +78,23 @@ def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str
         "duration, s": lambda r: f"{r.duration_s:g}",
         "ended": lambda r: "broke" if r.error else r.stopped,
     }
-    found = {what: [say(r) for r in runs] for what, say in about.items()}
+    results = {what: [say(r) for r in runs] for what, say in about.items()}
     for kind, part in (("code of", lambda r: r.code), ("version of", machine)):
         for name in dict.fromkeys(name for r in runs for name in part(r)):
-            found[f"{kind} {name}"] = [part(r).get(name, "") for r in runs]
+            results[f"{kind} {name}"] = [part(r).get(name, "") for r in runs]
     values: dict[str, list[str]] = {}
     for node in dict.fromkeys(name for r in runs for name in r.wiring.nodes):
         there = [r.wiring.nodes.get(node) for r in runs]
-        found[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in there]
-        if len({*found[f"node {node}"]}) == 1:
+        results[f"node {node}"] = [f"{n.executable}{', outside' if n.outside else ''}" if n else "" for n in there]
+        if len({*results[f"node {node}"]}) == 1:
             parts = [dict(_leaves(node, r.parameters.get(node, {}))) for r in runs]
             values |= {name: [p.get(name, "") for p in parts] for p in parts for name in p}
     follows = {what: own for what, own in values.items() if len({*own}) > 1}
-    said = [dict(_said(text) for text in r.changed if r.stopped != text) for r in runs]
-    for what in dict.fromkeys(key for own in said for key in own):
-        found.setdefault(what, follows.pop(what, []) or [own.get(what, "as in the scenario") for own in said])
-    changed = {what: own for what, own in found.items() if len({*own}) > 1}
-    causes = {"scenario", *(key for own in said for key in own)} - {"seed"}
+    messages = [dict(_said(text) for text in r.changed if r.stopped != text) for r in runs]
+    for what in dict.fromkeys(key for own in messages for key in own):
+        results.setdefault(what, follows.pop(what, []) or [own.get(what, "as in the scenario") for own in messages])
+    changed = {what: own for what, own in results.items() if len({*own}) > 1}
+    causes = {"scenario", *(key for own in messages for key in own)} - {"seed"}
     return (changed, follows) if causes & changed.keys() else (changed | follows, {})
 
 

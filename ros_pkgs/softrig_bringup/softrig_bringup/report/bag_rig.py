@@ -20,7 +20,7 @@ class _Column(Port):
         return self.channels
 
 
-def rig_of_bag(path: Path, found: BagSignals) -> Rig:
+def rig_of_bag(path: Path, signals: BagSignals) -> Rig:
     """Create a rig that publishes what a bag holds, in no unit.
 
     Parameters
@@ -33,7 +33,7 @@ def rig_of_bag(path: Path, found: BagSignals) -> Rig:
     BagError
         No topic of it has a number.
     """
-    columns = {topic: tuple(found.table(topic).columns) for topic in found.decodable}
+    columns = {topic: tuple(signals.table(topic).columns) for topic in signals.decodable}
     ports = tuple(
         _Column(f"topic_{i}", topic, "sensor_msgs/msg/JointState", names, ("position",), ("",) * len(names))
         for i, (topic, names) in enumerate(columns.items())

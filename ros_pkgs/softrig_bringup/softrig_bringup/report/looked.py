@@ -38,16 +38,16 @@ def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
     ScenarioError
         No bag in it, or its scenario reaches out of it.
     """
-    said = about(folder)
-    scenario = load_scenario(str(folder / SCENARIO / f"{said.scenario}.yaml"))
-    check_scenario(folder, scenario, said)
+    stated = about(folder)
+    scenario = load_scenario(str(folder / SCENARIO / f"{stated.scenario}.yaml"))
+    check_scenario(folder, scenario, stated)
     if not (folder / BAG).is_dir():
         raise ScenarioError("no bag in it; `softrig run --like` makes it again")
-    found = signals(folder / BAG)
-    if names := brings(folder, said):
+    result = signals(folder / BAG)
+    if names := brings(folder, stated):
         ours = {n: e for n, e in scenario.nodes.items() if is_ours(e.package) and n not in names}
-        return _shown(scenario, folder, found, ours), found
-    return rig_of(scenario), found
+        return _shown(scenario, folder, result, ours), result
+    return rig_of(scenario), result
 
 
 def record_of_pack(folder: Path) -> RunRecord:
@@ -59,23 +59,25 @@ def record_of_pack(folder: Path) -> RunRecord:
         Its `doubts` list what its metrics.json states differently, what does not belong together, and what could not be
         computed.
     """
-    said, content = about(folder), _content(folder)
-    rig, found = rig_of_pack(folder)
+    stated, content = about(folder), _content(folder)
+    rig, result = rig_of_pack(folder)
     with BagReader(folder / BAG) as reader:
         custom = reader.custom_data
-    told = strangers(content, custom, found.recording)
-    run = str(content.get("run", "")) or said.run
-    if said.run and run != said.run:
-        told.append(f"pack.json is of run {said.run[:HALF]}, metrics.json of run {run[:HALF]}")
-    if names := brings(folder, said):
-        told.append(f"the figures are those of metrics.json: to compute them the code of {', '.join(names)} had to run")
+    strange = strangers(content, custom, result.recording)
+    run = str(content.get("run", "")) or stated.run
+    if stated.run and run != stated.run:
+        strange.append(f"pack.json is of run {stated.run[:HALF]}, metrics.json of run {run[:HALF]}")
+    if names := brings(folder, stated):
+        strange.append(
+            f"the figures are those of metrics.json: to compute them the code of {', '.join(names)} had to run"
+        )
     else:
         if run and asked_half(rig, _seed(content, rig)) != run[HALF:]:
-            told.append("its scenario is not that of its run: duration, seed or parameters differ")
-        results = Run(rig, rig.scenario.seed, found.recording, epoch=int(custom.get("epoch", "0"))).results
-        told += differing(content.get("metrics", []), results)
+            strange.append("its scenario is not that of its run: duration, seed or parameters differ")
+        results = Run(rig, rig.scenario.seed, result.recording, epoch=int(custom.get("epoch", "0"))).results
+        strange += differing(content.get("metrics", []), results)
         content = {**content, "metrics": [m.model_dump(by_alias=True) for m in results]}
-    return record_of(content | {"doubts": told}, METRICS)
+    return record_of(content | {"doubts": strange}, METRICS)
 
 
 def _seed(content: Mapping[str, Any], rig: Rig) -> int:
@@ -94,17 +96,20 @@ def doubts(directory: Path) -> tuple[str, ...]:
         return ()
 
 
-def differing(said: Any, measured: Sequence[Result]) -> list[str]:
+def differing(text: Any, measured: Sequence[Result]) -> list[str]:
     """Describe figures that differ between a metrics.json and the computation from its bag."""
-    there = {m.get("name"): m for m in said if isinstance(m, Mapping)} if isinstance(said, list) else {}
-    found = []
+    there = {m.get("name"): m for m in text if isinstance(m, Mapping)} if isinstance(text, list) else {}
+    results = []
     for result in measured:
         value = there.get(result.name, {}).get("value")
         if result.name not in there:
-            found.append(f"{result.name}: not in metrics.json, the bag gives {_number(result.value)}")
+            results.append(f"{result.name}: not in metrics.json, the bag gives {_number(result.value)}")
         elif not _same(value, result.value):
-            found.append(f"{result.name}: {_number(value)} in metrics.json, the bag gives {_number(result.value)}")
-    return [*found, *(f"{name}: no figure of its scenario" for name in there if name not in {m.name for m in measured})]
+            results.append(f"{result.name}: {_number(value)} in metrics.json, the bag gives {_number(result.value)}")
+    return [
+        *results,
+        *(f"{name}: no figure of its scenario" for name in there if name not in {m.name for m in measured}),
+    ]
 
 
 def _same(a: Any, b: float | None) -> bool:
@@ -132,10 +137,10 @@ def _content(folder: Path) -> dict[str, Any]:
 # a rig of nothing but what was recorded ------------------------------------------------------------------------------
 
 
-def _shown(scenario: Scenario, folder: Path, found: BagSignals, ours: Mapping[str, NodeEntry]) -> Rig:
+def _shown(scenario: Scenario, folder: Path, result: BagSignals, ours: Mapping[str, NodeEntry]) -> Rig:
     """Create a rig of one node that publishes the bag's topics; it keeps those plots that the topics can show."""
     units = {name: str(one.get("unit", "")) for name, one in _units(folder).items()}
-    ports = [written(port) for port in _ports(scenario, found, units, ours)]
+    ports = [written(port) for port in _ports(scenario, result, units, ours)]
     if not ports:
         raise ScenarioError(f"{scenario.name}: no topic in its bag that can be shown without its code")
     tape = {"package": "softrig_bags", "executable": "tape", "parameters": {"period": 0.001, "bag": str(folder / BAG),
@@ -154,24 +159,24 @@ def _shown(scenario: Scenario, folder: Path, found: BagSignals, ours: Mapping[st
 
 def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
     try:
-        found = json.loads((folder / METRICS).read_text()).get("signals", {})
-        return {k: v for k, v in found.items() if isinstance(v, Mapping)}
+        result = json.loads((folder / METRICS).read_text()).get("signals", {})
+        return {k: v for k, v in result.items() if isinstance(v, Mapping)}
     except (OSError, ValueError, AttributeError):
         return {}
 
 
 def _ports(
-    scenario: Scenario, found: BagSignals, units: Mapping[str, str], ours: Mapping[str, NodeEntry]
+    scenario: Scenario, result: BagSignals, units: Mapping[str, str], ours: Mapping[str, NodeEntry]
 ) -> Iterator[Port]:
     """Yield a port for each topic that was recorded: as a node of ours has it, or as its messages are."""
     known: dict[str, Port] = {}
     if ours:
         alone = scenario.having(nodes=ours, changes=(), containers=(), trips=(), faults={})
         known = {p.topic: p for m in members_of(alone, {}) for p in (*m.inputs, *m.outputs)}
-    for name, topic in found.recording.topics.items():
+    for name, topic in result.recording.topics.items():
         if name == CLOCK.topic or topic.msgtype not in TYPES or not topic.times:
             continue
-        port = known.get(name) or _port(name, topic.msgtype, list(found.table(name).columns), units)
+        port = known.get(name) or _port(name, topic.msgtype, list(result.table(name).columns), units)
         if port is not None and port.size:
             yield replace(port, name=f"topic_{len(name)}_{name}".replace("/", "_"), topic=name, held=False)
 

@@ -61,8 +61,8 @@ def rig_of_run(directory: Path, namespace: str = "") -> tuple[Rig, BagSignals]:
     ScenarioError
         There is no bag, or the scenario of the run is unknown here.
     """
-    rig, found = _recalled(directory, namespace)
-    return rig, found.known_as(other_names(rig))
+    rig, result = _recalled(directory, namespace)
+    return rig, result.known_as(other_names(rig))
 
 
 def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
@@ -82,19 +82,19 @@ def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
         raise ScenarioError(
             f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn from the bag"
         )
-    found = signals(bag, namespace)
+    result = signals(bag, namespace)
     if bag.is_dir() and (bag.parent / "metrics.json").is_file():
-        return _as_it_ran(read_run(bag.parent).made_by), found
+        return _as_it_ran(read_run(bag.parent).made_by), result
     with BagReader(bag) as reader:
         data = reader.custom_data
     scenario, command = data.get("scenario", ""), data.get("command", "")
     if not scenario:
-        return rig_of_bag(bag, found), found
+        return rig_of_bag(bag, result), result
     try:
-        return _as_it_ran(command) if command else rig_of(scenario), found
+        return _as_it_ran(command) if command else rig_of(scenario), result
     except ScenarioError as error:
         say(f"{bag}: shown without its rig, scenario {scenario} cannot be made here: {error}")
-        return rig_of_bag(bag, found), found
+        return rig_of_bag(bag, result), result
 
 
 def _parser() -> Parser:
@@ -115,8 +115,8 @@ def _as_it_ran(command: str) -> Rig:
 
 def draw_missing(directory: Path, into: Path) -> list[Path]:
     """Draw the pictures of a run that has none; returns their files."""
-    rig, found = rig_of_run(directory)
-    return plot_run(found, rig, into)
+    rig, result = rig_of_run(directory)
+    return plot_run(result, rig, into)
 
 
 class Look(NamedTuple):
@@ -132,9 +132,9 @@ def main(options: argparse.Namespace) -> int:
     """Draw pictures of runs again, of some signals or of the plots of their scenario; print their files."""
     runs = [Path(word) for word in options.what if _is_run(word)] or [Path(options.what[0])]
     names = [word for word in options.what if Path(word) not in runs]
-    look = _look(options, bool(names))
+    style = _look(options, bool(names))
     out = options.out or _folder(runs, names, options.window)
-    drawn = _of_one(runs[0], names, options, look) if len(runs) == 1 else _of_several(runs, names, options, look)
+    drawn = _of_one(runs[0], names, options, style) if len(runs) == 1 else _of_several(runs, names, options, style)
     number = 0
     for number, (entry, figure, table) in enumerate(drawn, 1):
         path = out / Path(plot_name(number, entry.title)).with_suffix(f".{options.format}")
@@ -186,27 +186,27 @@ def _folder(runs: Sequence[Path], names: Sequence[str], window: Sequence[float] 
 Drawing = Iterator[tuple[PlotEntry, "Figure", str]]
 
 
-def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, look: Look) -> Drawing:
-    rig, found = rig_of_run(run, options.namespace)
+def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, style: Look) -> Drawing:
+    rig, result = rig_of_run(run, options.namespace)
     rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
-    _check_window(options.window, [found])
-    source = Source(found, rig)
+    _check_window(options.window, [result])
+    source = Source(result, rig)
     for entry in rig.scenario.plots:
-        figure = plot_entry(found, rig, entry, **look._asdict())
+        figure = plot_entry(result, rig, entry, **style._asdict())
         yield entry, figure, _table([source.shown(entry, n) for n in entry.signals], source)
 
 
-def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Namespace, look: Look) -> Drawing:
+def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Namespace, style: Look) -> Drawing:
     """Draw what several runs share over one another."""
     records = [(run, record_of_pack(opened(run)) if is_pack(run) else read_run(run)) for run in runs]
     called = run_names(records, options.label)
     overlays = []
     for path, label in zip(runs, called, strict=True):
-        rig, found = rig_of_run(path, options.namespace)
+        rig, result = rig_of_run(path, options.namespace)
         rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
-        overlays.append(Overlay(label, label, rig.scenario.plots, shown(rig), found))
+        overlays.append(Overlay(label, label, rig.scenario.plots, shown(rig), result))
     _check_window(options.window, [over.signals for over in overlays])
-    for entry, figure in overlay_figures(overlays, **look._asdict()):
+    for entry, figure in overlay_figures(overlays, **style._asdict()):
         yield entry, figure, _side_by_side(entry, overlays)
 
 
@@ -214,7 +214,7 @@ def _check_window(window: Sequence[float] | None, runs: Sequence[Signals]) -> No
     """Refuse a window that ends before it begins, or in which no run has a sample: its picture would be empty."""
     if window and not window[0] < window[1]:
         raise ScenarioError(f"--window {window[0]:g} {window[1]:g}: expected FROM before TO")
-    times = [t for found in runs for t, _ in found.values() if t.size] if window else []
+    times = [t for result in runs for t, _ in result.values() if t.size] if window else []
     if window and times and not any(t[0] <= window[1] and window[0] <= t[-1] for t in times):
         first, last = min(t[0] for t in times), max(t[-1] for t in times)
         raise ScenarioError(

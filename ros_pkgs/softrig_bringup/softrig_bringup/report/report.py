@@ -95,16 +95,18 @@ def write_report(
             continue
         runs.append(_of_pack(directory) if is_pack(directory) else (directory, read_run(directory)))
         folder, record = runs[-1]
-        if doubted and not record.doubts and (found := doubts(folder)):
-            runs[-1] = folder, record.model_copy(update={"doubts": found})
+        if doubted and not record.doubts and (result := doubts(folder)):
+            runs[-1] = folder, record.model_copy(update={"doubts": result})
         for doubt in runs[-1][1].doubts if doubted else ():
             say(f"{directory}: {doubt}")
     if not runs:
         part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
-        rest = "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
+        remaining = (
+            "; of parts of a rig (--only) softrig bag repair makes one bag from their .shard files" if part else ""
+        )
         for kind, path in ((MARKS.get(mark), Path(d)) for d in without for mark in MARKS if Path(d, mark).exists()):
             raise ScenarioError(f"{path}: is a {kind}; its page is {path / 'report.html'}, and its verb writes it")
-        raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs{rest}")
+        raise ScenarioError(f"{', '.join(without)}: no metrics.json there, expected directories of runs{remaining}")
     records = [run for _, run in runs]
     if len(labels) > len(runs):
         raise ScenarioError(f"--label {labels[len(runs)]!r}: there are {len(labels)} labels for {len(runs)} runs")

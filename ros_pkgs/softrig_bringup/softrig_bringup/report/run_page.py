@@ -126,18 +126,18 @@ def metrics(run: RunRecord) -> Element:
         "Accepted": "Accepted: what this scenario asks of the run.",
     }
     note = " ".join(text for head, text in notes.items() if head in there)
-    found = table(there, rows, "".join(columns[head][0] or " " for head in there))
-    return e("div", found, *([e("p", note, class_="note")] if note else []), class_="judged")
+    result = table(there, rows, "".join(columns[head][0] or " " for head in there))
+    return e("div", result, *([e("p", note, class_="note")] if note else []), class_="judged")
 
 
 def _result(metric: Result) -> Element | str:
     if metric.published_for:
-        said = e("span", "not judged", title=f"published for {metric.published_for}")
+        cell = e("span", "not judged", title=f"published for {metric.published_for}")
     elif not metric.judged:
         return NONE
     else:
-        said = mark(metric.passed, "pass" if metric.passed else "miss")
-    return e("div", said, e("div", metric.error, class_="note")) if metric.error not in ("", NEVER) else said
+        cell = mark(metric.passed, "pass" if metric.passed else "miss")
+    return e("div", cell, e("div", metric.error, class_="note")) if metric.error not in ("", NEVER) else cell
 
 
 def _gauge(metric: Result) -> Element | str:
@@ -169,16 +169,16 @@ def _pictures(directory: Path, run: RunRecord) -> Iterator[Element]:
         for name, title, text in wanted
         for path in (directory / name, (directory / name).with_suffix(".png"))  # which an older run has
     ]
-    found = [entry for entry in files if entry[0].is_file()]
-    if not found and (directory / "bag").is_dir():
+    results = [entry for entry in files if entry[0].is_file()]
+    if not results and (directory / "bag").is_dir():
         with TemporaryDirectory() as folder, suppress(ScenarioError, BagError):  # its scenario or bag may be gone
             for path in draw_missing(directory, Path(folder)):
                 title, text = next(((t, x) for name, t, x in wanted if name == path.name), (path.stem, ""))
                 yield e("figure", picture(path.read_bytes(), title), *([e("figcaption", text)] if text else []))
             return
-    if not found:
+    if not results:
         yield e("p", "This run has no pictures.", class_="note")
-    for path, title, text in found:
+    for path, title, text in results:
         yield e("figure", picture(path.read_bytes(), title), *([e("figcaption", text)] if text else []))
 
 
@@ -253,11 +253,13 @@ def _nodes(run: RunRecord) -> Iterator[Element]:
         ]
         yield table(("Node", *map(_heading, columns)), body, " " + "n" * len(columns))
     for node, status in run.nodes.items():
-        said = [f"{text} ({count} ×)" for _, text, count in status.get("reports", {}).values()]
-        said += [f"{n} messages refused on {topic}: {text}" for topic, (n, text) in status.get("refused", {}).items()]
+        messages = [f"{text} ({count} ×)" for _, text, count in status.get("reports", {}).values()]
+        messages += [
+            f"{n} messages refused on {topic}: {text}" for topic, (n, text) in status.get("refused", {}).items()
+        ]
         if status.get("error"):
-            said.append(status["error"])
-        yield from (e("p", e("code", node), f": {text}") for text in said)
+            messages.append(status["error"])
+        yield from (e("p", e("code", node), f": {text}") for text in messages)
     native = {node: status["native"] for node, status in run.nodes.items() if "native" in status}
     if any(ticks for ticks, _ in native.values()):
         parts = [

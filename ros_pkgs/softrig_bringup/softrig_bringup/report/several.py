@@ -80,14 +80,14 @@ def differences(runs: Sequence[RunRecord], named: Sequence[str]) -> Iterator[Ele
             yield e("details", e("summary", count), *_differing(follows, [name for _, name in mine]))
 
 
-def _differing(found: Mapping[str, Sequence[str]], named: Sequence[str]) -> Iterator[Element]:
+def _differing(result: Mapping[str, Sequence[str]], named: Sequence[str]) -> Iterator[Element]:
     rows = []
-    for what, values in list(found.items())[:MOST]:
+    for what, values in list(result.items())[:MOST]:
         by = {v: [name for name, own in zip(named, values, strict=True) if own == v] for v in values}
         rows.append((what, e("div", *(e("div", e("b", v or NONE), f" in {_listed(of)}") for v, of in by.items()))))
     yield table(("What", "In which run"), rows)
-    if len(found) > MOST:
-        yield e("p", f"And {len(found) - MOST} more.", class_="note")
+    if len(result) > MOST:
+        yield e("p", f"And {len(result) - MOST} more.", class_="note")
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -159,15 +159,15 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
     same = groups(records, named)
     for system in dict.fromkeys(run.system for run in records):
         mine = [k for k, run in enumerate(records) if run.system == system]
-        found = {k: opened for k in mine if (opened := _signals(runs[k][0] / "bag")) is not None}
+        results = {k: opened for k in mine if (opened := _signals(runs[k][0] / "bag")) is not None}
         drawn: list[tuple[str, str]] = []
         alone: list[str] = []
-        for part in _lengths({k: records[k].simulated_s for k in found}):
+        for part in _lengths({k: records[k].simulated_s for k in results}):
             ends = max(records[k].simulated_s for k in part)
             pictures = list(
                 draw_overlay(
-                    [Overlay(named[k], same[k], records[k].plots, records[k].signals, found[k]) for k in part],
-                    "" if len(part) == len(found) else f", runs of up to {ends:g} s",
+                    [Overlay(named[k], same[k], records[k].plots, records[k].signals, results[k]) for k in part],
+                    "" if len(part) == len(results) else f", runs of up to {ends:g} s",
                 )
             )
             drawn += pictures
@@ -175,7 +175,7 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
         if drawn:
             yield e("h2", f"{system}: signals")
         yield from (e("figure", picture(data, title)) for title, data in drawn)
-        lost = [named[k] for k in mine if k not in found]
+        lost = [named[k] for k in mine if k not in results]
         for text, of in (("for want of a bag", lost), ("no other run of about their length has their plots", alone)):
             if drawn and of:
                 yield e("p", f"Not drawn here, {text}: {', '.join(of)}", class_="note")

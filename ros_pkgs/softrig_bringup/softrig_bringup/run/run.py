@@ -142,7 +142,7 @@ def checked(scenario: Scenario) -> Rig:
 
 def gaps(rig: Rig, recording: Recording) -> str:
     """Describe which topics of a lockstep run lack or double a tick; empty when none does."""
-    found = []
+    results = []
     expected = {} if rig.clock.external else {CLOCK.topic: rig.clock.schedule}
     for member in rig.members:
         readers = {p.name: [m for m, _ in rig.readers(member, p)] for p in member.outputs}
@@ -154,14 +154,14 @@ def gaps(rig: Rig, recording: Recording) -> str:
         if topic in sporadic:
             wrong = next((t for a, t in pairwise([-1, *times.tolist()]) if t <= a or not schedule.due(t)), None)
             if wrong is not None:
-                found.append(f"{topic}: a message at t = {wrong / 1e9:.9g} s, which is no tick or not a later one")
+                results.append(f"{topic}: a message at t = {wrong / 1e9:.9g} s, which is no tick or not a later one")
             continue
         wanted = schedule.count()
         if len(times) == wanted and times[0] == 0 and times[-1] == schedule.last:
             continue
         at = next((i for i, t in enumerate(times.tolist()) if t != schedule.time(i)), len(times))
-        found.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {schedule.time(at) / 1e9:.9g} s")
-    return "; ".join(found)
+        results.append(f"{topic}: {len(times)} messages of {wanted}, first gap at t = {schedule.time(at) / 1e9:.9g} s")
+    return "; ".join(results)
 
 
 def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") -> dict[str, Any]:
@@ -210,10 +210,10 @@ def _changes(run: Run) -> list[dict[str, Any]]:
 def _once(run: Run) -> list[str]:
     """Describe why a run cannot be made again as it was from its scenario; nothing when it can."""
     outside = [m.name for m in run.rig.members if m.external]
-    found = [f"{', '.join(outside)} from outside"] if outside else []
-    found += [CHANGED] if turned(run) or any(b["left"] for b in run.branched) else []
-    found += [OUTSIDE] if not outside and from_outside(run.rig, run.recording) else []
-    return found + (["in real time"] if run.epoch else [])
+    results = [f"{', '.join(outside)} from outside"] if outside else []
+    results += [CHANGED] if turned(run) or any(b["left"] for b in run.branched) else []
+    results += [OUTSIDE] if not outside and from_outside(run.rig, run.recording) else []
+    return results + (["in real time"] if run.epoch else [])
 
 
 def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
@@ -226,11 +226,11 @@ def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
     """
     try:
         recording = read_shards(shards)
-        found = [CHANGED] if turned(Run(rig, rig.scenario.seed, recording)) else []
+        results = [CHANGED] if turned(Run(rig, rig.scenario.seed, recording)) else []
     # The shards are damaged on the disk, so it is unknown whether there was a change.
     except (ValueError, KeyError):
         return ["parameters may have been changed while it ran"]
-    return found + ([OUTSIDE] if from_outside(rig, recording) else [])
+    return results + ([OUTSIDE] if from_outside(rig, recording) else [])
 
 
 def turned(run: Run) -> list[str]:
@@ -281,14 +281,14 @@ def checkout() -> dict[str, str]:
     result = {"run.lock": f"sha256:{hashlib.sha256(lock.read_bytes()).hexdigest()}"}
     git = ["git", "-C", str(script.parent), "-c", "core.fsmonitor=", "--no-optional-locks"]
     try:
-        said = [
+        messages = [
             subprocess.run([*git, *command], capture_output=True, text=True, timeout=10, check=True).stdout.strip()
             for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
         ]
     # There is no git here, or the checkout is an archive without its history.
     except (OSError, subprocess.SubprocessError):
         return result
-    return {"commit": said[0] + ("+" if said[1] else "")} | result
+    return {"commit": messages[0] + ("+" if messages[1] else "")} | result
 
 
 def save(

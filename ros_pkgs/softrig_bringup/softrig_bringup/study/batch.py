@@ -151,12 +151,12 @@ class Log:
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Read all rows, one at a time, in the order in which they were written."""
-        told = set()
+        messages = set()
         with self.path.open("rb") as file:
             for line in file:
                 row = _row(line)
-                if row and row["number"] not in told and self._known.get(row["number"]) == _content(row):
-                    told.add(row["number"])
+                if row and row["number"] not in messages and self._known.get(row["number"]) == _content(row):
+                    messages.add(row["number"])
                     yield row
 
     def close(self) -> None:

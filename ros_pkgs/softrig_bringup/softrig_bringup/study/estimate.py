@@ -59,15 +59,15 @@ def deviation(values: Array) -> Estimate:
     n = values.size
     if n < 2:
         return Estimate(math.nan)
-    found, z = float(np.std(values, ddof=1)), float(stats.norm.ppf(0.5 + LEVEL / 2.0))
+    result, z = float(np.std(values, ddof=1)), float(stats.norm.ppf(0.5 + LEVEL / 2.0))
     # The trimmed mean below divides by the root of n - 4.
-    if n < 5 or found == 0.0:
-        return Estimate(found, *((0.0, 0.0) if found == 0.0 else ()))
+    if n < 5 or result == 0.0:
+        return Estimate(result, *((0.0, 0.0) if result == 0.0 else ()))
     about = values - stats.trim_mean(values, 0.5 / math.sqrt(n - 4.0))
     kurtosis = n * float(np.sum(about**4)) / float(np.sum((values - values.mean()) ** 2)) ** 2
     c = n / (n - z)
     half = z * c * math.sqrt((kurtosis - (n - 3.0) / n) / (n - 1.0))
-    return Estimate(found, *(math.sqrt(c * found**2 * math.exp(sign * half)) for sign in (-1.0, 1.0)))
+    return Estimate(result, *(math.sqrt(c * result**2 * math.exp(sign * half)) for sign in (-1.0, 1.0)))
 
 
 def quantile(values: Array, q: float) -> Estimate:
@@ -80,15 +80,15 @@ def quantile(values: Array, q: float) -> Estimate:
     """
     from scipy import stats
 
-    found = stats.quantile_test(values, q=0.0, p=q).confidence_interval(LEVEL)
-    return Estimate(float(at_quantile(values, q)), float(found.low), float(found.high))
+    result = stats.quantile_test(values, q=0.0, p=q).confidence_interval(LEVEL)
+    return Estimate(float(at_quantile(values, q)), float(result.low), float(result.high))
 
 
 def at_quantile(values: Array, q: float, axis: int = -1) -> Array:
     """Compute a quantile as `numpy.quantile` does; between infinity and infinity it is infinity."""
     with np.errstate(invalid="ignore"):
-        found = np.quantile(values, q, axis=axis)
-    return np.where(np.isnan(found), math.inf, found)
+        result = np.quantile(values, q, axis=axis)
+    return np.where(np.isnan(result), math.inf, result)
 
 
 def share(portion: float, n: int) -> Estimate:
@@ -151,7 +151,7 @@ def _resampled(values: Array | NDArray[np.int_], statistic: Statistic) -> Estima
     if n < 2:
         return Estimate(value)
     wider = stats.norm.cdf(math.sqrt(n / (n - 1.0)) * stats.t.ppf(0.5 - LEVEL / 2.0, n - 1))
-    found = stats.bootstrap(
+    result = stats.bootstrap(
         (values,),
         statistic,
         n_resamples=RESAMPLES,
@@ -161,7 +161,7 @@ def _resampled(values: Array | NDArray[np.int_], statistic: Statistic) -> Estima
         confidence_level=1.0 - 2.0 * wider,
         rng=np.random.default_rng(0),
     ).confidence_interval
-    return Estimate(value, float(found.low), float(found.high))
+    return Estimate(value, float(result.low), float(result.high))
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -223,8 +223,8 @@ def sobol(a: Array, b: Array, mixed: Array) -> list[tuple[Estimate, Estimate]]:
 
     def indices(at: NDArray[np.int_]) -> Array:
         of = {"f_A": a[None, at], "f_B": b[None, at], "f_AB": mixed[:, None, at]}
-        found = stats.sobol_indices(func=of, n=a.size)
-        return np.array([np.atleast_1d(found.first_order), np.atleast_1d(found.total_order)])
+        result = stats.sobol_indices(func=of, n=a.size)
+        return np.array([np.atleast_1d(result.first_order), np.atleast_1d(result.total_order)])
 
     value = indices(np.arange(a.size))
     drawn = np.random.default_rng(0).integers(a.size, size=(499, a.size))

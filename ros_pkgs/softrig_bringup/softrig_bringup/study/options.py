@@ -154,16 +154,16 @@ def _drawn(name: str, text: str) -> dict[str, Any]:
         if ".." in text and "[" not in text:
             raise ScenarioError(f"{name}={text}: expected LOW..HIGH with decimal points, or one of A,B,C")
         return {"choice": values(name, text)}
-    found = span(name, text)
-    if found.linear:
+    result = span(name, text)
+    if result.linear:
         raise ScenarioError(f"{name}={text}: a parameter has no course, expected LOW..HIGH*N for a list")
-    ends: list[Any] = [found.low, found.high]
-    return {"log_uniform" if found.log else "uniform": [[x] * found.count for x in ends] if found.count else ends}
+    ends: list[Any] = [result.low, result.high]
+    return {"log_uniform" if result.log else "uniform": [[x] * result.count for x in ends] if result.count else ends}
 
 
 def _constraint(text: str) -> tuple[str, str]:
     """Read ``overshoot <= 5`` as a figure and what is expected of it."""
-    found = re.fullmatch(rf"\s*(\w+)\s*(<=|>=)\s*({NUMBER})\s*", text)
-    if found is None:
+    match = re.fullmatch(rf"\s*(\w+)\s*(<=|>=)\s*({NUMBER})\s*", text)
+    if match is None:
         raise ScenarioError(f"--subject-to {text!r}: expected FIGURE <= NUMBER or FIGURE >= NUMBER")
-    return found[1], f"at {'most' if found[2] == '<=' else 'least'} {found[3]}"
+    return match[1], f"at {'most' if match[2] == '<=' else 'least'} {match[3]}"

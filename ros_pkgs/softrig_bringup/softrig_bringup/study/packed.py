@@ -62,8 +62,8 @@ def rows_alone(rows: Sequence[Row]) -> bytes:
     """Write rows without folders of this machine: scenarios by name, error texts of failed runs without paths."""
     lines = []
     for row in rows:
-        told = {**row, "scenario": locate(row["scenario"])[0], "error": placeless(row["error"])}
-        lines.append(json.dumps(told, separators=(",", ":")) + "\n")
+        entries = {**row, "scenario": locate(row["scenario"])[0], "error": placeless(row["error"])}
+        lines.append(json.dumps(entries, separators=(",", ":")) + "\n")
     return "".join(lines).encode()
 
 
@@ -78,26 +78,26 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
     if not is_pack(path):
         raise ScenarioError(f"--like {path}: expected a file that `softrig pack` has written of a study")
     folder = opened(path)
-    said = about(folder)
+    stated = about(folder)
     if not (folder / STUDY / FILE).is_file():
         raise ScenarioError(f"--like {path}: it holds a run, expected a study; `softrig run --like` repeats it")
-    need_packages(f"--like {path}", [*said.packages, *said.code])
+    need_packages(f"--like {path}", [*stated.packages, *stated.code])
     study = make_study(read_mapping(folder / STUDY / FILE))
 
     def place(name: str) -> str:
         file = folder / SCENARIO / f"{name}.yaml"
         if os.path.basename(name) != name or not file.is_file():
             raise ScenarioError(f"--like {path}: no scenario {name!r} in it")
-        check_scenario(folder, load_scenario(str(file)), said)
+        check_scenario(folder, load_scenario(str(file)), stated)
         return str(file)
 
     cases = {
         case: own | ({"scenario": place(str(own["scenario"]))} if "scenario" in own else {})
         for case, own in study.cases.items()
     }
-    found = study.model_copy(update={"scenario": place(study.scenario), "cases": cases})
+    result = study.model_copy(update={"scenario": place(study.scenario), "cases": cases})
     with (folder / STUDY / ROWS).open("rb") as file:
-        return found, [json.loads(line) for line in file]
+        return result, [json.loads(line) for line in file]
 
 
 def differing(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:

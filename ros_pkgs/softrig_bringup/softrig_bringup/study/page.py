@@ -65,15 +65,15 @@ def main(options: argparse.Namespace) -> int:
     )
     rows = without_signals(log.rows())
     units = units_of(rows)
-    found = results(study, rows, units)
-    held = claims(study, found)
+    result = results(study, rows, units)
+    held = claims(study, result)
     over = statistics(study, rows, units, widths)
     content = {
         "study": study.name,
         "runs": len(rows),
         "broken": sum(bool(r["error"]) for r in rows),
         "not_judged": not_judged(rows),
-        "summaries": [r.model_dump(by_alias=True) for r in found],
+        "summaries": [r.model_dump(by_alias=True) for r in result],
         "claims": [c.model_dump() for c in held],
     } | over.content()
     folder = ResultsFolder(out, STUDY)
@@ -85,16 +85,16 @@ def main(options: argparse.Namespace) -> int:
             for ending in ("csv", "tex"):
                 write_paper_table(new / f"statistics.{ending}", "case", *for_paper(over))
         (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
-        write_page(new / "report.html", study.title, list(_page(study, rows, found, held, over, pictures, units)))
-    _print(study, rows, found, held, over, out)
+        write_page(new / "report.html", study.title, list(_page(study, rows, result, held, over, pictures, units)))
+    _print(study, rows, result, held, over, out)
     if before is not None:
         other = list(differing(before, rows))
-        said = f"repeats {options.like} row for row" if not other else f"{len(other)} of {len(before)} rows are others"
-        print("; ".join([said, *other[:3]]))
+        text = f"repeats {options.like} row for row" if not other else f"{len(other)} of {len(before)} rows are others"
+        print("; ".join([text, *other[:3]]))
         return 1 if other else 0
     if any(row["error"] for row in rows):
         return 3
-    return 0 if all(r.passed for r in found) and all(c.holds is not False for c in held) else 1
+    return 0 if all(r.passed for r in result) and all(c.holds is not False for c in held) else 1
 
 
 def _again(options: argparse.Namespace) -> tuple[Study, list[dict[str, Any]]]:
@@ -107,12 +107,12 @@ def _again(options: argparse.Namespace) -> tuple[Study, list[dict[str, Any]]]:
 def _width(text: str) -> tuple[str, float]:
     name, _, width = text.rpartition("=")
     try:
-        found = float(width) if name else math.nan
+        result = float(width) if name else math.nan
     except ValueError:
-        found = math.nan
-    if not 0.0 < found < math.inf:
+        result = math.nan
+    if not 0.0 < result < math.inf:
         raise ScenarioError(f"--width {text!r}: expected FIGURE=W, a width above 0")
-    return name.strip(), found
+    return name.strip(), result
 
 
 def units_of(rows: Sequence[Row]) -> dict[str, str]:
@@ -133,15 +133,15 @@ def best(study: Study, rows: Sequence[Row]) -> list[Row]:
         return []
     sign = 1.0 if search.aim == "minimise" else -1.0
     each = len(study.seeds or [0])
-    found: dict[int, list[Row]] = {}
+    gathered: dict[int, list[Row]] = {}
     for row in rows:
-        found.setdefault(row["number"] // each, []).append(row)
+        gathered.setdefault(row["number"] // each, []).append(row)
 
     def kept(row: Row) -> bool:
         within = all(beyond(row, name, limits) <= 0.0 for name, limits in search.subject_to.items())
         return within and row["figures"].get(search.figure) is not None
 
-    sure = [own for own in found.values() if len(own) == each and all(map(kept, own))]
+    sure = [own for own in gathered.values() if len(own) == each and all(map(kept, own))]
     return min(sure, key=lambda own: sign * sum(row["figures"][search.figure] for row in own), default=[])
 
 
@@ -160,16 +160,16 @@ def _figure(row: Row, name: str) -> str:
 
 
 def _print(
-    study: Study, rows: Sequence[Row], found: Sequence[Result], held: Sequence[Finding], over: Statistics, out: Path
+    study: Study, rows: Sequence[Row], gathered: Sequence[Result], held: Sequence[Finding], over: Statistics, out: Path
 ) -> None:
     console = make_console()
     console.print(styled((study.title, "italic")))
     cells: list[list[Cell]] = []
-    for r in found:
+    for r in gathered:
         verdict = styled(("pass" if r.judged else "", "green")) if r.passed else styled(("MISS", "red"), f" {r.error}")
         verdict = styled(("not judged", "yellow")) if r.published_for else verdict
         cells.append([r.name, short(r.value), accepted(r), short(r.published), r.unit, verdict])
-    if found:
+    if gathered:
         print_judged(console, ("summary", "value", "expected", "published", "unit", ""), cells)
     elif len(rows) <= FEW:
         varied, figures = (list(dict.fromkeys(n for row in rows for n in row[k])) for k in ("overrides", "figures"))
@@ -183,7 +183,7 @@ def _print(
         print_columns(console, written.heads, written.rows[:MOST], written.keys)
         if len(written.rows) > MOST:
             console.print(f"the first {MOST} of {len(written.rows)} rows; summaries.json has them all")
-    for note in _notes(study, rows, found, over):
+    for note in _notes(study, rows, gathered, over):
         console.print(note, soft_wrap=True)
     for claim in held:
         if claim.holds is False:
@@ -203,9 +203,9 @@ def _print(
     console.print(f"{len(rows)} runs, {len(broken)} broke; results in {out}")
 
 
-def _notes(study: Study, rows: Sequence[Row], found: Sequence[Result], over: Statistics) -> list[str]:
+def _notes(study: Study, rows: Sequence[Row], gathered: Sequence[Result], over: Statistics) -> list[str]:
     """Return sentences about the study as a whole."""
-    written = any(r.published_for for r in found) or (study.claims and study.written)
+    written = any(r.published_for for r in gathered) or (study.claims and study.written)
     own = f"summaries and claims are not judged: published for {study.written}" if written else ""
     return [*over.notes, *filter(None, (own, not_judged(rows)))]
 
@@ -219,7 +219,7 @@ def _cell(value: Any) -> str:
 def _page(
     study: Study,
     rows: Sequence[Row],
-    found: Sequence[Result],
+    gathered: Sequence[Result],
     held: Sequence[Finding],
     over: Statistics,
     pictures: Sequence[Path],
@@ -241,7 +241,7 @@ def _page(
             e("dl", *(e("div", e("dt", k), e("dd", v)) for k, v in facts), class_="facts"),
         ),
     ]
-    if found:
+    if gathered:
         lines: list[tuple[Element | str, ...]] = [
             (
                 r.name.replace("_", " "),
@@ -251,7 +251,7 @@ def _page(
                 accepted(r),
                 _verdict(r),
             )
-            for r in found
+            for r in gathered
         ]
         body += [
             e("h2", "Over all runs"),
@@ -279,7 +279,7 @@ def _page(
         ]
     for written in sorted(tables(over), key=lambda t: t.answers, reverse=True):
         body += [e("h2", written.title), _statistics(written)]
-    body += [e("p", f"{note[0].upper()}{note[1:]}.", class_="note") for note in _notes(study, rows, found, over)]
+    body += [e("p", f"{note[0].upper()}{note[1:]}.", class_="note") for note in _notes(study, rows, gathered, over)]
     winners = best(study, rows)
     if winners:
         about = [
@@ -342,8 +342,8 @@ def _statistics(written: Tabled) -> Element:
 
 def _interval(cell: str) -> Element | str:
     """Put the interval of a number below it, so that a table of them is not wider than the page."""
-    value, bracket, rest = cell.partition(" [")
-    return e("span", value, " ", e("small", f"[{rest}")) if bracket else cell
+    value, bracket, remaining = cell.partition(" [")
+    return e("span", value, " ", e("small", f"[{remaining}")) if bracket else cell
 
 
 def asked(study: Study) -> str:
@@ -352,7 +352,7 @@ def asked(study: Study) -> str:
     how = "candidates of a search" if study.search else "draws of"
     spans = [f"{n} {_span(d.model_dump(exclude_none=True))}" for n, d in (draws.parameters if draws else {}).items()]
     parts = [" against ".join(study.cases) if len(study.cases) > 1 else ""]
-    parts += [f"{name} at {len(found)} values" for name, found in study.grid.items()]
+    parts += [f"{name} at {len(result)} values" for name, result in study.grid.items()]
     parts += [f"{draws.count} {how} {', '.join(spans)}" if draws else ""]
     parts += [f"{len(study.seeds)} seeds" if study.seeds and len(study.seeds) > 1 else ""]
     return "; ".join(filter(None, parts))

@@ -210,10 +210,10 @@ def _map(rows: Sequence[Row], varied: Sequence[str], name: str, units: Mapping[s
             lost = absent(value_of(row, name) for row in mine)
             ax.set_title(f"{case}, {len(mine)} runs" + (f", ×: {lost}" if lost else ""), loc="left", fontsize=9)
     lost = absent(value_of(row, name) for row in rows)
-    said = [f"×: {lost}"] if lost and not several else []
-    said += [f"the first {MOST} of {len(groups)} cases"] if len(groups) > MOST else []
-    if said:
-        note(figure, ", ".join(said))
+    messages = [f"×: {lost}"] if lost and not several else []
+    messages += [f"the first {MOST} of {len(groups)} cases"] if len(groups) > MOST else []
+    if messages:
+        note(figure, ", ".join(messages))
     figure.colorbar(drawn, ax=axes, label=_name(name, units))
     return figure
 
@@ -252,8 +252,8 @@ def _distribution(study: Study, rows: Sequence[Row], names: Sequence[str], units
     for ax, name in zip(axes, names, strict=True):
         values = [[v for r in mine if (v := r["figures"].get(name)) is not None] for mine in groups.values()]
         lost = {group: absent(value_of(row, name) for row in mine) for group, mine in groups.items()}
-        if said := absent(value_of(row, name) for row in rows):
-            ax.set_title(said, loc="right", fontsize=9, color=LOST)
+        if text := absent(value_of(row, name) for row in rows):
+            ax.set_title(text, loc="right", fontsize=9, color=LOST)
         if len(groups) == 1 or (study.draws and len(groups) <= FEW and any(values)):
             edges = np.histogram_bin_edges(np.concatenate(values), min(40, max(8, max(map(len, values)) // 10)))
             several = len(groups) > 1
@@ -292,8 +292,8 @@ def _history(search: Search, rows: Sequence[Row], units: Mapping[str, str]) -> F
         ax.plot(n[sure & ~kept], y[sure & ~kept], "x", markersize=4, alpha=0.5, color=LOST, label="beyond the limits")
     better = np.minimum if search.aim == "minimise" else np.maximum
     ax.plot(n[kept], better.accumulate(y[kept]), drawstyle="steps-post", label="best so far")
-    if said := absent(value_of(row, search.figure) for row in rows):
-        ax.set_title(said, loc="right", fontsize=9, color=LOST)
+    if text := absent(value_of(row, search.figure) for row in rows):
+        ax.set_title(text, loc="right", fontsize=9, color=LOST)
     ax.set_xlabel("Run")
     ax.set_ylabel(_name(search.figure, units))
     ax.margins(x=0.03)

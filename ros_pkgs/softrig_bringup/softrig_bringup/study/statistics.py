@@ -128,8 +128,8 @@ class Sample:
 
     def __init__(self, rows: Sequence[Row], seeds: int) -> None:
         self.rows, self.seeds = rows, seeds if len(rows) % seeds == 0 else 1
-        said = [(row["figures"], row.get("never"), bool(row["error"])) for row in rows]
-        self.one_run = self.seeds > 1 and all(said[k] == said[k - k % self.seeds] for k in range(len(said)))
+        messages = [(row["figures"], row.get("never"), bool(row["error"])) for row in rows]
+        self.one_run = self.seeds > 1 and all(messages[k] == messages[k - k % self.seeds] for k in range(len(messages)))
 
     def table(self, value: Callable[[Row], float], one_run: bool | None = None) -> Array:
         """Return a number of each run, shape (independent runs, runs that belong to one of them)."""
@@ -163,13 +163,13 @@ def statistics(
     samples = samples_of(study, rows)
     figures = list(dict.fromkeys(name for row in rows for name, value in row["figures"].items() if value is not None))
     lines = [_line(group, name, units.get(name, ""), s) for group, s in samples.items() for name in figures]
-    found = Statistics(
+    result = Statistics(
         [line for line in lines if line is not None],
         [share for group, sample in samples.items() for share in _shares(study, group, sample)],
         _adjusted([d for name in figures for d in _differences(study, samples, name, units.get(name, ""))]),
         [*_indices(study, rows, figures)],
     )
-    return found._replace(notes=[*_notes(study, samples, found), *_needed(found, widths or {})])
+    return result._replace(notes=[*_notes(study, samples, result), *_needed(result, widths or {})])
 
 
 def samples_of(study: Study, rows: Sequence[Row]) -> dict[str, Sample]:
@@ -251,8 +251,8 @@ def not_judged(rows: Sequence[Row]) -> str:
     names = dict.fromkeys(name for row in others for name in row["not_judged"])
     # The longest description is of the machine of which most was changed.
     machine = max((row["published_for"] for row in others), key=len, default="")
-    said = f"not judged in {len(others)} of {len(rows)} runs: {', '.join(names)}, published for {machine}"
-    return f"{said} (--strict judges them)" if others else ""
+    text = f"not judged in {len(others)} of {len(rows)} runs: {', '.join(names)}, published for {machine}"
+    return f"{text} (--strict judges them)" if others else ""
 
 
 def bound_text(figure: str, limits: Expectation) -> str:
@@ -298,8 +298,8 @@ def _differences(study: Study, samples: Mapping[str, Sample], figure: str, unit:
         )
 
 
-def _adjusted(found: Sequence[Difference]) -> list[Difference]:
-    return [d._replace(p=p) for d, p in zip(found, estimate.holm([d.p for d in found]), strict=True)]
+def _adjusted(differences: Sequence[Difference]) -> list[Difference]:
+    return [d._replace(p=p) for d, p in zip(differences, estimate.holm([d.p for d in differences]), strict=True)]
 
 
 def _indices(study: Study, rows: Sequence[Row], figures: Sequence[str]) -> Iterator[Index]:
@@ -320,7 +320,7 @@ def _indices(study: Study, rows: Sequence[Row], figures: Sequence[str]) -> Itera
                 yield Index(group, figure, name, n, first, total)
 
 
-def _notes(study: Study, samples: Mapping[str, Sample], found: Statistics) -> Iterator[str]:
+def _notes(study: Study, samples: Mapping[str, Sample], result: Statistics) -> Iterator[str]:
     """Describe what n counts, and what the intervals assume."""
     seeds = len(study.seeds or [0])
     if same := [group for group, sample in samples.items() if sample.one_run]:
@@ -328,31 +328,31 @@ def _notes(study: Study, samples: Mapping[str, Sample], found: Statistics) -> It
         yield f"the {seeds} seeds{where} are one run: its nodes draw no random number that a figure depends on"
     if any(sample.seeds > 1 and not sample.one_run and len(sample.rows) > sample.seeds for sample in samples.values()):
         yield f"n counts draws: the {seeds} seeds of a draw belong together, and the intervals go by draws"
-    if study.draws and study.draws.method != "random" and found.lines:
+    if study.draws and study.draws.method != "random" and result.lines:
         yield "the draws fill the space evenly; the intervals are those of independent draws, which are no narrower"
     if study.draws and study.draws.method == "sensitivity":
-        left = {line.figure for line in found.lines} - {index.figure for index in found.indices}
+        left = {line.figure for line in result.lines} - {index.figure for index in result.indices}
         yield f"statistics are over the {2 * study.draws.count} independent of {points_of(study)} points"
         if left:
             yield f"no sensitivity of {', '.join(sorted(left))}: not every run has a number, or all have the same one"
 
 
-def _needed(found: Statistics, widths: Mapping[str, float]) -> Iterator[str]:
+def _needed(result: Statistics, widths: Mapping[str, float]) -> Iterator[str]:
     """Describe how many runs intervals of given widths need."""
-    known = {line.figure for line in found.lines} | {share.requirement for share in found.shares}
+    known = {line.figure for line in result.lines} | {share.requirement for share in result.shares}
     for name, width in widths.items():
         if name not in known:
             raise ScenarioError(f"--width {name}: nothing of that name is estimated{closest(name, known)}")
-        for line in (line for line in found.lines if line.figure == name):
+        for line in (line for line in result.lines if line.figure == name):
             if math.isnan(line.deviation.value):
                 yield f"mean {name} of {line.group}: {line.n} runs give no spread, so nothing follows for a width"
                 continue
             n = estimate.runs_for_mean(line.deviation.value, width)
             yield _more(f"mean {name} of {line.group}", line.mean, line.n, n, width)
-        for share in (share for share in found.shares if share.requirement == name):
+        for share in (share for share in result.shares if share.requirement == name):
             n = estimate.runs_for_share(share.share.value, width)
             yield _more(f"share of {name} of {share.group}", share.share, share.n, n, width)
-        for d in (d for d in found.differences if d.figure == name and d.effect):
+        for d in (d for d in result.differences if d.figure == name and d.effect):
             n = estimate.runs_for_mean(abs(d.difference.value / d.effect), width)
             yield _more(f"{name} of {d.group} less that of {d.base}", d.difference, d.n, n, width)
 

@@ -66,11 +66,11 @@ def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
         if (name := row["scenario"]) not in begins:
             nodes = load_scenario(name).nodes.values()
             begins[name] = [*words((node.package for node in nodes), "run"), scenario_word(name)]
-        found = [*begins[name], "--mode", "inprocess", "--seed", str(row["seed"])]
-        found += ["--duration", repr(duration)] if duration is not None else []
+        gathered = [*begins[name], "--mode", "inprocess", "--seed", str(row["seed"])]
+        gathered += ["--duration", repr(duration)] if duration is not None else []
         for parameter, value in row["overrides"].items():
-            found += ["--set", f"{parameter}={value if isinstance(value, str) else json.dumps(value)}"]
-        yield joined(found)
+            gathered += ["--set", f"{parameter}={value if isinstance(value, str) else json.dumps(value)}"]
+        yield joined(gathered)
 
 
 def label(study: Study, row: Row) -> str:
@@ -154,8 +154,8 @@ def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list
     return result
 
 
-def claims(study: Study, found: Sequence[Result]) -> list[Finding]:
+def claims(study: Study, gathered: Sequence[Result]) -> list[Finding]:
     """Hold the claims of a study against its summaries; those of a changed one stay open."""
-    values = {r.name: r.number for r in found}
+    values = {r.name: r.number for r in gathered}
     held = hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
     return [claim.model_copy(update={"holds": None}) for claim in held] if study.written else held

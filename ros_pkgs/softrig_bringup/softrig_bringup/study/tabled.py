@@ -26,7 +26,7 @@ class Tabled(NamedTuple):
     answers: bool = False
 
 
-def tables(found: Statistics) -> list[Tabled]:
+def tables(statistics: Statistics) -> list[Tabled]:
     """Write statistics as tables, those that have rows."""
     written = [
         Tabled(
@@ -34,14 +34,14 @@ def tables(found: Statistics) -> list[Tabled]:
             ("case", "figure", "unit", "n", "mean", "deviation", "5 %", "median", "95 %"),
             [
                 (x.group, x.figure, x.unit, str(x.n) + (f", {x.lost}" if x.lost else ""), *map(written_estimate, x[5:]))
-                for x in found.lines
+                for x in statistics.lines
             ],
             2,
         ),
         Tabled(
             "How often requirements hold, 95 % intervals",
             ("case", "requirement", "held", "n", "share"),
-            [(x.group, x.requirement, str(x.held), str(x.n), written_estimate(x.share)) for x in found.shares],
+            [(x.group, x.requirement, str(x.held), str(x.n), written_estimate(x.share)) for x in statistics.shares],
             2,
         ),
         Tabled(
@@ -53,7 +53,7 @@ def tables(found: Statistics) -> list[Tabled]:
                     *(written_estimate(x.difference), written_estimate(x.smaller), _short(x.effect)),
                     NONE if math.isnan(x.p) else f"{x.p:.2g}" if x.p >= 1e-4 else "<0.0001",
                 )
-                for x in found.differences
+                for x in statistics.differences
             ],
             3,
             True,
@@ -63,7 +63,7 @@ def tables(found: Statistics) -> list[Tabled]:
             ("case", "figure", "parameter", "alone", "with others"),
             [
                 (x.group, x.figure, x.parameter, written_estimate(x.first), written_estimate(x.total))
-                for x in found.indices
+                for x in statistics.indices
             ],
             3,
         ),
@@ -71,13 +71,13 @@ def tables(found: Statistics) -> list[Tabled]:
     return [_without_case(table) for table in written if table.rows]
 
 
-def for_paper(found: Statistics) -> tuple[list[str], list[Column]]:
+def for_paper(statistics: Statistics) -> tuple[list[str], list[Column]]:
     """Return means and half widths of their intervals, a row a case and a column a figure."""
     groups, figures = (
-        [*dict.fromkeys(key)] for key in ([x.group for x in found.lines], [x.figure for x in found.lines])
+        [*dict.fromkeys(key)] for key in ([x.group for x in statistics.lines], [x.figure for x in statistics.lines])
     )
-    lines = {(x.group, x.figure): x for x in found.lines}
-    units = {x.figure: x.unit for x in found.lines}
+    lines = {(x.group, x.figure): x for x in statistics.lines}
+    units = {x.figure: x.unit for x in statistics.lines}
     none = Estimate(math.nan)
     columns = []
     for figure in figures:
@@ -93,20 +93,20 @@ def _without_case(table: Tabled) -> Tabled:
     return Tabled(table.title, table.heads[1:], [row[1:] for row in table.rows], table.keys - 1, table.answers)
 
 
-def written_estimate(found: Estimate) -> str:
+def written_estimate(estimate: Estimate) -> str:
     """Write a number and its interval, no finer than two digits of the interval's half width."""
-    if math.isinf(found.value):
+    if math.isinf(estimate.value):
         return NEVER
-    if math.isnan(found.value):
+    if math.isnan(estimate.value):
         return NONE
-    ends = [end for end in found[1:] if math.isfinite(end)]
-    half = max((abs(end - found.value) for end in ends), default=0.0)
+    ends = [end for end in estimate[1:] if math.isfinite(end)]
+    half = max((abs(end - estimate.value) for end in ends), default=0.0)
     decimals = DIGITS - 1 - math.floor(math.log10(half)) if half else None
-    value = _rounded(found.value, decimals)
-    if math.isnan(found.low) and math.isnan(found.high):
+    value = _rounded(estimate.value, decimals)
+    if math.isnan(estimate.low) and math.isnan(estimate.high):
         return value
     low, high = (
-        NEVER if math.isinf(end) else NONE if math.isnan(end) else _rounded(end, decimals) for end in found[1:]
+        NEVER if math.isinf(end) else NONE if math.isnan(end) else _rounded(end, decimals) for end in estimate[1:]
     )
     return f"{value} [{low}, {high}]"
 

@@ -147,13 +147,13 @@ def repeating(work: Work) -> dict[str, Any]:
 
 def _parting(work: Work) -> str:
     first, second = (recorded(work, work.case.seed) for _ in range(2))
-    found = [
+    results = [
         (topic.times[k], name)
         for name, topic in first.items()
         for k, (one, two) in enumerate(zip(topic.data, second[name].data, strict=False))
         if one != two
     ]
-    return f", first on {min(found)[1]} at t = {min(found)[0] / SECOND:.9g} s" if found else ""
+    return f", first on {min(results)[1]} at t = {min(results)[0] / SECOND:.9g} s" if results else ""
 
 
 def recorded(work: Work, seed: int) -> Mapping[str, Any]:
@@ -184,11 +184,11 @@ def _figures(done: Run, work: Work) -> dict[str, Any]:
 def _margins(done: Run, names: Collection[str]) -> dict[str, Any]:
     # A search needs these alone, and measuring the others would take time in each run.
     wanted = [f for f in done.wanted or () if f.name in names]
-    found, scenario = {r.name: r for r in evaluate(done.rig, done.signals, wanted)}, done.rig.scenario
+    results, scenario = {r.name: r for r in evaluate(done.rig, done.signals, wanted)}, done.rig.scenario
     margins: dict[str, float | None] = {}
     error = ""
     for name in names:
-        result, bounds = found[name], scenario.expect.get(name)
+        result, bounds = results[name], scenario.expect.get(name)
         formula = name in scenario.requirements
         margin = result.number if bounds is None or formula else bounds.margin(result.number)
         margins[name] = None if math.isnan(margin) else max(-LARGE, min(LARGE, margin))
@@ -204,10 +204,10 @@ def value_of(row: Mapping[str, Any], figure: str) -> float:
 
 def absent(values: Iterable[float]) -> str:
     """Describe of how many runs there is no value: ``1 of 3 never``; empty when all have one."""
-    found = np.array(list(values), float)
-    never, lost = int(np.isposinf(found).sum()), int(np.isnan(found).sum())
-    parts = [f"{never} of {found.size} never"] if never else []
-    return ", ".join(parts + ([f"{lost} of {found.size} not measured"] if lost else []))
+    result = np.array(list(values), float)
+    never, lost = int(np.isposinf(result).sum()), int(np.isnan(result).sum())
+    parts = [f"{never} of {result.size} never"] if never else []
+    return ", ".join(parts + ([f"{lost} of {result.size} not measured"] if lost else []))
 
 
 def _sampled(signal: Any, samples: int) -> dict[str, Any]:

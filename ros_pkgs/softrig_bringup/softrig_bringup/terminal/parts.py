@@ -38,8 +38,8 @@ def list_signals(scenario: str) -> int:
         for label in labels:
             member, own = source.get(topic, (None, port))
             readers = ", ".join(m.name for m, _ in rig.readers(member, own)) if member else ""
-            said = f"{member.name if member else 'outside'} -> {readers or '-'}"
-            print(f"{short_name(label, units)}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{said}")
+            text = f"{member.name if member else 'outside'} -> {readers or '-'}"
+            print(f"{short_name(label, units)}\t{units[label] or '1'}\t{port.msgtype.replace('/msg/', '/')}\t{text}")
     return 0
 
 

@@ -39,12 +39,12 @@ def print_judged(console: Console, heads: Sequence[str], rows: Sequence[Sequence
         return
     for name, *cells, verdict in rows:
         console.print(Text.assemble(str(name), "  ", verdict))
-        said = [
+        messages = [
             f"{'in' if head == 'unit' else head} {cell}"
             for head, cell in zip(heads[1:-1], cells, strict=True)
             if str(cell)
         ]
-        console.print(Padding(", ".join(said), (0, 0, 0, 2)))
+        console.print(Padding(", ".join(messages), (0, 0, 0, 2)))
 
 
 def print_columns(console: Console, heads: Sequence[str], rows: Sequence[Sequence[Cell]], keys: int = 1) -> None:

@@ -74,21 +74,21 @@ def verbs(verb: Verb) -> None:
 
 def _run_and_look(verb: Verb) -> None:
     run_options.arguments(verb("run", "verbs.run_verb:run", "run a scenario: metrics, bag, plots, report", **ONE))
-    look = verb(
+    style = verb(
         "view",
         "verbs.view_verb:view",
         "look at a run or a bag in the browser, or run a scenario that begins paused there",
         **ONE,
     )
-    run_options.arguments(look, "name or YAML file; or a run: its folder, its bag, or a file of `pack`")
-    look.add_argument(
+    run_options.arguments(style, "name or YAML file; or a run: its folder, its bag, or a file of `pack`")
+    style.add_argument(
         "--address",
         default="127.0.0.1:0",
         metavar="HOST:PORT",
         help="of the page (this host, a free port); it is seen with the token in its address only",
     )
-    look.add_argument("--running", action="store_true", help="does not begin paused")
-    look.add_argument(
+    style.add_argument("--running", action="store_true", help="does not begin paused")
+    style.add_argument(
         "--pace",
         type=_pace,
         default=1.0,
@@ -96,7 +96,7 @@ def _run_and_look(verb: Verb) -> None:
         help="simulated by wall-clock time: 1 (default), "
         "0.1, 10, ..., or full: as fast as it goes; the page changes it",
     )
-    look.set_defaults(mode="container")
+    style.set_defaults(mode="container")
     report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="its folder, or a file of `pack`")
     report.add_argument("--out", type=Path, default=Path("report.html"))
@@ -378,8 +378,10 @@ def _analyse(verb: Verb) -> None:
         metavar="N",
         help="matrices at each of N periods from --at on: a rig in motion, outputs that turn",
     )
-    rest = verb("steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 when there is none")
-    for sub in (linear, rest):
+    remaining = verb(
+        "steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 when there is none"
+    )
+    for sub in (linear, remaining):
         sub.add_argument("scenario", help="name or YAML file")
         sub.add_argument("--at", type=Number(float, 0, 1e9), metavar="S", help="when (the scenario's end)")
         sub.add_argument("--output", action="append", metavar="SIGNAL", help="signal that counts (what plants say)")

@@ -161,12 +161,12 @@ class Golden:
         states it.
         """
         new, old = self.rerun(), self.recording()
-        found = self.compare(new, old=old)
-        same = found.equal and self.others and self.compare(new, elsewhere=False, old=old).equal
+        result = self.compare(new, old=old)
+        same = result.equal and self.others and self.compare(new, elsewhere=False, old=old).equal
         how = f"byte for byte, with {self._differing}" if same else self.how
-        held = {topic.topic for topic in found.topics}
+        held = {topic.topic for topic in result.topics}
         further = [topic for topic in new.topics if topic not in held]
-        return found, how + (f"; not in the bag: {', '.join(further)}" if further else "")
+        return result, how + (f"; not in the bag: {', '.join(further)}" if further else "")
 
     def compare(
         self,
@@ -189,14 +189,14 @@ class Golden:
             The golden one, if it has been read already.
         """
         recording = self.recording() if old is None else old
-        before, found = Signals(recording), Signals(new)
+        before, signals = Signals(recording), Signals(new)
         topics = list(recording.topics) if topics is None else topics
         if not (bool(self.others) if elsewhere is None else elsewhere):
-            return compare(before, found, bitwise=True, topics=topics)
+            return compare(before, signals, bitwise=True, topics=topics)
         allowed = self.recipe.elsewhere | self.recipe.tolerances
         limits = {name: Tolerance(a.absolute, a.relative) for name, a in allowed.items()}
         default = Tolerance(self.recipe.default.absolute, self.recipe.default.relative)
-        return compare(before, found, default=default, tolerances=limits, topics=topics)
+        return compare(before, signals, default=default, tolerances=limits, topics=topics)
 
     def open_loop(self, node: str) -> Comparison:
         """Feed one node with the golden inputs and compare what it answers on the topics that the bag holds.
@@ -251,8 +251,8 @@ class Golden:
 
 def _era(python: str) -> int:
     """Describe which `sum` a version of Python has; -1 when that is not known."""
-    found = re.match(r"(\d+)\.(\d+)", python)
-    return sum((int(found[1]), int(found[2])) >= era for era in ERAS) if found else -1
+    match = re.match(r"(\d+)\.(\d+)", python)
+    return sum((int(match[1]), int(match[2])) >= era for era in ERAS) if match else -1
 
 
 def line(others: Iterable[str]) -> str:
@@ -426,10 +426,10 @@ def _with(node: str, folder: Path, recipes: Mapping[str, Recipe | None]) -> dict
     """Return the golden bags whose scenario has a node of this name or executable."""
     nodes = {name: load_scenario(recipe.scenario).nodes for name, recipe in recipes.items() if recipe is not None}
     known = {name: {*of, *(entry.executable for entry in of.values())} for name, of in nodes.items()}
-    if not (found := {name: recipes[name] for name, words in known.items() if node in words}):
+    if not (results := {name: recipes[name] for name, words in known.items() if node in words}):
         there = ", ".join(sorted(set().union(*known.values())))
         raise ScenarioError(f"golden --with {node}: no node or executable of that name in {folder}; there are {there}")
-    return found
+    return results
 
 
 def _one(work: _Work) -> tuple[dict[str, Any], bool, set[str]]:

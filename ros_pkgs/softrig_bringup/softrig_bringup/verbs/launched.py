@@ -201,31 +201,31 @@ class Launched:
         """Finish when all processes have ended; return why the launch ends with a failure."""
         rig, options = self._rig, self._options
         names = [m.name for m in rig.members if not m.external]
-        with undisturbed() as came:  # what was recorded is not lost while it is gathered
+        with undisturbed() as arrived:  # what was recorded is not lost while it is gathered
             recording, nodes = gathered(rig, self._log, names, f"{self._namespace}/" if self._namespace else "")
-        if came and not self._stopped:
-            self._stopped, self.sent = True, signal.Signals(came[0])
+        if arrived and not self._stopped:
+            self._stopped, self.sent = True, signal.Signals(arrived[0])
         late = "" if self._error or self._stopped else left_early(nodes)
         self._error = self._error or late
         if self._record or self._judge:
-            found, reached = self._conclude(recording, nodes)
+            result, reached = self._conclude(recording, nodes)
         else:
-            found, reached = 0, f"stopped by {self.sent.name}: {UNASKED}" if self._stopped and not self._error else ""
+            result, reached = 0, f"stopped by {self.sent.name}: {UNASKED}" if self._stopped and not self._error else ""
         if self._error or self._stopped:
             return late or reached
         if trips := tripped(rig, nodes):
             slow = run_verb.too_slow(options, rig, nodes, container="place:=container") if self._realtime else ""
             return slow or "; ".join(f"{name}: {text}" for name, text in trips.items())
-        return f"judged: status {found}" if found and (self._judge or found > 1) else ""
+        return f"judged: status {result}" if result and (self._judge or result > 1) else ""
 
     def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> tuple[int, str]:
         """Write, print and judge; returns the exit status of `softrig run` and how far a run that was stopped came."""
         rig, options = self._rig, self._options
         epoch = int(read_status(self._log / f"{starter(rig).name}.status").get("epoch", 0))
-        told = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]
+        messages = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]
         run = Run(rig, self._seed, recording, time.monotonic() - self._begun, str(self._placement), epoch, status)
         if self._error:
-            run.error = "; ".join([self._error, *told])
+            run.error = "; ".join([self._error, *messages])
         elif self._stopped:
             run.stopped = self.sent
         elif not self._realtime:

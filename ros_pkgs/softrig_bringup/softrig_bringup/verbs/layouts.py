@@ -57,8 +57,8 @@ def files(rig: Rig) -> dict[str, str]:
     if not rig.scenario.plots:
         raise ScenarioError(f"{rig.scenario.name} has no plots, from which layouts are made: expected `plots` in it")
     name, shown = rig.scenario.name, list(_plots(rig))
-    found = {f"{name}.plotjuggler.xml": _plotjuggler(shown), f"{name}.foxglove.json": _foxglove(shown, rig)}
-    return found | ({f"{name}.rviz": rviz_file(rig)} if any(seen(rig)) else {})
+    results = {f"{name}.plotjuggler.xml": _plotjuggler(shown), f"{name}.foxglove.json": _foxglove(shown, rig)}
+    return results | ({f"{name}.rviz": rviz_file(rig)} if any(seen(rig)) else {})
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _foxglove(plots: Sequence[Plotted], rig: Rig) -> str:
     if scene is not None:
         panels["3D!robot"] = {"followTf": scene.base, "topics": {"/robot_description": {"visible": True}}}
     for number, plot in enumerate(plots, 1):
-        paths = [_path(topic, port, label, said, plot.unit) for topic, port, label, said in plot.curves]
+        paths = [_path(topic, port, label, text, plot.unit) for topic, port, label, text in plot.curves]
         own: dict[str, Any] = {"xAxisVal": "timestamp"}
         if plot.over:
             topic, port, *_ = plot.curves[0]
@@ -175,14 +175,14 @@ def _column(names: Sequence[str]) -> Any:
     }
 
 
-def _path(topic: str, port: Port, label: str, said: str, unit: str) -> Mapping[str, Any]:
+def _path(topic: str, port: Port, label: str, text: str, unit: str) -> Mapping[str, Any]:
     """Return a message path, with the time of the header where there is one, and the unit in its legend."""
     stamp = "headerStamp" if port.stamped else "receiveTime"
     return {
         "value": f"/{topic}.{_place(port, label)}",
         "enabled": True,
         "timestampMethod": stamp,
-        "label": f"{said or label} ({unit})" if unit else said or label,
+        "label": f"{text or label} ({unit})" if unit else text or label,
     }
 
 

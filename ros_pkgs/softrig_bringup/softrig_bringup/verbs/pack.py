@@ -144,8 +144,8 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
     table = [folder / name for name in ("statistics.csv", "summaries.json") if (folder / name).is_file()]
     files |= {f"{STUDY}/{path.name}": path for path in table}
     packages, sources = _packages(content["code"])
-    said = About(scenario=alone.scenario, versions=versions(), code=content["code"], **packages)
-    return _Pack(files | sources, said, _lacks(said)), len(rows)
+    message = About(scenario=alone.scenario, versions=versions(), code=content["code"], **packages)
+    return _Pack(files | sources, message, _lacks(message)), len(rows)
 
 
 def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
@@ -184,7 +184,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
     for name in sorted(name for name in code if was.get(name, code[name]) != code[name]):
         say(f"the code of {name} is no longer that of the run ({was[name]} then, {code[name]} now): it may not repeat")
     packages, sources = _packages(code)
-    said = About(
+    message = About(
         scenario=scenario.name,
         **packages,
         run=str(content.get("run", "")),
@@ -208,7 +208,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
         place = _retold(before, aside, made) or before.bag
         places = [place] if place.is_file() else sorted(f for f in place.iterdir() if f.is_file())
         files |= {f"{BAG}/{file.name}": file for file in places}
-    return _Pack(files | sources, said, _lacks(said), runs_code(scenario))
+    return _Pack(files | sources, message, _lacks(message), runs_code(scenario))
 
 
 def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Path]]:
@@ -218,42 +218,42 @@ def _packages(code: Iterable[str]) -> tuple[dict[str, Any], dict[str, bytes | Pa
     files: dict[str, bytes | Path] = {}
     for name, folder in sources.items():
         files |= {f"{PACKAGES}/{name}/{file.relative_to(folder)}": file for file in _files(folder)} if folder else {}
-    said = {
+    messages = {
         "packages": {name: _version(name) for name in own},
         "offers": {name: _offers(name) for name in own if sources[name]},
     }
-    return said, files
+    return messages, files
 
 
-def _lacks(said: About) -> tuple[str, ...]:
-    return tuple(name for name in said.packages if name not in said.offers)
+def _lacks(text: About) -> tuple[str, ...]:
+    return tuple(name for name in text.packages if name not in text.offers)
 
 
 def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str, Any]:
     """Return the metadata of a run for readers on other machines: without folders of this machine."""
-    told: dict[str, Any] = placeless({**content, **made})
-    if "from" in told:
-        told["from"] |= made
-    return told
+    reported: dict[str, Any] = placeless({**content, **made})
+    if "from" in reported:
+        reported["from"] |= made
+    return reported
 
 
 def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | None:
     """Write the bag of a run of ours without folders of this machine; None where it names none."""
-    said = {key: json.loads(text) if key in ("from", "branched") else text for key, text in before.bag_says.items()}
-    if "command" not in said:
+    messages = {key: json.loads(text) if key in ("from", "branched") else text for key, text in before.bag_says.items()}
+    if "command" not in messages:
         return None
-    told = {k: v if isinstance(v, str) else json.dumps(v) for k, v in _elsewhere(said, made).items()}
-    retell(before.bag, aside / BAG, told)
+    entries = {k: v if isinstance(v, str) else json.dumps(v) for k, v in _elsewhere(messages, made).items()}
+    retell(before.bag, aside / BAG, entries)
     return aside / BAG
 
 
 def _described(packed: _Pack, publication: Publication) -> _Pack:
     """Add what archives read."""
-    said, files = packed.about, packed.files
+    message, files = packed.about, packed.files
     verb = "study" if f"{STUDY}/{FILE}" in files else "run"
-    text = f"A {verb} of {said.scenario}: `softrig {verb} --like FILE` repeats it number for number."
+    text = f"A {verb} of {message.scenario}: `softrig {verb} --like FILE` repeats it number for number."
     sums = {place: _sha256(content) for place, content in files.items()}
-    described = crate(said.scenario, text, said.versions, files, sums, publication)
+    described = crate(message.scenario, text, message.versions, files, sums, publication)
     return packed._replace(files={**files, CRATE: described})
 
 
@@ -316,10 +316,10 @@ def _offers(package: str) -> dict[str, dict[str, str]]:
 def _beside(bag: Path) -> dict[str, Any]:
     """Read what is known of a run beside its bag, or beside the one that a file is of."""
     try:
-        found = json.loads(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())
+        content = json.loads(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def _unchanged(run: Path, rig: Rig, content: Mapping[str, Any]) -> None:
@@ -365,12 +365,12 @@ def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
 
 def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
     """Write the content of a scenario file, see `standing_alone`."""
-    found: dict[str, Path] = {}
+    results: dict[str, Path] = {}
 
     def placed(files: Sequence[Path]) -> str:
         """Return the place of the first of some files that stay beside each other."""
         folder = hashlib.sha256(files[0].read_bytes()).hexdigest()[:12]
-        found.update({f"{folder}/{file.name}": file for file in files})
+        results.update({f"{folder}/{file.name}": file for file in files})
         return f"{folder}/{files[0].name}"
 
     def linked(link: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -395,7 +395,7 @@ def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
         return placed([path, *(file for file in _belongs(path) if file != path)])
 
     content = {**content, **{key: beside(content[key]) for key in ("shared", "nodes") if key in content}}
-    return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), found
+    return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), results
 
 
 def _belongs(path: Path) -> Iterator[Path]:
@@ -418,8 +418,8 @@ def _sources(package: str) -> Path | None:
     if (workspace := repeat.workspace(package)) is not None:
         places += [workspace]
     try:
-        told = json.loads(importlib.metadata.distribution(package).read_text("direct_url.json") or "{}")
-        url = urlsplit(str(told.get("url", "")))
+        content = json.loads(importlib.metadata.distribution(package).read_text("direct_url.json") or "{}")
+        url = urlsplit(str(content.get("url", "")))
         places += [Path(unquote(url.path))] if url.scheme == "file" else []
     except (importlib.metadata.PackageNotFoundError, ValueError):
         pass

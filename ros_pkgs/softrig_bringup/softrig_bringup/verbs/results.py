@@ -155,11 +155,11 @@ def gather(
     if not is_quiet():
         say(f"{len(names)} scenarios are run, or taken from the last time where nothing has changed")
     runs = sweep(measure, [(name, keep) for name in names], title="scenarios", workers=workers)
-    measured = {found.name: found for found in runs}
+    measured = {result.name: result for result in runs}
 
     def figures(name: str) -> dict[str, float] | None:
-        found = measured.get(name)
-        return None if found is None or found.error else found.figures
+        result = measured.get(name)
+        return None if result is None or result.error else result.figures
 
     rows = [f for s in scenarios for f in findings(s, figures, measured[s.name].units)]
     return rows, measured
@@ -193,25 +193,27 @@ def study_findings(
 
 def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Suite]:
     """Return each scenario's claims as a suite of cases."""
-    found: dict[str, list[Case]] = {}
+    gathered: dict[str, list[Case]] = {}
     for row in rows:
         case = Case(
             f"claim {row.key}", "" if row.holds else row.false, f"{row.verdict}: {row.measured_text} {row.unit}"
         )
-        found.setdefault(row.scenario, []).append(case)
+        gathered.setdefault(row.scenario, []).append(case)
     broken = {name: m.error for name, m in measured.items() if m.error}
     return [
-        Suite(name, measured[name].seconds if name in measured else 0.0, found.get(name, ()), broken.get(name, ""))
-        for name in dict.fromkeys([*found, *broken])
+        Suite(name, measured[name].seconds if name in measured else 0.0, gathered.get(name, ()), broken.get(name, ""))
+        for name in dict.fromkeys([*gathered, *broken])
     ]
 
 
 def left_out(systems: Sequence[str]) -> str:
     """Describe which claims are held by `--studies` alone; empty for none."""
-    found = [s for s in map(load_study, list_studies()) if s.claims]
-    found = [s for s in found if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)]
-    more = sum(len(s.claims) for s in found)
-    names = ", ".join(s.name for s in found)
+    gathered = [s for s in map(load_study, list_studies()) if s.claims]
+    gathered = [
+        s for s in gathered if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)
+    ]
+    more = sum(len(s.claims) for s in gathered)
+    names = ", ".join(s.name for s in gathered)
     return f"{more} more claims are of studies ({names}): hundreds of runs, with --studies" if more else ""
 
 
@@ -238,10 +240,10 @@ def main(options: argparse.Namespace) -> int:
         print(f"{kept} of {len(measured)} runs are kept: neither code nor scenario has changed")
     print(counts(rows) + (f"; {without}" if without else ""))
     status = 0
-    for found in measured.values():
-        if found.error or found.missed:
-            say(f"{found.name}: {found.error or 'missed: ' + ', '.join(found.missed)}")
-            status = 3 if found.error else max(status, 1)
+    for result in measured.values():
+        if result.error or result.missed:
+            say(f"{result.name}: {result.error or 'missed: ' + ', '.join(result.missed)}")
+            status = 3 if result.error else max(status, 1)
     for row in rows:
         if not row.holds:
             say(f"{row.scenario}: claim {row.key}: {row.false}")

@@ -30,10 +30,10 @@ AGREES = (
 
 def counts(rows: Sequence[Finding]) -> str:
     """Describe how many claims have which verdict, and how many verdicts are false; a repeated claim counts once."""
-    found = Counter(verdict for verdict in _said(rows).values())
-    text = ", ".join(f"{found[v]} {v.replace('_', ' ')}" for v in VERDICTS if found[v])
+    counter = Counter(verdict for verdict in _said(rows).values())
+    text = ", ".join(f"{counter[v]} {v.replace('_', ' ')}" for v in VERDICTS if counter[v])
     false = sum(not row.holds for row in rows)
-    total = f"{found.total()} claims" + (f" in {len(rows)} rows" if len(rows) > found.total() else "")
+    total = f"{counter.total()} claims" + (f" in {len(rows)} rows" if len(rows) > counter.total() else "")
     return f"{total}: {text}; " + (f"{false} verdicts are not borne out" if false else "every verdict holds")
 
 

@@ -105,9 +105,9 @@ def _check_view(options: argparse.Namespace) -> None:
 
 def _how_to_connect(domain: int, directory: Path) -> str:
     """Describe what nodes outside need in their environment."""
-    found = environment(domain, directory)
+    result = environment(domain, directory)
     names = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
-    return "to connect: export " + " ".join(f"{name}={found[name]}" for name in names)
+    return "to connect: export " + " ".join(f"{name}={result[name]}" for name in names)
 
 
 def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
@@ -235,19 +235,19 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
         content = summary(done, figures, command, options.label) | {"changed": changed}
         if options.external:  # the title of the scenario is about what did not run
             content["title"] = f"{done.rig.scenario.name} with {', '.join(options.external)} from outside"
-        same, told = True, list[str]()
+        same, messages = True, list[str]()
         if options.origin is not None:
             from ..options.branch import began_as
 
-            same, told = began_as(options.recalled, done, options.origin[1], content)
+            same, messages = began_as(options.recalled, done, options.origin[1], content)
             content["from"] = begun(options)
         elif options.like is not None:
             from ..options.like import compared
 
-            same, told = compared(options.recalled, done, content)
-            told = [*_doubts(options.like), *told]
+            same, messages = compared(options.recalled, done, content)
+            messages = [*_doubts(options.like), *messages]
         if options.recalled is not None:
-            content["repeats"] = told
+            content["repeats"] = messages
             same = same or bool(options.recalled.late) or bool(done.epoch)
         if folder is not None:
             with busy(_writing(done, folder)):
@@ -258,7 +258,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
     if folder is not None and not options.no_plots:
         with busy(f"drawing {len(done.rig.scenario.plots)} pictures and the report into {_shown(folder.path)}"):
             illustrate(done, folder, options.format)
-    return _Kept(content, same, told)
+    return _Kept(content, same, messages)
 
 
 def _writing(done: Run, folder: ResultsFolder) -> str:

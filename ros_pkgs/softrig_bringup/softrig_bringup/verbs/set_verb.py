@@ -26,8 +26,8 @@ def set_values(options: argparse.Namespace) -> int:
 
 def _parts(word: str) -> list[str]:
     """Split ``NODE.PARAM=VALUE``, as the options of other verbs have it."""
-    found = re.fullmatch(r"([\w/]+\.[\w.]+)\s*=\s*(.+)", word, re.DOTALL)
-    return [found[1], found[2]] if found else [word]
+    match = re.fullmatch(r"([\w/]+\.[\w.]+)\s*=\s*(.+)", word, re.DOTALL)
+    return [match[1], match[2]] if match else [word]
 
 
 def _by_node(words: list[str]) -> dict[str, dict[str, Any]]:

@@ -107,8 +107,8 @@ class Beside:
 @contextmanager
 def page(scenario: Scenario, directory: Path, placement: Placement, address: str) -> Iterator[Beside]:
     """Yield a page that can be opened beside a run; see `Beside`."""
-    found = Beside(scenario, directory, placement, address)
+    result = Beside(scenario, directory, placement, address)
     try:
-        yield found
+        yield result
     finally:
-        found.close()
+        result.close()

@@ -181,11 +181,11 @@ class Here(Growing):
             part.topics[name] = topic.since(self._seen[name])
             self._seen[name] += len(part.topics[name].times)
         self.take(part)
-        found: list[Turned] = [(to_s(t), node, values) for t, node, values in recorded(session.recording)]
-        for change in found:
+        results: list[Turned] = [(to_s(t), node, values) for t, node, values in recorded(session.recording)]
+        for change in results:
             if change not in self.changes:
                 self.control.took_effect(*change)
-        self.changes = found
+        self.changes = results
         self.status = {
             name: {
                 "state": "failed" if session.error else "done" if session.over else "running",
@@ -212,8 +212,8 @@ class Here(Growing):
             (log := place() / "log").mkdir(exist_ok=True)
             self._shard = ShardWriter(log / "rig.shard", [(topic.name, topic.msgtype) for topic in topics])
         for number, topic in enumerate([*topics, *([events] if events else [])]):  # changes have the number after all
-            new, said = topic.since(self._written[topic.name]), self._written[topic.name]
-            messages = [data for part in new.parts() for data in part.messages(said)] or new.data
+            new, written = topic.since(self._written[topic.name]), self._written[topic.name]
+            messages = [data for part in new.parts() for data in part.messages(written)] or new.data
             for t, data in zip(new.times, messages, strict=True):
                 self._shard.add(number, t, data)
             self._written[topic.name] += len(messages)
@@ -288,14 +288,14 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     def turn() -> None:
         nonlocal wrong
         try:
-            rest = source.turn()
+            remaining = source.turn()
             if session.over and not source.outcome:
                 end()
         except Exception as error:  # the loop would only log it, and wait for ever
             wrong = error
             loop.stop()
         else:
-            loop.call_later(rest, turn)
+            loop.call_later(remaining, turn)
 
     def look() -> None:
         if not source.outcome:

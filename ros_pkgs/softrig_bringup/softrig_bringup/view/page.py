@@ -106,11 +106,11 @@ class Page:
             top.append(self._recorded())
         if control.goes_back:
             top.append(self._backwards())
-        found = [f for p in self._pictures for f in p.figures]
+        results = [f for p in self._pictures for f in p.figures]
         groups = self._groups()
         roots = {"head": column(*top, self._beat, self._echo, sizing_mode="stretch_width")}
         roots |= {"drawing": self._drawn} if self._drawing else {}
-        roots |= {f"curve {k}": f for k, f in enumerate(found)} | {name: root for name, root, *_ in groups}
+        roots |= {f"curve {k}": f for k, f in enumerate(results)} | {name: root for name, root, *_ in groups}
         roots["tables"] = column(*self._below(), sizing_mode="stretch_width")
         for name, root in roots.items():
             root.name = name
@@ -378,9 +378,9 @@ class Page:
                 self._window.value, self._follow.active = "all", True
                 changed = self._draw()
             self._count += 1
-            said = (self._control.lines, self._control.held, self._control.pace)
-            if self._count % SLOW == 1 or source.outcome or said != self._told:
-                self._told = said
+            state = (self._control.lines, self._control.held, self._control.pace)
+            if self._count % SLOW == 1 or source.outcome or state != self._told:
+                self._told = state
                 changed = self._write() or changed
         finally:
             self._calm = False

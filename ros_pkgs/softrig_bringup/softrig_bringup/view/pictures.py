@@ -92,13 +92,13 @@ class Picture:
         result.vspan(x="t", source=changes, line_color=CHANGED[self._look], line_dash="dotted", line_width=1)
         lines = self._lines(result, names, named)
         result.add_layout(cursor)
-        said = f"$name: @y{{%.6g}} {pretty_unit(unit)} at @x{{%.6g}} s"
+        text = f"$name: @y{{%.6g}} {pretty_unit(unit)} at @x{{%.6g}} s"
         result.add_tools(
             HoverTool(
                 renderers=lines,
                 mode="vline",
                 line_policy="prev",
-                tooltips=said,
+                tooltips=text,
                 formatters={"@y": "printf", "@x": "printf"},
             ),
             CrosshairTool(dimensions="height", line_color=SOFT[self._look], line_alpha=0.6),
@@ -129,7 +129,7 @@ class Picture:
         )
         return result
 
-    def _lines(self, found: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
+    def _lines(self, value: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
         lines, colours, dashes = [], iter(COLOURS[self._look] * len(names)), iter(DASHED * len(names))
         alone = all(named[name].reference for name in names)
         for name in sorted(names, key=lambda n: named[n].reference):  # references on top
@@ -140,15 +140,15 @@ class Picture:
             if curve.reference:
                 style["line_dash"] = next(dashes)
             source = self.sources[name] = ColumnDataSource({"x": [], "y": []}, name=f"{self._entry.title}: {name}")
-            lines.append(found.line("x", "y", source=source, legend_label=curve.label, name=curve.label, **style))
-        found.legend.orientation, found.legend.click_policy, found.legend.ncols = "horizontal", "hide", "auto"
+            lines.append(value.line("x", "y", source=source, legend_label=curve.label, name=curve.label, **style))
+        value.legend.orientation, value.legend.click_policy, value.legend.ncols = "horizontal", "hide", "auto"
         if len(lines) > LEGEND:
-            found.legend.ncols = LEGEND
-        found.legend.location = "left"
-        found.min_border_left = AXIS
-        found.add_layout(found.legend[0], "above")
-        found.toolbar.autohide = True
-        found.stylesheets = [InlineStyleSheet(css=LOW)]
+            value.legend.ncols = LEGEND
+        value.legend.location = "left"
+        value.min_border_left = AXIS
+        value.add_layout(value.legend[0], "above")
+        value.toolbar.autohide = True
+        value.stylesheets = [InlineStyleSheet(css=LOW)]
         return lines
 
     def show(self, pane: Pane, end: float) -> None:

@@ -60,8 +60,8 @@ class Remote:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             with suppress(ValueError):  # no line of ours: what a library prints
-                said = json.loads(line)
-                self._call(lambda said=said: self._asked.pop(said["id"])(said["ok"], said["reason"]))  # type: ignore[misc]
+                content = json.loads(line)
+                self._call(lambda content=content: self._asked.pop(content["id"])(content["ok"], content["reason"]))  # type: ignore[misc]
 
     def close(self) -> None:
         """End the process."""

@@ -124,8 +124,8 @@ class _Token(AuthProvider):  # type: ignore[misc]
         async def user(handler: RequestHandler) -> str:
             if self._names and handler.request.host_name.strip("[]") not in self._names:
                 raise HTTPError(403, reason="the page is of this host only, expected its own address")
-            said = handler.get_argument("token", "") or handler.get_cookie("softrig_token", "") or ""
-            if not secrets.compare_digest(said.encode(), self._token.encode()):
+            token = handler.get_argument("token", "") or handler.get_cookie("softrig_token", "") or ""
+            if not secrets.compare_digest(token.encode(), self._token.encode()):
                 raise HTTPError(403, reason="the address of the page with its token is wanted")
             if handler.get_argument("token", ""):
                 handler.set_cookie("softrig_token", self._token, httponly=True, samesite="Strict")
@@ -198,9 +198,9 @@ class Pages:
         self._next, self._busy = 0.0, False
         self.came = False
         host, chosen = free_address(address)
-        told = OneLine()  # one for all: three lines a message are a flood, too
+        reported = OneLine()  # one for all: three lines a message are a flood, too
         for name in ("bokeh.server.protocol_handler", "bokeh.server.views.ws", "tornado.application"):
-            logging.getLogger(name).addFilter(told)
+            logging.getLogger(name).addFilter(reported)
         for name in ("bokeh.server.views.ws", "bokeh.server.contexts"):  # a browser may be closed at any moment
             logging.getLogger(name).setLevel(logging.ERROR)
         if host in LOOPBACK:
@@ -229,11 +229,11 @@ class Pages:
 
     def _page(self, document: Document) -> None:
         arguments = document.session_context.request.arguments if document.session_context else {}
-        look = "dark" if arguments.get("look", [b""])[0] == b"dark" else "light"
+        text = "dark" if arguments.get("look", [b""])[0] == b"dark" else "light"
         number = next(self._numbers)
         who = f"browser {number}"
         try:
-            Page(document, self._source, self._control, self._figures, who, self._how, look)
+            Page(document, self._source, self._control, self._figures, who, self._how, text)
         except Exception as error:  # of somebody's plant or plots: the run can be told to go on without them
             say(f"a page cannot be shown: {type(error).__name__}: {error}")
             document.clear()
@@ -261,15 +261,15 @@ class Pages:
         pane = source.pane(0.0, source.end)
         started = time.monotonic()
 
-        def done(found: Any) -> None:
+        def done(value: Any) -> None:
             self._busy = False
             self._next = time.monotonic() + max(1.0, SHARE * (time.monotonic() - started))
             turned = "the scenario without what was turned" if source.changes else ""
             why = changed_from(source.rig) or turned
-            self._results = [result.not_judged(why) for result in found.result()]
+            self._results = [result.not_judged(why) for result in value.result()]
 
         future = self._worker.submit(evaluate, source.rig, pane, under_way=True)
-        future.add_done_callback(lambda found: self.server.io_loop.add_callback(done, found))
+        future.add_done_callback(lambda value: self.server.io_loop.add_callback(done, value))
 
     def close(self) -> None:
         """Serve no more."""
@@ -319,9 +319,9 @@ def beside(watched: Watched, lines: Any) -> None:
         if pages.left() and source.outcome:
             loop.stop()
 
-    def over(said: dict[str, Any]) -> None:
-        source.finish(said["over"], Path(said["folder"]) if said.get("folder") else None)
-        control.say("the run", said["over"], said.get("wrong", False))
+    def over(values: dict[str, Any]) -> None:
+        source.finish(values["over"], Path(values["folder"]) if values.get("folder") else None)
+        control.say("the run", values["over"], values.get("wrong", False))
 
     def listen() -> None:
         for line in lines:

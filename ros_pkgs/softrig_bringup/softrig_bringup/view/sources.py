@@ -92,8 +92,8 @@ class Growing:
     @property
     def awaited(self) -> list[str]:
         """Return the nodes that have not reported yet or, if all have, those that are still starting."""
-        mute = [name for name, said in self.status.items() if not said]
-        return mute or [name for name, said in self.status.items() if said.get("state") == "starting"]
+        mute = [name for name, entry in self.status.items() if not entry]
+        return mute or [name for name, entry in self.status.items() if entry.get("state") == "starting"]
 
     @property
     def waited(self) -> float:
@@ -107,10 +107,10 @@ class Growing:
 
     def take(self, recording: Recording, epoch: int = 0) -> None:
         """Add what is new."""
-        found = Signals(recording, epoch).known_as(self._also)
+        result = Signals(recording, epoch).known_as(self._also)
         for name, topic in recording.topics.items():
             if name in self._tracks and topic.times:
-                table = found.table(name)
+                table = result.table(name)
                 if table.columns:
                     self._tracks[name].append(table.t, table.columns)
                     self.version += 1

@@ -76,10 +76,10 @@ class Track:
         kept = old // _BUCKET * 2
         self._t[:kept] = self._t[:old].reshape(-1, _BUCKET)[:, ::2].ravel()
         self._x[:, :kept] = pairs.reshape(len(self.labels), -1)
-        rest = self._n - old
-        self._t[kept : kept + rest] = self._t[old : self._n].copy()
-        self._x[:, kept : kept + rest] = self._x[:, old : self._n].copy()
-        self._n = kept + rest
+        remaining = self._n - old
+        self._t[kept : kept + remaining] = self._t[old : self._n].copy()
+        self._x[:, kept : kept + remaining] = self._x[:, old : self._n].copy()
+        self._n = kept + remaining
 
     def table(self, first: float, last: float) -> Table:
         """Return what came from `first` to `last` (s), and the message before it, which holds until then."""

@@ -28,20 +28,20 @@ COUNTS = {
 def head(source: Source, how: str, control: Control) -> str:
     """Describe the run, its progress, and the newest line of the log."""
     scenario = source.rig.scenario
-    state, look = f"{source.end:.6g} s, {source.outcome}", "soft"
+    state, style = f"{source.end:.6g} s, {source.outcome}", "soft"
     if source.outcome and source.live:
         after = "its knobs act no more" if not control.goes_back else "go back and turn a knob"
-        state, look = f"the run is over: {state}; {after}", "over wrong" if source.outcome[:5] == "broke" else "over"
+        state, style = f"the run is over: {state}; {after}", "over wrong" if source.outcome[:5] == "broke" else "over"
     elif not source.outcome:
         state = f"{source.end:.6g} of {scenario.duration:g} s, {_going(source, control)}"
     note = "; of what is old only the extremes are kept" if source.thinned else ""
-    said = "".join(
+    text = "".join(
         f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.who}: {s.text}")}</p>'
         for s in list(control.said)[-1:]
     )
     return (
         f"<h1>{html.escape(scenario.name)}</h1><p>{html.escape(scenario.title)}</p>"
-        f'<p class="{look}">{html.escape(how)}: {html.escape(state + note)}</p>{said}'
+        f'<p class="{style}">{html.escape(how)}: {html.escape(state + note)}</p>{text}'
     )
 
 
@@ -65,11 +65,11 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
     for f in results:
         value = "-" if f.value is None else f"{f.value:.5g}"
         unit = pretty_unit(f.unit)
-        said = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
-        said = "not yet" if so_far and said == NEVER else said
-        look = 'class="u"' if said == unit else ""
+        text = unit if f.value is not None or (so_far and not measured_here(f)) else in_words(f)
+        text = "not yet" if so_far and text == NEVER else text
+        style = 'class="u"' if text == unit else ""
         rows.append(
-            f'<tr><td>{_broken(f.name)}</td><td class="n">{value}</td><td {look}>{html.escape(said)}</td>'
+            f'<tr><td>{_broken(f.name)}</td><td class="n">{value}</td><td {style}>{html.escape(text)}</td>'
             f'<td>{html.escape(accepted(f))}</td><td class="n">{_mark(f, so_far)}</td></tr>'
         )
     first = '<tr><th>name</th><th class="n">value</th><th></th><th>expected</th><th></th></tr>'
@@ -96,11 +96,11 @@ def health(status: Mapping[str, Mapping[str, Any]]) -> str:
         counts += [f"{text} ({n} x)" for level, text, n in s.get("reports", {}).values() if level]
         counts += [s["error"]] if s.get("error") else []
         counts += [f"waits: {text}" for text in s.get("lacking", [])]
-        said = f'<span class="wrong">{html.escape("; ".join(counts))}</span>' if counts else "well"
+        message = f'<span class="wrong">{html.escape("; ".join(counts))}</span>' if counts else "well"
         state = "starting" if not s else str(s.get("state", ""))
         rows.append(
             f"<tr><td>{html.escape(name)}</td><td>{html.escape(state)}</td>"
-            f'<td class="n">{s.get("ticks", "")}</td><td>{said}</td></tr>'
+            f'<td class="n">{s.get("ticks", "")}</td><td>{message}</td></tr>'
         )
     return _section("Nodes", "<tr><th>node</th><th>state</th><th>ticks</th><th>health</th></tr>", rows)
 

@@ -152,8 +152,8 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
     copy = kept(f"{library.stem.split('-')[0]}-{digest[:32]}.so", lambda product: _write(product, content))
     own = compiler()
     text = _ran([own, "-E", "-P", *flags, str(header)], header).decode(errors="replace")
-    found = _structs(header, prefix, flags, text)
-    generated = _generated(header, prefix, methods, found)
+    result = _structs(header, prefix, flags, text)
+    generated = _generated(header, prefix, methods, result)
     shim = (resources.files(__package__) / "shim.c").read_text()
     key = hashlib.sha256("\0".join((generated, text, shim, *FLAGS, *flags, _identity(own))).encode()).hexdigest()[:32]
 
@@ -168,7 +168,7 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
             except ValueError as error:
                 if "incompatible" not in str(error):
                     raise
-                params = f", const {prefix}_params *params" * ("params" in found)
+                params = f", const {prefix}_params *params" * ("params" in result)
                 raise ValueError(
                     f"{header.name} declares another prototype; expected void {prefix}_init({prefix} *s{params}); "
                     + " ".join(PROTOTYPES[m].format(n=prefix) for m in methods)
@@ -180,7 +180,7 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
     program = kept(f"shim_{prefix}-{key}", make("-DSR_PROGRAM"))
     # a file for each library: two of one layout must not share what their shims have bound
     own_shim = kept(f"shim_{prefix}-{key}{digest[:16]}.so", lambda product: _write(product, shared.read_bytes()))
-    return Built(copy, own_shim, program, found, hidden, intrusive, digest)
+    return Built(copy, own_shim, program, result, hidden, intrusive, digest)
 
 
 def _write(product: Path, content: bytes) -> None:
@@ -220,16 +220,16 @@ def _structs(header: Path, prefix: str, flags: tuple[str, ...], text: str) -> di
         )
 
     try:
-        found = structs(kept(f"types_{prefix}-{digest}.o", make), prefix)
+        result = structs(kept(f"types_{prefix}-{digest}.o", make), prefix)
     except LayoutError as error:
         raise ValueError(f"{header.name}: {error}") from None
     for role, name in (("state", prefix), ("in", f"{prefix}_in"), ("out", f"{prefix}_out")):
-        if role not in found:
+        if role not in result:
             raise ValueError(
                 f"{header.name} has no struct {name!r}; expected `typedef struct {{ ... }} {name};`, or "
                 "another `prefix`"
             )
-    return {role: _without_nothing(struct) for role, struct in found.items()}
+    return {role: _without_nothing(struct) for role, struct in result.items()}
 
 
 def _without_nothing(struct: Struct) -> Struct:
@@ -309,8 +309,8 @@ def _is_others(name: str) -> bool:
 # the shim's header ------------------------------------------------------------------------------------------------
 
 
-def _generated(header: Path, prefix: str, methods: Sequence[str], found: dict[str, Struct]) -> str:
-    state, ins, outs, params = (found.get(role, Struct((), ())) for role in ("state", "in", "out", "params"))
+def _generated(header: Path, prefix: str, methods: Sequence[str], values: dict[str, Struct]) -> str:
+    state, ins, outs, params = (values.get(role, Struct((), ())) for role in ("state", "in", "out", "params"))
     arguments = {"step": "&s, &in, &out, t_ns", "outputs": "&s, &out, t_ns", "advance": "&s, &in, t_ns"}
     types = {
         "step": f"int (*)({prefix} *, const SR_IN *, SR_OUT *, int64_t)",
@@ -318,7 +318,7 @@ def _generated(header: Path, prefix: str, methods: Sequence[str], found: dict[st
         "advance": f"int (*)({prefix} *, const SR_IN *, int64_t)",
     }
     takes = {"step": (1, 1, 1), "outputs": (0, 1, 0), "advance": (1, 0, 1)}
-    init = f", const {prefix}_params *" if "params" in found else ""
+    init = f", const {prefix}_params *" if "params" in values else ""
     lines = [
         f'#include "{header.resolve()}"',
         "#include <math.h>",

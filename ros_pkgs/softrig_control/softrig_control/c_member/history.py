@@ -24,10 +24,10 @@ class History:
         self.shared: list[Told] = [] if rows is None else rows
         self.length = length
 
-    def after(self, told: Told) -> History:
+    def after(self, reported: Told) -> History:
         """Return the history with one call more."""
         rows = self.shared if self.length == len(self.shared) else self.shared[: self.length]
-        rows.append(told)
+        rows.append(reported)
         return History(rows, self.length + 1)
 
     def rows(self) -> list[Told]:

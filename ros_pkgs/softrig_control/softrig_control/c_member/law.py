@@ -139,8 +139,8 @@ class Apart:
     def __init__(self, built: Built, methods: Sequence[str], params: Row, seconds: float) -> None:
         self._seconds, self._methods = seconds, tuple(methods)
         self._counts = [counts(built, m) for m in methods]
-        (reading, theirs), (ours, writing), (said, saying) = os.pipe(), os.pipe(), os.pipe()
-        for descriptor in (writing, said, saying):  # a library that reads nothing or prints much must not block
+        (reading, theirs), (ours, writing), (printed, saying) = os.pipe(), os.pipe(), os.pipe()
+        for descriptor in (writing, printed, saying):  # a library that reads nothing or prints much must not block
             os.set_blocking(descriptor, False)
         command = [str(built.program), str(built.library), str(ours), str(theirs)]
         # a group of its own: Ctrl-C is for the run, and what the library starts ends with it
@@ -149,10 +149,10 @@ class Apart:
         )
         for descriptor in (ours, theirs, saying):
             os.close(descriptor)
-        self._reading, self._writing, self._said = reading, writing, said
-        self.end = weakref.finalize(self, _ended, self._process, reading, writing, said)
-        found = self._ask(-1, params, 1 + len(built.structs["state"].leaves))
-        self.status, self.first = found[0], found[1:]
+        self._reading, self._writing, self._said = reading, writing, printed
+        self.end = weakref.finalize(self, _ended, self._process, reading, writing, printed)
+        result = self._ask(-1, params, 1 + len(built.structs["state"].leaves))
+        self.status, self.first = result[0], result[1:]
 
     def call(self, method: str, values: Row) -> Row:
         """Call it as `Called`, with the address of the constants filled in."""
@@ -160,20 +160,20 @@ class Apart:
         return self._ask(which, (0.0, *values), self._counts[which].gives)
 
     def _ask(self, which: int, values: Row, count: int) -> Row:
-        request, found = struct.pack(f"=i{len(values)}d", which, *values), b""
+        request, data = struct.pack(f"=i{len(values)}d", which, *values), b""
         try:
             while request:
                 self._wait(select.POLLOUT)
                 request = request[os.write(self._writing, request) :]
-            while len(found) < 8 * count:
+            while len(data) < 8 * count:
                 self._wait(select.POLLIN)
-                more = os.read(self._reading, 8 * count - len(found))
+                more = os.read(self._reading, 8 * count - len(data))
                 if not more:
                     raise BrokenPipeError
-                found += more
+                data += more
         except OSError:
             raise RunError(self._ending()) from None
-        return struct.unpack(f"{count}d", found)
+        return struct.unpack(f"{count}d", data)
 
     def _wait(self, what: int) -> None:
         """Wait until the process is ready to receive bytes or has sent some."""
@@ -189,18 +189,18 @@ class Apart:
             code = self._process.wait(LEAVE)
         except subprocess.TimeoutExpired:
             code = None
-        said = b""
+        data = b""
         with suppress(BlockingIOError):  # nothing said, and something that it has started lives on
-            said = os.read(self._said, PRINTED)
+            data = os.read(self._said, PRINTED)
         self.end()
-        return _how(code, said.decode(errors="replace").strip())
+        return _how(code, data.decode(errors="replace").strip())
 
 
-def _how(code: int | None, said: str) -> str:
+def _how(code: int | None, text: str) -> str:
     if code is not None and code < 0:
         return f"crashed ({signal.Signals(-code).name})"
-    if code == 2 and said:
-        return f"cannot be loaded: {said.splitlines()[-1]}"
+    if code == 2 and text:
+        return f"cannot be loaded: {text.splitlines()[-1]}"
     if code is None:
         return "closed the pipes on which it answers"
     return f"ended its process with status {code}"

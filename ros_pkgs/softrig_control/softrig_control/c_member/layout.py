@@ -72,7 +72,7 @@ def structs(compiled: Path, prefix: str) -> dict[str, Struct]:
         A struct holds what is no number, or too many of them; names the member.
     """
     names = {prefix: "state", f"{prefix}_in": "in", f"{prefix}_out": "out", f"{prefix}_params": "params"}
-    found: dict[str, DIE] = {}
+    results: dict[str, DIE] = {}
     with compiled.open("rb") as file:
         for unit in ELFFile(file).get_dwarf_info().iter_CUs():
             for die in unit.get_top_DIE().iter_children():
@@ -81,8 +81,8 @@ def structs(compiled: Path, prefix: str) -> dict[str, Struct]:
                     die.tag in ("DW_TAG_structure_type", "DW_TAG_class_type") and "DW_AT_byte_size" in die.attributes
                 )
                 if name in names and typed:
-                    found.setdefault(names[name], die)
-        return {role: _struct(die, f"{prefix}_params") for role, die in found.items()}
+                    results.setdefault(names[name], die)
+        return {role: _struct(die, f"{prefix}_params") for role, die in results.items()}
 
 
 def _struct(die: DIE, params: str) -> Struct:

@@ -252,17 +252,17 @@ class _C(Block[CParams]):
 
     # a tick in this process ---------------------------------------------------------------------------------------
 
-    def _next(self, found: Row) -> Any:
+    def _next(self, values: Row) -> Any:
         """Return the state in the result of a call."""
-        return self._state(*(int(found[1 + k]) if w else found[1 + k] for k, w in enumerate(self._wholes)))
+        return self._state(*(int(values[1 + k]) if w else values[1 + k] for k, w in enumerate(self._wholes)))
 
     def _values(self, inputs: Mapping[str, Any]) -> Row:
         """Return the members of NODE_in, in their order."""
         return tuple(_value(inputs[name], i) for name, i in self._reads)
 
-    def _answer(self, found: Row, at: int) -> dict[str, Row]:
+    def _answer(self, values: Row, at: int) -> dict[str, Row]:
         """Return the outputs in the result of a call; `at` is the start of NODE_out."""
-        return {name: tuple(found[at + k] for k in places) for name, places in self._says}
+        return {name: tuple(values[at + k] for k in places) for name, places in self._says}
 
     # a tick in another process ------------------------------------------------------------------------------------
 
@@ -275,48 +275,48 @@ class _C(Block[CParams]):
         if process.apart is None or (self._hidden and not x.told.is_same(process.told)):
             process.apart, process.told = self._begun(), None
             if self._hidden:
-                for told in x.told.rows():
-                    process.apart.call(told.method, told.values)
+                for call in x.told.rows():
+                    process.apart.call(call.method, call.values)
         try:
             state = (x.told.rows()[-1].state if x.told.length else self._begin) if self._hidden else tuple(x)
             row = (float(t), *state, *values)
-            found = process.apart.call(method, row)
+            result = process.apart.call(method, row)
         except RunError as error:
             process.apart = None
             raise self._failure(t, str(error)) from None
-        self._check(t, method, found)
+        self._check(t, method, result)
         if not self._hidden:
-            return (x if method == "outputs" else self._next(found)), found
-        after = state if method == "outputs" or found[0] else found[1 : self._width]
+            return (x if method == "outputs" else self._next(result)), result
+        after = state if method == "outputs" or result[0] else result[1 : self._width]
         process.told = x.told.after(Told(method, row, after))
-        return Secret(process.told), found
+        return Secret(process.told), result
 
     # what goes wrong ----------------------------------------------------------------------------------------------
 
-    def _check(self, t: int, method: str, found: Row) -> None:
-        if found[0] != 0.0 and (reason := wrong(found[0], f"{self._node}_{method}", self._names)):
+    def _check(self, t: int, method: str, values: Row) -> None:
+        if values[0] != 0.0 and (reason := wrong(values[0], f"{self._node}_{method}", self._names)):
             raise self._failure(t, reason)
 
     def _failure(self, t: int, reason: str) -> RunError:
         return RunError(f"{self.name or self._node}: {self._file} at t = {t / 1e9:.9g} s: {reason}")
 
-    def _gave_up(self, t: int, method: str, found: Row) -> None:
+    def _gave_up(self, t: int, method: str, values: Row) -> None:
         """Report that the library has answered by a status of its own, or end the run."""
-        self._check(t, method, found)
+        self._check(t, method, values)
         self.report(
             Level.WARN,
             "gave_up",
-            f"{self._node}_{method} answers {found[0]:.0f} (gave up): its outputs are published, its state stays",
+            f"{self._node}_{method} answers {values[0]:.0f} (gave up): its outputs are published, its state stays",
         )
 
 
 def _rows(side: Side) -> tuple[tuple[str, tuple[int, ...]], ...]:
     """Return of each port the members of its values, in their order."""
-    found = []
+    results = []
     for k, port in enumerate(side.ports):
         places = {i: at for at, (of, i) in enumerate(side.places) if of == k}
-        found.append((port.name, tuple(places[i] for i in range(port.size))))
-    return tuple(found)
+        results.append((port.name, tuple(places[i] for i in range(port.size))))
+    return tuple(results)
 
 
 def _value(given: Any, i: int) -> float:
@@ -336,15 +336,15 @@ class CController(_C, Block[CParams]):
         """Answer one tick by the C function."""
         values = self._values(inputs)
         if self._apart:
-            x, found = self._told(x, "step", t, values)
-            if found[0] != 0.0:
-                self._gave_up(t, "step", found)
-            return x, self._answer(found, self._width)
-        found = self._step((self._place, t, *x, *values))
-        if found[0] != 0.0:
-            self._gave_up(t, "step", found)
-            return x, self._answer(found, self._width)
-        return self._next(found), self._answer(found, self._width)
+            x, result = self._told(x, "step", t, values)
+            if result[0] != 0.0:
+                self._gave_up(t, "step", result)
+            return x, self._answer(result, self._width)
+        result = self._step((self._place, t, *x, *values))
+        if result[0] != 0.0:
+            self._gave_up(t, "step", result)
+            return x, self._answer(result, self._width)
+        return self._next(result), self._answer(result, self._width)
 
 
 class CPlant(_C, Plant[CPlantParams]):
@@ -353,21 +353,21 @@ class CPlant(_C, Plant[CPlantParams]):
     def outputs(self, x: Any, t: int) -> Mapping[str, Row]:
         """Return the outputs."""
         if self._apart:
-            found = self._told(x, "outputs", t, ())[1]
+            result = self._told(x, "outputs", t, ())[1]
         else:
-            found = self._outputs((self._place, t, *x))
-        if found[0] != 0.0:
-            raise self._failure(t, f"{self._node}_outputs answers {found[0]:.0f} (gave up)")
-        return self._answer(found, 1)
+            result = self._outputs((self._place, t, *x))
+        if result[0] != 0.0:
+            raise self._failure(t, f"{self._node}_outputs answers {result[0]:.0f} (gave up)")
+        return self._answer(result, 1)
 
     def advance(self, x: Any, t: int, **inputs: Any) -> Any:
         """Move over one period."""
         values = self._values(inputs)
         if self._apart:
-            x, found = self._told(x, "advance", t, values)
+            x, result = self._told(x, "advance", t, values)
         else:
-            found = self._advance((self._place, t, *x, *values))
-        if found[0] != 0.0:
-            self._check(t, "advance", found)
-            raise self._failure(t, f"{self._node}_advance answers {found[0]:.0f} (gave up)")
-        return x if self._apart else self._next(found)
+            result = self._advance((self._place, t, *x, *values))
+        if result[0] != 0.0:
+            self._check(t, "advance", result)
+            raise self._failure(t, f"{self._node}_advance answers {result[0]:.0f} (gave up)")
+        return x if self._apart else self._next(result)

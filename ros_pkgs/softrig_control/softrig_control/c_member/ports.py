@@ -51,39 +51,41 @@ def described(file: Path) -> Described:
         It is no JSON, or lacks something; names it.
     """
     try:
-        found = read_description(file)
+        description = read_description(file)
         sides: dict[str, list[Port]] = {"in": [], "out": []}
-        for each in found.ports:
+        for each in description.ports:
             sides[each.direction].append(_described_port(each))
     except ValueError as error:
         raise ValueError(f"{file.name} describes no node: {error}; expected what `softrig export c` writes") from None
-    parameters = {name: found.parameters[name] for name in found.settable}
-    return Described(found.node, found.period, tuple(sides["in"]), tuple(sides["out"]), parameters)
+    parameters = {name: description.parameters[name] for name in description.settable}
+    return Described(description.node, description.period, tuple(sides["in"]), tuple(sides["out"]), parameters)
 
 
-def _described_port(found: PortDescription) -> Port:
-    kind = TYPES[found.type]
-    values = found.values
+def _described_port(description: PortDescription) -> Port:
+    kind = TYPES[description.type]
+    values = description.values
     labels = [v.label.rpartition("/") for v in values]
     fields = tuple(dict.fromkeys(label for _, _, label in labels)) if kind.named else tuple(kind.sizes)[:1]
     channels = tuple(dict.fromkeys(channel for channel, _, _ in labels)) if kind.named else ()
-    if found.fields:
-        fields, channels = found.fields, found.channels
+    if description.fields:
+        fields, channels = description.fields, description.channels
         if strange := [name for name in fields if name not in kind.sizes]:
-            raise ValueError(f"port {found.name}: {found.type} has no {strange[0]}{closest(strange[0], kind.sizes)}")
+            raise ValueError(
+                f"port {description.name}: {description.type} has no {strange[0]}{closest(strange[0], kind.sizes)}"
+            )
     return Port(
-        found.name,
-        found.topic,
-        found.type,
+        description.name,
+        description.topic,
+        description.type,
         channels,
         fields,
         tuple(v.unit for v in values),
-        found.frame_id,
-        held=found.held,
-        sporadic=found.sporadic,
-        delayed=found.delayed,
-        partial=found.partial,
-        dims=found.dims,
+        description.frame_id,
+        held=description.held,
+        sporadic=description.sporadic,
+        delayed=description.delayed,
+        partial=description.partial,
+        dims=description.dims,
         safe=tuple(v.safe for v in values),
         limits=tuple(v.limit for v in values),
     )
@@ -134,22 +136,22 @@ def table(
     topics: dict[str, dict[tuple[str, str], tuple[str, str]]] = {}
     used: set[str] = set()
     for entry in entries:
-        found = ENTRY.fullmatch(entry.strip())
-        if found is None or found["field"] not in FIELDS:
+        match = ENTRY.fullmatch(entry.strip())
+        if match is None or match["field"] not in FIELDS:
             raise ValueError(
                 f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = MEMBER with field one of {', '.join(FIELDS)}, "
                 "such as motor/state/shaft/velocity [rad/s] = speed"
             )
-        name = found["name"]
+        name = match["name"]
         if name not in names:
             raise ValueError(f"{entry!r}: {struct} has no member {name!r}{closest(name, names)}; it has {_list(names)}")
         if name in used:
             raise ValueError(f"{entry!r}: {struct}.{name} has a channel already")
         used.add(name)
-        cells = topics.setdefault(found["topic"], {})
-        if (found["channel"], found["field"]) in cells:
+        cells = topics.setdefault(match["topic"], {})
+        if (match["channel"], match["field"]) in cells:
             raise ValueError(f"{entry!r}: this place has a member already")
-        cells[found["channel"], found["field"]] = (found["unit"] or "1", name)
+        cells[match["channel"], match["field"]] = (match["unit"] or "1", name)
     flags = {name for name in names if name.startswith(HAS)}
     if left := [name for name in names if name not in used | flags]:
         raise ValueError(
@@ -190,7 +192,7 @@ def values_of(
     ValueError
         An entry cannot be read, names what is not there, or its value is none of its range or type; or one is missing.
     """
-    names, found = {leaf.access: leaf for leaf in leaves}, dict[str, float]()
+    names, result = {leaf.access: leaf for leaf in leaves}, dict[str, float]()
     for entry in entries:
         parts = VALUE.fullmatch(entry.strip())
         if parts is None:
@@ -200,7 +202,7 @@ def values_of(
         name = parts["name"]
         if name not in names:
             raise ValueError(f"{entry!r}: {struct} has no member {name!r}{closest(name, names)}; it has {_list(names)}")
-        if name in found:
+        if name in result:
             raise ValueError(f"{entry!r}: {name} is set twice")
         try:
             value = float(parts["value"])
@@ -212,13 +214,13 @@ def values_of(
             raise ValueError(f"{entry!r}: {value:g} {unit} is beyond {low:g} to {high:g}, or no finite number")
         if names[name].whole and value != int(value):
             raise ValueError(f"{entry!r}: {name} is a whole number in C, expected one")
-        found[name] = value
+        result[name] = value
     for name in names:
-        if name not in found and name in defaults:
-            found[name] = float(defaults[name])
-    if missing := [name for name in names if name not in found]:
+        if name not in result and name in defaults:
+            result[name] = float(defaults[name])
+    if missing := [name for name in names if name not in result]:
         raise ValueError(f"values: {struct}.{missing[0]} has none; add {missing[0]} [UNIT] = VALUE")
-    return {name: found[name] for name in names}
+    return {name: result[name] for name in names}
 
 
 def _list(names: Any) -> str:

@@ -209,10 +209,10 @@ def _answer(pipe: Connection) -> None:
                 instance, answer = Instance(*arguments), None
             else:
                 answer = getattr(instance, name)(*arguments)
-            found = True, answer
+            result = True, answer
         except Exception as error:
-            found = False, str(error) if isinstance(error, Refusal) else f"{type(error).__name__}: {error}"
+            result = False, str(error) if isinstance(error, Refusal) else f"{type(error).__name__}: {error}"
         try:
-            pipe.send(found)
+            pipe.send(result)
         except OSError:
             os._exit(0)  # the caller has gone, or the FMU has closed our descriptors

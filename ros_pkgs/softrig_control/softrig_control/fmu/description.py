@@ -190,10 +190,10 @@ class Description:
                 f"{self.path.name} has no variable {name!r}{closest(name, self.variables)}; it has "
                 f"{_listed(list(self.variables))}"
             )
-        found = self.variables[name]
-        if not found.kind:
+        result = self.variables[name]
+        if not result.kind:
             raise ValueError(f"{name} of {self.path.name} is a clock or binary, expected a number or text")
-        return found if indices is None and not found.dims else found.at(indices or ())
+        return result if indices is None and not result.dims else result.at(indices or ())
 
 
 def describe(source: str) -> Description:
@@ -300,7 +300,7 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
             variables[v.name] = _variable(v, kinds.get(v.type, ""), units, own)
         except (ValueError, TypeError, AttributeError) as error:
             raise ValueError(f"{path.name}: variable {v.name!r}: {error}") from None
-    found = {
+    results = {
         "co_simulation": model.coSimulation,
         "model_exchange": model.modelExchange,
         "scheduled_execution": model.scheduledExecution,
@@ -309,7 +309,7 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
     return Description(
         path,
         model.fmiVersion,
-        tuple(name for name, there in found.items() if there is not None),
+        tuple(name for name, there in results.items() if there is not None),
         bool(either and either.canGetAndSetFMUstate and either.canSerializeFMUstate),
         variables,
         _digest(path),
@@ -339,7 +339,7 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], own: Mapping[str, Ma
     )
     if least is not None and largest is not None and least > largest:
         raise ValueError(f"min = {least:g} is above max = {largest:g}")
-    found = Variable(
+    variable = Variable(
         v.name,
         v.valueReference,
         kind,
@@ -355,8 +355,8 @@ def _variable(v: Any, kind: str, units: Mapping[str, Unit], own: Mapping[str, Ma
         tuple((item.name, _whole("value of its type", item.value)) for item in getattr(v.declaredType, "items", ())),
     )
     if start is not None and kind not in ("String", ""):
-        found.starts()
-    return found
+        variable.starts()
+    return variable
 
 
 def _real(name: str, text: object) -> float:
@@ -374,8 +374,8 @@ def _whole(name: str, text: object) -> int:
 
 def _declared(variable: Any, name: str, own: Mapping[str, Mapping[str, str]]) -> Any:
     """Return an attribute of a variable unchanged, or that of its declared type if the variable has none."""
-    found = own.get(variable.name, {}).get(name) or getattr(variable, name, None)
-    return getattr(variable.declaredType, name, None) if found in (None, "") else found
+    result = own.get(variable.name, {}).get(name) or getattr(variable, name, None)
+    return getattr(variable.declaredType, name, None) if result in (None, "") else result
 
 
 def _ours(name: str) -> str:
@@ -384,7 +384,7 @@ def _ours(name: str) -> str:
     return re.sub(r"(?<=[A-Za-z])(-?\d)", r"^\1", plain)
 
 
-def _unit(found: Any, file: str) -> Unit:
+def _unit(value: Any, file: str) -> Unit:
     """Return a unit of FMPy's; `odd` if its name has another meaning here.
 
     Raises
@@ -392,17 +392,17 @@ def _unit(found: Any, file: str) -> Unit:
     ValueError
         A number of it is none, or the factor is not above zero.
     """
-    name, given = _ours(found.name), found.baseUnit
+    name, given = _ours(value.name), value.baseUnit
     if given is None:
         return Unit.of(name)
     try:
         powers = {b: _whole(b, getattr(given, b) or 0) for b in BASES}
         factor, offset = _real("factor", given.factor), _real("offset", given.offset)
     except ValueError as error:
-        raise ValueError(f"{file}: unit {found.name!r}: {error}") from None
+        raise ValueError(f"{file}: unit {value.name!r}: {error}") from None
     if not (0.0 < factor < math.inf and abs(offset) < math.inf):
         raise ValueError(
-            f"{file}: unit {found.name!r}: factor {factor:g} and offset {offset:g}, expected a factor above 0"
+            f"{file}: unit {value.name!r}: factor {factor:g} and offset {offset:g}, expected a factor above 0"
         )
     parts = tuple(sorted((b, power) for b, power in powers.items() if power))
     ours = Unit.of(name)
@@ -413,7 +413,7 @@ def _unit(found: Any, file: str) -> Unit:
     return Unit(name, factor, offset, parts, odd=known and not same)
 
 
-def conversion(found: Variable, wanted: str) -> tuple[float, float]:
+def conversion(variable: Variable, wanted: str) -> tuple[float, float]:
     """Return how values of a variable become those of a port: ``scale * x + offset``.
 
     Parameters
@@ -426,21 +426,23 @@ def conversion(found: Variable, wanted: str) -> tuple[float, float]:
     ValueError
         They measure different quantities, or the FMU defines its unit otherwise than softrig and `wanted` is empty.
     """
-    if found.unit is None:
+    if variable.unit is None:
         return 1.0, 0.0
-    if found.unit.odd and not wanted:
-        name, inside = found.unit.name, text(dict(found.unit.base)) or "1"
+    if variable.unit.odd and not wanted:
+        name, inside = variable.unit.name, text(dict(variable.unit.base)) or "1"
         raise ValueError(
-            f"{found.name} is in {name!r}, which the FMU defines as {found.unit.factor:g} {inside} and softrig does "
-            f"not; write the unit of the channel before the =, such as [{inside}]"
+            f"{variable.name} is in {name!r}, which the FMU defines as {variable.unit.factor:g} {inside} and softrig "
+            f"does not; write the unit of the channel before the =, such as [{inside}]"
         )
-    if not wanted or (not found.unit.odd and powers(wanted) == powers(found.unit.name)):
+    if not wanted or (not variable.unit.odd and powers(wanted) == powers(variable.unit.name)):
         return 1.0, 0.0
     port = Unit.of(wanted)
-    if port.base != found.unit.base:
-        raise ValueError(f"{found.name} is in {found.unit.name!r}, expected {wanted!r}, which is another quantity")
-    offset = 0.0 if found.relative else found.unit.offset
-    return found.unit.factor / port.factor, offset / port.factor
+    if port.base != variable.unit.base:
+        raise ValueError(
+            f"{variable.name} is in {variable.unit.name!r}, expected {wanted!r}, which is another quantity"
+        )
+    offset = 0.0 if variable.relative else variable.unit.offset
+    return variable.unit.factor / port.factor, offset / port.factor
 
 
 def _listed(names: list[str]) -> str:

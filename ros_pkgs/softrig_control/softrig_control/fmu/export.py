@@ -107,8 +107,8 @@ def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
     result = {}
     for port in member.inputs:
         link = member.links.get(port.name)
-        if link is not None and (said := recording.topics[port.topic].data):
-            _, row = Decoder(port)(bytes(said[0]))
+        if link is not None and (text := recording.topics[port.topic].data):
+            _, row = Decoder(port)(bytes(text[0]))
             result[port.name] = list(row)
     return result
 

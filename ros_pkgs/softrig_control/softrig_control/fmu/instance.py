@@ -92,13 +92,13 @@ class Instance:
             return call(*arguments)
         except Exception as error:  # FMPy raises bare Exceptions as well
             self._fmu = None  # in which state it is nobody knows: not even that it can be freed
-            said = "".join(f"; it says: {text}" for text in self._said if text)
+            message = "".join(f"; it says: {text}" for text in self._said if text)
             if isinstance(error, Refusal):
-                raise Refusal(f"{error}{said}") from None
+                raise Refusal(f"{error}{message}") from None
             name, status = getattr(error, "function", ""), getattr(error, "status", 0)
             kinds = {2: "discarded it", 3: "error", 4: "fatal error"}
             what = f"{name}: {kinds.get(status, f'status {status}')}" if name else f"{type(error).__name__}: {error}"
-            raise Refusal(what + said) from None
+            raise Refusal(what + message) from None
 
     def _begin(self) -> Numbers:
         from fmpy.simulation import instantiate_fmu
@@ -141,12 +141,12 @@ class Instance:
         return result
 
     def _outputs(self) -> Numbers:
-        found = [0.0] * len(self.plan.outputs)
+        result = [0.0] * len(self.plan.outputs)
         for name, cells in self._get.items():
             values = self._read(name, cells)
             for k, at in cells.where:
-                found[k] = float(values[at])
-        return tuple(found)
+                result[k] = float(values[at])
+        return tuple(result)
 
     def _advance(self, start: float, end: float, values: Numbers) -> Numbers:
         n = self.plan.steps
@@ -186,14 +186,14 @@ class Instance:
     def _keep(self) -> bytes:
         state = self._fmu.getFMUState()
         try:
-            found = self._fmu.serializeFMUState(state) if self._three else self._fmu.serializeFMUstate(state)
+            result = self._fmu.serializeFMUState(state) if self._three else self._fmu.serializeFMUstate(state)
         finally:
             self._fmu.freeFMUState(state)
-        return bytes(found)
+        return bytes(result)
 
-    def _restore(self, found: bytes) -> Numbers:
+    def _restore(self, data: bytes) -> Numbers:
         fmu = self._fmu
-        state = fmu.deserializeFMUState(found) if self._three else fmu.deSerializeFMUstate(found)
+        state = fmu.deserializeFMUState(data) if self._three else fmu.deSerializeFMUstate(data)
         try:
             fmu.setFMUState(state)
         finally:

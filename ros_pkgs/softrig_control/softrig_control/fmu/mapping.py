@@ -75,12 +75,12 @@ def mapped(
     frames = frames or {}
     topics: dict[str, dict[tuple[str, str], tuple[str, Variable, tuple[float, float]]]] = {}
     for entry in entries:
-        found = _ENTRY.fullmatch(entry.strip())
-        if found is None or found["field"] not in FIELDS:
+        match = _ENTRY.fullmatch(entry.strip())
+        if match is None or match["field"] not in FIELDS:
             raise ValueError(
                 f"{entry!r}: expected TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE with field one of {', '.join(FIELDS)}"
             )
-        variable = unit.variable(found["name"])
+        variable = unit.variable(match["name"])
         if not outward and variable.causality != "input":
             raise ValueError(
                 f"{entry!r}: {variable.name} is {variable.causality} of {unit.path.name}, expected an "
@@ -93,14 +93,14 @@ def mapped(
         if variable.kind == "String":
             raise ValueError(f"{entry!r}: {variable.name} is a text, which no channel carries")
         try:
-            turn = conversion(variable, found["unit"] or "")
+            turn = conversion(variable, match["unit"] or "")
         except ValueError as error:
             raise ValueError(f"{entry!r}: {error}") from None
         own = variable.unit.name or "1" if variable.unit else "1" if variable.kind == "Boolean" else ""
-        cells = topics.setdefault(found["topic"], {})
-        if (found["channel"], found["field"]) in cells:
+        cells = topics.setdefault(match["topic"], {})
+        if (match["channel"], match["field"]) in cells:
             raise ValueError(f"{entry!r}: this place has a variable already")
-        cells[found["channel"], found["field"]] = (found["unit"] or own, variable, turn)
+        cells[match["channel"], match["field"]] = (match["unit"] or own, variable, turn)
     if not outward and len({v.name for cells in topics.values() for _, v, _ in cells.values()}) < len(entries):
         raise ValueError("inputs: a variable is named twice")
     ports, places = [], []
@@ -141,7 +141,7 @@ def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Varia
     ValueError
         There is no such variable, it cannot be set, or the value is none of its type or bounds.
     """
-    found: dict[str, tuple[Variable, float | int | bool | str]] = {}
+    results: dict[str, tuple[Variable, float | int | bool | str]] = {}
     for entry in entries:
         name, equals, value = (part.strip() for part in entry.partition("="))
         if not equals:
@@ -150,10 +150,10 @@ def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Varia
         if variable.causality in UNSET or variable.constant:
             what = "constant" if variable.constant else variable.causality
             raise ValueError(f"{entry!r}: {name} is {what} of {unit.path.name}, it cannot be set")
-        if name in found:
+        if name in results:
             raise ValueError(f"{entry!r}: {name} is set twice")
-        found[name] = (variable, _value(variable, value))
-    return tuple(found.values())
+        results[name] = (variable, _value(variable, value))
+    return tuple(results.values())
 
 
 def _value(variable: Variable, value: str) -> float | int | bool | str:

@@ -88,14 +88,14 @@ def _values(
     given: Sequence[tuple[Variable, Any]], only: Set[int] | None = None
 ) -> tuple[tuple[str, int, tuple[Any, ...]], ...]:
     """Return type, reference and values of what is set; of an array also those that keep their start."""
-    found: dict[int, tuple[Variable, list[Any]]] = {}
+    results: dict[int, tuple[Variable, list[Any]]] = {}
     for variable, value in given:
         if variable.element is None:
-            found[variable.reference] = variable, [value]
+            results[variable.reference] = variable, [value]
             continue
-        _, values = found.setdefault(variable.reference, (variable, variable.starts()))
+        _, values = results.setdefault(variable.reference, (variable, variable.starts()))
         values[variable.element] = value
-    return tuple((v.kind, r, tuple(values)) for r, (v, values) in found.items() if only is None or r in only)
+    return tuple((v.kind, r, tuple(values)) for r, (v, values) in results.items() if only is None or r in only)
 
 
 class Told:
@@ -107,11 +107,11 @@ class Told:
         self.before, self.name, self.arguments = before, name, arguments
 
 
-def told_before(told: Told | None) -> Iterator[Told]:
+def told_before(call: Told | None) -> Iterator[Told]:
     """Yield the calls of a chain, the newest first."""
-    while told is not None:
-        yield told
-        told = told.before
+    while call is not None:
+        yield call
+        call = call.before
 
 
 class State(NamedTuple):
@@ -200,9 +200,9 @@ class _Fmu(Block[FmuParams]):
         """Instantiate the FMU again and initialise it; report parts of its description without effect."""
         for note in self.p.unit.notes:
             self.report(Level.WARN, note, note)
-        found = self._asked(0, self._running.begin, self._make)
-        told = None if self.p.unit.serialises or self.realtime else Told(None, "begin", (self._make,))
-        return State(0, self._checked(0, found), told)
+        result = self._asked(0, self._running.begin, self._make)
+        call = None if self.p.unit.serialises or self.realtime else Told(None, "begin", (self._make,))
+        return State(0, self._checked(0, result), call)
 
     def go_on(self, x: State, before: FmuParams) -> State:
         """Set changed parameters between two steps; the state of the FMU continues."""
@@ -216,25 +216,25 @@ class _Fmu(Block[FmuParams]):
         rows = [inputs[key] for key in self._keys]
         values = tuple(place.into(rows[place.port][place.at]) for place in self.p.reads.places)
         k = x.k + 1
-        x, found = self._call(x, "advance", self._now(x.k), self._now(k), values)
-        return State(k, self._checked(k, found), x.told)
+        x, result = self._call(x, "advance", self._now(x.k), self._now(k), values)
+        return State(k, self._checked(k, result), x.told)
 
     def _call(self, x: State, name: str, *arguments: Any) -> tuple[State, Any]:
         """Call the FMU; return the state that remembers it, and the answer."""
-        found = self._asked(x.k, self._running.call, name, *arguments)
-        return x if x.told is None else State(x.k, x.found, Told(x.told, name, arguments)), found
+        result = self._asked(x.k, self._running.call, name, *arguments)
+        return x if x.told is None else State(x.k, x.found, Told(x.told, name, arguments)), result
 
     def _now(self, k: int) -> float:
         return self._time(k) / 1e9
 
-    def _checked(self, k: int, found: tuple[float, ...]) -> tuple[float, ...]:
-        for place, value in zip(self.p.says.places, found, strict=True):
+    def _checked(self, k: int, values: tuple[float, ...]) -> tuple[float, ...]:
+        for place, value in zip(self.p.says.places, values, strict=True):
             if not math.isfinite(value):
                 raise RunError(
                     f"{self._who()}: {place.variable.name} = {value} at {self._now(k):.9g} s of its time, "
                     "expected a finite number"
                 )
-        return found
+        return values
 
     def _said(self, x: State) -> Mapping[str, tuple[float, ...]]:
         ports = self.p.says.ports
@@ -272,8 +272,8 @@ class _Fmu(Block[FmuParams]):
         if kept is not None:
             self._asked(x.k, self._running.call, "restore", kept)
         else:
-            for told in reversed([*told_before(x.told)]):
-                self._asked(x.k, self._running.call, told.name, *told.arguments)
+            for call in reversed([*told_before(x.told)]):
+                self._asked(x.k, self._running.call, call.name, *call.arguments)
         return x
 
 

@@ -37,13 +37,13 @@ def variable(topic: str, label: str) -> str:
 
 def unit_definitions(units: Iterable[str]) -> list[Element]:
     """Return the element that defines the units, in a list that is empty if there are no units."""
-    found = Element("UnitDefinitions")
+    element = Element("UnitDefinitions")
     for unit in sorted(units):
         factor, parts = base(unit)
-        one = SubElement(found, "Unit", name=unit)
+        one = SubElement(element, "Unit", name=unit)
         if set(parts) <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}:
             SubElement(one, "BaseUnit", {k: str(v) for k, v in parts.items()} | {"factor": repr(factor)})
-    return [found] if len(found) else []
+    return [element] if len(element) else []
 
 
 class _Shown(Link):
@@ -151,8 +151,8 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
     def to_xml(self, model_options: Any = None) -> Element:
         """Return the model description, with the units and bounds that PythonFMU does not know of."""
         root = super().to_xml(model_options or {})
-        for found in unit_definitions({e["unit"] for e in self._extra.values() if "unit" in e}):
-            root.insert(1, found)
+        for result in unit_definitions({e["unit"] for e in self._extra.values() if "unit" in e}):
+            root.insert(1, result)
         outputs = [v.attrib for v in root.iter("Unknown")]
         if outputs:
             initial = SubElement(root.find("ModelStructure"), "InitialUnknowns")

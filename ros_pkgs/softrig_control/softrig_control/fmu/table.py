@@ -160,9 +160,9 @@ def attributes(description: bytes) -> dict[str, dict[str, str]]:
 
     FMPy 0.3 does not read `relativeQuantity` of a variable, nor the bounds of unsigned ones.
     """
-    found = ElementTree.fromstring(description).find("ModelVariables")
+    result = ElementTree.fromstring(description).find("ModelVariables")
     return {
         str(variable.get("name")): dict(variable[0].attrib if variable.tag == "ScalarVariable" else variable.attrib)
-        for variable in (found if found is not None else ())
+        for variable in (result if result is not None else ())
         if variable.tag != "ScalarVariable" or len(variable)
     }

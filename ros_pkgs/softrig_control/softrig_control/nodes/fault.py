@@ -105,15 +105,15 @@ class FaultParams(LinkParams):
             A name that is no channel and no value of the message.
         """
         labels = self.port("link", self.topic_in).labels
-        found: list[int] = []
+        results: list[int] = []
         if not self.affects:
             return tuple(range(len(labels)))
         for name in self.affects:
             there = [i for i, label in enumerate(labels) if label == name or label.split("/")[0] == name]
             if not there:
                 raise ValueError(f"affects {name!r}, but the link carries {', '.join(labels)}")
-            found += [i for i in there if i not in found]
-        return tuple(found)
+            results += [i for i in there if i not in results]
+        return tuple(results)
 
     def range(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return lower and upper limit of each value that `saturate` concerns."""
@@ -234,15 +234,15 @@ class Fault(Block[FaultParams]):
     ) -> tuple[State, Mapping[str, Message]]:
         """Return the input of this tick as the fault changes it."""
         p, kind = self.p, self.p.kind
-        on, was_down, burst, since, stuck, before, line, said, taken, newest, last_due, k = x
+        on, was_down, burst, since, stuck, before, line, sample, used, newest, last_due, k = x
         down = toggle is not None and toggle[0] > 0.5
         if down and not was_down:
             on = not on
-        age, heard = self.age("sent"), False
+        age, received = self.age("sent"), False
         if isinstance(sent, Sample):  # a link of acquisition times repeats what it has until another one comes
             stamp, data = sent
-            last, taken = taken, stamp if age is not None else -1
-            fresh = taken > last
+            last, used = used, stamp if age is not None else -1
+            fresh = used > last
         else:
             stamp, data, fresh = t, sent, age == 0
         if fresh:
@@ -258,10 +258,10 @@ class Fault(Block[FaultParams]):
                 last_due = due if p.overtaking else max(due, last_due)
                 line = line.put(last_due, stamp, data)
             elif not there:
-                heard, newest, said = True, stamp, sent
+                received, newest, sample = True, stamp, sent
             elif not self._lost(burst, draws):
-                heard = True
-                said = (
+                received = True
+                sample = (
                     before
                     if kind == "repeat" and repeats and draws[0] < p.probability
                     else (self._faulty(t, sent, data, since, stuck, draws))
@@ -269,13 +269,13 @@ class Fault(Block[FaultParams]):
             before = sent
         if kind == "delay":
             last = newest
-            line, newest, late = line.taken(t, newest, said.data if isinstance(said, Sample) else said)
+            line, newest, late = line.taken(t, newest, sample.data if isinstance(sample, Sample) else sample)
             if newest > last:
-                heard, said = True, Sample(newest, late) if isinstance(said, Sample) else late
-        x = State(on, down, burst, since, stuck, before, line, said, taken, newest, last_due, k)
-        if not heard and not p.holds:
+                received, sample = True, Sample(newest, late) if isinstance(sample, Sample) else late
+        x = State(on, down, burst, since, stuck, before, line, sample, used, newest, last_due, k)
+        if not received and not p.holds:
             return x, {}
-        return x, {"arrived": said}
+        return x, {"arrived": sample}
 
     def _there(self, t: int) -> bool:
         """Return whether it is one of the times at which it is there."""

@@ -203,12 +203,12 @@ class Policy(Block[PolicyParams]):
 
     def observation(self, inputs: Mapping[str, Any]) -> tuple[float, ...]:
         """Return the observation that the values of the ports make."""
-        found = []
+        results = []
         for port, k in self.observed:
             given = inputs[port.name]
             given = port.safe if given is None else given.data if isinstance(given, Sample) else given
-            found.append(given[k])
-        return tuple(found)
+            results.append(given[k])
+        return tuple(results)
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:
         """Describe what the policy commands."""
@@ -217,9 +217,9 @@ class Policy(Block[PolicyParams]):
             raise ValueError(f"the policy gave {len(given)} actions, expected {len(self._bounds)}")
         # of a NaN neither comparison holds: it goes on and is refused as any block's
         action = [low if a < low else high if a > high else a for a, (low, high) in zip(given, self._bounds)]
-        said: dict[str, tuple[float, ...] | Sample | None] = {}
+        messages: dict[str, tuple[float, ...] | Sample | None] = {}
         for port, places in self._acted:
             row = tuple([safe if k is None else float(action[k]) for k, safe in zip(places, port.safe, strict=True)])
             silent = port.sporadic and not any(k is not None for k in places)
-            said[port.name] = None if silent else Sample(t, row) if port.delayed else row
-        return x, said
+            messages[port.name] = None if silent else Sample(t, row) if port.delayed else row
+        return x, messages

@@ -117,11 +117,11 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         for name, last in zip(self._used, x.before, strict=True):
             condition = self._conditions.get(name)
             port, k = self._places[condition.signal if condition else name]
-            came = self.age(port) is not None
+            arrived = self.age(port) is not None
             given = inputs[port]
-            value = (given.data if isinstance(given, Sample) else given)[k] if came else 0.0
+            value = (given.data if isinstance(given, Sample) else given)[k] if arrived else 0.0
             if condition is None:
-                seen[name], late[name] = value, not came
+                seen[name], late[name] = value, not arrived
                 now.append(None)
                 continue
             truths[name] = float(truth(condition, value, value if last is None else last))
@@ -144,8 +144,8 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
             decided = self._live.decided(opened)
             if upper < 0.0 and not violated:
                 self._tell(t, upper)
-        said = (max(-ENDLESS, min(ENDLESS, lower)), max(-ENDLESS, min(ENDLESS, upper)), float(decided))
-        return State(opened, before, lower, upper, decided), {"margin": said}
+        outputs = (max(-ENDLESS, min(ENDLESS, lower)), max(-ENDLESS, min(ENDLESS, upper)), float(decided))
+        return State(opened, before, lower, upper, decided), {"margin": outputs}
 
     def _tell(self, t: int, margin: float) -> None:
         """Report that the requirement is violated, or end the run with that."""

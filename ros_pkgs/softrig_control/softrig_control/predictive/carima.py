@@ -162,11 +162,11 @@ def multiply(p: Sequence[float], q: Sequence[float]) -> Polynomial:
     p, q : sequence of float
         Coefficients of z^0, z^-1, ...
     """
-    found = [0.0] * (len(p) + len(q) - 1)
+    result = [0.0] * (len(p) + len(q) - 1)
     for i, x in enumerate(p):
         for j, y in enumerate(q):
-            found[i + j] += x * y
-    return tuple(found)
+            result[i + j] += x * y
+    return tuple(result)
 
 
 def add(p: Sequence[float], q: Sequence[float], shift: int = 0) -> Polynomial:

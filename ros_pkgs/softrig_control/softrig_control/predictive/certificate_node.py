@@ -86,19 +86,25 @@ class CertificateNode(Block[CertificateParams]):
         return {"model": f"num = {list(p.num)}, den = {list(p.den)}, T = {p.T:g} s, Q = {p.Q:g}, R = {p.R:g}"}
 
     def _answer(self) -> Mapping[str, Any]:
-        found = self._certificate()
-        if not found.valid:
+        result = self._certificate()
+        if not result.valid:
             self.report(
                 Level.WARN,
                 "no_certificate",
-                f"no certificate: |eig(A + BK)| = {found.moduli[0]:.4g}, "
-                f"residual {found.residual:.3g}, Qbar's smallest eigenvalue {found.definite:.3g}",
+                f"no certificate: |eig(A + BK)| = {result.moduli[0]:.4g}, "
+                f"residual {result.residual:.3g}, Qbar's smallest eigenvalue {result.definite:.3g}",
             )
         return {
-            "gain": tuple(found.gain.ravel().tolist()),
-            "terminal": tuple(found.terminal.ravel().tolist()),
-            "moduli": tuple(found.moduli.tolist()),
-            "verdict": (float(found.valid), float(found.moduli[0]), found.definite, found.residual, found.decrease),
+            "gain": tuple(result.gain.ravel().tolist()),
+            "terminal": tuple(result.terminal.ravel().tolist()),
+            "moduli": tuple(result.moduli.tolist()),
+            "verdict": (
+                float(result.valid),
+                float(result.moduli[0]),
+                result.definite,
+                result.residual,
+                result.decrease,
+            ),
         }
 
     def _certificate(self) -> Certificate:

@@ -64,8 +64,8 @@ def gain_crossings(response: Response, omega: Array, L: NDArray[np.complex128]) 
     omega, L : array, shape (n,)
         As `resolved` returns them.
     """
-    found = _roots(lambda w: np.log(np.abs(response(w))), omega, np.log(np.abs(L)))
-    return found[np.abs(np.abs(response(found)) - 1.0) < ON_AXIS]
+    result = _roots(lambda w: np.log(np.abs(response(w))), omega, np.log(np.abs(L)))
+    return result[np.abs(np.abs(response(result)) - 1.0) < ON_AXIS]
 
 
 def phase_crossings(response: Response, omega: Array, L: NDArray[np.complex128]) -> Array:
@@ -78,9 +78,9 @@ def phase_crossings(response: Response, omega: Array, L: NDArray[np.complex128])
     omega, L : array, shape (n,)
         As `resolved` returns them.
     """
-    found = _roots(lambda w: response(w).imag, omega, L.imag)
-    there = response(found)
-    return found[(there.real < 0.0) & (np.abs(there.imag) < ON_AXIS * np.abs(there))]
+    result = _roots(lambda w: response(w).imag, omega, L.imag)
+    there = response(result)
+    return result[(there.real < 0.0) & (np.abs(there.imag) < ON_AXIS * np.abs(there))]
 
 
 def _roots(function: Callable[[Array], Array], omega: Array, values: Array) -> Array:

@@ -301,8 +301,8 @@ class RigEnv(gym.Env[Array, Array]):
         names = [p.name for p in self._law.inputs]
 
         def agent(_: Array) -> Array:
-            said = law.update(self.clock.t, **{name: self._agent.values[name] for name in names})
-            rows = [said[p.name] for p in outputs]
+            answer = law.update(self.clock.t, **{name: self._agent.values[name] for name in names})
+            rows = [answer[p.name] for p in outputs]
             return np.array([x for row in rows for x in (row.data if isinstance(row, Sample) else row or ())])
 
         return agent
@@ -321,8 +321,8 @@ class RigEnv(gym.Env[Array, Array]):
         """
         learned = {"policy": policy, "weights": [float(w) for w in weights]}
         entry = self._entry.model_copy(update={"parameters": {**self._entry.parameters, **learned}})
-        found = self._with(entry, ()).scenario
-        return found.model_copy(update={"name": name} if name else {})
+        result = self._with(entry, ()).scenario
+        return result.model_copy(update={"name": name} if name else {})
 
     def _with(self, entry: NodeEntry, terminate: Sequence[str]) -> Rig:
         """Return the rig with another node in the controller's place, and requirements that end a run."""
@@ -383,7 +383,7 @@ def _without(law: Member, value: Any) -> Any:
         if whole := re.fullmatch(reference, value):
             return pick(flatten(law.params), whole[1])
         # in a formula or in arithmetic: in brackets, as it may be below zero
-        return re.sub(reference, lambda found: f"({pick(flatten(law.params), found[1])!r})", value)
+        return re.sub(reference, lambda result: f"({pick(flatten(law.params), result[1])!r})", value)
     if isinstance(value, Mapping):
         return {k: _without(law, v) for k, v in value.items()}
     return [_without(law, v) for v in value] if isinstance(value, list | tuple) else value
@@ -391,13 +391,13 @@ def _without(law: Member, value: Any) -> Any:
 
 def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) -> NodeEntry:
     """Return the node that replaces a controller: its ports, and the other observed signals."""
-    now, come = Now(rig), list(law.inputs)
+    now, arrived = Now(rig), list(law.inputs)
     observed = None if observe is None else [now.whole(name) for name in observe]
     for signal in observed or ():
-        if signal not in _limits(come):
+        if signal not in _limits(arrived):
             port = next(p for p in rig.topics.values() if signal in _limits([p]))
-            come.append(reader(port, f"observed_{len(come)}"))
-    observed = list(_limits(come)) if observed is None else observed
+            arrived.append(reader(port, f"observed_{len(arrived)}"))
+    observed = list(_limits(arrived)) if observed is None else observed
     acted = [now.whole(name) for name in act] if act is not None else list(_limits(law.outputs))
     for signal in acted:
         if signal not in _limits(law.outputs):
@@ -408,7 +408,7 @@ def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) 
         "period": flatten(law.params)["period"],
         "policy": "linear",
         "weights": [0.0] * (len(acted) * (len(observed) + 1)),
-        "inputs": ports_text(come),
+        "inputs": ports_text(arrived),
         "outputs": ports_text(law.outputs),
         "observe": observed,
         "act": acted,

@@ -131,8 +131,8 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds, expected {self.num_envs}")
         self._ended[:] = False
-        found = [self._begun(j, each) for j, each in enumerate(seeds)]
-        return np.array(found), self._info({})
+        results = [self._begun(j, each) for j, each in enumerate(seeds)]
+        return np.array(results), self._info({})
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Apply the actions until the agents' next ticks.
@@ -220,8 +220,8 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         if self._k[j] < 0:
             return
         env, k = self.envs[j], int(self._k[j])
-        states, said = self._form.get(self._numbers[j], self._whole[j])
-        for s, x, numbers in zip(env.steps.values(), states, said, strict=True):
+        states, outputs = self._form.get(self._numbers[j], self._whole[j])
+        for s, x, numbers in zip(env.steps.values(), states, outputs, strict=True):
             if s.name != env.member.name:
                 s.x = unpacked(x)
             answered(s, (k - 1) // self._plan.every(s.schedule), numbers)
@@ -272,16 +272,16 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._form, self._forms = Form(state), form(state)
         params: Any = self.envs[0].member.params
         bounds = dict(zip(params.act, params.bounds(), strict=True))
-        said = []
+        messages = []
         for port in agent.outputs:
             for label, safe in zip(port.labels, port.safe, strict=True):
                 signal = f"{port.topic}/{label}"
                 if signal not in bounds:
-                    said.append(repr(float(safe)))
+                    messages.append(repr(float(safe)))
                     continue
                 a, (low, high) = f"a[{params.act.index(signal)}]", bounds[signal]
-                said.append(f"({low!r} if {a} < {low!r} else {high!r} if {a} > {high!r} else {a})")
-        text = batch_text(steps, agent, said, self._form)
+                messages.append(f"({low!r} if {a} < {low!r} else {high!r} if {a} > {high!r} else {a})")
+        text = batch_text(steps, agent, messages, self._form)
         blocks = [s.block for s in steps]
         program = text.program
         self._plan = Plan(s.schedule for s in steps)
@@ -357,10 +357,10 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         assert self._text is not None
         for path, name in self._text.program.draws.items():
             old = self._tables[name]
-            self._tables[name] = found = np.zeros((self.num_envs, max(count, 2 * old.shape[1])))
+            self._tables[name] = result = np.zeros((self.num_envs, max(count, 2 * old.shape[1])))
             for j in np.flatnonzero(self._fits):
                 blocks = [s.block for s in self.envs[j].steps.values()]
-                found[j] = follow(path, blocks).first(found.shape[1])
+                result[j] = follow(path, blocks).first(result.shape[1])
 
     def _info(self, errors: Mapping[int, str]) -> dict[str, Any]:
         info: dict[str, Any] = {"t": self._t.copy(), "_t": np.ones(self.num_envs, np.bool_)}

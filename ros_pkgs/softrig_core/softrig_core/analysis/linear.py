@@ -100,16 +100,16 @@ class Sampled:
         for port in self.inputs:
             given[port.name] = tuple(u[at : at + port.size].tolist())
             at += port.size
-        found = self.plant.outputs(now, self.t)
-        y = [value for port in self.outputs for value in found[port.name]]
+        outputs = self.plant.outputs(now, self.t)
+        y = [value for port in self.outputs for value in outputs[port.name]]
         after = numbers(self.plant.advance(now, self.t, **given))
         return (after - x) / self.period, np.array(y, dtype=float)
 
     def linearise(self, x: Sequence[float], u: Sequence[float]) -> Linear:
         r"""Linearise the plant, :math:`\delta x_{k+1} = A \delta x_k + B \delta u_k`; ``system()`` has its period."""
-        found = linearise(self, x, u)
-        eye = np.eye(len(found.x))
-        return found._replace(A=eye + self.period * found.A, B=self.period * found.B, period=self.period)
+        result = linearise(self, x, u)
+        eye = np.eye(len(result.x))
+        return result._replace(A=eye + self.period * result.A, B=self.period * result.B, period=self.period)
 
 
 def linearise(model: Any, x: Sequence[float], u: Sequence[float]) -> Linear:
@@ -192,8 +192,8 @@ def equilibrium(
             new_x, new_u = at.copy(), inputs.copy()
             new_x[columns] -= share * move[: len(columns)]
             new_u[list(free)] -= share * move[len(columns) :]
-            found = np.abs(evaluate(new_x, new_u)[0][rows]).max()
-            if found < size:  # False for NaN too
+            result = np.abs(evaluate(new_x, new_u)[0][rows]).max()
+            if result < size:  # False for NaN too
                 break
             share /= 2.0
         at, inputs = new_x, new_u

@@ -238,13 +238,13 @@ class LinearView:
         # An integrator has the rate 0, which has no place on a logarithmic axis.
         slow = np.abs(rates[np.abs(rates) > 1e-9 * top])
         low = max(1e-7 * top, min(0.01 * slow.min(initial=top), 1e-2 * top))
-        found = [np.geomspace(low, top, POINTS)]
+        results = [np.geomspace(low, top, POINTS)]
         for rate in rates:
             width = max(abs(rate.real), 1e-6 * abs(rate.imag))
             # A lightly damped pole is narrower than the spacing of the other frequencies.
             if 0.0 < width < 0.1 * abs(rate.imag):
-                found.append(abs(rate.imag) + width * np.linspace(-5.0, 5.0, 41))
-        whole = np.unique(np.concatenate(found))
+                results.append(abs(rate.imag) + width * np.linspace(-5.0, 5.0, 41))
+        whole = np.unique(np.concatenate(results))
         return whole[(whole >= low) & (whole <= top)]
 
     def at_frequencies(self, omega: Array) -> NDArray[np.complex128]:
@@ -409,21 +409,21 @@ def linear_view(
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
     opened = _command(rig) if link is None else signal_of(rig, link) if link else ""
     named = [signal_of(rig, name) for name in outputs or ()]
-    told = named
+    observed = named
     if opened and outputs is None:
         whole = upstream(place_of(rig, opened).member)
-        told = [s for s in plants_say(rig) if place_of(rig, s).member.name in whole]
+        observed = [s for s in plants_say(rig) if place_of(rig, s).member.name in whole]
     elif outputs is None:
-        told = plants_say(rig)
-    said = list(dict.fromkeys([*told, *([opened] if opened else [])]))
-    if not said:
+        observed = plants_say(rig)
+    messages = list(dict.fromkeys([*observed, *([opened] if opened else [])]))
+    if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed
-    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, said)
-    found = StateMap(rig, at, number, said, [*given, *([opened] if opened else [])], FOLLOWED)
+    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, messages)
+    result = StateMap(rig, at, number, messages, [*given, *([opened] if opened else [])], FOLLOWED)
     if opened:
-        _check_link(found, opened)
-    view = Differences(found, told, given, opened).view()
+        _check_link(result, opened)
+    view = Differences(result, observed, given, opened).view()
     if lost := [name for name in named if name in view.left_out]:
         raise RunError(f"{rig.scenario.name}: {lost[0]} {view.left_out[lost[0]]}")
     return view
@@ -523,13 +523,13 @@ def linear_along(
     at = max(0.0, rig.scenario.duration) if at is None else at
     if not (math.isfinite(at) and at >= 0.0):
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
-    told = [signal_of(rig, name) for name in outputs] if outputs is not None else plants_say(rig)
-    if not told:
+    messages = [signal_of(rig, name) for name in outputs] if outputs is not None else plants_say(rig)
+    if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
-    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, told)
+    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, messages)
     number = rig.scenario.seed if seed is None else seed
-    found = StateMap(rig, at, number, told, given, max(FOLLOWED, periods))
-    return Differences(found, told, given, "").along(periods)
+    result = StateMap(rig, at, number, messages, given, max(FOLLOWED, periods))
+    return Differences(result, messages, given, "").along(periods)
 
 
 def _command(rig: Rig) -> str:
@@ -550,10 +550,10 @@ def plants_say(rig: Rig) -> list[str]:
     return [f"{p.topic}/{x}" for m in rig.members if m.is_plant for p in m.outputs if not p.sporadic for x in p.labels]
 
 
-def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
+def _sources_say(rig: Rig, texts: Sequence[str]) -> list[str]:
     """Return what sources publish to the nodes that count, at least as often as those are due."""
     whole: dict[str, Any] = {}
-    for name in said:
+    for name in texts:
         upstream(place_of(rig, name).member, whole)
     every = math.lcm(*(m.schedule.every for m in whole.values() if not is_source(m)))
     return [
@@ -566,24 +566,24 @@ def _sources_say(rig: Rig, said: Sequence[str]) -> list[str]:
     ]
 
 
-def _check_link(found: StateMap, link: str) -> None:
-    member, port, _ = found.places[link]
+def _check_link(result: StateMap, link: str) -> None:
+    member, port, _ = result.places[link]
     if port.sporadic:
-        raise ScenarioError(f"{found.rig.scenario.name}: {link} is not published at each tick: it cannot be opened")
+        raise ScenarioError(f"{result.rig.scenario.name}: {link} is not published at each tick: it cannot be opened")
     # With several messages in one period there is no single value at which the loop could be opened.
-    if member.params.period < found.period * (1.0 - 1e-9):
+    if member.params.period < result.period * (1.0 - 1e-9):
         slow = [
             f"{p.topic}/{x}"
-            for name in found.step_names()
-            for m in found.rig.members
-            if m.name == name and not is_source(m) and m.params.period > found.period * (1.0 - 1e-9)
+            for name in result.step_names()
+            for m in result.rig.members
+            if m.name == name and not is_source(m) and m.params.period > result.period * (1.0 - 1e-9)
             for p in m.outputs
             if not p.sporadic
             for x in p.labels
         ]
         raise ScenarioError(
-            f"{found.rig.scenario.name}: {link} is said every {member.params.period:g} s, the rig repeats itself every "
-            f"{found.period:g} s only; open the loop where it is slow: {', '.join(slow) or 'no such link'}, or "
+            f"{result.rig.scenario.name}: {link} is published every {member.params.period:g} s, but the rig repeats "
+            f"only every {result.period:g} s; open the loop where it is slow: {', '.join(slow) or 'no such link'}, or "
             "give all the same period by --set"
         )
 
@@ -604,9 +604,9 @@ class Differences:
 
     def _begin(self) -> dict[str, float]:
         """Return the outputs at the map's current `start`, and store the parts of the state that are not floats."""
-        _, said = self.map(self.map.start, {})
+        _, outputs = self.map(self.map.start, {})
         self.others = self.map.others()
-        return said
+        return outputs
 
     def states(self) -> tuple[list[int], Array, Array]:
         """Return the places of the states that the outputs depend on, A, and the rows of the outputs."""
@@ -620,8 +620,8 @@ class Differences:
         self._explore()
         on = self._on()
         whole = self._square(on)
-        heard = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
-        counts = _reach(whole.T, (heard != 0.0).any(axis=0))
+        received = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
+        counts = _reach(whole.T, (received != 0.0).any(axis=0))
         # What nothing moves here is as good as a parameter.
         held = (whole == np.eye(len(on))).all(axis=1)
         # So is a plant's copy of its command, which is replaced in each period.
@@ -633,7 +633,7 @@ class Differences:
         kept = [i for i, there in zip(on, counts, strict=True) if there]
         if len(kept) > MOST:
             self._too_many(kept)
-        return kept, whole[np.ix_(counts, counts)], heard[:, counts]
+        return kept, whole[np.ix_(counts, counts)], received[:, counts]
 
     def _explore(self) -> None:
         """Find the columns of all that has moved or rests in a plant, and of all that is moved by what has a column."""
@@ -703,8 +703,8 @@ class Differences:
             C, D = C + np.outer(direct, c) / (1.0 - d), D + np.outer(direct, D[-1]) / (1.0 - d)
         rows = len(self.outputs)
         judged = _between(a, b, c) if self.link else np.ones(len(kept), bool)
-        apart, heard = self._variation(kept, A, C[:rows], judged)
-        reasons = self._left_out(kept, A, C[:rows], apart, heard)
+        apart, received = self._variation(kept, A, C[:rows], judged)
+        reasons = self._left_out(kept, A, C[:rows], apart, received)
         on = [k for k, name in enumerate(self.outputs) if name not in reasons]
         names = [m.names[i] for i in kept]
         used: list[int | str] = [*kept, *self.inputs, *([self.link] if self.link else [])]
@@ -715,7 +715,7 @@ class Differences:
             m.rig.scenario.name, m.t, m.period, tuple(names), tuple(self.inputs), tuple(self.outputs[k] for k in on),
             {s: units.get(s, "") for s in m.places}, values, A, B, C[on], D[on], self.link, a, b, c, d,
             self.errors.get(worst, 0.0), m.names[worst] if isinstance(worst, int) else worst, apart,
-            {self.outputs[k]: heard[k] for k in on}, reasons,
+            {self.outputs[k]: received[k] for k in on}, reasons,
         )  # fmt: skip
 
     def _no_loop(self) -> str:
@@ -733,7 +733,7 @@ class Differences:
         size = _power(abs(self.said[link]) or 1.0)
 
         def back(height: float) -> list[float]:
-            return [said[link] for _, said in m.go_on(m.start, CHECKED, {link: height}, self.fixed)]
+            return [outputs[link] for _, outputs in m.go_on(m.start, CHECKED, {link: height}, self.fixed)]
 
         begun, after = back(0.0), f"at {m.t:g} s, within {CHECKED} periods"
         for n in range(-20, 4):
@@ -754,8 +754,8 @@ class Differences:
 
         def at(height: float) -> tuple[Array, Array, float, str]:
             given = {name: height}
-            x, said = self.map(self.map.start, given, self.fixed)
-            return x, np.array([said[s] for s in self.heard]), height, self._parted(self.map.start, given)
+            x, outputs = self.map(self.map.start, given, self.fixed)
+            return x, np.array([outputs[s] for s in self.heard]), height, self._parted(self.map.start, given)
 
         self.columns[name], self.steps[name] = self._column(name, at, size)
 
@@ -766,8 +766,8 @@ class Differences:
         def at(height: float) -> tuple[Array, Array, float, str]:
             moved = begin.copy()
             moved[i] += height
-            x, said = self.map(moved, {}, self.fixed)
-            return x, np.array([said[s] for s in self.heard]), float(moved[i] - begin[i]), self._parted(moved, {})
+            x, outputs = self.map(moved, {}, self.fixed)
+            return x, np.array([outputs[s] for s in self.heard]), float(moved[i] - begin[i]), self._parted(moved, {})
 
         self.columns[i], self.steps[i] = self._column(i, at, size)
 
@@ -835,7 +835,9 @@ class Differences:
         for sign in (1.0, -1.0):
             start = m.start.copy()
             start[kept] += sign * off
-            ways.append([(x[kept], np.array([said[s] for s in self.outputs])) for x, said in m.go_on(start, periods)])
+            ways.append(
+                [(x[kept], np.array([outputs[s] for s in self.outputs])) for x, outputs in m.go_on(start, periods)]
+            )
         for (up, heard_up), (down, heard_down) in zip(*ways, strict=True):
             yield 0.5 * (up - down), 0.5 * (heard_up - heard_down)
 
@@ -845,15 +847,15 @@ class Differences:
             return 0.0, [0.0] * len(C)
         off, sizes = self._off(kept), self._sizes(kept)
         worst = largest = 0.0
-        said, told = [], []
-        for k, (seen, heard) in enumerate(self._apart(kept, HEARD_FOR)):
-            said.append(heard)
-            told.append(C @ off)
+        simulated, predicted = [], []
+        for k, (seen, received) in enumerate(self._apart(kept, HEARD_FOR)):
+            simulated.append(received)
+            predicted.append(C @ off)
             off = A @ off
             if k < CHECKED and judged.any():
                 worst = max(worst, float(np.abs((seen - off) / sizes)[judged].max()))
                 largest = max(largest, float(np.abs(seen / sizes)[judged].max()))
-        return worst / largest if largest else 0.0, shares(np.array(said), np.array(told))
+        return worst / largest if largest else 0.0, shares(np.array(simulated), np.array(predicted))
 
     def _sizes(self, kept: list[int]) -> Array:
         m = self.map
@@ -861,12 +863,12 @@ class Differences:
         sizes[m.sizes[kept] == 0.0] = 1.0
         return sizes
 
-    def _left_out(self, kept: list[int], A: Array, C: Array, apart: float, heard: Sequence[float]) -> dict[str, str]:
+    def _left_out(self, kept: list[int], A: Array, C: Array, apart: float, received: Sequence[float]) -> dict[str, str]:
         """Return the outputs that are not functions of the states, with the reason."""
-        far = {k: error for k, error in enumerate(heard) if error > max(LEFT_OUT, 100.0 * apart)}
+        far = {k: error for k, error in enumerate(received) if error > max(LEFT_OUT, 100.0 * apart)}
         result = {}
-        if quiet := [k for k, error in enumerate(heard) if not error and not C[k].any()] if kept else []:
-            late = np.zeros(len(heard), bool)
+        if quiet := [k for k, error in enumerate(received) if not error and not C[k].any()] if kept else []:
+            late = np.zeros(len(received), bool)
             # The rig may break so far off.
             with suppress(RunError):
                 far_off = self._apart(kept, FOLLOWED - LATER - 1, 1.0 / NEARER)
@@ -914,20 +916,20 @@ class Differences:
             raise RunError(f"{m.rig.scenario.name}: no output depends on a state at {t:g} s")
         sizes, off = self._sizes(kept), self._off(kept)
         seen = list(self._apart(kept, periods))
-        found = []
+        results = []
         worst = largest = 0.0
-        said, told = [], []
+        simulated, predicted = [], []
         for x, y in seen:
             (A, C), (B, D) = self.rows(kept), self.driven(kept)
-            found.append((A, B, C, D))
-            said.append(y)
-            told.append(C @ off)
+            results.append((A, B, C, D))
+            simulated.append(y)
+            predicted.append(C @ off)
             off = A @ off
             worst = max(worst, float(np.abs((x - off) / sizes).max()))
             largest = max(largest, float(np.abs(x / sizes).max()))
-            if len(found) < periods:
+            if len(results) < periods:
                 m.advance()
-        A, B, C, D = (np.array(part) for part in zip(*found, strict=True))
+        A, B, C, D = (np.array(part) for part in zip(*results, strict=True))
         return LinearAlong(
             m.rig.scenario.name,
             t,
@@ -940,7 +942,7 @@ class Differences:
             C,
             D,
             worst / largest if largest else 0.0,
-            dict(zip(self.outputs, shares(np.array(said), np.array(told)), strict=True)),
+            dict(zip(self.outputs, shares(np.array(simulated), np.array(predicted)), strict=True)),
         )
 
     def _reached(self, kept: list[int], periods: int) -> list[int]:
@@ -984,9 +986,9 @@ class Differences:
         return (up[0][kept] - down[0][kept]) / width, y / width
 
 
-def shares(seen: Array, told: Array) -> list[float]:
+def shares(seen: Array, values: Array) -> list[float]:
     """Return by how much two courses of each output differ, of the largest that either does."""
-    apart, largest = np.abs(seen - told).max(axis=0), np.maximum(np.abs(seen), np.abs(told)).max(axis=0)
+    apart, largest = np.abs(seen - values).max(axis=0), np.maximum(np.abs(seen), np.abs(values)).max(axis=0)
     return (apart / np.where(largest > 0.0, largest, 1.0)).tolist()  # type: ignore[no-any-return]
 
 

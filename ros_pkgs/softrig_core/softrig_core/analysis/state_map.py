@@ -109,23 +109,23 @@ class _Probe(Link):
         """Return the answer with one value replaced."""
         if self.step.plant:
             return self._changed(super().respond(x, t))
-        x, found = super().respond(x, t, **inputs)
-        return x, self._changed(found)
+        x, result = super().respond(x, t, **inputs)
+        return x, self._changed(result)
 
-    def _changed(self, found: Any) -> Any:
+    def _changed(self, value: Any) -> Any:
         name, k = self._port.name, self._k
-        row: Any = found.get(name)
+        row: Any = value.get(name)
         if row is None:
-            return found
+            return value
         data = tuple(row.data if isinstance(row, Sample) else row)
         # The first message of a period is what the linear view is about; NaN marks that it has not come.
         if math.isnan(self.said):
             self.said = data[k]
         new = (data[k] if self.fixed is None else self.fixed) + self.added
         if new == data[k]:
-            return found
+            return value
         data = (*data[:k], new, *data[k + 1 :])
-        return {**found, name: Sample(row.stamp, data) if isinstance(row, Sample) else data}
+        return {**value, name: Sample(row.stamp, data) if isinstance(row, Sample) else data}
 
 
 class StateMap:
@@ -174,8 +174,8 @@ class StateMap:
         whole: dict[str, Member] = {}
         for name in (*outputs, *inputs):
             upstream(self.places[name].member, whole)
-        told = {self.places[n].member.name for n in (*outputs, *inputs)}
-        due = [m for m in whole.values() if m.name in told or not is_source(m)]
+        names = {self.places[n].member.name for n in (*outputs, *inputs)}
+        due = [m for m in whole.values() if m.name in names or not is_source(m)]
         every = math.lcm(*(m.schedule.every for m in due))
         clock = rig.clock.params.period
         self.period = every * clock
@@ -205,12 +205,12 @@ class StateMap:
         """Run to where it begins, and see on the way what changes."""
         # A state's size and whether it moves are seen only along the run, since it may pass zero or rest where the view
         # is.
-        looks: list[tuple[list[str], Array]] = [self._read()]
+        styles: list[tuple[list[str], Array]] = [self._read()]
         often = max(1, self._first // LOOKS)
         if self._first:
             for k, _ in enumerate(self._loop.run()):
                 if k % often == 0 or k == self._first - 1:
-                    looks.append(self._read())
+                    styles.append(self._read())
                 if k == self._first - 1:
                     break
         self._saved = self._tables.keep()
@@ -226,7 +226,7 @@ class StateMap:
         last: dict[str, float] = {}
         size = dict.fromkeys(self.names, 0.0)
         moved = dict.fromkeys(self.names, False)
-        for names, numbers in looks:
+        for names, numbers in styles:
             for name, x in zip(names, numbers.tolist(), strict=True):
                 if name in size:
                     size[name] = max(size[name], abs(x))
@@ -300,8 +300,8 @@ class StateMap:
             for name, probe in self.probes.items():
                 probe.added = added.get(name, 0.0)
             return any(
-                says != said or not np.array_equal(x, y, equal_nan=True)
-                for (x, says), (y, said) in zip(true[1:], without, strict=True)
+                changed != unchanged or not np.array_equal(x, y, equal_nan=True)
+                for (x, changed), (y, unchanged) in zip(true[1:], without, strict=True)
             )
         # A rig that breaks, or whose state has become longer, does depend on it.
         except RunError:
@@ -358,13 +358,13 @@ class StateMap:
             for _ in range(self._every):
                 if next(ticks, None) is None:
                     raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the whole")
-            found = np.concatenate(self._now())
-            if len(found) != len(self.start):
+            result = np.concatenate(self._now())
+            if len(result) != len(self.start):
                 raise RunError(
                     f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "
                     "choose a later time"
                 )
-            yield found, {name: probe.said for name, probe in self.probes.items()}
+            yield result, {name: probe.said for name, probe in self.probes.items()}
 
     def advance(self) -> None:
         """Begin one period of the whole later: where the run that is not moved is then."""

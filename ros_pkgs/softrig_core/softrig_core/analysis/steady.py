@@ -108,12 +108,12 @@ def steady(
     at = rig.scenario.duration if at is None else at
     if not (math.isfinite(at) and at >= 0.0):
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
-    told = plants_say(rig) if outputs is None else [signal_of(rig, name) for name in outputs]
-    if not told:
+    observed = plants_say(rig) if outputs is None else [signal_of(rig, name) for name in outputs]
+    if not observed:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed
     whole: dict[str, Member] = {}
-    for name in told:
+    for name in observed:
         upstream(place_of(rig, name).member, whole)
     # What controllers command counts as heard, so that an integrator which moves a plant is not taken for one that
     # drifts unread.
@@ -125,10 +125,10 @@ def steady(
         if not p.sporadic
         for x in p.labels
     ]
-    heard = list(dict.fromkeys([*commands, *told]))
-    m = StateMap(rig, at, number, heard, (), CHECKED)
-    found = Differences(m, heard, (), "")
-    kept, A, C = found.states()
+    received = list(dict.fromkeys([*commands, *observed]))
+    m = StateMap(rig, at, number, received, (), CHECKED)
+    differences = Differences(m, received, (), "")
+    kept, A, C = differences.states()
     on = _core(A, (C[: len(commands)] != 0.0).any(axis=0))
     core, loose = [i for i, x in zip(kept, on, strict=True) if x], [i for i, x in zip(kept, on, strict=True) if not x]
     A, sizes = A[np.ix_(on, on)], m.sizes[core]
@@ -141,13 +141,13 @@ def steady(
             break
         steps += 1
         _go(m, core, step)
-        move, A = _move(m, core), found.again(core)
+        move, A = _move(m, core), differences.again(core)
     # Newton's method has moved the core alone; states that follow from it take one period to do so.
     m.start = m(m.start, {})[0]
     begin, moved, off = m.start, 0.0, np.zeros(len(m.start))
-    said: dict[str, float] = {}
+    messages: dict[str, float] = {}
     for x, says in m.go_on(begin, CHECKED):
-        said = said or says
+        messages = messages or says
         off[kept] = x[kept] - begin[kept]
         moved = max(moved, float(np.abs(off[core] / sizes).max(initial=0.0)))
     slowest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if core else 0.0
@@ -166,8 +166,8 @@ def steady(
         m.t,
         m.period,
         {m.names[i]: float(begin[i]) for i in kept},
-        said,
-        {s: units.get(s, "") for s in said},
+        messages,
+        {s: units.get(s, "") for s in messages},
         {m.names[i]: float(off[i]) / span for i in loose if abs(off[i]) > STAYS * (m.sizes[i] or 1.0)},
         steps,
         slowest,
@@ -175,12 +175,12 @@ def steady(
     )
 
 
-def _core(A: Array, heard: Any) -> Any:
+def _core(A: Array, received: Any) -> Any:
     """Return the states with a lasting effect on others: not those that only count or integrate them unread."""
     on = np.ones(len(A), dtype=bool)
     own = np.diag(A)
     # A state with a pole at 0 or 1 only copies or integrates others; unread, it may drift without any effect.
-    ends = ~heard & ((own == 0.0) | (np.abs(own - 1.0) < 1e-9))
+    ends = ~received & ((own == 0.0) | (np.abs(own - 1.0) < 1e-9))
     moves = (A != 0.0) & ~np.eye(len(A), dtype=bool)
     while True:
         left = on & ~(ends & ~moves[on].any(axis=0))

@@ -20,7 +20,7 @@ Rows = tuple[Row | None, ...]  # of each output: what it publishes; None for the
 MAPPINGS = (dict, Mapping)  # the first is told at once
 
 
-def answers(found: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
+def answers(value: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
     """Ensure that all of a block's answer may leave it: each output by `admit`, and nothing beside the outputs.
 
     Raises
@@ -28,10 +28,10 @@ def answers(found: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
     RunError
         Also names an output that the block does not have.
     """
-    rows = tuple([admit(found, port, node, t) for port in ports])
-    if isinstance(found, MAPPINGS) and (len(found) != len(ports) or None in rows):  # else each name was looked up
+    rows = tuple([admit(value, port, node, t) for port in ports])
+    if isinstance(value, MAPPINGS) and (len(value) != len(ports) or None in rows):  # else each name was looked up
         names = [port.name for port in ports]
-        for name in found:
+        for name in value:
             if name not in names:
                 raise RunError(
                     f"{node} returned {name!r} at t = {t / 1e9:.9g} s, which is not an output of it"
@@ -40,7 +40,7 @@ def answers(found: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
     return rows
 
 
-def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
+def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
     """Ensure that a block's answer may leave it: right length, plain floats, all finite and within `Port.limits`.
 
     Parameters
@@ -63,11 +63,11 @@ def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
         Names node, port, value and time.
     """
     try:
-        given: Any = found[port.name]
+        given: Any = result[port.name]
     except (KeyError, TypeError):
-        if port.sporadic and isinstance(found, MAPPINGS):
+        if port.sporadic and isinstance(result, MAPPINGS):
             return None
-        names = ", ".join(map(str, found)) or "none" if isinstance(found, MAPPINGS) else f"a {type(found).__name__}"
+        names = ", ".join(map(str, result)) or "none" if isinstance(result, MAPPINGS) else f"a {type(result).__name__}"
         raise RunError(f"{node} gave no {port.name} at t = {t / 1e9:.9g} s; the outputs it returned: {names}") from None
     if type(given) is tuple and len(given) == port.size and usual(given, port.bound):  # nearly always
         return given
@@ -80,15 +80,15 @@ def admit(found: Any, port: Port, node: str, t: int) -> Row | None:
         raise RunError(f"{node}: {port.name} is no row of numbers at t = {t / 1e9:.9g} s: {error}") from None
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
-    found = Sample(given.stamp, values) if isinstance(given, Sample) else values
+    result = Sample(given.stamp, values) if isinstance(given, Sample) else values
     if port.unchecked:
-        return found
+        return result
     for label, value, limit, unit in zip(port.labels, values, port.limits, port.units, strict=True):
         if not abs(value) <= limit:
             where = f"{node}: {port.name} {label} became {value:g}"
             most = f" {unit or '1'}, expected at most {limit:g} in magnitude" if math.isfinite(value) else ""
             raise RunError(f"{where}{most} at t = {t / 1e9:.9g} s")
-    return found
+    return result
 
 
 def _squares(p: tuple[Any, ...], q: tuple[Any, ...]) -> Any:

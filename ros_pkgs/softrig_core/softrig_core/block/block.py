@@ -206,12 +206,12 @@ class Block(Generic[P]):
 
     def take_first(self) -> Any:
         """Return the state before the first tick, as `first` does, for the code that holds the block from now on."""
-        found, self.__first = self.__first, None
-        if found is None:
+        result, self.__first = self.__first, None
+        if result is None:
             self.events.clear()
             return self.first()
-        self.events[:] = found[1]
-        return found[0]
+        self.events[:] = result[1]
+        return result[0]
 
     def go_on(self, x: Any, before: P) -> Any:
         """Return the state with which the block continues after live parameters have changed, between two ticks.

@@ -84,17 +84,17 @@ def sayer(step: Step) -> Callable[[int], None]:
 def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
     """Write what a step calls of its links when it has answered: only those methods that do something of their own."""
     sends, over = _overriding(step, "send"), _overriding(step, "over")
-    found: list[str] = []
+    results: list[str] = []
     if sends is not None and sends.add_row is not None and step.plain:
         known["add_row"] = sends.add_row
-        found.append("    add_row(t, numbers)")
+        results.append("    add_row(t, numbers)")
     elif sends is not None:
         known["send"] = sends.send
-        found.append("    send(t, rows, numbers)")
+        results.append("    send(t, rows, numbers)")
     if over is not None and not step.plant:
         known["over"] = over.over
-        found.append("    over(t)")
-    return tuple(found)
+        results.append("    over(t)")
+    return tuple(results)
 
 
 def _overriding(step: Step, method: str) -> Link | None:
@@ -124,14 +124,14 @@ def _say_text(
         )
     elif outputs:
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
-        spoke = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(outputs)]
-        handed += ["    before = step.spoken", f"    step.spoken = [{', '.join(spoke)}]"]
-    for number, (output, name, taken) in enumerate(wires):
+        published = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(outputs)]
+        handed += ["    before = step.spoken", f"    step.spoken = [{', '.join(published)}]"]
+    for number, (output, name, used) in enumerate(wires):
         silent = "" if plain else f"if {rows[output]} is not None: "
         if outputs[output].unchecked:
-            handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {taken})")
+            handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {used})")
         else:
-            handed.append(f"    {silent}values{number}[{name!r}] = {taken}")
+            handed.append(f"    {silent}values{number}[{name!r}] = {used}")
     handed += ends
     answer, kept = ("found", "") if plant else ("x, found", "    step.x = x")
     return SAY.format(

@@ -40,8 +40,8 @@ class Change(NamedTuple):
 
 def dumps(changes: Iterable[Change]) -> str:
     """Write changes as JSON, ``[[ns, {name: value}], ...]``; empty when there are none."""
-    found = [[change.at, dict(change.values)] for change in changes]
-    return json.dumps(found) if found else ""
+    results = [[change.at, dict(change.values)] for change in changes]
+    return json.dumps(results) if results else ""
 
 
 def loads(text: str) -> list[Change]:

@@ -92,13 +92,13 @@ class Gathering(Link):
 
     def respond(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Any]]:
         """Keep what is new at a tick."""
-        values, told = self.step.values, self.step.stamps
+        values, stamps = self.step.values, self.step.stamps
         for seen in self._seen:
             name = seen.name
             value = values[name]
             if value is None:
                 continue
-            stamp = told[name]()  # None: nobody has said anything, it holds what it began with
+            stamp = stamps[name]()  # None: nobody has said anything, it holds what it began with
             if type(value) is Sample:
                 stamp, value = value.stamp, value.data
             if stamp is None or stamp > t:

@@ -30,8 +30,8 @@ def say(step: Step, t: int) -> None:
     """
     step.t = t
     try:
-        x, found = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
-        rows = step.checked(found)  # size, finite, within Port.limits
+        x, result = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
+        rows = step.checked(result)  # size, finite, within Port.limits
         step.x, step.said = x, rows
     except Exception as error:
         step.fail(error)

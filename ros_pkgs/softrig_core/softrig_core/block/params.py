@@ -214,8 +214,8 @@ def differing(params: Params) -> str:
         published = flatten(type(params)())
     except ValidationError:  # no defaults: all were given
         published = {}
-    found = [f"{k} = {_shown(v)}" for k, v in flatten(params).items() if k not in published or v != published[k]]
-    return f" with {', '.join(found)}"[:400] if found else ""
+    results = [f"{k} = {_shown(v)}" for k, v in flatten(params).items() if k not in published or v != published[k]]
+    return f" with {', '.join(results)}"[:400] if results else ""
 
 
 def build(model: type[Params], values: Mapping[str, Any]) -> Params:

@@ -183,8 +183,8 @@ class Schedule:
 
     def _held(self, t: int) -> int:
         k = self.tick(t)
-        found = self._time(k)
-        return found if found <= t else self._time(k - 1)
+        result = self._time(k)
+        return result if result <= t else self._time(k - 1)
 
 
 schedule_of = lru_cache(maxsize=256)(Schedule)  # runs of a study have the same ones
@@ -209,10 +209,10 @@ class Plan:
     """
 
     def __init__(self, schedules: Iterable[Schedule]) -> None:
-        found = tuple(schedules)
-        self.stride = math.gcd(*(s.every for s in found))
-        self.clock = schedule_of(found[0].clock * self.stride)
-        self.ticks = None if found[0].ticks is None else found[0].ticks // self.stride
+        results = tuple(schedules)
+        self.stride = math.gcd(*(s.every for s in results))
+        self.clock = schedule_of(results[0].clock * self.stride)
+        self.ticks = None if results[0].ticks is None else results[0].ticks // self.stride
 
     def every(self, schedule: Schedule) -> int:
         """Return how many of these ticks are one of a member's own."""

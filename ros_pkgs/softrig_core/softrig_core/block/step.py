@@ -184,11 +184,11 @@ class Step(Held):
         if t >= self.change_at:
             self._change(t)
         if self.bad:
-            x, found = self.refused(t)
+            x, result = self.refused(t)
             # A plant moves in `advance` alone, so the state of its answer is dropped.
-            return self.x if self.plant else x, found
-        found = self.respond(self.x, t, **{name: self.values[name] for name in self.asked_for})
-        return (self.x, found) if self.plant else found
+            return self.x if self.plant else x, result
+        result = self.respond(self.x, t, **{name: self.values[name] for name in self.asked_for})
+        return (self.x, result) if self.plant else result
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Forward what is not an answer of the block to subscribers in this and other processes."""
@@ -212,8 +212,8 @@ class Step(Held):
 
     def age(self, name: str) -> int | None:
         """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""
-        told = self.stamps.get(name)
-        if told is None or (stamp := told()) is None:
+        newest = self.stamps.get(name)
+        if newest is None or (stamp := newest()) is None:
             return None
         value = self.values[name]
         # A delayed value is as old as its acquisition, not as its message.
@@ -222,10 +222,10 @@ class Step(Held):
 
     def held(self) -> Mapping[str, Any]:
         """Return the newest outputs, initially the safe values; sporadic ports are left out."""
-        said = self.said or (None,) * len(self.outputs)
+        values = self.said or (None,) * len(self.outputs)
         return {
             p.name: row or (Sample(self.t, p.safe) if p.delayed else p.safe)
-            for p, row in zip(self.outputs, said, strict=True)
+            for p, row in zip(self.outputs, values, strict=True)
             if not p.sporadic
         }
 
@@ -264,15 +264,15 @@ class Step(Held):
 
     def _change(self, t: int) -> None:
         """Apply the changes due up to `t` as one change, so that they are recorded and repeated as one."""
-        taken: dict[str, Any] = {}
+        used: dict[str, Any] = {}
         for change in self.changes:
-            taken |= change.values if change.at <= t else {}
+            used |= change.values if change.at <= t else {}
         self.plan([change for change in self.changes if change.at > t])
-        revised = revise(self.params, taken)
+        revised = revise(self.params, used)
         self.change(revised)
         if self.link is not None:
             known = flatten(revised)
-            self.link.changed(t, {name: known[name] for name in taken})
+            self.link.changed(t, {name: known[name] for name in used})
 
     # its parts ----------------------------------------------------------------------------------------------------
 
@@ -281,9 +281,9 @@ class Step(Held):
         last = self.schedule.last
         return (self.block.update if last is None or t < last else self.block.finish)(x, t, **inputs)
 
-    def checked(self, found: Any) -> Rows:
+    def checked(self, value: Any) -> Rows:
         """Return the checked values of each output."""
-        rows = answers(found, self.outputs, self.name, self.t)
+        rows = answers(value, self.outputs, self.name, self.t)
         if self.plain and rows:
             self.numbers = flat(rows)
         return rows
@@ -305,7 +305,7 @@ class Step(Held):
         (self.doubters if self.outputs[k].unchecked else self.readers).append(fill)
         reader.stamps[name] = fill.told
 
-    def doubt(self, t: int, port: Port, found: Row) -> None:
+    def doubt(self, t: int, port: Port, values: Row) -> None:
         """Accept a message that may be bad, such as one from a wire; what an input rejects never reaches the block.
 
         Raises
@@ -313,9 +313,9 @@ class Step(Held):
         RunError
             A plant has no command for its tick.
         """
-        reason = port.beyond(found.data if isinstance(found, Sample) else found)
+        reason = port.beyond(values.data if isinstance(values, Sample) else values)
         if not reason:
-            self.values[port.name] = found
+            self.values[port.name] = values
         # A plant has no command for this tick then, and an old one would move it unnoticed.
         elif isinstance(self.block, Plant):
             raise RunError(f"{self.name} refuses {port.topic} at t = {t / 1e9:.9g} s: {reason}")
@@ -330,6 +330,6 @@ class Step(Held):
         if isinstance(error, RunError):
             error.node = self.name
             raise error
-        found = RunError(f"{self.name}: failed at t = {self.t / 1e9:.9g} s: {describe(error)}")
-        found.node = self.name
-        raise found from error
+        result = RunError(f"{self.name}: failed at t = {self.t / 1e9:.9g} s: {describe(error)}")
+        result.node = self.name
+        raise result from error

@@ -143,9 +143,9 @@ class AdsLine(RemoteLine):
         if self._done(lambda plc: plc.write(head + values + TAIL.pack(self._number)), end) is None:
             return None
         while True:
-            found = self._done(self._read, end)
-            if found is None or (answer := self._taken(found)) is not None:
-                return answer if found is not None else None
+            result = self._done(self._read, end)
+            if result is None or (answer := self._taken(result)) is not None:
+                return answer if result is not None else None
             if self._clock() >= end:
                 return None
             self._sleep(POLL)
@@ -153,11 +153,11 @@ class AdsLine(RemoteLine):
     def _read(self, plc: Plc) -> bytes:
         return plc.read(HEAD.size + self.build.layout.answer.size + TAIL.size)
 
-    def _taken(self, found: bytes) -> bytes | None:
+    def _taken(self, data: bytes) -> bytes | None:
         """Return the values of an answer if it is the one that is awaited."""
-        number, session = HEAD.unpack_from(found)
-        fresh, self._seen = found != self._seen, found
-        if TAIL.unpack_from(found, len(found) - TAIL.size)[0] != number:
+        number, session = HEAD.unpack_from(data)
+        fresh, self._seen = data != self._seen, data
+        if TAIL.unpack_from(data, len(data) - TAIL.size)[0] != number:
             self.counts.damaged += fresh
             return None
         if session != self._session:
@@ -166,7 +166,7 @@ class AdsLine(RemoteLine):
         if number != self._number:
             self._missing.late(number)
             return None
-        answer = found[HEAD.size : -TAIL.size]
+        answer = data[HEAD.size : -TAIL.size]
         if not all(map(math.isfinite, self.build.layout.answer.unpack(answer))):
             self.counts.damaged += fresh
             return None
@@ -202,11 +202,11 @@ class AdsLine(RemoteLine):
             return None
         try:
             self._connection.wait(end - self._clock())
-            found = call(self._connection)
+            result = call(self._connection)
         except OSError as error:
             self._gone(f"the PLC {self.port} does not answer: {error.strerror or error}")
             return None
-        return True if found is None else found
+        return True if result is None else result
 
 
 def ads_line(entry: LinkEntry, node: str, build: Build) -> Callable[[AdsLine | None], AdsLine]:
@@ -263,10 +263,10 @@ def _connected(port: str, program: str, wait: float) -> Plc:
     OSError
         It is not there.
     """
-    found = re.fullmatch(r"([\d.]+)(?:@([^/]+))?/(\d+)", port.removeprefix(ADS))
-    assert found is not None  # `LinkEntry` has seen to that
-    net, number = found[1], int(found[3])
-    host = socket.gethostbyname(found[2] or ".".join(net.split(".")[:4]))
+    match = re.fullmatch(r"([\d.]+)(?:@([^/]+))?/(\d+)", port.removeprefix(ADS))
+    assert match is not None  # `LinkEntry` has seen to that
+    net, number = match[1], int(match[3])
+    host = socket.gethostbyname(match[2] or ".".join(net.split(".")[:4]))
     if not _hosts.get((os.getpid(), host)):  # pyads waits for minutes where nobody answers
         socket.create_connection((host, ROUTER), timeout=wait).close()
     return Connected(net, number, host, program, wait)

@@ -151,8 +151,8 @@ class CanLine(RemoteLine):
         return len(self._parts) == len(self._back)
 
     def _answer(self) -> bytes:
-        found = {place: value for part in self._parts.values() for place, value in part.items()}
-        row = [bool(found[k]) if k in self._messages.flags else found[k] for k in range(len(found))]
+        results = {place: value for part in self._parts.values() for place, value in part.items()}
+        row = [bool(results[k]) if k in self._messages.flags else results[k] for k in range(len(results))]
         return self.build.layout.answer.pack(0, *row)
 
     # joining ------------------------------------------------------------------------------------------------------

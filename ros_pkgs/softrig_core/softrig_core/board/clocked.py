@@ -92,9 +92,9 @@ class Clocked(Elsewhere):
         period = self.p.period
         begins = period if self.ENTRY.first is None else self.ENTRY.first
         answers = t / 1e9 >= begins - 0.5 * period
-        found = self._guests[0].ask(t, inputs, answers)
+        result = self._guests[0].ask(t, inputs, answers)
         safe = {p.name: p.safe for p in self.ports(self.p)[1] if not p.sporadic}
-        return LinkState(x.k + 1), found if answers else safe
+        return LinkState(x.k + 1), result if answers else safe
 
 
 def clocked(block: type[Block], entry: ClockEntry, params: Any, where: str) -> type[Block]:

@@ -84,7 +84,7 @@ def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
     ScenarioError
         A port is delayed, or two values have the same name.
     """
-    found: dict[str, Value] = {}
+    results: dict[str, Value] = {}
     for port in ports:
         if port.delayed:
             raise ScenarioError(f"port {port.name} carries acquisition times, which a CAN link does not transmit")
@@ -94,10 +94,10 @@ def values_of(ports: Sequence[Port], flag: str) -> list[Value]:
             bits = 1 if port.msgtype == BUTTON.name else WORD
             made.append(Value(re.sub(r"\W", "_", f"{port.name}_{label}", flags=re.ASCII), bits, unit, own))
         for value in made:
-            if value.name in found:
+            if value.name in results:
                 raise ScenarioError(f"two values would be the CAN signal {value.name}; rename a port or a channel")
-            found[value.name] = value
-    return list(found.values())
+            results[value.name] = value
+    return list(results.values())
 
 
 def build_of(block: type[Block], params: Any) -> str:

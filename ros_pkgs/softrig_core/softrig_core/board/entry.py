@@ -54,8 +54,8 @@ class LinkEntry(Entry):
         if port.startswith(CAN) and not re.fullmatch(r"can:\w+/.+", port):
             raise ValueError("expected can:INTERFACE/CHANNEL, as in can:socketcan/can0")
         if port.startswith(ADS):
-            found = re.fullmatch(r"ads:(\d{1,3}(?:\.\d{1,3}){5})(?:@[\w.-]+)?/(\d{1,5})", port, re.ASCII)
-            if found is None or max(map(int, found[1].split("."))) > 255 or int(found[2]) > 65535:
+            match = re.fullmatch(r"ads:(\d{1,3}(?:\.\d{1,3}){5})(?:@[\w.-]+)?/(\d{1,5})", port, re.ASCII)
+            if match is None or max(map(int, match[1].split("."))) > 255 or int(match[2]) > 65535:
                 raise ValueError("expected ads:NETID/PORT or ads:NETID@HOST/PORT, as in ads:192.168.0.5.1.1/851")
         return port
 

@@ -32,30 +32,30 @@ class Frame(NamedTuple):
 
 def encoded(body: bytes) -> bytes:
     """Return bytes as COBS, which has no zero in it."""
-    found = bytearray()
+    result = bytearray()
     for part in body.split(b"\0"):
         while len(part) >= 254:
-            found += b"\xff" + part[:254]
+            result += b"\xff" + part[:254]
             part = part[254:]
-        found.append(len(part) + 1)
-        found += part
+        result.append(len(part) + 1)
+        result += part
     if body and not part and body[-1]:
-        del found[-1]  # a full block at the end needs no further one
-    return bytes(found)
+        del result[-1]  # a full block at the end needs no further one
+    return bytes(result)
 
 
 def decoded(data: bytes) -> bytes | None:
     """Return the bytes decoded from COBS; None if it is truncated."""
-    found, at, end = bytearray(), 0, len(data)
+    result, at, end = bytearray(), 0, len(data)
     while at < end:
         code = data[at]
         if code == 0 or at + code > end:
             return None
-        found += data[at + 1 : at + code]
+        result += data[at + 1 : at + code]
         at += code
         if code != 0xFF and at < end:
-            found.append(0)
-    return bytes(found)
+            result.append(0)
+    return bytes(result)
 
 
 def written(number: int, kind: int, values: bytes, session: int) -> bytes:

@@ -87,14 +87,14 @@ class Layout:
         result: dict[str, Any] = {}
         at = 1
         for port in self.outputs:
-            said = True
+            published = True
             if port.sporadic:
-                said = bool(answer[at])
+                published = bool(answer[at])
                 at += 1
             stamp = answer[at]
             at += port.delayed
             row = tuple(answer[at : at + port.size])
             at += port.size
-            if said:
+            if published:
                 result[port.name] = Sample(stamp, row) if port.delayed else row
         return result

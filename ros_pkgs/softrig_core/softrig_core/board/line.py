@@ -399,10 +399,10 @@ class Line:
         while True:
             for k, frame in enumerate(self._inbox):
                 if frame.number == number:
-                    rest = self._inbox[k + 1 :]
+                    remaining = self._inbox[k + 1 :]
                     self._inbox = []
                     self._newest = frame
-                    for other in rest:
+                    for other in remaining:
                         self._stray(other)
                     return frame
                 self._stray(frame)

@@ -120,23 +120,25 @@ class Linked(Elsewhere):
             Lockstep: the board does not answer, or its code has given the tick up.
         """
         line = self._connected(x)
-        told = line.told()
+        remarks = line.told()
         values = _packed(self._layout.step, row)
         answer = self._live(line, x.k, values) if self.realtime else self._paired(line, x.k, values)
         if answer is not None and len(answer) != self._layout.answer.size:
             refused = str(answer[0]) if answer else "missing"
             raise RunError(f"the board at {line.port} refuses a step (status {refused})")
-        found = None if answer is None else self._layout.answer.unpack(answer)
-        status = "no answer" if found is None else "" if found[0] == DONE else f"the board gave up (status {found[0]})"
+        result = None if answer is None else self._layout.answer.unpack(answer)
+        status = (
+            "no answer" if result is None else "" if result[0] == DONE else f"the board gave up (status {result[0]})"
+        )
         if status and not self.realtime:
             raise RunError(f"{status}: an error in the block, or a number beyond the limit of its port")
-        if line.told() != told:
+        if line.told() != remarks:
             self.report(Level.WARN, "link", line.told())
-        if status or found is None:
+        if status or result is None:
             self.report(Level.ERROR, "board", f"{status}: the safe values are published")
             return {name: Sample(t, row) if name in self._delayed else row for name, row in self._safe.items()}
         self.withdraw("board")
-        return self._layout.outputs_of(found)
+        return self._layout.outputs_of(result)
 
     def _connected(self, x: LinkState) -> Any:
         """Return the line, whose next request begins a session where the block is at its first state."""
@@ -241,10 +243,10 @@ def _of_board(block: type[Block], entry: LinkEntry, params: Any, where: str) -> 
     """Return the description of a board's firmware, and what is in it."""
     file = Path(entry.firmware)
     if file.is_dir():
-        found = sorted(file.glob("*.json"))
-        if len(found) != 1:
-            raise ScenarioError(f"{where}: link: {file} has {len(found)} JSON files, expected one; name the file")
-        file = found[0]
+        results = sorted(file.glob("*.json"))
+        if len(results) != 1:
+            raise ScenarioError(f"{where}: link: {file} has {len(results)} JSON files, expected one; name the file")
+        file = results[0]
     try:
         known = read_description(file).model_dump(mode="json", by_alias=True, exclude={"node"})
     except OSError as error:

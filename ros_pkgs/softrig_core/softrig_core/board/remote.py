@@ -102,9 +102,9 @@ class RemoteLine(ABC):
         self.counts.rejoined += self._known
         self._known = True
 
-    def _lose(self, number: int, heard: float) -> None:
+    def _lose(self, number: int, received: float) -> None:
         """Count a request as lost; a new session begins if nothing was received for longer than the timeout."""
         self._missing.add(number)
         # It may have restarted.
-        if self._clock() - heard > self.timeout:
+        if self._clock() - received > self.timeout:
             self.begin(b"")

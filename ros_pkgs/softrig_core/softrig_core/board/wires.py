@@ -103,8 +103,8 @@ class Simulated(FileWire):
         try:
             self._process.wait(END)
             self._said.seek(0)
-            said = next(line for line in self._said if line.startswith(b"{"))  # libsimavr has lines of its own
-            return dict(json.loads(said))
+            counted = next(line for line in self._said if line.startswith(b"{"))  # libsimavr has lines of its own
+            return dict(json.loads(counted))
         except (ValueError, RecursionError, StopIteration, subprocess.TimeoutExpired):
             return {}
 
@@ -204,12 +204,12 @@ def machine_of(file: Path) -> str:
     ScenarioError
         It cannot be read.
     """
-    told = file.with_suffix(".json")
+    counts_file = file.with_suffix(".json")
     try:
-        machine = json.loads(told.read_text())["machine"]
+        machine = json.loads(counts_file.read_text())["machine"]
         # properties behind a comma would have qemu read and write other files
         if re.fullmatch(r"[\w.-]{1,60}", machine):
             return str(machine)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         pass
-    raise ScenarioError(f"link: {told} does not name qemu's machine; `softrig export cortex-m` writes it")
+    raise ScenarioError(f"link: {counts_file} does not name qemu's machine; `softrig export cortex-m` writes it")

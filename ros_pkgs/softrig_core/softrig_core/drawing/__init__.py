@@ -33,8 +33,8 @@ def drawing_for(rig: Rig | str) -> Drawing | None:
         Of the first plant that can be drawn; none where nothing can.
     """
     rig = rig_of(rig) if isinstance(rig, str) else rig
-    found = ((kind, m) for m in rig.members if m.is_plant and (kind := _kind(m)) is not None)
-    return next((kind(rig, member) for kind, member in found), None)
+    result = ((kind, m) for m in rig.members if m.is_plant and (kind := _kind(m)) is not None)
+    return next((kind(rig, member) for kind, member in result), None)
 
 
 def _kind(member: Member) -> type[Drawing] | None:

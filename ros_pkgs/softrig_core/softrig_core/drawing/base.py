@@ -113,7 +113,7 @@ class Drawing:
         self.draw(pen, row, past)
         return pen.shapes
 
-    def quantity(self, port: str, label: str, rest: float = 0.0) -> Quantity:
+    def quantity(self, port: str, label: str, remaining: float = 0.0) -> Quantity:
         """Return a signal of the plant's port, or of a port of this name elsewhere in the rig.
 
         Parameters
@@ -129,16 +129,16 @@ class Drawing:
         Quantity
             Without a name where the rig has no such signal.
         """
-        found = self._port(port, label)
-        return self.signal(found.topic if found else "", label, rest)
+        result = self._port(port, label)
+        return self.signal(result.topic if result else "", label, remaining)
 
-    def signal(self, topic: str, label: str, rest: float = 0.0) -> Quantity:
+    def signal(self, topic: str, label: str, remaining: float = 0.0) -> Quantity:
         """Return a signal by its topic, as `quantity` does."""
         name = f"{topic}/{label}"
         if name not in self._units:
-            return Quantity("", rest=rest)
+            return Quantity("", rest=remaining)
         self._found[name] = None
-        return Quantity(name, pretty_unit(self._units[name]), rest)
+        return Quantity(name, pretty_unit(self._units[name]), remaining)
 
     def _port(self, name: str, label: str) -> Port | None:
         ports = [*self.plant.outputs, *self.plant.inputs]

@@ -383,9 +383,9 @@ class _Files:
         ]
         defaults = []
         for name, (k, *_) in self.settable.items():
-            kind, told = kind_of(self.values[k]), known[name]
-            unit = f" {told.unit}" if told.unit else ""
-            text = f"{told.doc}: {told.lower:g} to {told.upper:g}{unit}; not checked"
+            kind, documented = kind_of(self.values[k]), known[name]
+            unit = f" {documented.unit}" if documented.unit else ""
+            text = f"{documented.doc}: {documented.lower:g} to {documented.upper:g}{unit}; not checked"
             lines.append(f"    {self.unit.c(kind)} {identifier(name)}; /**< {remark(text)} */")
             defaults.append(_initial(self.values[k]))
         if not self.settable:
@@ -410,8 +410,8 @@ class _Files:
             )
             if port.delayed:
                 lines.append(f"    int64_t {identifier(port.name)}_stamp_ns; /**< when it was acquired */")
-            told = f"{remark(port.topic)}: {remark(each)}"
-            lines.append(f"    real_t {identifier(port.name)}[{max(port.size, 1)}]; /**< {told} */")
+            text = f"{remark(port.topic)}: {remark(each)}"
+            lines.append(f"    real_t {identifier(port.name)}[{max(port.size, 1)}]; /**< {text} */")
         return [*lines, *([] if ports else ["    uint8_t nothing;"]), f"}} {self.name}_{kind};", ""]
 
     def source(self) -> str:
@@ -739,7 +739,7 @@ class _Files:
             for way, ports in (("in", self.inputs), ("out", self.outputs))
             for port in ports
         ]
-        found = {
+        results = {
             "node": m.name,
             "class": f"{type(self.block).__module__}:{type(self.block).__qualname__}",
             "digest": digest,
@@ -763,7 +763,7 @@ class _Files:
             "golden_rows": len(self.golden),
             "drawn_rows": sum(map(len, self.drawn)),
         }
-        return json.dumps(found, indent=1, default=str) + "\n"
+        return json.dumps(results, indent=1, default=str) + "\n"
 
 
 _MAIN = """/* Example: the first ticks with all inputs zero and held ones absent. Written by `softrig export c`. */

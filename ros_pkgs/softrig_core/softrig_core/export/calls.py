@@ -270,11 +270,11 @@ class Calls(Expressions):
             kind = like
         else:
             sizes = self._sizes(given[0], node)
-            found = [WHOLE.fullmatch(one.c) for one in sizes]
-            if not all(found):
+            results = [WHOLE.fullmatch(one.c) for one in sizes]
+            if not all(results):
                 raise self.unknown("an array of no fixed length", node)
             whole = len(given) > 1 and called is not np.full and given[1].thing in (int, np.int64)
-            kind = Table(INT if whole else REAL, tuple(int(one[1]) for one in found if one))
+            kind = Table(INT if whole else REAL, tuple(int(one[1]) for one in results if one))
         table = self.room(kind)
         if called is np.copy:
             return self.filled(table, f"{given[0].c}[i]")

@@ -95,10 +95,10 @@ def replayed(folder: Path, name: str, board: str = "") -> Replayed:
             )
             _compiled([compiler, *FLAGS, "-o", program.name, *files, "-lm"], folder, name)
             command = [str(program)]
-        found = json.loads(_ran(command, folder, name))
+        content = json.loads(_ran(command, folder, name))
     finally:
         program.unlink(missing_ok=True)
-    return Replayed(**found, flash=flash)
+    return Replayed(**content, flash=flash)
 
 
 def _tool(name: str, install: str) -> str:
@@ -138,6 +138,6 @@ def _ran(command: Sequence[str], folder: Path, name: str) -> str:
     except subprocess.TimeoutExpired:
         raise ScenarioError(f"the replay of {name}.c did not end within {PATIENCE:g} s") from None
     if ran.returncode not in (0, 1) or not ran.stdout.startswith("{"):
-        said = (ran.stderr or ran.stdout).strip()[:500]
-        raise ScenarioError(f"the replay of {name}.c ended with status {ran.returncode}: {said}")
+        text = (ran.stderr or ran.stdout).strip()[:500]
+        raise ScenarioError(f"the replay of {name}.c ended with status {ran.returncode}: {text}")
     return ran.stdout

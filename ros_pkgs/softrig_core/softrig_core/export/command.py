@@ -135,22 +135,22 @@ def main(arguments: Sequence[str]) -> int:
         for reason in done.discards:
             print(f"{node}: answers SR_GAVE_UP at {reason}")
         for board in [""] * options.check + [options.board] * bool(options.board):
-            found = replayed(folder, done.name, board)
-            where = f" on {board}, {found.flash} bytes of flash" if board else ""
-            print(f"{node}{where}: {_told(done, found, single)}")
-            status = status or int(not (single or found.same))
+            result = replayed(folder, done.name, board)
+            where = f" on {board}, {result.flash} bytes of flash" if board else ""
+            print(f"{node}{where}: {_told(done, result, single)}")
+            status = status or int(not (single or result.same))
     return status
 
 
-def _told(done: Exported, found: Replayed, single: bool) -> str:
+def _told(done: Exported, result: Replayed, single: bool) -> str:
     if not single:
-        differ = f"{found.differing} numbers and {found.wrong_status} statuses differ"
-        return f"{found.rows} calls, " + ("the bits of Python" if found.same else differ)
+        differ = f"{result.differing} numbers and {result.wrong_status} statuses differ"
+        return f"{result.rows} calls, " + ("the bits of Python" if result.same else differ)
     worst = [
         f"{channel} {error:.2g} of {scale:.2g}"
-        for channel, (error, scale) in zip(done.channels, found.errors, strict=True)
+        for channel, (error, scale) in zip(done.channels, result.errors, strict=True)
         if not error <= NOTED * scale
     ]
-    return f"{found.rows} calls in single precision: " + (
+    return f"{result.rows} calls in single precision: " + (
         "beyond 1e-3 of their scale are " + ", ".join(worst) if worst else "each channel within 1e-3 of its scale"
     )

@@ -111,12 +111,12 @@ def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapp
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            found = getattr(block, name)(x, t, **inputs)
-        after, outputs = answer_of(name, x, found)
+            result = getattr(block, name)(x, t, **inputs)
+        after, outputs = answer_of(name, x, result)
         ports = () if name == "advance" else member.outputs
         kind = Drawn if all(_admitted(p, inputs.get(p.name)) for p in member.inputs) else Beyond
-        told = {p.name: admit(outputs, p, member.name, t) for p in ports}
-        return kind(name, t, x, inputs, after, told, keys_of(block))
+        entries = {p.name: admit(outputs, p, member.name, t) for p in ports}
+        return kind(name, t, x, inputs, after, entries, keys_of(block))
     except Exception:  # whatever it raises ends a run
         return Raised(name, t, x, inputs)
 

@@ -158,8 +158,8 @@ class Expressions(Base):
             k = base.kind.names.index(node.attr)
             return Value(base.kind.items[k], f"{self._simple(base).c}.{identifier(node.attr)}")
         if isinstance(base.kind, Table) and node.attr in ("size", "shape", "ndim"):
-            found = {"size": math.prod(base.kind.shape), "shape": base.kind.shape, "ndim": len(base.kind.shape)}
-            return self.of_python(found[node.attr], node)
+            results = {"size": math.prod(base.kind.shape), "shape": base.kind.shape, "ndim": len(base.kind.shape)}
+            return self.of_python(results[node.attr], node)
         raise self.unknown(f".{node.attr}", node)
 
     def _value_subscript(self, node: ast.Subscript) -> Value:
@@ -265,10 +265,10 @@ class Expressions(Base):
         for end in (node.lower, node.upper, node.step):
             known = None if end is None else _fixed(end)
             if end is not None and known is None:
-                found = WHOLE.fullmatch(self.value(end).c)
-                if found is None:
+                match = WHOLE.fullmatch(self.value(end).c)
+                if match is None:
                     raise self.unknown("a part whose ends are computed", node)
-                known = int(found[1])
+                known = int(match[1])
             ends.append(known)
         return slice(*ends)
 
@@ -348,16 +348,16 @@ class Expressions(Base):
         (a, b), (c, d) = ([v.c for v in self.parts(z, node)] for z in (left, right))
         if isinstance(op, (ast.Add, ast.Sub)):
             sign = ARITHMETIC[type(op)]
-            found = f"({a} {sign} {c})", f"({b} {sign} {d})"
+            result = f"({a} {sign} {c})", f"({b} {sign} {d})"
         elif isinstance(op, ast.Mult):
-            found = f"(({a} * {c}) - ({b} * {d}))", f"(({a} * {d}) + ({b} * {c}))"
+            result = f"(({a} * {c}) - ({b} * {d}))", f"(({a} * {d}) + ({b} * {c}))"
         elif isinstance(op, ast.Div):
             c, d = (self.fresh(REAL, one).c for one in (c, d))
             self._check(f"({c} == 0) && ({d} == 0)")
-            found = f"sr_c_quot_real({a}, {b}, {c}, {d})", f"sr_c_quot_imag({a}, {b}, {c}, {d})"
+            result = f"sr_c_quot_real({a}, {b}, {c}, {d})", f"sr_c_quot_imag({a}, {b}, {c}, {d})"
         else:
             raise self.unknown(f"an operation {type(op).__name__.lower()} of complex numbers", node)
-        return self.group([Value(REAL, one) for one in found], COMPLEX)
+        return self.group([Value(REAL, one) for one in result], COMPLEX)
 
     def _value_compare(self, node: ast.Compare) -> Value:
         left = self.value(node.left)
@@ -426,11 +426,11 @@ class Expressions(Base):
     def _value_boolop(self, node: ast.BoolOp) -> Value:
         stop = isinstance(node.op, ast.Or)
         first = self.truth(self.value(node.values[0]), node)
-        rest: ast.expr = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
+        remaining: ast.expr = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
         if first in ("true", "false"):
-            return Value(BOOL, first) if (first == "true") is stop else self._as_truth(rest, node)
+            return Value(BOOL, first) if (first == "true") is stop else self._as_truth(remaining, node)
         at = len(self.lines)
-        other = self.truth(self.value(rest), node)
+        other = self.truth(self.value(remaining), node)
         if len(self.lines) == at:
             if other in ("true", "false"):
                 return Value(BOOL, other if (other == "true") is stop else first)
@@ -450,13 +450,13 @@ class Expressions(Base):
         test = self.truth(self.value(node.test), node)
         if test in ("true", "false"):
             return self.value(node.body if test == "true" else node.orelse)
-        lines, found = self.lines, []
+        lines, results = self.lines, []
         env = dict(self.env)
         for way in (node.body, node.orelse):
             self.lines, self.ended = [], False
-            found.append((self.value(way), self.lines))
+            results.append((self.value(way), self.lines))
         self.lines, self.env = lines, env
-        (a, then), (b, orelse) = found
+        (a, then), (b, orelse) = results
         kind = united(a.kind, b.kind)
         if kind is None:
             raise self.unknown("a choice of two types", node)
@@ -478,10 +478,10 @@ class Expressions(Base):
 
 def _folded(op: type, a: str, b: str) -> int | None:
     """Return what an operation on two whole numbers that are written out gives; None: it is computed."""
-    found = [WHOLE.fullmatch(c) for c in (a, b)]
-    if not all(found):
+    results = [WHOLE.fullmatch(c) for c in (a, b)]
+    if not all(results):
         return None
-    x, y = (int(one[1]) for one in found if one)
+    x, y = (int(one[1]) for one in results if one)
     made = x + y if op is ast.Add else x - y if op is ast.Sub else x * y
     return made if 0 <= made < LARGE else None
 

@@ -131,9 +131,9 @@ def watched(step: Step, calls: list[Call | Changed]) -> None:
     _watch_changes(step, calls)
 
 
-def answer_of(method: str, x: Any, found: Any) -> tuple[Any, Mapping[str, Any]]:
+def answer_of(method: str, x: Any, value: Any) -> tuple[Any, Mapping[str, Any]]:
     """Return the state after a call and what it published, of what the method returned."""
-    after, outputs = found if method == "update" else (x, found) if method == "outputs" else (found, {})
+    after, outputs = value if method == "update" else (x, value) if method == "outputs" else (value, {})
     return after, outputs
 
 

@@ -155,18 +155,18 @@ def _going_on(
     """Add the functions that move a state when parameters change between two ticks; the second root is before."""
     before = Static(block.p, (1, ("attr", "p")))
     move: Any = type(block).go_on
-    found: dict[Form, tuple[str, tuple[str, ...]]] = {}
+    results: dict[Form, tuple[str, tuple[str, ...]]] = {}
     for form, call in newest.items():
         own = Form("go_on", form.state, ())
-        if own in found:
+        if own in results:
             continue
-        name, handed = f"go{len(found)}", set[str]()
+        name, handed = f"go{len(results)}", set[str]()
         value = made(program, move, [Static(block, (0,)), Dynamic("x", packed(call.x)), before], {}, handed)
         lines = _answer(program, "advance", value, ())
-        found[own] = name, tuple(sorted(handed))
-        head = f"def {name}({', '.join(['c', 'n', *found[own][1], 'x'])}):"
+        results[own] = name, tuple(sorted(handed))
+        head = f"def {name}({', '.join(['c', 'n', *results[own][1], 'x'])}):"
         program.functions.append("\n".join([head, *(f"    {line}" for line in lines)]))
-    for own, (name, given) in found.items():
+    for own, (name, given) in results.items():
         roots[own], arrays[own] = name, given
 
 
@@ -202,8 +202,8 @@ def _answer(program: Program, method: str, value: Value, outputs: Sequence[Port]
             numbers += [f"float({code})" for code in (*flag, *map(writer.code, row))]
     except KeyError as error:
         raise NotNative(f"{error.args[0]} is not in the answer") from None
-    told = ", ".join(f"({''.join(f'{n}, ' for n in part)})" for part in (numbers, stamps))
-    writer.emit(f"return ({state}, {told})" if method == "update" else f"return ({told})")
+    text = ", ".join(f"({''.join(f'{n}, ' for n in part)})" for part in (numbers, stamps))
+    writer.emit(f"return ({state}, {text})" if method == "update" else f"return ({text})")
     return writer.lines
 
 

@@ -90,15 +90,15 @@ class Reader(Calls):
         while True:
             lines: list[str] = []
             for line in self.lines:
-                found = ASSIGNED.fullmatch(line)
-                own = found.group(2) if found and found.group(2) in self.kinds_of else ""
+                match = ASSIGNED.fullmatch(line)
+                own = match.group(2) if match and match.group(2) in self.kinds_of else ""
                 if (
-                    found
+                    match
                     and own
                     and not any(reads(own, other) for other in self.lines if not other.lstrip().startswith(f"{own} = "))
                 ):
-                    if re.match(rf"{self.unit.prefix}_\w+\(s\b", found.group(3)):
-                        lines.append(f"{found.group(1)}(void){found.group(3)};")
+                    if re.match(rf"{self.unit.prefix}_\w+\(s\b", match.group(3)):
+                        lines.append(f"{match.group(1)}(void){match.group(3)};")
                     continue
                 lines.append(line)
             if lines == self.lines:

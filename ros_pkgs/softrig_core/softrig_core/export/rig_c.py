@@ -327,7 +327,7 @@ class _RigFiles:
 
     def description(self) -> str:
         """Return the JSON description."""
-        found = {
+        results = {
             "scenario": self.rig.scenario.name,
             "period_s": list(self.plan.clock.period.as_integer_ratio()),
             "nodes": [{"node": m.name, "files": self._c(m), "plant": m.is_plant} for m in self.members],
@@ -336,7 +336,7 @@ class _RigFiles:
             "golden_rows": len(self.rows),
             "ends": self.ends,
         }
-        return json.dumps(found, indent=1) + "\n"
+        return json.dumps(results, indent=1) + "\n"
 
 
 _OWN = ("_replay.c", "_main.c")  # of a node alone

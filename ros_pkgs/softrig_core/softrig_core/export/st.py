@@ -143,11 +143,11 @@ class _Printer:
         """Return the name in structured text, which ignores case and does not allow double underscores."""
         if c not in self.known:
             plain = re.sub(r"_+", "_", c).strip("_") or "x"
-            found, k = plain, 2
-            while found.lower() in self.taken:
-                found, k = f"{plain}_{k}", k + 1
-            self.taken.add(found.lower())
-            self.known[c] = found
+            text, k = plain, 2
+            while text.lower() in self.taken:
+                text, k = f"{plain}_{k}", k + 1
+            self.taken.add(text.lower())
+            self.known[c] = text
         return self.known[c]
 
     def type_of(self, node: Any) -> Any:
@@ -556,13 +556,13 @@ class _Printer:
     def _e_ternaryop(self, node: Any) -> Typed:
         """Print a choice as IF: only what is wanted is computed."""
         condition = self.condition(node.cond)
-        found: list[tuple[Typed, list[str]]] = []
+        results: list[tuple[Typed, list[str]]] = []
         lines = self.lines
         self.depth += 1
         for way in (node.iftrue, node.iffalse):
             self.lines = []
-            found.append((self.expression(way), self.lines))
-        (a, then), (b, orelse) = found
+            results.append((self.expression(way), self.lines))
+        (a, then), (b, orelse) = results
         kind = b.type if a.type == "NUMBER" else a.type
         target = self.temporary("LINT" if kind == "NUMBER" else kind)
         for value, own in ((a, then), (b, orelse)):
@@ -657,10 +657,10 @@ def _library(units: Sequence[Unit]) -> list[Unit]:
     """Return the functions of the library that others use."""
     text = (resources.files(__package__) / "softrig.st").read_text()
     known: dict[str, Unit] = {}
-    for found in re.finditer(r"FUNCTION (\w+) : (\w+)\n(.*?)END_FUNCTION\n", text, re.DOTALL):
-        *heads, body = re.split(r"(?<=END_VAR)\n", found[3])
+    for result in re.finditer(r"FUNCTION (\w+) : (\w+)\n(.*?)END_FUNCTION\n", text, re.DOTALL):
+        *heads, body = re.split(r"(?<=END_VAR)\n", result[3])
         head = "\n".join(heads).splitlines()
-        known[found[1]] = Unit("FUNCTION", found[1], head, body.rstrip("\n").splitlines(), result=found[2])
+        known[result[1]] = Unit("FUNCTION", result[1], head, body.rstrip("\n").splitlines(), result=result[2])
     wanted: list[str] = []
     open_ = ["\n".join(u.body) for u in units]
     while open_:

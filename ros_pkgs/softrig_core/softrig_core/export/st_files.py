@@ -100,10 +100,10 @@ def executed(text: str, done: Exported, member: Member) -> Executed:
             continue
         wrong += vars(block)["gave_up"] != (status == 1)
         for name, value in _named(member.outputs, words, "sporadic"):
-            found = getattr(block, places[name.lower()])
+            result = getattr(block, places[name.lower()])
             silent = isinstance(value, float) and not getattr(block, _flag(name, member.outputs), True)
-            same = found == value or (found != found and value != value)
-            near = isinstance(value, float) and done.libm and abs(found - value) <= NEAR * max(1.0, abs(value))
+            same = result == value or (result != result and value != value)
+            near = isinstance(value, float) and done.libm and abs(result - value) <= NEAR * max(1.0, abs(value))
             differing += not (silent or same or near)
     return Executed(count, differing, wrong)
 
@@ -256,8 +256,8 @@ def main(arguments: Sequence[str]) -> int:
                 (folder / name).write_text(text, encoding="utf-8")
         print(f"{folder}: {', '.join(files)}")
         if options.check:
-            found = executed(written(units, done.name, "st")[f"{done.name}.st"], done, member_of(rig, node))
-            differ = f"{found.differing} numbers and {found.wrong_status} statuses differ"
-            print(f"{node}: {found.rows} calls, {'the numbers of Python' if found.same else differ}")
-            status = status or int(not found.same)
+            result = executed(written(units, done.name, "st")[f"{done.name}.st"], done, member_of(rig, node))
+            differ = f"{result.differing} numbers and {result.wrong_status} statuses differ"
+            print(f"{node}: {result.rows} calls, {'the numbers of Python' if result.same else differ}")
+            status = status or int(not result.same)
     return status

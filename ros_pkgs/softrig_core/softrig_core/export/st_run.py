@@ -58,8 +58,8 @@ def pointer(value: Any) -> Pointer:
 def quotient(a: Any, b: Any) -> Any:
     """Divide: whole numbers towards zero, others by IEEE 754."""
     if isinstance(a, int) and isinstance(b, int):
-        found = abs(a) // abs(b)
-        return found if (a < 0) == (b < 0) else -found
+        result = abs(a) // abs(b)
+        return result if (a < 0) == (b < 0) else -result
     if b == 0.0:
         return math.nan if a == 0.0 or a != a else math.copysign(math.inf, a) * math.copysign(1.0, b)
     return a / b
@@ -115,8 +115,8 @@ class Program:
         kind = kind.strip()
         if kind.startswith("POINTER"):
             return Pointer()
-        if found := re.fullmatch(r"ARRAY \[0\.\.(\d+)\] OF (.*)", kind):
-            return [self.new(found[2]) for _ in range(int(found[1]) + 1)]
+        if match := re.fullmatch(r"ARRAY \[0\.\.(\d+)\] OF (.*)", kind):
+            return [self.new(match[2]) for _ in range(int(match[1]) + 1)]
         if kind in self.types:
             return Struct(**{name: self.new(inner) for name, inner in self.types[kind]})
         return _ZERO[kind]
@@ -180,15 +180,15 @@ def _by_place(function: Any, names: list[str]) -> Any:
 def _line(line: str, out: list[str], depth: int, own: set[str], name: str) -> int:
     """Translate one line; return the indentation depth of the next one."""
     pad = "    " * depth
-    if found := re.fullmatch(r"(IF|ELSIF) (.*) THEN", line):
-        pad = pad if found[1] == "IF" else pad[4:]
-        out.append(f"{pad}{'if' if found[1] == 'IF' else 'elif'} {_expression(found[2], own)}:")
-        return depth + (found[1] == "IF")
+    if match := re.fullmatch(r"(IF|ELSIF) (.*) THEN", line):
+        pad = pad if match[1] == "IF" else pad[4:]
+        out.append(f"{pad}{'if' if match[1] == 'IF' else 'elif'} {_expression(match[2], own)}:")
+        return depth + (match[1] == "IF")
     if line == "ELSE":
         out.append(f"{pad[4:]}else:")
         return depth
-    if found := re.fullmatch(r"WHILE (.*) DO", line):
-        out.append(f"{pad}while {_expression(found[1], own)}:")
+    if match := re.fullmatch(r"WHILE (.*) DO", line):
+        out.append(f"{pad}while {_expression(match[1], own)}:")
         return depth + 1
     if line.rstrip(";") in ("END_IF", "END_WHILE"):
         return depth - 1
@@ -226,6 +226,6 @@ def _expression(text: str, own: set[str] | None = None) -> str:
     """Return an expression in Python."""
     text = text.replace(":=", "\0").replace("<>", "!=")
     text = re.sub(r"(?<![<>!=])=(?!=)", "==", text).replace("\0", "=")
-    text = re.sub(r"\b[A-Z]+\b", lambda found: _NAMES.get(found[0], found[0]), text)
+    text = re.sub(r"\b[A-Z]+\b", lambda result: _NAMES.get(result[0], result[0]), text)
     tree = ast.fix_missing_locations(_Changes(own or set()).visit(ast.parse(text.strip(), mode="eval")))
     return ast.unparse(tree)

@@ -153,9 +153,9 @@ class Unit:
 
     def number(self, c: str) -> float:
         """Return the number that a text of C writes out, or names; NaN: it is no constant."""
-        found = self.fixed.get(c)
-        if isinstance(found, float):
-            return found
+        result = self.fixed.get(c)
+        if isinstance(result, float):
+            return result
         match = FIXED.fullmatch(c) or WHOLE.fullmatch(c)
         return math.nan if match is None else float(match[1])
 
@@ -214,13 +214,13 @@ class Unit:
         result = tuple_of([REAL] * sum(outputs))
         name = f"{self.prefix}_call{len(self.done)}"
         arg, res, whole, work = sizes
-        names, found = [f"p_{k}" for k in range(sum(inputs))], [f"found[{k}]" for k in range(sum(outputs))]
+        names, results = [f"p_{k}" for k in range(sum(inputs))], [f"found[{k}]" for k in range(sum(outputs))]
         heads = ", ".join([f"{self.prefix} *s", *(f"real_t {one}" for one in names)])
         lines = [
             f"static {self.c(result)} {name}({heads})",
             "{",
             f"    const real_t given[{max(len(names), 1)}] = {{ {', '.join(names) or '0'} }};",
-            f"    real_t found[{max(len(found), 1)}] = {{ 0 }};",
+            f"    real_t found[{max(len(results), 1)}] = {{ 0 }};",
             f"    const real_t *arg[{max(arg, 1)}] = {{ 0 }}; /* casadi works in the places behind its arguments */",
             f"    real_t *res[{max(res, 1)}] = {{ 0 }};",
             f"    long long int iw[{max(whole, 1)}] = {{ 0 }};",
@@ -230,7 +230,7 @@ class Unit:
             f"    if ({own}(arg, res, iw, w, 0) != 0) {{",
             "        s->discarded = true;",
             "    }",
-            f"    return ({self.c(result)}){{ {', '.join(found) or '0'} }};",
+            f"    return ({self.c(result)}){{ {', '.join(results) or '0'} }};",
             "}",
         ]
         return "\n".join(lines) + "\n", Signature(name, result, True)

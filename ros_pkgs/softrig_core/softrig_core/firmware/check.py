@@ -285,13 +285,13 @@ def _stack(tool: str, elf: str, scratch: Path, address: int) -> int:
     pushed: dict[str, int] = {}
     now = ""
     for line in _run([tool, "-d", "--no-show-raw-insn", elf], elf, scratch).splitlines():
-        if found := _FUNCTION.match(line):
-            now = found[1]
+        if match := _FUNCTION.match(line):
+            now = match[1]
             calls[now], pushed[now] = set(), 0
-        elif found := _CALL.search(line):
-            calls[now].add(found[1].partition("+")[0])
-        elif found := _PUSH.search(line):
-            pushed[now] += 1 if found[1] is None else _WORD * len(found[1].split(","))
+        elif match := _CALL.search(line):
+            calls[now].add(match[1].partition("+")[0])
+        elif match := _PUSH.search(line):
+            pushed[now] += 1 if match[1] is None else _WORD * len(match[1].split(","))
     depths: dict[str, int] = {}
 
     def depth(name: str, above: tuple[str, ...]) -> int:

@@ -87,6 +87,6 @@ def _exported(options: Any, board: Any) -> int:
     print(f"{folder}: {', '.join(sorted(p.name for p in folder.iterdir() if p.is_file()))}")
     if not options.check:
         return 0
-    found = checked(folder, name, layout, board)
-    print(f"{options.node} on {board}: {found}")
-    return int(found.differing > 0)
+    result = checked(folder, name, layout, board)
+    print(f"{options.node} on {board}: {result}")
+    return int(result.differing > 0)

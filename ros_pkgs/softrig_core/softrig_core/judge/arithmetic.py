@@ -50,8 +50,8 @@ def arithmetic(tree: Tree, samples: Samples) -> Any:
         return samples[body]
     name, given = (body[0], body[1]) if kind == "Call" else (body[0], body[1:])
     with np.errstate(all="ignore"):
-        found = ARITHMETIC[name](*(arithmetic(part, samples) for part in given))
-    return sure(found)
+        result = ARITHMETIC[name](*(arithmetic(part, samples) for part in given))
+    return sure(result)
 
 
 def sure(values: Any) -> Any:

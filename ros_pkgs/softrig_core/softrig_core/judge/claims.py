@@ -123,8 +123,8 @@ class Claim(Entry):
         """Return the distance from a number that still agrees."""
         if isinstance(self.tolerance, int | float):
             return float(self.tolerance)
-        found = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
-        return (float(found[1]) / 100.0 if found else TOLERANCE) * abs(wanted)
+        match = _PERCENT.fullmatch(self.tolerance) if self.tolerance else None
+        return (float(match[1]) / 100.0 if match else TOLERANCE) * abs(wanted)
 
     def asks(self, others: Mapping[str, float | None]) -> str:
         """Write what agrees with it: ``0.607 ± 0.03 (5 %)``, ``below 0.02``, ``above a.rise_time = 0.69 here``.

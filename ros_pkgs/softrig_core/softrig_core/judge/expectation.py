@@ -111,9 +111,9 @@ def parse(given: Any) -> Any:
     text = given.strip() if isinstance(given, str) else ""
     if references(text):
         return Expectation(text=text)
-    if found := _TWO_SIDED.fullmatch(text):
-        value, tolerance = float(found[1]), float(found[2])
-        if found[3]:
+    if match := _TWO_SIDED.fullmatch(text):
+        value, tolerance = float(match[1]), float(match[2])
+        if match[3]:
             tolerance *= abs(value) / 100.0
         if tolerance < 0.0:
             raise ValueError("a tolerance is not negative")
@@ -124,10 +124,10 @@ def parse(given: Any) -> Any:
                 f"'between {value - tolerance:.6g} and {value + tolerance:.6g}', 'at most ...' or 'at least ...'"
             )
         return Expectation(expected=value, tolerance=tolerance)
-    if found := _BOUND.fullmatch(text):
-        return Expectation(**{f"at_{found[1]}": float(found[2])})
-    if found := _RANGE.fullmatch(text):
-        low, high = float(found[1]), float(found[2])
+    if match := _BOUND.fullmatch(text):
+        return Expectation(**{f"at_{match[1]}": float(match[2])})
+    if match := _RANGE.fullmatch(text):
+        low, high = float(match[1]), float(match[2])
         if low > high:
             raise ValueError(f"between {low:g} and {high:g}: nothing is")
         return Expectation(at_least=low, at_most=high)
@@ -136,10 +136,10 @@ def parse(given: Any) -> Any:
 
 def _following(text: str, value: Callable[[str], float]) -> Expectation:
     """Read a form with references, `value` giving the numbers of its parts."""
-    if found := _FOLLOWING.fullmatch(text):
-        if found[1]:
-            return Expectation(**{f"at_{found[1]}": value(found[2])}, text=text)
-        low, between, high = found[2].partition(" and ")
+    if match := _FOLLOWING.fullmatch(text):
+        if match[1]:
+            return Expectation(**{f"at_{match[1]}": value(match[2])}, text=text)
+        low, between, high = match[2].partition(" and ")
         if not between:
             raise ScenarioError(f"{text!r}: {FORMS}")
         limits = Expectation(at_least=value(low), at_most=value(high), text=text)

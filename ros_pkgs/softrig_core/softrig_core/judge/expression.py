@@ -44,10 +44,10 @@ def number(text: str, value: Callable[[str], Any]) -> float:
     """
     known: dict[str, float] = {}
 
-    def named(found: re.Match[str]) -> str:
-        given = value(found[1])
+    def named(match: re.Match[str]) -> str:
+        given = value(match[1])
         if isinstance(given, bool) or not isinstance(given, int | float):
-            raise ScenarioError(f"${found[1]} is {given!r}, expected a number")
+            raise ScenarioError(f"${match[1]} is {given!r}, expected a number")
         known[name := f"_{len(known)}"] = float(given)
         return name
 
@@ -55,14 +55,14 @@ def number(text: str, value: Callable[[str], Any]) -> float:
         raise ScenarioError(f"{text[:40]!r} ... has {len(text)} characters, expected at most {LONGEST}")
     try:
         tree = ast.parse(REFERENCE.sub(named, text).replace("^", "**").strip(), mode="eval")
-        found = float(_value(tree.body, known))
+        match = float(_value(tree.body, known))
     except ScenarioError:
         raise
     except (SyntaxError, LookupError, TypeError, ValueError, ArithmeticError, RecursionError, MemoryError):
         raise ScenarioError(f"{text!r} is no number; {_FORM}") from None
-    if not math.isfinite(found):
-        raise ScenarioError(f"{text!r} is {found}, expected a finite number")
-    return found
+    if not math.isfinite(match):
+        raise ScenarioError(f"{text!r} is {match}, expected a finite number")
+    return match
 
 
 def references(text: str) -> list[str]:

@@ -59,12 +59,12 @@ def named(reference: str) -> str:
 
 def with_names(given: str) -> str:
     """Return a formula with names in the place of its references: ``$motor.R`` becomes ``motor__R``."""
-    return REFERENCE.sub(lambda found: named(found[1]), given)
+    return REFERENCE.sub(lambda result: named(result[1]), given)
 
 
 def timing(given: str) -> set[str]:
     """Return the names in a formula's intervals."""
-    return {name for found in _INTERVAL.finditer(given) for name in _NAME.findall(found[0])} - _CALLS - {"inf"}
+    return {name for result in _INTERVAL.finditer(given) for name in _NAME.findall(result[0])} - _CALLS - {"inf"}
 
 
 def bounded_by_numbers(given: str, known: Mapping[str, float | None], units: Mapping[str, str]) -> bool:
@@ -81,7 +81,7 @@ def bounded_by_numbers(given: str, known: Mapping[str, float | None], units: Map
     units : mapping
         Of the names that are no numbers.
     """
-    plain = [part.strip() for found in _INTERVAL.finditer(given) for part in found.groups() if _PLAIN.fullmatch(part)]
+    plain = [part.strip() for result in _INTERVAL.finditer(given) for part in result.groups() if _PLAIN.fullmatch(part)]
     if any(part != "inf" and float(part) for part in plain):
         return True
     tree = _parsed(given, known)[0]
@@ -196,15 +196,15 @@ def _timed(given: str, known: Mapping[str, float | None]) -> str:
         if _PLAIN.fullmatch(part):
             return part
         try:
-            found = number(_NAME.sub(lambda name: name[0] if name[0] in _CALLS else f"${name[0]}", part), value)
+            actual = number(_NAME.sub(lambda name: name[0] if name[0] in _CALLS else f"${name[0]}", part), value)
         except ScenarioError as error:
             raise error if str(error).startswith("formula") else ScenarioError(f"formula {given!r}: {error}") from None
-        if found < 0.0:
-            raise ScenarioError(f"formula {given!r}: {part.strip()} is {found:g} s; expected a time of at least 0 s")
+        if actual < 0.0:
+            raise ScenarioError(f"formula {given!r}: {part.strip()} is {actual:g} s; expected a time of at least 0 s")
         # sentil reads no exponents in an interval.
-        return format(found, ".12f").rstrip("0").rstrip(".")
+        return format(actual, ".12f").rstrip("0").rstrip(".")
 
-    return _INTERVAL.sub(lambda found: f"[{seconds(found[1])}, {seconds(found[2])}]", given)
+    return _INTERVAL.sub(lambda actual: f"[{seconds(actual[1])}, {seconds(actual[2])}]", given)
 
 
 def _check_arithmetic(tree: Tree) -> None:
@@ -224,11 +224,11 @@ def _check_arithmetic(tree: Tree) -> None:
 
 
 def _reason(error: Exception, written: str) -> str:
-    found = re.match(r"parse error at line 1, column (\d+): (.*)", str(error))
-    if not found:
+    match = re.match(r"parse error at line 1, column (\d+): (.*)", str(error))
+    if not match:
         return str(error)
-    at = int(found[1]) - 1
-    return f"{found[2]}, at {written[at : at + 12]!r}" if written[at:].strip() else found[2]
+    at = int(match[1]) - 1
+    return f"{match[2]}, at {written[at : at + 12]!r}" if written[at:].strip() else match[2]
 
 
 def _negated(tree: Tree) -> bool:
@@ -372,7 +372,7 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
     ScenarioError
         Sides of a comparison, or terms of a sum, of other units; comparisons of several units without a scale.
     """
-    found: set[str] = set()
+    results: set[str] = set()
 
     def scaled(kind: str, body: Any) -> tuple[str, Any]:
         if kind != "Predicate":
@@ -384,7 +384,7 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
         if unit is None:
             return kind, body  # numbers only
         if not scale:
-            found.add(unit)
+            results.add(unit)
             return kind, body
         if unit not in scale:
             raise ScenarioError(f"scale: no number for {unit or 'pure numbers'!r}; it has {', '.join(scale)}")
@@ -393,13 +393,13 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
 
     # Each comparison is scaled by itself, so that margins in several units can be compared.
     tree = _map(tree, scaled)
-    if len(found) > 1:
-        several = ", ".join(sorted(u or "1" for u in found))
+    if len(results) > 1:
+        several = ", ".join(sorted(u or "1" for u in results))
         raise ScenarioError(
             f"its comparisons are in {several}, so they have no common margin; state what counts as one in "
             "each, scale: {unit: number}"
         )
-    return tree, found.pop() if found else ""
+    return tree, results.pop() if results else ""
 
 
 def _unit(tree: Tree, units: Mapping[str, str]) -> str | None:

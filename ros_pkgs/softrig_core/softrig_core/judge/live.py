@@ -77,13 +77,13 @@ class Live:
 
     def bounds(self, x: tuple[Opened, ...]) -> tuple[float, float]:
         """Return the least and greatest that the margin may come to."""
-        found = self._now(self._tree, x)
-        return float(found[0, 0]), float(found[1, 1])
+        result = self._now(self._tree, x)
+        return float(result[0, 0]), float(result[1, 1])
 
     def decided(self, x: tuple[Opened, ...]) -> bool:
         """Return whether nothing that comes can change the bounds."""
-        found = self._now(self._tree, x)
-        return all(one.over for one in x) or bool((found[0] == found[1]).all())
+        result = self._now(self._tree, x)
+        return all(one.over for one in x) or bool((result[0] == result[1]).all())
 
     def _grow(self, tree: Tree) -> None:
         ((kind, body),) = tree.items()

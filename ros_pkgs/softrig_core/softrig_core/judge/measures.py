@@ -514,8 +514,8 @@ def held(
 
 def _record_end(signals: SignalMap) -> float:
     # A record may be longer than its newest message of a signal; plain dicts of arrays do not know its end.
-    told: float | None = getattr(signals, "end", None)
-    return max(float(t[-1]) for t, _ in signals.values() if t.size) if told is None else told
+    reported: float | None = getattr(signals, "end", None)
+    return max(float(t[-1]) for t, _ in signals.values() if t.size) if reported is None else reported
 
 
 def mean_over(x: Array, gaps: Array) -> float:
@@ -573,8 +573,8 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
     # With few times and many instants counting is faster than a search for each instant.
     if len(times) > len(at) / 4:
         return _one_each(times, at) if len(at) > SIDE_BY_SIDE else np.searchsorted(times, at, side="right") - 1
-    come = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
-    return np.cumsum(come) - 1
+    arrived = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
+    return np.cumsum(arrived) - 1
 
 
 def _one_each(times: Array, at: Array) -> NDArray[np.intp]:

@@ -147,10 +147,10 @@ class Record:
         NotJudged
             The record does not decide the formula; the message names what is undefined, or where the record ends.
         """
-        found = self._at(tree, 0)
-        least, greatest = float(found[0, 0]), float(found[1, 1])
+        result = self._at(tree, 0)
+        least, greatest = float(result[0, 0]), float(result[1, 1])
         if least < 0.0 <= greatest:
-            raise NotJudged(self._why(tree, found))
+            raise NotJudged(self._why(tree, result))
         value, which = (greatest, (1, 1)) if greatest < 0.0 else (least, (0, 0))
         at = float(self.times[self._decides(tree, *which, 0)] / SECOND)
         violated = self._violated(tree) if value < 0.0 else ()
@@ -224,17 +224,17 @@ class Record:
         late = [late for name in variables(body) if (late := self._late.get(name)) is not None and late.any()]
         if not late and not undefined.any():
             return np.broadcast_to(values, (2, 2, len(values)))
-        found = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
+        result = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
         for those in late:
             # What compares a signal that has not come yet is false there, not undefined, so that the formula is judged
             # all the same.
-            found[:, those] = -INF
-        return np.array((found, found))
+            result[:, those] = -INF
+        return np.array((result, result))
 
     def _distance(self, body: Any) -> Array:
         with np.errstate(all="ignore"):
-            found = COMPARED[body["op"]](*(arithmetic(body[side], self._samples) for side in ("lhs", "rhs")))
-        return np.broadcast_to(sure(found), (len(self.times),))
+            result = COMPARED[body["op"]](*(arithmetic(body[side], self._samples) for side in ("lhs", "rhs")))
+        return np.broadcast_to(sure(result), (len(self.times),))
 
     def _window(
         self, kind: str, low: float, high: float, times: Array
@@ -255,11 +255,11 @@ class Record:
         times = self.times[-1] - self.times[::-1] if past else self.times
         first = np.searchsorted(times, times + low)
         result = extremes(held, np.arange(n), first - 1, np.minimum, INF)
-        for come, lost in np.ndindex(2, 2):
+        for arrived, lost in np.ndindex(2, 2):
             # After the last sample anything may come; before the first one there was nothing.
-            start = INF if come and not past else -INF
-            later = np.array([*_scan(held[come, lost].tolist(), then[come, lost].tolist(), start), start])
-            result[come, lost] = np.minimum(result[come, lost], later[first])
+            start = INF if arrived and not past else -INF
+            later = np.array([*_scan(held[arrived, lost].tolist(), then[arrived, lost].tolist(), start), start])
+            result[arrived, lost] = np.minimum(result[arrived, lost], later[first])
         if high == INF and self.ended and not past:
             result[1] = np.where(first < n, result[0], result[1])
         if high != INF:
@@ -271,9 +271,9 @@ class Record:
             result = np.minimum(result, within)
         return result
 
-    def _why(self, tree: Tree, found: Array) -> str:
+    def _why(self, tree: Tree, values: Array) -> str:
         undefined = self._undefined(tree)
-        if (found[:, 0] != found[:, 1]).any() and undefined.size:
+        if (values[:, 0] != values[:, 1]).any() and undefined.size:
             first, end = undefined[0], self.times[-1]
             on = undefined.size > 1 and undefined.size == np.count_nonzero(self.times >= first)
             when = f"from t = {first / SECOND:.6g} s on" if on or first == end else f"at t = {first / SECOND:.6g} s"
@@ -288,8 +288,8 @@ class Record:
         lost = np.zeros(len(self.times), dtype=bool)
         for kind, body in nodes(tree):
             if kind == "Predicate":
-                found = self._compared(body)
-                lost |= found[0, 0] != found[0, 1]
+                result = self._compared(body)
+                lost |= result[0, 0] != result[0, 1]
         return self.times[lost]
 
     def _outermost(self, tree: Tree) -> Iterator[tuple[str, Any]]:
@@ -310,15 +310,15 @@ class Record:
                 result = min(result, float(self.times[np.argmax(still)]) if still.any() else INF)
         return result
 
-    def _decides(self, tree: Tree, come: int, lost: int, k: int) -> int:
+    def _decides(self, tree: Tree, arrived: int, lost: int, k: int) -> int:
         """Index of the instant whose comparison gives a bound of a formula at instant `k`."""
         ((kind, body),) = tree.items()
         if kind == "Not":
-            return self._decides(body, 1 - come, 1 - lost, k)
+            return self._decides(body, 1 - arrived, 1 - lost, k)
         if kind in ("And", "Or", "Implies"):
             sides = [
-                (body[0], 1 - come, 1 - lost) if kind == "Implies" else (body[0], come, lost),
-                (body[1], come, lost),
+                (body[0], 1 - arrived, 1 - lost) if kind == "Implies" else (body[0], arrived, lost),
+                (body[1], arrived, lost),
             ]
             a, b = (float(self._at(part, k)[c, n]) for part, c, n in sides)
             first = a <= b if kind == "And" else (-a if kind == "Implies" else a) >= b
@@ -329,9 +329,11 @@ class Record:
             if last < first_:
                 return k
             least = kind in ("Always", "Historically")
-            come = (1 if least else 0) if kind in FUTURE and high == INF and self.ended else come
-            values = self.bounds(body[1])[come, lost, first_ : last + 1]
-            return self._decides(body[1], come, lost, first_ + int(np.argmin(values) if least else np.argmax(values)))
+            arrived = (1 if least else 0) if kind in FUTURE and high == INF and self.ended else arrived
+            values = self.bounds(body[1])[arrived, lost, first_ : last + 1]
+            return self._decides(
+                body[1], arrived, lost, first_ + int(np.argmin(values) if least else np.argmax(values))
+            )
         # A comparison decides at its own instant; for until and since it is the instant at which they are asked.
         return k
 
@@ -372,8 +374,8 @@ def limits(body: Any) -> tuple[float, float]:
 
 
 def _scan(held: list[float], then: list[float], value: float) -> list[float]:
-    found = []
+    results = []
     for x, y in zip(reversed(held), reversed(then), strict=True):
         value = max(y, min(x, value))
-        found.append(value)
-    return found[::-1]
+        results.append(value)
+    return results[::-1]

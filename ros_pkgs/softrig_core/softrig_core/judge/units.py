@@ -11,11 +11,11 @@ _TOKEN = re.compile(r"(\*|/)?\s*([^\s*/^]+)(?:\^(-?\d+))?")
 
 def powers(unit: str) -> dict[str, int]:
     """Parse a unit: ``m/s^2`` gives ``{"m": 1, "s": -2}``; a slash concerns the next unit only."""
-    found: dict[str, int] = {}
+    results: dict[str, int] = {}
     for over, name, power in _TOKEN.findall(unit):
         if name != "1":
-            found[name] = found.get(name, 0) + (-1 if over == "/" else 1) * int(power or 1)
-    return {name: power for name, power in found.items() if power}
+            results[name] = results.get(name, 0) + (-1 if over == "/" else 1) * int(power or 1)
+    return {name: power for name, power in results.items() if power}
 
 
 def compose(template: str, signal: str) -> str:
@@ -30,10 +30,10 @@ def compose(template: str, signal: str) -> str:
     """
     if "{signal}" not in template:
         return template
-    rest = powers(template.replace("{signal}", "1"))
+    remaining = powers(template.replace("{signal}", "1"))
     raised = re.search(r"\{signal\}\^(\d)", template)
     total = {name: power * (int(raised[1]) if raised else 1) for name, power in powers(signal).items()}
-    for name, power in rest.items():
+    for name, power in remaining.items():
         total[name] = total.get(name, 0) + power
     return text({name: power for name, power in total.items() if power})
 

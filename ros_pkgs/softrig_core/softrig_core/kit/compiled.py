@@ -134,8 +134,8 @@ class Compiled:
     @property
     def address(self) -> int:
         """Return the address of the C function (casadi_real** arg, res, casadi_int* iw, casadi_real* w, mem)."""
-        found = getattr(ctypes.CDLL(str(self._library)), self._function.name())
-        return ctypes.cast(found, ctypes.c_void_p).value or 0
+        result = getattr(ctypes.CDLL(str(self._library)), self._function.name())
+        return ctypes.cast(result, ctypes.c_void_p).value or 0
 
     @property
     def title(self) -> str:

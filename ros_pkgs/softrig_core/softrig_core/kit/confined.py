@@ -52,9 +52,9 @@ def confine(keep: Iterable[str | Path] = ()) -> None:
         call("mount", *words, ctypes.c_ulong(flags), None)
 
     def attributes(place: str, flags: int, add: int, remove: int) -> None:
-        found = (ctypes.c_uint64 * 4)(add, remove, 0, 0)
+        result = (ctypes.c_uint64 * 4)(add, remove, 0, 0)
         numbers = (ctypes.c_long(_SETATTR), ctypes.c_long(-100), place.encode(), ctypes.c_uint(flags))
-        call("syscall", *numbers, found, ctypes.c_size_t(ctypes.sizeof(found)))
+        call("syscall", *numbers, result, ctypes.c_size_t(ctypes.sizeof(result)))
 
     user, group = os.getuid(), os.getgid()
     hidden, kept = _places([*keep, sys.prefix, sys.base_prefix, *sys.path])
@@ -111,6 +111,6 @@ def forbidden() -> str:
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
-        said = pipe.read().decode(errors="replace")
+        text = pipe.read().decode(errors="replace")
     os.waitpid(child, 0)
-    return said
+    return text

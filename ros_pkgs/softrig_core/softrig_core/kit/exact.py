@@ -178,17 +178,17 @@ def exponential(rows: Rows, bits: int) -> Integers:
     one = np.empty_like(scaled)
     one.fill(0)
     np.fill_diagonal(one, 1 << wide)
-    found, term, k = one + scaled, scaled, 1
+    result, term, k = one + scaled, scaled, 1
     # Cutting off rounds downwards, so a negative term never becomes 0 but stays at -1.
     while max(map(abs, term.flat)) > 1:
         k += 1
         term = product(term, scaled, wide) // k
-        found = found + term
+        result = result + term
     for _ in range(squarings):
-        found = product(found, found, wide)
-        if max(map(abs, found.flat)).bit_length() > wide + LARGEST:
+        result = product(result, result, wide)
+        if max(map(abs, result.flat)).bit_length() > wide + LARGEST:
             raise OverflowError("the matrix exponential is beyond the range of float64")
-    rounded: Integers = found >> (wide - bits)
+    rounded: Integers = result >> (wide - bits)
     return rounded
 
 
@@ -217,13 +217,13 @@ def exponentials(rows: Rows) -> Callable[[int], tuple[tuple[float, ...], ...]]:
     smallest = LARGEST + max(exponents) - min(exponents)
 
     def entries(bits: int) -> tuple[tuple[float, ...], ...]:
-        found = exponential(balanced, bits)
-        if bits < smallest and ((found == 0) | (found == -1))[reached].any():
+        result = exponential(balanced, bits)
+        if bits < smallest and ((result == 0) | (result == -1))[reached].any():
             raise UnsettledError("an entry is below the last bit that is carried")
         return tuple(
             [
                 tuple([nearest(v, bits - of_row + of_column) for v, of_column in zip(row, exponents, strict=True)])
-                for row, of_row in zip(found.tolist(), exponents, strict=True)
+                for row, of_row in zip(result.tolist(), exponents, strict=True)
             ]
         )
 

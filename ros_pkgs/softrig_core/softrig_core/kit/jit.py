@@ -275,34 +275,34 @@ def _check(code: types.CodeType, function: Callable[..., Any]) -> None:
         return
     owner: Any = None  # the module whose attribute is taken next
     for step in dis.get_instructions(code):
-        word, found = step.argval, None
+        word, result = step.argval, None
         if step.opname == "BINARY_OP" and (word := step.argrepr.rstrip("=")) in REFUSED:
             raise _refusal(function, word)
         if step.opname in ("LOAD_GLOBAL", "LOAD_DEREF"):
-            found = _named(function, word)
+            result = _named(function, word)
         elif step.opname in ("LOAD_ATTR", "LOAD_METHOD"):
             # The attribute is that of an array, such as x.sum().
             if owner is None and word in REFUSED:
                 raise _refusal(function, word)
-            found = getattr(owner, word, None)
+            result = getattr(owner, word, None)
             if getattr(owner, "__name__", "") == "numpy" and word not in NUMPY | REFUSED.keys():
                 raise _foreign(function, word)
-        _check_call(function, found)
-        owner = found if isinstance(found, types.ModuleType) else None
+        _check_call(function, result)
+        owner = result if isinstance(result, types.ModuleType) else None
 
 
-def _check_call(function: Callable[..., Any], found: Any) -> None:
+def _check_call(function: Callable[..., Any], value: Any) -> None:
     """Refuse a function that is computed differently, whatever it is called here; one's own may be called so."""
-    home = getattr(found, "__module__", None) or type(found).__module__
-    if isinstance(found, types.ModuleType) or home.partition(".")[0] not in ("builtins", "math", "numpy", "_operator"):
+    home = getattr(value, "__module__", None) or type(value).__module__
+    if isinstance(value, types.ModuleType) or home.partition(".")[0] not in ("builtins", "math", "numpy", "_operator"):
         return
-    name = getattr(found, "__name__", "")
+    name = getattr(value, "__name__", "")
     if name in REFUSED:
         raise _refusal(function, name)
-    if home.startswith("numpy") and callable(found):
+    if home.startswith("numpy") and callable(value):
         import numpy as np
 
-        if all(found is not getattr(np, own) for own in NUMPY):
+        if all(value is not getattr(np, own) for own in NUMPY):
             raise _foreign(function, name)
 
 

@@ -58,11 +58,11 @@ def once(function: Callable[S, A]) -> Callable[S, A]:
     def known(*arguments: S.args, **keywords: S.kwargs) -> A:
         key = tuple(map(id, arguments))
         if key not in kept:
-            found = function(*arguments, **keywords)
+            result = function(*arguments, **keywords)
             if len(kept) >= KEPT:
                 kept.clear()
             # The arguments are stored too: while they live, no other object can have their identity.
-            kept[key] = arguments, found
+            kept[key] = arguments, result
         return kept[key][1]
 
     return known
@@ -82,8 +82,8 @@ def shared(function: Callable[[Any, Any], A], of: Any, values: Any) -> A:
     except Exception:
         return function(of, values)
     if key not in _made:
-        found = function(of, values)
+        result = function(of, values)
         if len(_made) >= KEPT:
             _made.clear()
-        _made[key] = found
+        _made[key] = result
     return _made[key]  # type: ignore[no-any-return]

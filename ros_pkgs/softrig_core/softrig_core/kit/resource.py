@@ -30,10 +30,10 @@ def resource(source: str, kind: str = "file") -> Path:
         There is no such file or package; the error contains the searched places.
     """
     if source.startswith("package://"):
-        package, _, rest = source.removeprefix("package://").partition("/")
-        places = [prefix / "share" / package / rest for prefix in prefixes()]
+        package, _, remaining = source.removeprefix("package://").partition("/")
+        places = [prefix / "share" / package / remaining for prefix in prefixes()]
         spec = importlib.util.find_spec(package) if package.isidentifier() else None
-        places += [Path(folder, rest) for folder in (spec and spec.submodule_search_locations) or ()]
+        places += [Path(folder, remaining) for folder in (spec and spec.submodule_search_locations) or ()]
     else:
         places = [Path(source)]
     for place in places:

@@ -29,7 +29,7 @@ def answered(
     number: int,
     numbers: tuple[float, ...],
     stamps: Sequence[int] = (),
-    spoken: Mapping[int, int] | None = None,
+    published: Mapping[int, int] | None = None,
 ) -> None:
     """Return the outputs of a step at a tick from the numbers of native code, as the step and its readers hold them.
 
@@ -47,16 +47,16 @@ def answered(
         Time of the last message of each sporadic output, ns, by its place; `NEVER`.
     """
     step.t = step.schedule.time(number)
-    said = parted(step.outputs, numbers, stamps)
+    answers = parted(step.outputs, numbers, stamps)
     if step.outputs:
-        step.said, step.numbers = said, numbers if step.plain else ()
+        step.said, step.numbers = answers, numbers if step.plain else ()
     if not step.plain:
-        newest = [(spoken or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
+        newest = [(published or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
         step.spoken = [None if t == NEVER else t for t in newest]
     for fill in step.readers:
         # A silent tick must not overwrite what the reader holds; `Fitted.take` fills it where something was published.
         if not step.outputs[fill.output].sporadic:
-            fill.bring(said[fill.output])  # type: ignore[arg-type]
+            fill.bring(answers[fill.output])  # type: ignore[arg-type]
 
 
 class Answers(NamedTuple):
@@ -86,12 +86,12 @@ def numbers_of(step: Step) -> tuple[float, ...]:
         # The text is compiled for floats, and a block may answer with whole numbers.
         return tuple(map(float, step.numbers))
     rows: Sequence[Any] = step.said or [None] * len(step.outputs)
-    found = [
+    results = [
         (0.0,) * p.width if row is None or not p.width else row.data if isinstance(row, Sample) else row
         for p, row in zip(step.outputs, rows, strict=True)
     ]
     flags = [float(row is not None) for p, row in zip(step.outputs, rows, strict=True) if p.sporadic]
-    return (*(float(v) for row in found for v in row), *flags)
+    return (*(float(v) for row in results for v in row), *flags)
 
 
 def stamps_of(step: Step) -> tuple[int, ...]:
@@ -145,11 +145,11 @@ class Audience:
             for w in self.watchers
             if not self._at_once(w, recorded, first, last, rows)
         ]
-        told = []
+        messages = []
         for s in recorded:
             readers = [read for w, _ in watchers for read in _readings(s, w)]
             if readers:
-                told.append(
+                messages.append(
                     (
                         s,
                         self._plan.every(s.schedule),
@@ -160,12 +160,12 @@ class Audience:
                 )
         for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
             t = self._plan.clock.time(k)
-            for s, every, begin, (numbers, stamps), readers in told:
+            for s, every, begin, (numbers, stamps), readers in messages:
                 if (at := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
                     if not s.plain:
-                        said = parted(s.outputs, numbers[at], stamps[at])
-                        s.spoken = [t if row is None else s.t for row, t in zip(said, s.spoken, strict=True)]
+                        answers = parted(s.outputs, numbers[at], stamps[at])
+                        s.spoken = [t if row is None else s.t for row, t in zip(answers, s.spoken, strict=True)]
                     for fill, where in readers:
                         row = part(numbers[at], stamps[at], where)
                         if row is not None:
@@ -175,7 +175,7 @@ class Audience:
                     w.say(t)
 
     def _at_once(
-        self, watcher: Step, recorded: Sequence[Step], first: int, last: int, said: Mapping[int, Answers]
+        self, watcher: Step, recorded: Sequence[Step], first: int, last: int, values: Mapping[int, Answers]
     ) -> bool:
         """Pass all ticks to a watching block in one batch, if it supports that."""
         ticks = self._plan.own(watcher.schedule, first, last)
@@ -185,12 +185,12 @@ class Audience:
             return True
         messages: dict[str, Messages] = {}
         for s in recorded:
-            found = self._seen(s, watcher, self._plan.own(s.schedule, first, last), said[id(s)].numbers)
-            if found is None:
+            result = self._seen(s, watcher, self._plan.own(s.schedule, first, last), values[id(s)].numbers)
+            if result is None:
                 # What cannot be shown in one batch once cannot be later, so it is not tried again.
                 self.tick_by_tick.add(watcher.name)
                 return False
-            messages |= found
+            messages |= result
         t = watcher.schedule.time(ticks[-1])
         watcher.x, watcher.t = watcher.block.at_once(watcher.x, t, messages), t  # type: ignore[attr-defined]
         if watcher.link is not None:

@@ -92,8 +92,8 @@ class Form:
             return None
         if len(tree) == 2:
             kind, parts = tree
-            found = [self.get(numbers, whole, part) for part in parts]
-            return kind(*found) if hasattr(kind, "_fields") else tuple(found)
+            results = [self.get(numbers, whole, part) for part in parts]
+            return kind(*results) if hasattr(kind, "_fields") else tuple(results)
         _, table, at, kind = tree
         return complex(*numbers[at : at + 2]) if kind is complex else kind((numbers if table == "F" else whole)[at])
 
@@ -112,7 +112,7 @@ def remembered(agent: Step, steps: Sequence[Step], before: Sequence[tuple[Any, t
     return states, tuple(tuple(map(float, numbers)) for _, numbers in before)
 
 
-def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Form) -> RigText:
+def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: Form) -> RigText:
     """Create the text of the function.
 
     Parameters
@@ -150,7 +150,7 @@ def batch_text(steps: Sequence[Step], agent: Step, said: Sequence[str], form: Fo
     for k, s in enumerate(steps):
         if s is agent:
             before = list(body)
-            body += turns.act(k, said)
+            body += turns.act(k, texts)
         elif not s.plant:
             body += turns.answer(k, turns.inputs(k))
     body += [line for k, s in enumerate(steps) if s.plant for line in turns.move(k, turns.inputs(k))]

@@ -109,15 +109,15 @@ class Calls(Expressions):
                     return None
                 return [Group(tuple(parts)) for parts in zip(*(r for r in rows if r is not None), strict=False)]
             if name in ("enumerate", "reversed"):
-                found = self.listed(node.args[0])
-                if found is None or name == "reversed":
-                    return found and found[::-1]
+                result = self.listed(node.args[0])
+                if result is None or name == "reversed":
+                    return result and result[::-1]
                 begin: Any = self.program.guard(self.value(node.args[1])) if len(node.args) > 1 else 0  # type: ignore[arg-type]
-                return [Group((Static(k), v)) for k, v in enumerate(found, begin)]
+                return [Group((Static(k), v)) for k, v in enumerate(result, begin)]
             if name == "map" and len(node.args) == 2:
-                found = self.listed(node.args[1])
+                result = self.listed(node.args[1])
                 function = self.value(node.args[0])
-                return None if found is None else [self.call(function, [v], {}, node) for v in found]
+                return None if result is None else [self.call(function, [v], {}, node) for v in result]
         if isinstance(node, (ast.ListComp, ast.GeneratorExp)):
             group = self._value_listcomp(node)
             return list(group.items) if isinstance(group, Group) else self.parts(group, node)
@@ -134,14 +134,14 @@ class Calls(Expressions):
 
     def _value_dictcomp(self, node: ast.DictComp) -> Value:
         pairs = self._turns(node, lambda: Group((self.value(node.key), self.value(node.value))))
-        found: dict[str, Value] = {}
+        results: dict[str, Value] = {}
         for pair in pairs:
             assert isinstance(pair, Group)
             key, value = pair.items
             if not isinstance(key, Static) or not isinstance(key.value, str):
                 raise self.unknown("a mapping whose keys are computed", node)
-            found[self.program.guard(key)] = value
-        return Record(found)
+            results[self.program.guard(key)] = value
+        return Record(results)
 
     def _turns(self, node: ast.ListComp | ast.GeneratorExp | ast.DictComp, read: Callable[[], Value]) -> list[Value]:
         """Iterate over the parts of a list or mapping; `read` returns one of them."""
@@ -231,10 +231,10 @@ class Calls(Expressions):
 
     def _as_native(self, value: Static) -> Dynamic:
         """Return the value of native code that a fixed object represents."""
-        found = value.value.native()
+        result = value.value.native()
         if value.path is not None:
-            self.program.objects[value.path] = found
-        return Dynamic(self.program.name(found, type(found).__name__), found)
+            self.program.objects[value.path] = result
+        return Dynamic(self.program.name(result, type(result).__name__), result)
 
     def _made(self, kind: type, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
         """Create an object that native code has another type for; what decides its size is fixed."""
@@ -324,8 +324,8 @@ class Calls(Expressions):
         if isinstance(value, Static) and not (
             value.path is not None and isinstance(value.value, (*NUMBERS, tuple, list))
         ):
-            found = self.program.guard(value)
-            return lambda row: found
+            result = self.program.guard(value)
+            return lambda row: result
         sample = sample_of(value)
         if not is_sure(value) or isinstance(value, Record):
             raise self.unknown("a report of what may be of several kinds", node)
@@ -354,10 +354,10 @@ class Calls(Expressions):
         owner, own = self.outer("__class__", node), self.env[self.function.__code__.co_varnames[0]]
         if not isinstance(own, Static):
             raise self.unknown("super() of something that is computed", node)
-        found = getattr(super(owner, own.value), node.func.attr)
+        result = getattr(super(owner, own.value), node.func.attr)
         given = [own, *(self.value(a) for a in node.args)]
         words = {str(k.arg): self.value(k.value) for k in node.keywords}
-        return made(self.program, found.__func__, given, words, self.arrays)
+        return made(self.program, result.__func__, given, words, self.arrays)
 
     def _method(self, base: Value, node: ast.Call) -> Value:
         assert isinstance(node.func, ast.Attribute)
@@ -390,8 +390,8 @@ class Calls(Expressions):
             samples = [v.sample for v in given]
             if node.keywords or not all(map(is_sure, given)) or any(v is None for v in samples):
                 raise self.unknown(f".{name}() of {kind_of(base)} with what may be None", node)
-            found = computed(getattr(sample, name), *samples)
-            return Dynamic(f"{base.code}.{name}({', '.join(v.code for v in given)})", found, found is not UNKNOWN)
+            result = computed(getattr(sample, name), *samples)
+            return Dynamic(f"{base.code}.{name}({', '.join(v.code for v in given)})", result, result is not UNKNOWN)
         own = class_of(sample)
         method = getattr(own, name, None) if own is not None else None
         if isinstance(method, types.FunctionType):

@@ -124,10 +124,10 @@ class Engine:
 
     def tell(self) -> None:
         """Report to the steps which of them ran natively, and how far."""
-        found = self.native
-        ticks = {"were given up": found.given_up, "decided something": found.decided}
+        result = self.native
+        ticks = {"were given up": result.given_up, "decided something": result.decided}
         left = [f"{count:,} of its ticks {what}" for what, count in ticks.items() if count]
-        reason = found.reason or ", ".join(left)
+        reason = result.reason or ", ".join(left)
         for s in self.steps if self._typed else ():
             why = "it watches what is recorded" if s in self._watchers else self._aside.get(s.name, reason)
             s.native = s.native[0], why
@@ -173,10 +173,10 @@ class Engine:
                     continue
                 # Only a call of full length measures how many ticks fit into the time that a call may take.
                 if fit and reached == until and until == k + go:
-                    took = time.perf_counter() - started
-                    if took < self._longest / 2:
+                    elapsed = time.perf_counter() - started
+                    if elapsed < self._longest / 2:
                         fit.kept.go = min(LONGEST, go * 2)
-                    elif took > self._longest:
+                    elif elapsed > self._longest:
                         fit.kept.go = max(SHORTEST, go // 2)
                 k = reached
                 yield self._time(k - 1) if k else 0
@@ -306,24 +306,24 @@ class Engine:
             return self._on(first, reached, last, after, rows)
         # An observer may fail at a tick at which the members have long been further. Nothing of the members is put into
         # their steps before all observers have seen it, so it is enough to take the observers back.
-        said = fit.said_by(rows, first, reached)
+        answers = fit.said_by(rows, first, reached)
         begun = self._watching.keep()
-        spoken = [s.spoken for s in self._core.steps]
+        published = [s.spoken for s in self._core.steps]
         try:
-            self._audience.watch(fit.recorded, first, reached, said)
+            self._audience.watch(fit.recorded, first, reached, answers)
         # An observer has failed: the ticks before that one are computed again, and Python answers the tick itself.
         except RunError:
             reached = self._plan.clock.tick(max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick))
             self._watching.go_back(begun)
-            for s, before in zip(self._core.steps, spoken, strict=True):
+            for s, before in zip(self._core.steps, published, strict=True):
                 s.spoken = before
             if reached > first:
-                said = fit.places(first, reached)
-                _, after = fit.call(first, first, reached, said)
-                self._audience.watch(fit.recorded, first, reached, said)
+                answers = fit.places(first, reached)
+                _, after = fit.call(first, first, reached, answers)
+                self._audience.watch(fit.recorded, first, reached, answers)
         if reached > first:
             self._take(fit, first, reached, after)
-            self._audience.hand_out(self._core.steps, first, reached, said)
+            self._audience.hand_out(self._core.steps, first, reached, answers)
             one_clock = self._core.loop.plan.clock.clock == self._plan.clock.clock
             self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
         return reached

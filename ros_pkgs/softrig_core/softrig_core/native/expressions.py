@@ -108,24 +108,24 @@ class Expressions(Ways):
         """Read an attribute."""
         if isinstance(base, Static):
             try:
-                found = getattr(base.value, name)
+                result = getattr(base.value, name)
             except AttributeError as error:
                 raise self.unknown(str(error), node) from None
             if base.path is None:
-                return Static(found)
-            return Static(found, (*base.path, ("attr", name)))
+                return Static(result)
+            return Static(result, (*base.path, ("attr", name)))
         if isinstance(base, Dynamic):
             fields = getattr(type(base.sample), "_fields", ())
             if name in fields and base.keys is None:
                 base = self.simple(base)
-                found = getattr(base.sample, name)
-                return Dynamic(f"{base.code}.{name}", found, base.sure)
+                result = getattr(base.sample, name)
+                return Dynamic(f"{base.code}.{name}", result, base.sure)
             own = class_of(base.sample)
             if own is not None and base.keys is None and hasattr(own, name):
-                found = inspect.getattr_static(own, name)
-                if isinstance(found, property) and isinstance(found.fget, types.FunctionType):
-                    return made(self.program, found.fget, [base], {}, self.arrays)
-                if not callable(found):
+                result = inspect.getattr_static(own, name)
+                if isinstance(result, property) and isinstance(result.fget, types.FunctionType):
+                    return made(self.program, result.fget, [base], {}, self.arrays)
+                if not callable(result):
                     return Static(getattr(own, name))
             # In a text that is not compiled such an object stays one of Python, with its own attributes.
             if not self.program.typed and hasattr(base.sample, "native") and hasattr(base.sample, name):
@@ -189,11 +189,11 @@ class Expressions(Ways):
         if isinstance(base, Static):
             self.program.guard(index)
             try:
-                found = base.value[key]
+                result = base.value[key]
             except (LookupError, TypeError) as error:
                 raise self.unknown(f"{error!r}", node) from None
             if not isinstance(base.value, np.ndarray):
-                return Static(found, None if base.path is None else (*base.path, ("item", key)))
+                return Static(result, None if base.path is None else (*base.path, ("item", key)))
         elif isinstance(base, Dynamic) and isinstance(base.sample, tuple) and isinstance(key, int):
             self.program.guard(index)
             simple = self.simple(base)
@@ -309,21 +309,21 @@ class Expressions(Ways):
     def test(self, node: ast.expr) -> bool | str:
         """Read an expression of which only the truth is needed; see `truth`."""
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            found = self.test(node.operand)
-            if isinstance(found, bool):
-                return not found
+            result = self.test(node.operand)
+            if isinstance(result, bool):
+                return not result
             self.sampled = computed(operator.not_, self.sampled)
-            return f"(not {found})"
+            return f"(not {result})"
         if not isinstance(node, ast.BoolOp):
             return self.truth(self.value(node))
         stop = isinstance(node.op, ast.Or)
         first = self.test(node.values[0])
-        rest = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
+        remaining = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
         if isinstance(first, bool):
-            return stop if first is stop else self.test(rest)
+            return stop if first is stop else self.test(remaining)
         sampled, at, before = self.sampled, len(self.lines), dict(self.env)
         try:
-            other: bool | str | None = self.test(rest)
+            other: bool | str | None = self.test(remaining)
         except NotNative:
             other = None
         # An expression serves only if nothing has to be computed before it, and no name is bound in it.
@@ -340,10 +340,10 @@ class Expressions(Ways):
         name = self._fresh()
 
         def long() -> Any:
-            found = self.test(rest)
+            result = self.test(remaining)
             if not self.ended:
-                self.emit(f"{name} = bool({found})")
-            return found if isinstance(found, bool) else self.sampled
+                self.emit(f"{name} = bool({result})")
+            return result if isinstance(result, bool) else self.sampled
 
         ways: list[Callable[[], Any]] = [lambda: self.emit(f"{name} = {stop}"), long]
         pair = self._fork(first, sampled, ways[not stop], ways[stop])
@@ -362,13 +362,13 @@ class Expressions(Ways):
         if isinstance(left, Dynamic) and isinstance(left.sample, bool):
             left = self.simple(left)
         test = self.truth(left)
-        rest = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
+        remaining = node.values[1] if len(node.values) == 2 else ast.BoolOp(node.op, node.values[1:])
         if isinstance(test, bool):
-            return left if test is stop else self.value(rest)
+            return left if test is stop else self.value(remaining)
         sampled, first = self.sampled, self.simple(self.dynamic(left))
         test = self.truth(first)
         assert isinstance(test, str)
-        ways: list[Callable[[], Value]] = [lambda: first, lambda: self.value(rest)]
+        ways: list[Callable[[], Value]] = [lambda: first, lambda: self.value(remaining)]
         return self._chosen(test, sampled, ways[not stop], ways[stop], node)
 
     def _value_compare(self, node: ast.Compare) -> Value:

@@ -216,8 +216,8 @@ class Fitted:
         self._arrays = ()
 
     def _drawn(self, draws: Any, count: int) -> Any:
-        found = draws.first(count)
-        return found if self._typed else found.tolist()
+        result = draws.first(count)
+        return result if self._typed else result.tolist()
 
     def _guess(self) -> int:
         return min(1 << 20, 2 * (self._plan.ticks or 0) + (1 << 13))
@@ -262,9 +262,13 @@ class Fitted:
             *(stamps_of(self._steps[k]) for k in kept.text.stamped),
             *(packed(one.value) for one in self._core.holdings),
         )
-        spoken = [self._steps[k].spoken[j] for k, j in self._core.speakers]
+        published = [self._steps[k].spoken[j] for k, j in self._core.speakers]
         self._n[:] = 0, 0, begin
-        self._when[:] = [0, *(one.stamp for one in self._core.holdings), *(NEVER if t is None else t for t in spoken)]
+        self._when[:] = [
+            0,
+            *(one.stamp for one in self._core.holdings),
+            *(NEVER if t is None else t for t in published),
+        ]
         self._told[:] = [0.0] * len(self._told)
         return self._n, self._constants, before, *self._arrays
 
@@ -332,13 +336,13 @@ class Fitted:
         count = len(self._steps)
         self._unpack = self._unpack or [unpacker(value) for value in after[:count]]
         stamps = dict(zip(self.kept.text.stamped, after[2 * count :], strict=False))
-        spoken = dict(zip(self._core.speakers, map(int, self._when[1 + len(self._core.holdings) :]), strict=True))
+        published = dict(zip(self._core.speakers, map(int, self._when[1 + len(self._core.holdings) :]), strict=True))
         for k, s in enumerate(self._steps):
             own = self._plan.own(s.schedule, first, last)
             if not own:
                 continue
             s.x = applied(self._unpack[k], after[k])
-            newest = {j: t for (speaker, j), t in spoken.items() if speaker == k} if spoken else {}
+            newest = {j: t for (speaker, j), t in published.items() if speaker == k} if published else {}
             answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:
                 s.native = s.native[0] + len(own), ""

@@ -49,12 +49,12 @@ class Reports:
 
     def take_down(self, table: Sequence[float], held: Sequence[Held]) -> None:
         """Record the reports of each block that a table holds, as if they had been reported one by one."""
-        heard = [p for p in self.places if table[p.at]]
+        received = [p for p in self.places if table[p.at]]
         newest: dict[tuple[int, str], Place] = {}
-        for place in sorted(heard, key=lambda p: table[p.at + 2]):
+        for place in sorted(received, key=lambda p: table[p.at + 2]):
             newest[place.block, place.key] = place
         # Python keeps keys in the order of their first report and the text of the newest one.
-        for place in sorted(heard, key=lambda p: table[p.at + 1]):
+        for place in sorted(received, key=lambda p: table[p.at + 1]):
             reports, last = held[place.block].reports, newest[place.block, place.key]
             before = reports[place.key][2] if place.key in reports else 0
             text = last.text([float(v) for v in table[last.at + HEAD :]])

@@ -101,11 +101,11 @@ def written_out(program: Program, rig: str) -> str:
 def _reached(functions: Sequence[str], rig: str) -> list[str]:
     """Return the functions that the rig's calls, directly or not; others belong to abandoned translations."""
     known = {text[4 : text.index("(")]: text for text in functions}
-    found: dict[str, str] = {}
+    results: dict[str, str] = {}
     open_ = [rig]
     while open_:
         for name in WORD.findall(open_.pop()):
-            if name in known and name not in found:
-                found[name] = known[name]
+            if name in known and name not in results:
+                results[name] = known[name]
                 open_.append(known[name])
-    return [text for text in functions if text in found.values()]
+    return [text for text in functions if text in results.values()]

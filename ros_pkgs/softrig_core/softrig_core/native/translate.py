@@ -154,10 +154,10 @@ class Program:
         if isinstance(value.value, list) and len(value.value) > TURNS and {type(v) for v in value.value} == {float}:
             name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
             return Dynamic(name, np.array(value.value))
-        found = as_slot(value.value)
+        result = as_slot(value.value)
         number = self.slots.setdefault(value.path, len(self.slots))
-        self.shapes[value.path] = shape(found)
-        return Dynamic(f"c[{number}]", found)
+        self.shapes[value.path] = shape(result)
+        return Dynamic(f"c[{number}]", result)
 
     def scratch(self, path: Path) -> str:
         """Return the name of the memory in which a compiled casadi function works."""
@@ -187,18 +187,18 @@ class Program:
 
     def tables(self, roots: Sequence[Any]) -> tuple[Any, ...]:
         """Return their arrays; lists where nothing is typed."""
-        found = (follow(path, roots) for path in self.arrays)
-        return tuple(v if isinstance(v, list) and not self.typed else np.ascontiguousarray(v) for v in found)
+        result = (follow(path, roots) for path in self.arrays)
+        return tuple(v if isinstance(v, list) and not self.typed else np.ascontiguousarray(v) for v in result)
 
     def differs(self, roots: Sequence[Any]) -> str:
         """Describe what of other blocks would need another text; nothing where the text serves them."""
         for path, wanted in self.guards.items():
             try:
                 value = follow(path, roots)
-                found = ("keys", tuple(sorted(value))) if wanted[0] == "keys" else signature(value)
+                result = ("keys", tuple(sorted(value))) if wanted[0] == "keys" else signature(value)
             except (AttributeError, LookupError, TypeError):
                 return written(path)
-            if found != wanted:
+            if result != wanted:
                 return written(path)
         for path, wanted in self.shapes.items():
             if shape(as_slot(follow(path, roots))) != wanted:

@@ -40,8 +40,8 @@ class Holding:
     @property
     def value(self) -> Any:
         """Return what the reader has; nothing in place of what is too long for native code to read."""
-        found = self.fill.reader.values[self.fill.port.name]
-        return () if found is not None and self.fill.port.size > LONGEST else found
+        result = self.fill.reader.values[self.fill.port.name]
+        return () if result is not None and self.fill.port.size > LONGEST else result
 
     @property
     def stamp(self) -> int:
@@ -169,9 +169,9 @@ class Turns:
             raise NotNative(f"{self.steps[k].name}: its state stays as it is")
         return self._due(k, [self._state(k, value)])
 
-    def act(self, k: int, said: Sequence[str]) -> list[str]:
+    def act(self, k: int, texts: Sequence[str]) -> list[str]:
         """Write the code of a node with given outputs."""
-        return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in said)})"])
+        return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in texts)})"])
 
     def decided(self, state: str) -> list[str]:
         """Write code that stops at a tick which a member leaves to Python."""
@@ -283,11 +283,11 @@ class Turns:
             numbers: list[str] = []
             stamps: list[str] = []
             flags: list[str] = []
-            for flag, stamp, said, row in rows_of(writer, value, step.outputs):
+            for flag, stamp, answer, row in rows_of(writer, value, step.outputs):
                 flags += flag
                 stamps += stamp
-                whole = size >= FEW and not typed and isinstance(said, Dynamic) and type(said.sample) is tuple
-                numbers += [f"*{writer.code(said)}"] if whole else [f"float({writer.code(one)})" for one in row]
+                whole = size >= FEW and not typed and isinstance(answer, Dynamic) and type(answer.sample) is tuple
+                numbers += [f"*{writer.code(answer)}"] if whole else [f"float({writer.code(one)})" for one in row]
         except (NotNative, AttributeError, KeyError, ValueError) as error:
             raise NotNative(f"{step.name}: its answer: {error}") from None
         lines = writer.lines
@@ -322,26 +322,26 @@ class Turns:
         lines: list[str] = []
         flag = sum(p.width for p in step.outputs)
         for j, port in enumerate(step.outputs):
-            said: list[str] = []
+            messages: list[str] = []
             for i, one in enumerate(kept):
                 if (one.source, one.fill.output) != (k, j):
                     continue
                 # The first message changes the type of what the reader holds, so this tick is Python's and then another
                 # text fits.
                 if one.value is None or one.fill.told() is None or not port.width:
-                    said.append(GIVEN_UP)
+                    messages.append(GIVEN_UP)
                     continue
                 value = self._read(one.fill, f"q{k}", f"z{k}", "t", one.value)
                 row = isinstance(value, Group)
-                said.append(f"h{i} = {self._writer(k).code(value)}")
-                said.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
+                messages.append(f"h{i} = {self._writer(k).code(value)}")
+                messages.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
                 for p, limit in enumerate(one.fill.port.limits if port.unchecked else ()):
-                    said += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
+                    messages += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
             if port.sporadic:
-                said.append(f"{WHEN}[{1 + len(kept) + self.spoken.index((k, j))}] = t")
-                said = [f"if q{k}[{flag}] != 0.0:", *(f"    {line}" for line in said)]
+                messages.append(f"{WHEN}[{1 + len(kept) + self.spoken.index((k, j))}] = t")
+                messages = [f"if q{k}[{flag}] != 0.0:", *(f"    {line}" for line in messages)]
                 flag += 1
-            lines += said
+            lines += messages
         return lines
 
 
@@ -359,29 +359,29 @@ def rows_of(
     """
     if isinstance(value, Dynamic) and value.keys is not None:
         value = writer.unfolded(value)
-    found: Any = value.items if isinstance(value, Record) else {}
-    if other := found.keys() - {port.name for port in outputs}:
+    result: Any = value.items if isinstance(value, Record) else {}
+    if other := result.keys() - {port.name for port in outputs}:
         raise NotNative(f"{min(other)} is not an output")
     for port in outputs:
-        said, flags, stamps = found[port.name], list[str](), list[str]()
+        answer, flags, stamps = result[port.name], list[str](), list[str]()
         if port.sporadic:
-            flag, said = writer.parts(said, NOWHERE)
+            flag, answer = writer.parts(answer, NOWHERE)
             flags.append(writer.code(flag))
         if port.delayed:
-            stamps.append(writer.code(writer.attribute(said, "stamp", NOWHERE)))
-            said = writer.attribute(said, "data", NOWHERE)
-        row = writer.parts(said, NOWHERE)
+            stamps.append(writer.code(writer.attribute(answer, "stamp", NOWHERE)))
+            answer = writer.attribute(answer, "data", NOWHERE)
+        row = writer.parts(answer, NOWHERE)
         if len(row) not in (port.width, port.size):
             raise NotNative(f"{port.name} has {len(row)} values, expected {port.size}")
-        yield flags, stamps, said, row
+        yield flags, stamps, answer, row
 
 
 def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bound: float, typed: bool) -> list[str]:
     """Write code that stores the numbers of an answer and its flags of silence; beyond the bound Python does it."""
-    told = "".join(f"{flag}, " for flag in flags)
+    text = "".join(f"{flag}, " for flag in flags)
     if typed or size < FEW:
         squares = " + ".join(f"{q}[{i}] * {q}[{i}]" for i in range(size))
-        return [f"{q} = ({', '.join(numbers)}, {told})", f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}"]
+        return [f"{q} = ({', '.join(numbers)}, {text})", f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}"]
     return [
         f"{q} = ({', '.join(numbers)},)",
         f"squares_ = sum_of_products({q}, {q})",
@@ -391,7 +391,7 @@ def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bou
         f"    squares_ = sum_of_products({q}, {q})",
         f"if not (squares_ <= {bound!r} and len({q}) == {size}):",
         f"    {GIVEN_UP}",
-        *([f"{q} = (*{q}, {told})"] if flags else []),
+        *([f"{q} = (*{q}, {text})"] if flags else []),
     ]
 
 

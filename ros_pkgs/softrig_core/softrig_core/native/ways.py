@@ -124,11 +124,11 @@ class Ways:
         return Dynamic(f"{name}({', '.join(v.code for v in values)})", sample, all(is_sure(v) for v in values))
 
     def _literal(self, value: Static) -> str:
-        found = value.value
+        result = value.value
         if value.path is not None and (
-            isinstance(found, (float, complex, np.ndarray, np.floating, list))
-            or (isinstance(found, tuple) and found)
-            or (isinstance(found, int) and abs(found) > SMALL)
+            isinstance(result, (float, complex, np.ndarray, np.floating, list))
+            or (isinstance(result, tuple) and result)
+            or (isinstance(result, int) and abs(result) > SMALL)
         ):
             try:
                 slot = self.program.slot(value)
@@ -138,23 +138,23 @@ class Ways:
                 self.arrays.add(slot.code)
             return slot.code
         self.program.guard(value)
-        if found is None or isinstance(found, (bool, int)):
-            return repr(found)
-        if isinstance(found, float):
-            if math.isfinite(found):
-                return repr(float(found))
+        if result is None or isinstance(result, (bool, int)):
+            return repr(result)
+        if isinstance(result, float):
+            if math.isfinite(result):
+                return repr(float(result))
             # NaN and infinity have no literal in Python.
-            return "float_nan" if found != found else "float_inf" if found > 0 else "float_less"
-        if isinstance(found, complex):
-            return f"complex({float(found.real)!r}, {float(found.imag)!r})"
-        if isinstance(found, (tuple, list)):
+            return "float_nan" if result != result else "float_inf" if result > 0 else "float_less"
+        if isinstance(result, complex):
+            return f"complex({float(result.real)!r}, {float(result.imag)!r})"
+        if isinstance(result, (tuple, list)):
             try:
-                return self.program.name(as_slot(found), "table") if found else "()"
+                return self.program.name(as_slot(result), "table") if result else "()"
             except NotNative as error:
                 raise self.unknown(str(error)) from None
-        if isinstance(found, np.ndarray):
-            return self.program.name(found, "array")
-        raise self.unknown(f"{type(found).__name__} as a value")
+        if isinstance(result, np.ndarray):
+            return self.program.name(result, "array")
+        raise self.unknown(f"{type(result).__name__} as a value")
 
     def simple(self, value: Dynamic) -> Dynamic:
         """Return a value by a name, so that it is computed once."""
@@ -262,12 +262,12 @@ class Ways:
             return Record({k: self._bound(f"{name}__{k}", v) for k, v in self._each(value).items()})
         if isinstance(value, Group):
             try:
-                found = self._described(value)
+                result = self._described(value)
             except NotNative:
                 return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
-            if found.parts:
+            if result.parts:
                 return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
-            value = found
+            value = result
         self.emit(f"{name} = {value.code}")
         return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
 
@@ -303,106 +303,106 @@ class Ways:
         self.emit(GIVEN_UP)
         self.ended = True
 
-    def _fork(self, test: str, taken: Any, one: Callable[[], Any], other: Callable[[], Any]) -> tuple[Any, Any]:
+    def _fork(self, test: str, used: Any, one: Callable[[], Any], other: Callable[[], Any]) -> tuple[Any, Any]:
         """Write both ways of a test, and join what is known after them."""
-        taken = taken if taken is UNKNOWN else bool(taken)
+        used = used if used is UNKNOWN else bool(used)
         before, lines = dict(self.env), self.lines
         ways: list[tuple[list[str], dict[str, Value], bool]] = []
-        found = []
+        results = []
         aside = self.program.aside
         for way, wanted in ((one, True), (other, False)):
             self.env, self.lines, self.ended = dict(before), [], False
-            self.program.aside, returned = aside or taken is (not wanted), len(self.returned)
+            self.program.aside, returned = aside or used is (not wanted), len(self.returned)
             try:
-                found.append(way())
+                results.append(way())
             except GivesUp:
-                found.append(None)
+                results.append(None)
                 self._give_up()
             except NotNative as reason:
                 # As far as is known the samples take this branch, so it has to be translated.
-                if not aside and taken is not (not wanted):
+                if not aside and used is not (not wanted):
                     raise
                 self.program.seldom.append(str(reason))
                 self.env, self.lines = dict(before), []
                 del self.returned[returned:]
-                found.append(None)
+                results.append(None)
                 self._give_up()
             finally:
                 self.program.aside = aside
             ways.append((self.lines, self.env, self.ended))
         (then, env_then, over_then), (orelse, env_else, over_else) = ways
-        self.left = taken is not UNKNOWN and (over_then if taken else over_else)
+        self.left = used is not UNKNOWN and (over_then if used else over_else)
         if over_then and over_else:
             env = env_then
         elif over_then or over_else:
             env = env_else if over_then else env_then
         else:
-            env = self._joined(env_then, env_else, then, orelse, taken)
+            env = self._joined(env_then, env_else, then, orelse, used)
         self.lines, self.env, self.ended = lines, env, over_then and over_else
         self.emit(f"if {test}:")
         self.lines += [f"    {line}" for line in then or ["pass"]]
         if orelse:
             self.emit("else:")
             self.lines += [f"    {line}" for line in orelse]
-        return found[0], found[1]
+        return results[0], results[1]
 
     def _joined(
-        self, one: dict[str, Value], other: dict[str, Value], then: list[str], orelse: list[str], taken: Any
+        self, one: dict[str, Value], other: dict[str, Value], then: list[str], orelse: list[str], used: Any
     ) -> dict[str, Value]:
         env: dict[str, Value] = {}
         for name in {**one, **other}:
             a, b = one.get(name), other.get(name)
             if a is None or b is None:
-                found = a or b
-                assert found is not None
-                if isinstance(found, Dynamic):
+                result = a or b
+                assert result is not None
+                if isinstance(result, Dynamic):
                     # A name bound on one branch alone may have no value, so its type is not certain.
-                    env[name] = Dynamic(found.code, found.sample, False, found.keys, found.parts)
+                    env[name] = Dynamic(result.code, result.sample, False, result.keys, result.parts)
                 continue
-            joined = self._join(f"v_{name}", a, b, then, orelse, taken)
+            joined = self._join(f"v_{name}", a, b, then, orelse, used)
             if joined is not None:
                 env[name] = joined
         return env
 
-    def _join(self, name: str, a: Value, b: Value, then: list[str], orelse: list[str], taken: Any) -> Value | None:
+    def _join(self, name: str, a: Value, b: Value, then: list[str], orelse: list[str], used: Any) -> Value | None:
         if a is b or same(a, b) or (isinstance(a, Static) and isinstance(b, Static) and a.value is b.value):
             return a
         if isinstance(a, Group) and isinstance(b, Group) and len(a.items) == len(b.items):
             parts = [
-                self._join(f"{name}__{k}", x, y, then, orelse, taken)
+                self._join(f"{name}__{k}", x, y, then, orelse, used)
                 for k, (x, y) in enumerate(zip(a.items, b.items, strict=True))
             ]
             return None if None in parts else Group(tuple(p for p in parts if p is not None))
         if isinstance(a, Record) and isinstance(b, Record) and a.items.keys() == b.items.keys():
-            items = {k: self._join(f"{name}__{k}", a.items[k], b.items[k], then, orelse, taken) for k in a.items}
+            items = {k: self._join(f"{name}__{k}", a.items[k], b.items[k], then, orelse, used) for k in a.items}
             return None if None in items.values() else Record({k: v for k, v in items.items() if v is not None})
         values = []
         for value, lines in ((a, then), (b, orelse)):
             self.lines = lines
             try:
-                found = self.dynamic(value)
+                result = self.dynamic(value)
             except NotNative:
                 return None
-            if found.code != name:
-                lines.append(f"{name} = {found.code}")
-            values.append(found)
+            if result.code != name:
+                lines.append(f"{name} = {result.code}")
+            values.append(result)
         x, y = values
         if (x.keys, forms(x)) != (y.keys, forms(y)):
             return None
-        first = y if taken is False else x
+        first = y if used is False else x
         sample = first.sample if first.sample is not UNKNOWN else (x if first is y else y).sample
         sure = is_sure(x) and is_sure(y) and alike(x.sample, y.sample)
         return Dynamic(name, sample, sure, x.keys, x.parts)
 
-    def _one_of(self, code: str, x: Dynamic, y: Dynamic, taken: Any, node: ast.AST) -> Dynamic:
+    def _one_of(self, code: str, x: Dynamic, y: Dynamic, used: Any, node: ast.AST) -> Dynamic:
         if (x.keys, forms(x)) != (y.keys, forms(y)):
             raise self.unknown("answers of several forms", node)
-        first, second = (y, x) if taken is False else (x, y)
+        first, second = (y, x) if used is False else (x, y)
         sample = second.sample if first.sample is UNKNOWN else first.sample
         return Dynamic(code, sample, is_sure(x) and is_sure(y) and alike(x.sample, y.sample), first.keys, first.parts)
 
     def _chosen(
-        self, test: str, taken: Any, one: Callable[[], Value], other: Callable[[], Value], node: ast.AST
+        self, test: str, used: Any, one: Callable[[], Value], other: Callable[[], Value], node: ast.AST
     ) -> Value:
         """Write a choice of two values, of which only the one that is wanted is computed."""
         at, before = len(self.lines), dict(self.env)
@@ -417,24 +417,24 @@ class Ways:
                 return a
             x, y = self.dynamic(a), self.dynamic(b)
             if len(self.lines) == at:
-                return self._one_of(f"({x.code} if {test} else {y.code})", x, y, taken, node)
+                return self._one_of(f"({x.code} if {test} else {y.code})", x, y, used, node)
         del self.lines[at:]
         self.env, self.ended = before, False
         name = self._fresh()
 
         def way(read: Callable[[], Value]) -> Dynamic | None:
-            found = read()
+            data = read()
             if self.ended:
                 return None
-            done = self.dynamic(found)
+            done = self.dynamic(data)
             self.emit(f"{name} = {done.code}")
             return done
 
-        x_, y_ = self._fork(test, taken, lambda: way(one), lambda: way(other))
+        x_, y_ = self._fork(test, used, lambda: way(one), lambda: way(other))
         if x_ is None or y_ is None:
             done = x_ or y_
             return NONE if done is None else Dynamic(name, done.sample, done.sure, done.keys, done.parts)
-        return self._one_of(name, x_, y_, taken, node)
+        return self._one_of(name, x_, y_, used, node)
 
 
 #: functions that do not keep the list that they are given

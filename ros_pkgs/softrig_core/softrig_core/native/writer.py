@@ -41,10 +41,10 @@ class Writer(Calls):
 
     def result(self) -> Value:
         """Return the result of the function; a fixed value if it has no other."""
-        found = self.returned
-        if len(self.lines) == 1 and len(found) == 1 and isinstance(found[0], Static):
-            return found[0]
-        values = [self._described(v) for v in found]
+        result = self.returned
+        if len(self.lines) == 1 and len(result) == 1 and isinstance(result[0], Static):
+            return result[0]
+        values = [self._described(v) for v in result]
         first = values[0]
         for other in values[1:]:
             if (other.keys, forms(other)) != (first.keys, forms(first)):
@@ -129,9 +129,9 @@ class Writer(Calls):
                 Group((*(self._held(v) for v in before), self.value(call.args[0]))),
             )
             return
-        found = self.value(node.value)
-        if isinstance(found, Dynamic) and not self.ended:
-            self.emit(found.code)
+        result = self.value(node.value)
+        if isinstance(result, Dynamic) and not self.ended:
+            self.emit(result.code)
 
     def _check_own_list(self, name: str, node: ast.AST) -> None:
         """Refuse to add to a list that has another name: that one would not grow with it."""
@@ -174,12 +174,12 @@ class Writer(Calls):
         ports = [port for k, port in self.program.silent if k == own.path[0]]
         if self.function not in answers or not ports:
             return value
-        x, found = self.parts(value, node) if self.function is answers[0] else (None, value)
-        if isinstance(found, Static) and not found.value:
-            found = Record({})
-        if not isinstance(found, Record):
+        x, record = self.parts(value, node) if self.function is answers[0] else (None, value)
+        if isinstance(record, Static) and not record.value:
+            record = Record({})
+        if not isinstance(record, Record):
             raise self.unknown("an answer that is not written out")
-        rows: dict[str, Value] = dict(found.items)
+        rows: dict[str, Value] = dict(record.items)
         for port in ports:
             row = rows.get(port.name, NONE)
             silent = isinstance(row, Static) and row.value is None
@@ -222,8 +222,8 @@ class Writer(Calls):
             self.run(node.body if test else node.orelse)
             self.left = False
             return
-        taken = self.sampled
-        self._fork(test, taken, lambda: self.run(node.body), lambda: self.run(node.orelse))
+        used = self.sampled
+        self._fork(test, used, lambda: self.run(node.body), lambda: self.run(node.orelse))
 
     def _while(self, node: ast.While) -> None:
         if node.orelse:
@@ -270,11 +270,11 @@ class Writer(Calls):
             was_sure = (known := self.env.get(name)) is not None and is_sure(known)
             if known is not None and not (isinstance(known, Dynamic) and known.code == f"v_{name}"):
                 try:
-                    found = self.dynamic(known)
+                    result = self.dynamic(known)
                 except NotNative:
                     continue
-                self.emit(f"v_{name} = {found.code}")
-                known = Dynamic(f"v_{name}", found.sample, False, found.keys, found.parts)
+                self.emit(f"v_{name} = {result.code}")
+                known = Dynamic(f"v_{name}", result.sample, False, result.keys, result.parts)
             if isinstance(known, Dynamic):
                 held = isinstance(known.sample, tuple) and was_sure and not leaves
                 if held:

@@ -41,10 +41,10 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
         Two nodes have different values of a quantity; the error names it, both nodes and both values.
     """
     members = list(members)
-    said = spoken(members)
+    quantities = spoken(members)
     for member in members:
         for quantity, value in agreed(member.block_class, member.params).items():
-            node, known = said[quantity]
+            node, known = quantities[quantity]
             if not _same(known, value):
                 raise ScenarioError(
                     f"{where}: {node} and {member.name} must agree on {quantity}, but {node} has {shown(known)} and "
@@ -67,27 +67,27 @@ class Assuming(Protocol):
 def assumptions(members: Iterable[Named]) -> list[str]:
     """Describe which nodes have wrong assumptions about others, by `Assuming.assumed`, in one line each."""
     members = list(members)
-    said = spoken(members)
+    stated = spoken(members)
     return [
-        f"{member.name} takes {quantity} to be {shown(value)}, {said[quantity][0]} has {shown(said[quantity][1])}"
+        f"{member.name} takes {quantity} to be {shown(value)}, {stated[quantity][0]} has {shown(stated[quantity][1])}"
         for member in members
         if issubclass(member.block_class, Assuming)
         for quantity, value in member.block_class.assumed(member.params).items()
-        if quantity in said and not _same(said[quantity][1], value)
+        if quantity in stated and not _same(stated[quantity][1], value)
     ]
 
 
 def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
     """Return the values of `Block.agreed`: each quantity with the first node that declares it, and its value."""
-    said: dict[str, tuple[str, Any]] = {}
+    messages: dict[str, tuple[str, Any]] = {}
     for member in members:
         for quantity, value in agreed(member.block_class, member.params).items():
-            said.setdefault(quantity, (member.name, value))
-    return said
+            messages.setdefault(quantity, (member.name, value))
+    return messages
 
 
 def agreeing(
-    said: Mapping[str, tuple[str, Any]], arguments: Mapping[str, Any], agreed: Mapping[str, str]
+    values: Mapping[str, tuple[str, Any]], arguments: Mapping[str, Any], agreed: Mapping[str, str]
 ) -> dict[str, Any]:
     """Fill in arguments of a figure with the values that the nodes of its rig declare.
 
@@ -107,11 +107,11 @@ def agreeing(
     """
     filled = dict(arguments)
     for name, quantity in agreed.items():
-        if quantity not in said:
+        if quantity not in values:
             if name not in arguments:
                 raise ScenarioError(f"argument {name} is missing, since no node of the rig defines its {quantity}")
             continue
-        node, value = said[quantity]
+        node, value = values[quantity]
         if not _same(filled.setdefault(name, value), value):
             raise ScenarioError(
                 f"argument {name} = {shown(filled[name])}, but {node} has {shown(value)}; "

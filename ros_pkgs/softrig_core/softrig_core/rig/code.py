@@ -37,7 +37,7 @@ def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) ->
         By package, or by class where its module belongs to none, as in a notebook: the first `LETTERS` of a SHA-256
         of its files.
     """
-    found: dict[str, str] = {}
+    results: dict[str, str] = {}
     seen: set[str] = set()
     todo = [name for m in (__name__, *modules) if _folder(name := m.partition(".")[0]) is not None]
     for one in dict.fromkeys(base for cls in classes for base in cls.__mro__ if issubclass(base, Block)):
@@ -45,14 +45,14 @@ def fingerprints(classes: Iterable[type[Block]], modules: Iterable[str] = ()) ->
         if _folder(package) is not None:
             todo.append(package)
         else:
-            found[f"{one.__module__}.{one.__qualname__}"] = _source(one)
+            results[f"{one.__module__}.{one.__qualname__}"] = _source(one)
     while todo:
         package = todo.pop()
         if package not in seen:
             seen.add(package)
-            found[package], imported = _package(package)
+            results[package], imported = _package(package)
             todo += imported
-    return dict(sorted(found.items()))
+    return dict(sorted(results.items()))
 
 
 @cache

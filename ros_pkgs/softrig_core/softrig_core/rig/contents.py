@@ -48,11 +48,11 @@ def reached(block_class: type[Block]) -> dict[str, str]:
                 for name, value in vars(of).items()
                 if isinstance(value, CHANGEABLE) and not name.startswith("__") and name not in skipped
             }
-            found: dict[str, list[Any]] = {}
+            results: dict[str, list[Any]] = {}
             for name, value in _outside(of):
                 if name not in skipped:
-                    found.setdefault(name, []).append(value)
-            result |= {name: digest(values) for name, values in found.items()}
+                    results.setdefault(name, []).append(value)
+            result |= {name: digest(values) for name, values in results.items()}
     return result
 
 
@@ -155,21 +155,21 @@ def _scratch(of: type) -> frozenset[str]:
 
 def digest(value: Any) -> str:
     """Return a digest of a value with all that it leads to; see `contents`."""
-    found = hashlib.blake2b(digest_size=16)
+    result = hashlib.blake2b(digest_size=16)
     seen: dict[int, Any] = {}  # by identity, and kept, so that no identity is used again
     stack = [value]
     while stack:
         one = stack.pop()
         if isinstance(one, _PLAIN):
-            found.update(f"{type(one).__name__} {one!r};".encode())
+            result.update(f"{type(one).__name__} {one!r};".encode())
         elif id(one) in seen:
-            found.update(b"again;")
+            result.update(b"again;")
         else:
             seen[id(one)] = one
             label, parts = _parts(one)
-            found.update(f"{type(one).__qualname__} {label};".encode())
+            result.update(f"{type(one).__qualname__} {label};".encode())
             stack.extend(parts)
-    return found.hexdigest()
+    return result.hexdigest()
 
 
 def _parts(value: Any) -> tuple[str, Iterable[Any]]:

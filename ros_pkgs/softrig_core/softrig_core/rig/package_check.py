@@ -23,8 +23,8 @@ GROUPS = ("console_scripts", "softrig_figures")
 
 def entry_points(package: str) -> list[EntryPoint]:
     """Return the executables and figure functions that a package offers; none of another group counts."""
-    found = importlib.metadata.distribution(package).entry_points
-    return [p for p in found if p.group in GROUPS]
+    result = importlib.metadata.distribution(package).entry_points
+    return [p for p in result if p.group in GROUPS]
 
 
 def check_entry_point(point: EntryPoint) -> str:
@@ -97,15 +97,15 @@ def _answers(block: Block, values: Mapping[str, Any]) -> list[tuple[int, Any]]:
     x, schedule, answers = block.first(), Schedule(block.p.period), []
     for t in map(schedule.time, range(TICKS)):
         if isinstance(block, Plant):
-            found = block.outputs(x, t)
+            outputs = block.outputs(x, t)
             x = block.advance(x, t, **values)
         else:
-            x, found = block.update(x, t, **values)
-        answers.append((t, found))
+            x, outputs = block.update(x, t, **values)
+        answers.append((t, outputs))
     return answers
 
 
 def _outputs(block: Plant, ports: Any, seed: int) -> list[Any]:
     block.reset(seed)
-    found = ByHand(block).outputs(0)
-    return [admit(found, port, block.name, 0) for port in ports]
+    outputs = ByHand(block).outputs(0)
+    return [admit(outputs, port, block.name, 0) for port in ports]

@@ -45,24 +45,24 @@ def branched(
     start = to_ns(at) if at >= 0.0 else -1
     if not 0 <= start <= reached:
         raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has come to, 0 to {reached / SECOND:.9g} s")
-    found = [(t, node, own) for t, node, own in recorded(recording, epoch) if t < start]
-    found += [
+    results = [(t, node, own) for t, node, own in recorded(recording, epoch) if t < start]
+    results += [
         (change.at, member.name, dict(change.values))
         for member in rig.members
         for change in member.changes
         if member.schedule.next(change.at - 1) >= start
     ]
-    changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in own.items()}} for t, node, own in found]
+    changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in own.items()}} for t, node, own in results]
     return changes + ([{"at": start / SECOND, "set": dict(values)}] if values else [])
 
 
 def parted(before: Recording, after: Recording, at: float) -> str:
     """Describe where two runs in lockstep, which are to be the same before a time (s), are not; empty when they are."""
-    found: list[tuple[int, str]] = []
+    results: list[tuple[int, str]] = []
     for name in sorted(after.topics.keys() & before.topics.keys() - {EVENTS}):
         a, b = (recording.topics[name].before(to_ns(at)) for recording in (before, after))
         if a != b:
             pairs = zip(a.stream(), b.stream(), strict=False)
             k = next((k for k, (x, y) in enumerate(pairs) if x != y), min(len(a.times), len(b.times)))
-            found.append((min(topic.times[k] for topic in (a, b) if k < len(topic.times)), name))
-    return ", ".join(f"{name} at t = {t / SECOND:.9g} s" for t, name in sorted(found)[:3])
+            results.append((min(topic.times[k] for topic in (a, b) if k < len(topic.times)), name))
+    return ", ".join(f"{name} at t = {t / SECOND:.9g} s" for t, name in sorted(results)[:3])

@@ -107,7 +107,7 @@ def cost(steps: Sequence[Step]) -> float | None:
 
 def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
     """Run the first ticks one by one; return their number and the cost of one, s of this thread."""
-    count, took, spent = 0, [], 0.0
+    count, elapsed, spent = 0, [], 0.0
     began = time.thread_time()
     for t in loop.run():
         # The time of this thread, not of the clock, because the machine may do other work meanwhile.
@@ -115,14 +115,14 @@ def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
         if t is not None:
             # The first round is a single tick, which creates much that later ones reuse; `took[1:]` leaves it out.
             if count % ROUND == 0:
-                took.append(spent)
+                elapsed.append(spent)
                 spent = 0.0
             count += 1
         yield t
         if count > ROUND * ROUNDS:
             break
         began = time.thread_time()
-    return count, min(took[1:], default=0.0) / ROUND
+    return count, min(elapsed[1:], default=0.0) / ROUND
 
 
 def writes(steps: Sequence[Step], left: float) -> bool:

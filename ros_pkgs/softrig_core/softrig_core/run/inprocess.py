@@ -83,18 +83,18 @@ def run_inprocess(
         record(
             rig, {n: s for n, s in steps.items() if topics is None or any(p.topic in topics for p in s.outputs)}, sink
         )
-    look = Look(steps, thorough, runs > 1)
+    style = Look(steps, thorough, runs > 1)
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():
             for t in ticks_of(list(steps.values()), runs)[0]:
-                if t is not None and t >= look.due:
-                    look.check(t)
+                if t is not None and t >= style.due:
+                    style.check(t)
                 if progress is not None and t is not None and (t >= due or t == end):
                     progress(t)
                     # About a hundred calls are enough to show the progress.
                     due = t + end // 100
-            look.check()
+            style.check()
     finally:
         for step in steps.values():
             if step.link is not None:
@@ -231,20 +231,20 @@ class _Keeper(_ToSink):
         """Record many; what is numbered one by one, by its encoder."""
         flag = sum(p.width for p in self._ports)
         if all(p.sporadic for p in self._ports):
-            spoken = numbers[:, flag:].any(axis=1)
-            times, numbers, stamps = times[spoken], numbers[spoken], stamps[spoken]
+            published = numbers[:, flag:].any(axis=1)
+            times, numbers, stamps = times[published], numbers[published], stamps[published]
         if self._numbered:
             super().send_all(times, numbers, stamps)
             return
         first, late = 0, 0
         for port, (number, layout) in zip(self._ports, self._layouts.items(), strict=True):
-            part, marks, said = numbers[:, first : first + port.width], times, times
+            part, marks, published_at = numbers[:, first : first + port.width], times, times
             first += port.width
             if port.delayed:
                 marks, late = stamps[:, late], late + 1
             if port.sporadic:
-                spoke, flag = numbers[:, flag] != 0.0, flag + 1
-                part, marks, said = part[spoke], marks[spoke], times[spoke]
+                announced, flag = numbers[:, flag] != 0.0, flag + 1
+                part, marks, published_at = part[announced], marks[announced], times[announced]
             raw, n = layout.encode_block(marks, part).tobytes(), layout.length
-            for k, t in enumerate(said.tolist()):
+            for k, t in enumerate(published_at.tolist()):
                 self._sink.add(number, t, raw[n * k : n * (k + 1)])

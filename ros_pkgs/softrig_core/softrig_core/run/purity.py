@@ -153,15 +153,15 @@ def _watch(member: Member, block: Block, method: str) -> None:
     setattr(block, method, twice)
 
 
-def _parts(method: str, found: Any) -> tuple[Any, Mapping[str, Any]]:
+def _parts(method: str, value: Any) -> tuple[Any, Mapping[str, Any]]:
     """Return the state after a call, None where it stays, and what was published."""
-    return (None, found) if method == "outputs" else (found, {}) if method == "advance" else found
+    return (None, value) if method == "outputs" else (value, {}) if method == "advance" else value
 
 
 def _differing(ports: Sequence[Port], one: tuple[Any, Any], other: tuple[Any, Any], is_value: bool) -> str:
     """Name the first output, else the first number of the state, that differs; with both values."""
     for port in ports:
-        rows = [_row(found[1], port.name) for found in (one, other)]
+        rows = [_row(result[1], port.name) for result in (one, other)]
         # Texts tell -0.0 from 0.0 and find NaN equal to itself, as a comparison of bits does.
         if repr(rows[0]) != repr(rows[1]):
             for label, a, b in zip(port.labels, *(row or [None] * port.size for row in rows), strict=False):
@@ -180,6 +180,6 @@ def _known(x: Any) -> list[tuple[str, str]]:
     return [(name, repr(row.tolist())) for name, row in read(x)] + [(name, repr(value)) for name, value in others(x)]
 
 
-def _row(found: Mapping[str, Any], name: str) -> Any:
-    row = found.get(name)
+def _row(values: Mapping[str, Any], name: str) -> Any:
+    row = values.get(name)
     return row.data if isinstance(row, Sample) else row

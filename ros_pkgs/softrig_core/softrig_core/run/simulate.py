@@ -142,9 +142,9 @@ class Run:
         """
         own, units = values(self.results), {r.name: r.unit for r in self.results}
         name = self.rig.scenario.name
-        found = findings(self.rig.scenario, lambda other: own if other == name else None, units)
+        result = findings(self.rig.scenario, lambda other: own if other == name else None, units)
         open_ = bool(self.published_for) and not self.strict
-        return [c.model_copy(update={"holds": None}) for c in found] if open_ else found
+        return [c.model_copy(update={"holds": None}) for c in result] if open_ else result
 
     def __repr__(self) -> str:
         """Describe the run, the time that it reached and the results of its figures."""

@@ -64,10 +64,10 @@ class Watch(threading.Thread):
         ends: tuple[int, float, FrameType | None] = 0, 0.0, None  # signal, time, the call that is to return before it
         while True:
             if select.select([self._read], [], [], wait)[0]:
-                came = os.read(self._read, 64)
-                if _STOP in came:
+                arrived = os.read(self._read, 64)
+                if _STOP in arrived:
                     return
-                number = next((n for n in came if n in ENDS), 0)
+                number = next((n for n in arrived if n in ENDS), 0)
                 if number and not ends[0]:
                     ends = number, now + LAST, calls().get(self._main)
                 continue

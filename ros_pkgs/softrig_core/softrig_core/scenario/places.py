@@ -33,8 +33,8 @@ def place(name: str, path: Path, keys: Sequence[Any]) -> str:
     str
         The file alone when none of them is.
     """
-    found = [(*_line(file, [*above, *keys]), file, len(above)) for file, above in _levels(name, path)]
-    depth, line, file, above = max(found, key=lambda each: each[0] - each[3])
+    results = [(*_line(file, [*above, *keys]), file, len(above)) for file, above in _levels(name, path)]
+    depth, line, file, above = max(results, key=lambda each: each[0] - each[3])
     return f"{file.name}, line {line}" if depth > above else path.name
 
 

@@ -60,8 +60,8 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
 
     def copied(value: Any, path: tuple[str, ...]) -> Any:
         if isinstance(value, str):
-            found = SHARED.fullmatch(value) if value[:1] == "$" else None
-            return known(found[1], path) if found else value
+            match = SHARED.fullmatch(value) if value[:1] == "$" else None
+            return known(match[1], path) if match else value
         if isinstance(value, Over):
             below = copy(value.below, path)
             for change in value.changes:
@@ -96,9 +96,9 @@ def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
         if isinstance(value, str):
             if value[:1] != "$":
                 return value
-            found = _PARAMETER.fullmatch(value)
-            if found:
-                given = parameter(found[1], found[2])
+            match = _PARAMETER.fullmatch(value)
+            if match:
+                given = parameter(match[1], match[2])
                 made += len(given) if isinstance(given, list | tuple | dict) else 1
                 if made > NODES:
                     raise ScenarioError(f"{value}: its $ references make more than {NODES} values; expected fewer")

@@ -257,9 +257,9 @@ class Scenario(Entry):
 
     def claimed(self) -> list[str]:
         """Names of its own figures that its claims speak of."""
-        spoken = [c.figure or key for key, c in self.claims.items() if c.verdict != "not_checkable" or c.figure]
-        spoken += [r for c in self.claims.values() for r in c.references()]
-        return [name for name in spoken if "." not in name]
+        published = [c.figure or key for key, c in self.claims.items() if c.verdict != "not_checkable" or c.figure]
+        published += [r for c in self.claims.values() for r in c.references()]
+        return [name for name in published if "." not in name]
 
 
 def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scenario:
@@ -375,8 +375,8 @@ def _at(entry: Any, name: str) -> Any:
         return None
     if name in entry:
         return entry[name]
-    head, _, rest = name.partition(".")
-    return _at(entry.get(head), rest) if rest else None
+    head, _, remaining = name.partition(".")
+    return _at(entry.get(head), remaining) if remaining else None
 
 
 def _override(raw: dict[str, Any], key: str, value: Any) -> None:

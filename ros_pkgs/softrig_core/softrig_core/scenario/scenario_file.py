@@ -73,23 +73,23 @@ def locate(name: str) -> tuple[str, Path]:
     path = Path(name)
     if path.suffix in (".yaml", ".yml") and isfile(path):
         return path.stem, path
-    found = find(name)
-    if found is None and (path / "metrics.json").is_file():
+    result = find(name)
+    if result is None and (path / "metrics.json").is_file():
         raise ScenarioError(f"{name}: is a run, expected a scenario; `softrig run --like {name}` repeats that run")
-    if found is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
+    if result is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
         listed = f"; a scenario of this name is there: {path.stem}" if find(path.stem) is not None else ""
         raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name{listed}")
-    if found is None:
+    if result is None:
         known = list_scenarios()
         near = closest(name, known) or ends(name, known)
         raise ScenarioError(f"scenario {name!r} is unknown{near}; `softrig list` shows all {len(known)}")
-    return name, found
+    return name, result
 
 
 def ends(name: str, known: Iterable[str]) -> str:
     """Suggest the scenarios of which a name is the last part."""
-    found = [one for one in known if one.endswith(f"_{name}")][:3]
-    return f" (did you mean {' or '.join(map(repr, found))}?)" if found else ""
+    result = [one for one in known if one.endswith(f"_{name}")][:3]
+    return f" (did you mean {' or '.join(map(repr, result))}?)" if result else ""
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -195,8 +195,8 @@ def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
             result["variants"] = {name: inside(changes) for name, changes in variants.items()}
         return result
 
-    found: dict[str, Any] = inside(raw)
-    return found
+    actual: dict[str, Any] = inside(raw)
+    return actual
 
 
 def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
@@ -232,14 +232,14 @@ def _by_new_names(below: Any, change: Mapping[str, Any]) -> Mapping[str, Any]:
     nodes, below = change.get("nodes"), below if isinstance(below, Mapping) else {}
     if not isinstance(nodes, Mapping):
         return change
-    found = dict(nodes)
+    results = dict(nodes)
     for name, entry in nodes.items():
         if isinstance(entry, Mapping) and isinstance(executable := entry.get("executable"), str):
             old = below.get(name)
             package = entry.get("package", old.get("package") if isinstance(old, Mapping) else None)
             if isinstance(package, str):
-                found[name] = {**entry, "executable": report(package, executable)}
-    return {**change, "nodes": found}
+                results[name] = {**entry, "executable": report(package, executable)}
+    return {**change, "nodes": results}
 
 
 def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:

@@ -86,9 +86,9 @@ def read_yaml(text: str, where: str) -> Any:
         _count(node)
         return loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
-        said = ", ".join(part for part in (error.context, error.problem) if part)
+        message = ", ".join(part for part in (error.context, error.problem) if part)
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark and "\n" in text else ""
-        raise ScenarioError(f"{where}: not valid YAML: {line}{said}"[:200]) from None
+        raise ScenarioError(f"{where}: not valid YAML: {line}{message}"[:200]) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ScenarioError(f"{where}: not valid YAML: {reason}") from None

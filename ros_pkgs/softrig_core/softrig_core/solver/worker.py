@@ -135,9 +135,9 @@ class Worker:
 
     def strike(self) -> None:
         """Kill the process; the answer is then the best one so far, or None, and `struck` is set."""
-        best, found, job = self.best, self.has_best, self.job
+        best, result, job = self.best, self.has_best, self.job
         self.cancel()
-        self.answer, self.has_best, self.job = best if found else None, found, job
+        self.answer, self.has_best, self.job = best if result else None, result, job
         self.state, self.struck = "done", True
 
     def rest(self) -> None:

@@ -180,13 +180,13 @@ def figures_of(rig: Members) -> list[Figure]:
     ScenarioError
         Names the figure: an unknown function, argument, signal or parameter, a wrong type, a unit that does not fit.
     """
-    units, said = signal_units(rig), spoken(rig.members)
+    units, agreed = signal_units(rig), spoken(rig.members)
     result = []
     for name, entry in rig.scenario.figures.items():
         try:
             function = find(entry.function or name)
             given = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
-            arguments = _arguments(function, agreeing(said, given, getattr(function, "agreed", {})))
+            arguments = _arguments(function, agreeing(agreed, given, getattr(function, "agreed", {})))
             _check_since(function, arguments, units, entry.since)
             _check_signals(function, arguments, units)
             unit, scale = _unit(function, arguments, units, entry.unit)
@@ -241,9 +241,9 @@ def told(rig: Members) -> dict[str, str]:
     names, units = rig.scenario.figures, signal_units(rig)
     figures = [f for f in figures_of(rig) if f.name in names]
     read = read_by(figures, units)
-    said = {p.topic for m in rig.members for p in m.outputs}
+    messages = {p.topic for m in rig.members for p in m.outputs}
     ports = [
-        reader(p, f"input_{k}", held=topic not in said)
+        reader(p, f"input_{k}", held=topic not in messages)
         for k, (topic, p) in enumerate(rig.topics.items())
         if topic != CLOCK.topic and any(f"{topic}/{label}" in read for label in p.labels)
     ]

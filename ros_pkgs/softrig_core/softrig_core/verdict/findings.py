@@ -134,8 +134,8 @@ def _value(reference: float | str, own: str, figures: Callable[[str], Figures | 
     if not isinstance(reference, str):
         return reference
     scenario, _, figure = reference.rpartition(".")
-    found = figures(scenario or own)
-    return None if found is None else found.get(figure)
+    result = figures(scenario or own)
+    return None if result is None else result.get(figure)
 
 
 def _words(key: str) -> str:

@@ -106,7 +106,7 @@ class Judge:
         ValueError
             Not judged: the record does not decide the formula, or its arithmetic is undefined.
         """
-        found = {name: signals[signal] for name, signal in self.signals.items()}
+        results = {name: signals[signal] for name, signal in self.signals.items()}
         ticks, _ = signals[self.ticker]
         if not len(ticks):
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
@@ -120,7 +120,7 @@ class Judge:
                 held[name] = np.full(len(grid), _measured(name, self.figures[name], signals))
                 continue
             condition = self.conditions.get(name)
-            times, values = found[condition.signal if condition else name]
+            times, values = results[condition.signal if condition else name]
             now, none = _newest(np.rint(times * SECOND), values, grid)
             if condition:
                 truths[name] = truth(condition, now, np.concatenate((now[:1], now[:-1])))

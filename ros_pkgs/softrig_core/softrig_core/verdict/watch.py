@@ -73,13 +73,13 @@ class Kept(NamedTuple):
 
     def stamps(self, size: int) -> NDArray[np.int64]:
         """Return the stamps of what is in the window, ns, shape (n,), the oldest first; `size` values a message."""
-        found = self._joined(size, "stamp")
-        return found[found.searchsorted(self.since) :]
+        result = self._joined(size, "stamp")
+        return result[result.searchsorted(self.since) :]
 
     def column(self, size: int, k: int, number: int) -> NDArray[np.float64]:
         """Return value k of the newest `number` messages, shape (number,), the oldest first."""
-        found = self._joined(size, "values", k)
-        return found[len(found) - number :]
+        result = self._joined(size, "values", k)
+        return result[len(result) - number :]
 
     def _joined(self, size: int, *place: Any) -> NDArray[Any]:
         """Return one number of all messages; block by block, because a window may have hundreds of MB."""
@@ -127,8 +127,8 @@ class Kept(NamedTuple):
             last, _ = messages[(full - len(self.filling) - len(self.newest)) // row.size - 1]
             known, blocks = len(blocks), _since(blocks, last - reach, row.size)
             dropped = dropped or len(blocks) < known
-        rest = full + (len(data) - full) // some * some
-        return Kept(blocks, data[full:rest], data[rest:], messages[-1][0], since, dropped)
+        remaining = full + (len(data) - full) // some * some
+        return Kept(blocks, data[full:remaining], data[remaining:], messages[-1][0], since, dropped)
 
 
 def packed(messages: Messages) -> bytes:
@@ -183,11 +183,11 @@ class Watch(Observer[W]):
 
     def keep(self, seen: tuple[Kept, ...], t: int, inputs: Mapping[str, Any]) -> tuple[Kept, ...]:
         """Return what was seen with what is new in the inputs of a tick."""
-        reach, age, found = self._reach, self.ages or self.age, []  # a call less for each input
+        reach, age, results = self._reach, self.ages or self.age, []  # a call less for each input
         for (name, row), kept in zip(self._rows.items(), seen, strict=True):
             values = inputs.get(name)
-            found.append(kept if values is None else kept.taken(row, t - (age(name) or 0), values, t, reach))
-        return tuple(found)
+            results.append(kept if values is None else kept.taken(row, t - (age(name) or 0), values, t, reach))
+        return tuple(results)
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
         """See `softrig_core.block.gathering.Batched`."""

@@ -345,8 +345,8 @@ def parse(msgtype: str, data: bytes) -> Message:
             shape = []
             for i in range(reader.count("dimensions", 13)):
                 label = reader.text()
-                if i == 0 and (found := _NUMBERED.fullmatch(label)):
-                    label, number = found[1], int(found[2])
+                if i == 0 and (match := _NUMBERED.fullmatch(label)):
+                    label, number = match[1], int(match[2])
                 shape.append((label, reader.take("I", 2)[0]))  # without the stride
             dims = tuple(shape)
             reader.one("I")

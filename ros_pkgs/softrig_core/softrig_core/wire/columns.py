@@ -38,9 +38,9 @@ class Columns(NamedTuple):
         """Return one number of each message, shape (n,)."""
         return self.values[:, k]
 
-    def messages(self, said: int) -> list[bytes]:
+    def messages(self, count: int) -> list[bytes]:
         """Return the bytes of the messages; `said` is the number of earlier messages of the topic."""
-        marks = np.arange(said, said + len(self.times)) if self.layout.numbered else self.times
+        marks = np.arange(count, count + len(self.times)) if self.layout.numbered else self.times
         raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
         return [raw[i : i + n] for i in range(0, len(raw), n)]
 
@@ -169,9 +169,9 @@ class Stored(NamedTuple):
             result[where] = block["values"][:, self.first + k]
         return result
 
-    def messages(self, said: int) -> list[bytes]:
+    def messages(self, count: int) -> list[bytes]:
         """Return their bytes; see `Columns.messages`."""
-        return self.part(0, self.number).messages(said)
+        return self.part(0, self.number).messages(count)
 
     def part(self, first: int, last: int) -> Columns:
         """Return some of them, in memory."""

@@ -59,12 +59,12 @@ def _write(out: Writer, value: Any) -> None:
     out.text(value if kind == _STRING else "")
     out.add("I", 0)  # bytes
     for many, code in _MANY:
-        found = several if kind == many else []
-        out.add("I", len(found))
-        out.add(code, *found)
-    found = several if kind == _STRINGS else []
-    out.add("I", len(found))
-    for text in found:
+        result = several if kind == many else []
+        out.add("I", len(result))
+        out.add(code, *result)
+    result = several if kind == _STRINGS else []
+    out.add("I", len(result))
+    for text in result:
         out.text(text)
 
 
@@ -93,8 +93,8 @@ def recorded(recording: Recorded, epoch: int = 0) -> list[tuple[int, str, dict[s
         A message is malformed.
     """
     topic = recording.topics.get(TOPIC)
-    found = [decode(data) for data in (topic.data if topic is not None else ())]
-    return [(t - epoch, node.rpartition("/")[2], values) for t, node, values in found]
+    results = [decode(data) for data in (topic.data if topic is not None else ())]
+    return [(t - epoch, node.rpartition("/")[2], values) for t, node, values in results]
 
 
 def _read(reader: Reader) -> tuple[str, Any]:

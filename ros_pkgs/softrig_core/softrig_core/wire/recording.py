@@ -270,9 +270,9 @@ class Recording:
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message."""
-        found = self._order[topic]
-        found.times.append(t)
-        found.data.append(data)
+        result = self._order[topic]
+        result.times.append(t)
+        result.data.append(data)
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Return a callable that appends one message of each of some topics; their bytes are created on demand."""
@@ -371,15 +371,15 @@ class Recording:
             file.seek(at)
             if size <= HELD:
                 return size - at - self.take(head, memoryview(file.readall()), namespace)
-            places, look = list[tuple[int, int]](), _LOOK
+            places, style = list[tuple[int, int]](), _LOOK
             # Rows stay in the file; only their places and what is not a row are kept in memory.
-            while content := file.read(look):
-                taken = self.take(head, memoryview(content), namespace, partial(_note_rows, places, at))
+            while content := file.read(style):
+                used = self.take(head, memoryview(content), namespace, partial(_note_rows, places, at))
                 # A message may be longer than what was read.
-                look = _LOOK if taken else 2 * look
-                if not taken and at + len(content) == size:
+                style = _LOOK if used else 2 * style
+                if not used and at + len(content) == size:
                     break
-                at += taken
+                at += used
                 file.seek(at)
         self._store(path, head, places, namespace)
         return size - at
@@ -400,7 +400,7 @@ class Recording:
         head: Mapping[str, Any],
         content: memoryview,
         namespace: str = "",
-        found: Callable[[int, int], object] | None = None,
+        callback: Callable[[int, int], object] | None = None,
     ) -> int:
         """Add the messages of a part of a shard.
 
@@ -426,13 +426,13 @@ class Recording:
         while at + _ROW_HEAD.size <= len(content):
             if _ROW_HEAD.unpack_from(content, at)[1] == _ROW:
                 block = _rows_in(content[at:], sum(layout.size for _, layout in row))
-                taken = block.nbytes
-                if found is None:
+                used = block.nbytes
+                if callback is None:
                     _add_rows(block, row)
-                elif taken:
-                    found(at, taken)
-                at += taken
-                if not taken:
+                elif used:
+                    callback(at, used)
+                at += used
+                if not used:
                     break
                 continue
             if at + size > len(content):
@@ -557,15 +557,15 @@ class _Clock:
     def take(self, limit: int | None) -> NDArray[np.int64]:
         """Return the times before a limit that were not taken yet; all if there is none."""
         n = len(self._held) if limit is None else int(np.searchsorted(self._held, limit))
-        taken, self._held = self._held[:n], self._held[n:]
-        return taken
+        used, self._held = self._held[:n], self._held[n:]
+        return used
 
 
 def read_shards(paths: Iterable[Path]) -> Recording:
     """Return what some shards have together, of those that are there."""
-    found = [path for path in paths if path.exists()]
-    recording = Recording({topic: kind for path in found for topic, kind in shard_topics(path).items()}.items())
-    for path in found:
+    results = [path for path in paths if path.exists()]
+    recording = Recording({topic: kind for path in results for topic, kind in shard_topics(path).items()}.items())
+    for path in results:
         recording.read_shard(path)
     return recording
 

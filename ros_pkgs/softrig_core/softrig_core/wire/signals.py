@@ -88,8 +88,8 @@ def full_name(name: str, known: Iterable[str]) -> str:
     names = list(known)
     if name in names:
         return name
-    found = [k for k in names if k.rpartition("/")[0] == name]
-    return found[0] if len(found) == 1 else name
+    results = [k for k in names if k.rpartition("/")[0] == name]
+    return results[0] if len(results) == 1 else name
 
 
 def short_name(name: str, known: Iterable[str]) -> str:
@@ -155,19 +155,19 @@ class Signals(Mapping[str, Signal]):
             self._named[topic] = self._renamed(topic, self._table(topic))
         return self._named[topic]
 
-    def _renamed(self, topic: str, found: Table) -> Table:
+    def _renamed(self, topic: str, table: Table) -> Table:
         names, columns = self._also[topic], dict[str, Array]()
 
         def own_name(label: str) -> str:
             channel, _, field = label.rpartition("/")
             return names.get(label) or (f"{names.get(channel, channel)}/{field}" if channel else label)
 
-        if isinstance(found.columns, _OnDisk):
-            return found._replace(columns=found.columns.renamed(own_name))
-        for label, x in found.columns.items():
+        if isinstance(table.columns, _OnDisk):
+            return table._replace(columns=table.columns.renamed(own_name))
+        for label, x in table.columns.items():
             own = own_name(label)
             columns[own] = np.where(np.isnan(columns[own]), x, columns[own]) if own in columns else x
-        return found._replace(columns=columns)
+        return table._replace(columns=columns)
 
     def _table(self, topic: str) -> Table:
         if topic not in self._tables:
@@ -205,10 +205,10 @@ class Signals(Mapping[str, Signal]):
     def __getitem__(self, name: str) -> Signal:
         if name in self._known:
             return self._known[name]
-        found, lasts = self._found(name)
+        result, lasts = self._found(name)
         if lasts:
-            self._known[name] = found
-        return found
+            self._known[name] = result
+        return result
 
     def _found(self, name: str) -> tuple[Signal, bool]:
         """Return a signal, and whether its column is in memory anyway."""

@@ -89,20 +89,20 @@ class MessageType:
         dims : Dims, optional
             Shape of an array.
         """
-        found: list[str] = []
+        results: list[str] = []
         for name, count in fields.items():
             if names:
-                found += [f"{channel}/{name}" for channel in names[:count]]
-                found += [f"{name}/{i}" for i in range(len(names), count)]  # more values than names
+                results += [f"{channel}/{name}" for channel in names[:count]]
+                results += [f"{name}/{i}" for i in range(len(names), count)]  # more values than names
             elif dims:
-                found += element_labels(dims)
+                results += element_labels(dims)
             elif self.sizes[name] is None:
-                found += [f"{name}/{i}" for i in range(count)]
+                results += [f"{name}/{i}" for i in range(count)]
             elif count == 1:
-                found.append(name)
+                results.append(name)
             else:
-                found += [axis if len(self.sizes) == 1 else f"{name}/{axis}" for axis in AXES[:count]]
-        return tuple(found)
+                results += [axis if len(self.sizes) == 1 else f"{name}/{axis}" for axis in AXES[:count]]
+        return tuple(results)
 
 
 def element_labels(dims: Dims) -> tuple[str, ...]:

@@ -71,13 +71,13 @@ class Simulator:
         """
         try:
             self._process.stdin.write(struct.pack("<q", until))
-            found = self._process.stdout.read(ROW.size)
+            data = self._process.stdout.read(ROW.size)
         except OSError:
-            found = b""
-        if len(found) != ROW.size:
+            data = b""
+        if len(data) != ROW.size:
             raise RunError("the simulated board has ended")
         self.k += 1
-        return tuple(ROW.unpack(found))
+        return tuple(ROW.unpack(data))
 
     def close(self) -> None:
         """End the process."""
@@ -185,8 +185,8 @@ def firmware_of(p: DcMotorUnoParams) -> Path:
     ScenarioError
         There is no AVR compiler, the controller has no C, or it has other ports than the board's wiring.
     """
-    found = dict(_exported(p.scenario, p.controller, (), True))
-    described = json.loads(found.pop("description"))
+    results = dict(_exported(p.scenario, p.controller, (), True))
+    described = json.loads(results.pop("description"))
     over, under = described["period_s"]
     known = {port["name"] for port in described["ports"] if port["direction"] == "in"}
     if not {"state", "reference"} <= known <= {"state", "reference", "sensors"} or over * 100 != under:
@@ -207,7 +207,7 @@ def firmware_of(p: DcMotorUnoParams) -> Path:
     defined |= {"HAS_CURRENT": ""} if "sensors" in known else {}
     defined |= {"PHASE_CORRECT": ""} if p.pwm == "phase_correct" else {}
     lines = "".join(f"#define {key} {value}\n" for key, value in defined.items())
-    return built(found | firmware_files(lines), "dc_motor_uno")
+    return built(results | firmware_files(lines), "dc_motor_uno")
 
 
 def firmware_files(defined: str) -> dict[str, str]:

@@ -48,8 +48,8 @@ def circle(psi: Vectors) -> tuple[complex, float]:
     radius : float
     """
     columns = np.column_stack((2.0 * psi.real, 2.0 * psi.imag, np.ones(psi.size)))
-    (alpha, beta, rest), *_ = np.linalg.lstsq(columns, np.abs(psi) ** 2, rcond=None)
-    return complex(alpha, beta), float(np.sqrt(rest + alpha**2 + beta**2))
+    (alpha, beta, remaining), *_ = np.linalg.lstsq(columns, np.abs(psi) ** 2, rcond=None)
+    return complex(alpha, beta), float(np.sqrt(remaining + alpha**2 + beta**2))
 
 
 def leg_transitions(switches: Array) -> int:

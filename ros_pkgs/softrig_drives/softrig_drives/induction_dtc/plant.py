@@ -113,8 +113,8 @@ class ImPlant(Plant[ImPlantParams]):
         vector, refused, fault = (0, False, True) if x.fault else self._inverter(x, switches)
         load = 0.0 if load_torque is None else load_torque[0]
         u = self._voltages[0 if fault else vector]
-        found = self._step((*x[:STATES], *u, load, *self._constants))
-        psi_s_alpha, psi_s_beta, psi_R_alpha, psi_R_beta, omega, theta, i_a, i_b, i_c, _ = found
+        result = self._step((*x[:STATES], *u, load, *self._constants))
+        psi_s_alpha, psi_s_beta, psi_R_alpha, psi_R_beta, omega, theta, i_a, i_b, i_c, _ = result
         beyond, limit = self._convert.beyond, self.p.trip_current
         clipped_a, clipped_b = x.clipped_a + 1 if beyond(i_a) else 0, x.clipped_b + 1 if beyond(i_b) else 0
         if clipped_a > SATURATED_SAMPLES or clipped_b > SATURATED_SAMPLES:

@@ -89,8 +89,8 @@ class CurrentController(Block[CurrentControllerParams]):
         force_cmd: tuple[float, ...],
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Return the voltages."""
-        found = regulate(x.integral, joint_states, phase_currents, force_cmd[0], self._geometry, self._law)
-        return State(found[:N_PHASES]), {"phase_voltage": found[N_PHASES:]}
+        result = regulate(x.integral, joint_states, phase_currents, force_cmd[0], self._geometry, self._law)
+        return State(result[:N_PHASES]), {"phase_voltage": result[N_PHASES:]}
 
 
 @jit

@@ -87,8 +87,8 @@ class LsrmPlant(Plant[LsrmPlantParams]):
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return motion, currents and forces at t."""
-        found = sense(x[:STATES], self._geometry)
-        return {"joint_states": found[:3], "phase_currents": found[3:7], "force_phases": found[7:]}
+        result = sense(x[:STATES], self._geometry)
+        return {"joint_states": result[:3], "phase_currents": result[3:7], "force_phases": result[7:]}
 
     def advance(self, x: State, t: int, *, phase_voltage: tuple[float, ...], load: tuple[float, ...] | None) -> State:
         """Hold the voltages and the load for one period."""
@@ -97,9 +97,9 @@ class LsrmPlant(Plant[LsrmPlantParams]):
             on = self._taken(load) or on
         if not fault and (max(phase_voltage) > p.U_dc or min(phase_voltage) < -p.U_dc):
             self.report(Level.WARN, "clipped", f"voltages {phase_voltage} V clipped to the supply, {p.U_dc:g} V")
-        found = step(x[:STATES], phase_voltage, on.values, fault, self._geometry, self._constants)
-        if not fault and max(found[:N_PHASES]) > self._sure:
-            currents = sense(found, self._geometry)[3:7]
+        result = step(x[:STATES], phase_voltage, on.values, fault, self._geometry, self._constants)
+        if not fault and max(result[:N_PHASES]) > self._sure:
+            currents = sense(result, self._geometry)[3:7]
             if max(currents) > p.trip_current:
                 fault = True
                 self.report(
@@ -107,7 +107,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
                     "overcurrent",
                     f"phase currents {currents} A beyond {p.trip_current:g} A: half bridges tripped for good",
                 )
-        return State(*found, on, fault)
+        return State(*result, on, fault)
 
     def _taken(self, load: tuple[float, ...]) -> Load | None:
         added, friction = load

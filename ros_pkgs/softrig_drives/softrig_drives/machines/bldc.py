@@ -211,15 +211,15 @@ def advance(
             n_b = 0.0
         if zero_c:
             n_c = 0.0
-        rest = n_a + n_b + n_c
+        remaining = n_a + n_b + n_c
         left = (0.0 if n_a == 0.0 else 1.0) + (0.0 if n_b == 0.0 else 1.0) + (0.0 if n_c == 0.0 else 1.0)
         if left < 2.0:
             n_a = n_b = n_c = 0.0
         else:
             i_a, i_b, i_c = n_a, n_b, n_c
-            n_a = 0.0 if i_a == 0.0 else i_a - rest / left
-            n_b = 0.0 if i_b == 0.0 else i_b - rest / left
-            n_c = 0.0 if i_c == 0.0 else i_c - rest / left
+            n_a = 0.0 if i_a == 0.0 else i_a - remaining / left
+            n_b = 0.0 if i_b == 0.0 else i_b - remaining / left
+            n_c = 0.0 if i_c == 0.0 else i_c - remaining / left
         i_a, i_b, i_c = n_a, n_b, n_c
         if period - t < 1e-12 * period:
             break

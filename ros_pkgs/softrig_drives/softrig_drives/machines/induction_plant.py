@@ -73,7 +73,7 @@ class InductionPlant(MachinePlant[InductionPlantParams]):
 
     def advance(self, x: State, t: int, *, duty: tuple[float, ...], load_torque: tuple[float, ...] | None) -> State:
         """Move by one period."""
-        found, waiting, applied, fault = self.moved(x, t, duty, load_torque)
-        a, b, c, d, omega, theta, omega_load, theta_load, u_dc = found
+        result, waiting, applied, fault = self.moved(x, t, duty, load_torque)
+        a, b, c, d, omega, theta, omega_load, theta_load, u_dc = result
         rising = not x.rising if self.p.updates == 2 else True
         return State(a, b, c, d, omega, theta, omega_load, theta_load, u_dc, waiting, applied, rising, fault)

@@ -149,15 +149,15 @@ class MachinePlant(Plant[P]):
         change = self._profile.next_change(t)
         within = (change - t) * 1e-9 if change - t < self._period else NEVER
         load = (self._profile.at(t) + added, self._profile.at(t + self._period) + added)
-        found = self._move(
+        result = self._move(
             self.nine(x), applied, x.rising, x.fault, load, within, self._m, self._inverter, self._mechanics
         )
-        return found, new, applied, x.fault or self._trips(found)
+        return result, new, applied, x.fault or self._trips(result)
 
-    def _trips(self, found: Vector) -> bool:
+    def _trips(self, vector: Vector) -> bool:
         """Report what is beyond a trip; return whether something is."""
         p = self.p
-        i_alpha, i_beta, _ = self._seen(found[0], found[1], found[2], found[3], found[5], self._m)
+        i_alpha, i_beta, _ = self._seen(vector[0], vector[1], vector[2], vector[3], vector[5], self._m)
         i_b = -0.5 * i_alpha + 0.5 * SQRT3 * i_beta
         largest = max(abs(i_alpha), abs(i_b), abs(i_alpha + i_b))
         if largest > p.trip_current:
@@ -167,11 +167,11 @@ class MachinePlant(Plant[P]):
                 f"a phase current of {largest:.3g} A is beyond {p.trip_current:g} A: zero voltage for good",
             )
             return True
-        if found[8] > p.trip_voltage:
+        if vector[8] > p.trip_voltage:
             self.report(
                 Level.ERROR,
                 "overvoltage",
-                f"the DC voltage of {found[8]:.4g} V is beyond {p.trip_voltage:g} V: zero voltage for good",
+                f"the DC voltage of {vector[8]:.4g} V is beyond {p.trip_voltage:g} V: zero voltage for good",
             )
             return True
         return False
@@ -241,8 +241,8 @@ class PmsmPlant(MachinePlant[PmsmPlantParams]):
 
     def advance(self, x: State, t: int, *, duty: tuple[float, ...], load_torque: tuple[float, ...] | None) -> State:
         """Move by one period."""
-        found, waiting, applied, fault = self.moved(x, t, duty, load_torque)
-        i_d, i_q, _, _, omega, theta, omega_load, theta_load, u_dc = found
+        result, waiting, applied, fault = self.moved(x, t, duty, load_torque)
+        i_d, i_q, _, _, omega, theta, omega_load, theta_load, u_dc = result
         least_d, most_d, least_q, most_q = self._edges
         if i_d < least_d or i_d > most_d or i_q < least_q or i_q > most_q:
             self.report(

@@ -243,20 +243,20 @@ class Adapter:
             if record.add_row is not None:
                 record.add_row(stamp, numbers)
             return
-        said: list[tuple[Output, int, tuple[float, ...]]] = []
+        messages: list[tuple[Output, int, tuple[float, ...]]] = []
         if self._plain:
             for output, row in zip(self.outputs, rows, strict=True):
                 output.send(stamp, row)  # type: ignore[arg-type]
         else:
-            said = self._send_each(stamp, rows)
+            messages = self._send_each(stamp, rows)
         if self.acknowledge is not None:
-            self.acknowledge(stamp, [o.name for o, _, _ in said if o.port.sporadic] if self._silent else ())
+            self.acknowledge(stamp, [o.name for o, _, _ in messages if o.port.sporadic] if self._silent else ())
         if self._owns_clock:
             self.clock_output.send(stamp, ())
         if record.add_row is not None:
             record.add_row(stamp, numbers)
         elif record.sink is not None:
-            for output, mark, values in said:
+            for output, mark, values in messages:
                 record.sink.add(output.number, stamp, output.layout.encode(mark, values))
             if self._owns_clock:
                 record.sink.add(record.clock, stamp, CLOCK_LAYOUT.encode(stamp, ()))
@@ -270,7 +270,7 @@ class Adapter:
 
     def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
         """Publish the outputs; return output, stamp or number, and values of each message."""
-        said = []
+        messages = []
         for output, row in zip(self.outputs, rows, strict=True):
             if row is None:
                 continue
@@ -279,19 +279,19 @@ class Adapter:
                 mark = self.step.counts[output.name]
                 self.step.counts[output.name] += 1
             output.send(mark, values)
-            said.append((output, mark, values))
-        return said
+            messages.append((output, mark, values))
+        return messages
 
     def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
         """Return a callable that acknowledges a tick and lists the sporadic ports that published at it."""
         if self._silent:
             write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self._noting(self.tick_output))
-            return lambda stamp, spoken: publish(write(stamp, spoken))
+            return lambda stamp, published: publish(write(stamp, published))
         send = self.middleware.sender("~/tick", Layout(TICK), self._noting(self.tick_output))
         if self.options.mode != "lockstep" or self.middleware.name not in self.links.followers:
-            return lambda stamp, spoken: send(stamp, ())
+            return lambda stamp, published: send(stamp, ())
         schedule = self.schedule
-        return lambda stamp, spoken: send(stamp, ()) if acknowledged(schedule, stamp) else None
+        return lambda stamp, published: send(stamp, ()) if acknowledged(schedule, stamp) else None
 
     # its end ----------------------------------------------------------------------------------------------------
 

@@ -50,11 +50,11 @@ class Departure(Reader):
         handshake: Handshake,
         local: Set[str],
         begin: Callable[[int, int], object],
-        heard: Callable[[Iterable[str]], object],
+        received: Callable[[Iterable[str]], object],
     ) -> None:
         self._node = node
         self._begin = begin
-        self._heard = heard
+        self._heard = received
         self._words: Sequence[str] = ()
         self.handshake = handshake
         self.absent: list[str] = []  # what is not there yet
@@ -103,7 +103,7 @@ class Departure(Reader):
 
     def _hear_start(self, data: bytes) -> None:
         try:
-            epoch, said = self._read(data)
+            epoch, words = self._read(data)
         except Refused as error:
             self._node.account.refuse(self._input, str(error))
             return
@@ -112,11 +112,11 @@ class Departure(Reader):
         if not self._epoch:
             self._timer.cancel()
             self._epoch = epoch
-            clock = next((int(word) for word in said if word.isdigit()), 0)
+            clock = next((int(word) for word in words if word.isdigit()), 0)
             ahead = clock - self._node.middleware.now() if clock else 0
             # A smaller difference is the time that the message took, and leaves the own clock as it is.
             self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
-        self._heard(said)
+        self._heard(words)
 
     def say(self, words: Sequence[str]) -> None:
         """Publish to all nodes, also those that start later, that the clock of the rig is held or released."""

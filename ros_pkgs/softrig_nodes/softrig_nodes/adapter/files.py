@@ -44,8 +44,8 @@ def read_files(folder: Path, name: str, peers: Iterable[str]) -> Files:
         Nodes that it reads, or that read it.
     """
     status = {who: read_status(folder / f"{who}.status") for who in peers}
-    gone = frozenset(who for who, said in status.items() if said.get("state") == "done")
+    gone = frozenset(who for who, entry in status.items() if entry.get("state") == "done")
     # A node that has left has answered all its ticks, whatever time its last status has.
-    answered = {who: math.inf if who in gone else float(said.get("t", 0)) for who, said in status.items()}
+    answered = {who: math.inf if who in gone else float(entry.get("t", 0)) for who, entry in status.items()}
     shards = read_shards(folder / f"{who}.shard" for who in status)
     return Files(shards, read_shards([folder / f"{name}{DIED}"]), answered, gone)

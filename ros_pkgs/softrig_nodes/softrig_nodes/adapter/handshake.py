@@ -62,12 +62,12 @@ class Handshake:
             # A publisher that was heard and is gone has published everything.
             if not i.publishers and not i.heard
         ]
-        found: list[tuple[str, str]] = []
+        results: list[tuple[str, str]] = []
         for peer in self._outside(absent):
             topics = node.middleware.subscriptions_of(peer)
-            found += [(o.topic, peer.name) for o, _ in self._wanted if o.topic in topics]
+            results += [(o.topic, peer.name) for o, _ in self._wanted if o.topic in topics]
         for output, known in self._wanted:
-            names = known + [name for topic, name in found if topic == output.topic and name not in known]
+            names = known + [name for topic, name in results if topic == output.topic and name not in known]
             names += self._recorders.of(output.topic) if self._recorders else []
             # A subscriber of another type is never matched, so nothing waits for it.
             there = [i.name for i in node.middleware.subscribers(output.topic) if i.msgtype == output.port.msgtype]
@@ -87,7 +87,7 @@ class Handshake:
         # A node announces its endpoints one by one, and without a rig nothing names the subscribers. So what the graph
         # shows counts once all publishers are there and it has not changed for a while. A program that is no ROS node
         # has no name in the graph and is seen only as a matched subscriber.
-        seen: list[tuple[str, str | int]] = [*found, *((output.topic, output.readers) for output, _ in self._wanted)]
+        seen: list[tuple[str, str | int]] = [*results, *((output.topic, output.readers) for output, _ in self._wanted)]
         self._settled = self._settled + 1 if seen == self._seen and not absent else 0
         self._seen = seen
         if absent or self._settled >= SETTLED or self._knows_all():
@@ -112,12 +112,12 @@ class Handshake:
         unmatched = {resolve(i.port.topic) for i, _ in self._awaited if not i.publishers and not i.heard}
         for name in self._node.links.outside:
             topic = self._node.of_rig(name)
-            found = self._node.middleware.publishers(topic)
-            if not found or topic in unmatched:
+            result = self._node.middleware.publishers(topic)
+            if not result or topic in unmatched:
                 self.lacking.append(name)
-            if not found:
+            if not result:
                 absent.append(f"no publisher on {name} (expected from an external node)")
-            peers += found[:1]
+            peers += result[:1]
         return list(dict.fromkeys(peers))
 
     def _other_type(self, item: Input) -> str:

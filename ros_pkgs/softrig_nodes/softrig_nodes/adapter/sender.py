@@ -47,12 +47,12 @@ class Sender(Input):
             return
         self.heard = True
         try:
-            stamp, found = self.read(data)
+            stamp, result = self.read(data)
         except Refused as error:
             self.node.account.refuse(self, str(error))
             self.spoilt(data)
             return
-        self.came(stamp, found, data)
+        self.came(stamp, result, data)
 
     def matched(self, count: int) -> None:
         """Note how many writers there are in other processes, and let the drive react."""
@@ -72,7 +72,7 @@ class Sender(Input):
         """A message was refused: no value of it reaches the block."""
         raise NotImplementedError
 
-    def came(self, stamp: int, found: Any, data: bytes) -> None:
+    def came(self, stamp: int, value: Any, data: bytes) -> None:
         """Process a valid message."""
         raise NotImplementedError
 

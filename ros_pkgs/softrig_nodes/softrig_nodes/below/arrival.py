@@ -137,14 +137,14 @@ class Arrival:
 
     def _taking(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
         """Return a callable that takes the oldest message and passes it on; in a full queue a newer one replaced it."""
-        take, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
+        accept, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
         bytes_now = memoryview(self._bytes).cast("B").cast("Q")  # where they are, how many, how many there may be
         room, content = 0, memoryview(b"")
 
         def hand_over() -> None:
             nonlocal room, content
-            if found := take(reader, where, None, None):
-                self._failed(found)
+            if result := accept(reader, where, None, None):
+                self._failed(result)
                 return
             if room != bytes_now[2]:  # it has grown, and may be elsewhere
                 room = bytes_now[2]

@@ -147,12 +147,12 @@ class _Type:
             b"rosidl_typesupport_fastrtps_c": (fast, self._callbacks(Handle.from_address(fast))),
             b"rosidl_typesupport_introspection_c": (introspected, self._members(introspected)),
         }
-        found: dict[bytes, int] = {}
-        find = self._keep(Find(lambda handle, identifier: found.get(identifier)))
+        results: dict[bytes, int] = {}
+        find = self._keep(Find(lambda handle, identifier: results.get(identifier)))
         for identifier, (theirs, data) in own.items():
             # the pointer of the identifier, not its text, is compared
             handle = Handle(Handle.from_address(theirs).identifier, addressof(data), find, *get)
-            found[identifier] = addressof(self._keep(handle))
+            results[identifier] = addressof(self._keep(handle))
         self.handle = self._keep(Handle(element.identifier, None, find, *get))
 
     def _keep(self, what: Any) -> Any:

@@ -158,7 +158,7 @@ def endpoints(node: Node, topic: str, *, writers: bool) -> list[TopicEndpointInf
         return list((node.get_publishers_info_by_topic if writers else node.get_subscriptions_info_by_topic)(topic))
     ask = _c().rclpy_get_publishers_info_by_topic if writers else _c().rclpy_get_subscriptions_info_by_topic
     with node.handle:
-        return [TopicEndpointInfo(**found) for found in ask(node.handle, topic, False)]
+        return [TopicEndpointInfo(**result) for result in ask(node.handle, topic, False)]
 
 
 def options() -> dict[str, bool]:
@@ -263,8 +263,8 @@ def taken(subscription: Any) -> Iterator[bytes]:
     if not works("take_message"):
         return
     with subscription.handle:
-        while (found := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-            yield found[0]
+        while (result := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+            yield result[0]
 
 
 def signal_manager(kind: type) -> Any:

@@ -88,8 +88,8 @@ class Following(Reader):
         self._sources: int | None = None  # publishers of joint states; None: not subscribed yet
         self._timer = adapter.middleware.timer(LOOK, self._look)
         self._timer.cancel()
-        take = quiet_after_shutdown(self._take)
-        node.create_subscription(message_class(TRAJECTORY), "~/joint_trajectory", take, QOS)
+        accept = quiet_after_shutdown(self._take)
+        node.create_subscription(message_class(TRAJECTORY), "~/joint_trajectory", accept, QOS)
         if kind is not None:
             self._kind = kind
             self._server = ActionServer(
@@ -131,8 +131,8 @@ class Following(Reader):
         """Follow what was published, without an answer."""
         with self._node.monitor:
             try:
-                _, found = self._motion(message)
-                self._set(found.values)
+                _, result = self._motion(message)
+                self._set(result.values)
             except BadGoal as error:
                 self._adapter.step.note(Level.WARN, "joint_trajectory", f"a trajectory is refused: {error}")
             else:
@@ -156,11 +156,11 @@ class Following(Reader):
         on_way = Tolerances(goal.path_tolerance, self._joints, "path_tolerance")
         at_end = Tolerances(goal.goal_tolerance, self._joints, "goal_tolerance")
         delay = allowed_delay(goal.goal_time_tolerance)
-        now, found = self._motion(goal.trajectory)
+        now, result = self._motion(goal.trajectory)
         last = self._adapter.schedule.last
-        until = [found.end + delay] if delay is not None else []
-        until += [max(found.end, last - LEAVE)] if last is not None else []
-        return now, found, on_way, at_end, min(until, default=None)
+        until = [result.end + delay] if delay is not None else []
+        until += [max(result.end, last - LEAVE)] if last is not None else []
+        return now, result, on_way, at_end, min(until, default=None)
 
     async def _follow(self, handle: Any) -> Any:
         with self._node.monitor:
@@ -176,14 +176,14 @@ class Following(Reader):
     def _begin(self, handle: Any) -> tuple[str, str, Future[tuple[str, str]] | None]:
         """Begin to follow; return why not, or what its end sets."""
         try:
-            now, found, on_way, at_end, until = self._checked(handle.request)
-            self._set(found.values)
+            now, result, on_way, at_end, until = self._checked(handle.request)
+            self._set(result.values)
         except BadGoal as error:
             return error.code, str(error), None
         self._end("INVALID_GOAL", "replaced by a new goal")
-        goal = Goal(**{name.removeprefix("goal."): value for name, value in found.values.items()})
+        goal = Goal(**{name.removeprefix("goal."): value for name, value in result.values.items()})
         path = Path(goal, len(self._joints))
-        self._active = _Active(handle, now, found, path, on_way, at_end, until)
+        self._active = _Active(handle, now, result, path, on_way, at_end, until)
         if self._sources is None:
             self._sources = 0
             self._adapter.middleware.subscribe("joint_states", STATES, self)

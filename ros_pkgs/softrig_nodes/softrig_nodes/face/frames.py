@@ -48,10 +48,10 @@ class Frames:
         stamp = adapter.epoch + adapter.step.t
         if adapter.state != "running" or scene is None or stamp == self._stamp or not self._tf.get_subscription_count():
             return  # what costs something is not worked out for nobody, nor said twice: tf2 complains of that
-        said = adapter.step.newest(scene.port)
-        if said:
+        newest = adapter.step.newest(scene.port)
+        if newest:
             self._stamp = stamp
-            sending(self._tf)(encode(stamp, scene.moving([said[k] for k in self._positions])))
+            sending(self._tf)(encode(stamp, scene.moving([newest[k] for k in self._positions])))
 
 
 def encode(stamp: int, poses: Iterable[Pose]) -> bytes:

@@ -137,12 +137,12 @@ def _spread(
     point: Any, names: Sequence[str], joints: Sequence[str], fields: Sequence[str], row: Sequence[float]
 ) -> dict[str, list[float]]:
     """Return a point with the joints in the order of the reference; those that are missing stay where they are."""
-    found: dict[str, list[float]] = {}
+    results: dict[str, list[float]] = {}
     for field in FIELDS:
         given = dict(zip(names, getattr(point, field), strict=False)) if field in fields else {}
         still = row[: len(joints)] if field == "positions" else [0.0] * len(joints)
-        found[field] = [float(given.get(joint, rest)) for joint, rest in zip(joints, still, strict=True)]
-    return found
+        results[field] = [float(given.get(joint, remaining)) for joint, remaining in zip(joints, still, strict=True)]
+    return results
 
 
 class Tolerances:

@@ -154,7 +154,7 @@ class Simulation:
 
     # steps -----------------------------------------------------------------------------------------------------
 
-    def _take(self, count: int, told: Callable[[int], object], over: Callable[[str], object]) -> str:
+    def _take(self, count: int, callback: Callable[[int], object], over: Callable[[str], object]) -> str:
         """Run steps; return why not, if refused."""
         adapter = self._adapter
         if adapter.state != "running" or not adapter.hold.held:
@@ -169,19 +169,19 @@ class Simulation:
             over("")
             return ""
         adapter.hold.ask("step", count)
-        self._steps.append(_Steps(first, first + count, told, over))
+        self._steps.append(_Steps(first, first + count, callback, over))
         self._timer.again(LOOK)
         return ""
 
     def _look(self) -> None:
         adapter = self._adapter
         for steps in self._steps[:]:
-            taken = min(adapter.ticks, steps.last) - steps.first
-            steps.told(max(0, taken))
+            used = min(adapter.ticks, steps.last) - steps.first
+            steps.told(max(0, used))
             if adapter.ticks < steps.last and adapter.hold.held:
                 continue
             self._steps.remove(steps)
-            steps.over("" if adapter.ticks >= steps.last else f"it was resumed after {max(0, taken)} steps")
+            steps.over("" if adapter.ticks >= steps.last else f"it was resumed after {max(0, used)} steps")
         if not self._steps:
             self._timer.cancel()
 
@@ -191,7 +191,7 @@ class Simulation:
             if id(response) in self._late:
                 self._send(*self._late.pop(id(response)))
 
-        wrong = self._take(request.steps, lambda taken: None, over)
+        wrong = self._take(request.steps, lambda used: None, over)
         if wrong:
             over(wrong)
         elif self._steps and request.steps:
@@ -209,9 +209,9 @@ class Simulation:
         kind, count = self._simulating, goal.request.steps
         result, feedback, end = kind.Result(), kind.Feedback(), Future()
 
-        def told(taken: int) -> None:
-            if taken != feedback.completed_steps:
-                feedback.completed_steps, feedback.remaining_steps = taken, count - taken
+        def told(used: int) -> None:
+            if used != feedback.completed_steps:
+                feedback.completed_steps, feedback.remaining_steps = used, count - used
                 goal.publish_feedback(feedback)
 
         with self._node.monitor:
@@ -234,8 +234,8 @@ class Simulation:
             return []
         step = self._adapter.step
         port = next(p for p in step.outputs if p.name == self._scene.port)
-        said = step.newest(port.name) or [0.0] * len(port.labels)
-        return [float(said[k]) for k, label in enumerate(port.labels) if label.endswith(f"/{quantity}")]
+        newest = step.newest(port.name) or [0.0] * len(port.labels)
+        return [float(newest[k]) for k, label in enumerate(port.labels) if label.endswith(f"/{quantity}")]
 
     def _entities(self, request: Any, response: Any) -> Any:
         filters = request.filters

@@ -101,13 +101,13 @@ class _Heard:
         # in the record of what came from outside.
         for k in range(first if row.port.partial or self._outside else max(first, self.next - 1), self.next):
             try:
-                stamp, found = row.read(self.data[k])
+                stamp, result = row.read(self.data[k])
             except Refused as error:
                 # It was rejected before the node died as well, and the answer of that tick depended on it.
                 node.account.refuse(row, str(error))
                 node.step.bad = True
                 continue
-            node.values[row.name] = row.value(stamp, found)
+            node.values[row.name] = row.value(stamp, result)
             row.stamp = node.t if self._outside else self.times[k]
             if self._outside:
                 row.record(node.t, self.data[k])
@@ -163,15 +163,15 @@ class Comeback:
         # Changes that people made while the node ran are only in its own record.
         changes = [Change(t, values) for t, who, values in recorded(self._files.own) if who == node.middleware.name]
         step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
-        spoken = drive.spoken
-        assert spoken is not None
+        published = drive.spoken
+        assert published is not None
         returning = _Returning(step, self.lacks)
         # These ticks have been published before, so the node repeats only the newest once it has caught up.
-        spoken.silent = True
+        published.silent = True
         for t in ticks:
             if t is None:
                 break
-        step.link, spoken.silent = returning.inner, False
+        step.link, published.silent = returning.inner, False
         self._resume()
 
     def lacks(self, t: int) -> bool:
@@ -180,9 +180,9 @@ class Comeback:
         if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:
             self._told = time.monotonic()
             self._node.account.write_status()
-        for heard in (*self._paired.values(), *self._free):
-            if not isinstance(heard.row, Pace):
-                heard.bring(t)
+        for received in (*self._paired.values(), *self._free):
+            if not isinstance(received.row, Pace):
+                received.bring(t)
         if any(not self._has(row, row.wanted(t)) for row in self._drive.senders.rows):
             return True
         solving = self._drive.solving
@@ -204,7 +204,7 @@ class Comeback:
         """Let the table of senders continue from here."""
         drive, node = self._drive, self._node
         for row in (*drive.senders.rows, *drive.senders.unpaced):
-            heard = self._paired.get(row)
+            received = self._paired.get(row)
             used = self._heard_of(row)
             # A silent tick leaves no message, so only the status file of the publisher shows that it was answered.
             reached = self._answered(row) if row.silent or isinstance(row, Ticks) else used
@@ -212,14 +212,16 @@ class Comeback:
             row.heard = row.who in self.gone
             # No tick waits for an unpaced row, so it counts as complete.
             row.have = row in drive.senders.unpaced
-            if heard is not None and isinstance(row, Counted):
-                row.count(heard.next, [t for t in heard.times[heard.next :] if t <= reached] if row.silent else [])
+            if received is not None and isinstance(row, Counted):
+                row.count(
+                    received.next, [t for t in received.times[received.next :] if t <= reached] if row.silent else []
+                )
             if row.port.partial:
                 row.decode.kept = node.values[row.name]
         # Recalled messages are compared with the wanted stamps, so these are set first.
         drive.await_tick(node.t)
-        for row, heard in self._paired.items():
-            for k, data in () if isinstance(row, Pace) else heard.rest():
+        for row, received in self._paired.items():
+            for k, data in () if isinstance(row, Pace) else received.rest():
                 row.recall(k, data)
 
     def look(self) -> bool:
@@ -232,8 +234,8 @@ class Comeback:
             if row.have and row.who not in new:
                 continue
             if not isinstance(row, Pace):
-                heard = _Heard(row, files, outside=False)
-                for k, (t, data) in enumerate(zip(heard.times, heard.data, strict=True)):
+                received = _Heard(row, files, outside=False)
+                for k, (t, data) in enumerate(zip(received.times, received.data, strict=True)):
                     if isinstance(row, Counted) and row.silent:
                         row.told(t, True)
                     if k >= row.received if isinstance(row, Counted) else t > row.used:
@@ -244,12 +246,12 @@ class Comeback:
 
     def _heard_of(self, row: Paired) -> int:
         """Return the tick of the newest message that was used; for a sender without messages, its newest tick."""
-        heard = self._paired.get(row)
-        if heard is None:
+        received = self._paired.get(row)
+        if received is None:
             return self._answered(row)
         if isinstance(row, Pace):
-            return heard.times[-1] if heard.times else -1
-        return heard.times[heard.next - 1] if heard.next else -1
+            return received.times[-1] if received.times else -1
+        return received.times[received.next - 1] if received.next else -1
 
     def _answered(self, row: Paired) -> int:
         """Return the newest tick that a sender had answered."""

@@ -222,9 +222,9 @@ class Lockstep(Link):
         if node.is_plant:
             now = time.perf_counter_ns()
             if self._sent:
-                self._durations.append(took := now - self._sent)
-                if took > self._longest:
-                    self._longest = took
+                self._durations.append(elapsed := now - self._sent)
+                if elapsed > self._longest:
+                    self._longest = elapsed
             else:
                 self._first = now
             self._sent = now

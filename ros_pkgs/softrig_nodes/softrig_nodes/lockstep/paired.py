@@ -128,12 +128,12 @@ class Newest(Sender):
         """The next answer would have used it."""
         self.node.step.bad = True
 
-    def came(self, stamp: int, found: Any, data: bytes) -> None:
+    def came(self, stamp: int, value: Any, data: bytes) -> None:
         """Hold the value of a message."""
         if not (self.port.stamped or self.in_order(stamp)):
             return
         node = self.node
-        node.values[self.name] = self.value(stamp, found)
+        node.values[self.name] = self.value(stamp, value)
         self.stamp = node.t
         self.record(node.t, data)
 
@@ -238,17 +238,17 @@ class Paired(Sender):
     def _use(self) -> None:
         """Use the newest message up to the awaited tick; drop the others."""
         self.used = max(self.used, self.want)
-        found: Any = KEEP
+        result: Any = KEEP
         for position in sorted(p for p in self.said if p <= self.want):
-            said = self.said.pop(position)
-            if said is not KEEP:
-                found = said
+            value = self.said.pop(position)
+            if value is not KEEP:
+                result = value
                 # A rejected message leaves the old value, and with it that value's age.
-                self.stamp = position if said is not BAD else self.stamp
-        if found is BAD:
+                self.stamp = position if value is not BAD else self.stamp
+        if result is BAD:
             self.node.step.bad = True
-        elif found is not KEEP:
-            self.node.values[self.name], data = found
+        elif result is not KEEP:
+            self.node.values[self.name], data = result
             self.record(self.node.t, data)
 
     def _arrived(self) -> None:
@@ -260,21 +260,21 @@ class Paired(Sender):
 
     # what has come -------------------------------------------------------------------------------------------------
 
-    def came(self, stamp: int, found: Any, data: bytes, tick: int | None = None) -> None:
+    def came(self, stamp: int, value: Any, data: bytes, tick: int | None = None) -> None:
         """Accept a message for a tick of its sender: the tick of its stamp, unless given."""
         position = stamp if tick is None else tick
         # Nearly every message is the awaited one, with nothing stored ahead of it: it needs no table.
         if position == self.want and not self.have and not self.said and not self.silent:
             if self._number is not None:
                 self.record(self.node.t, data)
-            self._values[self.name] = self.value(stamp, found) if self._valued else found
+            self._values[self.name] = self.value(stamp, value) if self._valued else value
             self.stamp = self.used = position
             self._arrived()
         elif self.node.links.returns and self._again(position):
             return
         elif self._may_come(position):
             self.table.heard += 1
-            self._put(position, (self.value(stamp, found), data))
+            self._put(position, (self.value(stamp, value), data))
         # The tick has been answered with the rejected message, so a corrected one is too late.
         elif position == self.excused:
             return
@@ -296,9 +296,9 @@ class Paired(Sender):
         if not self.node.is_plant:
             self._excuse(readable_stamp(data))
 
-    def told(self, position: int, spoke: bool) -> None:
+    def told(self, position: int, published: bool) -> None:
         """Process the report of a sporadic sender whether it published at one of its ticks."""
-        if not spoke and self._may_come(position):
+        if not published and self._may_come(position):
             self._put(position, KEEP)
 
     def _again(self, position: int) -> bool:
@@ -324,19 +324,19 @@ class Paired(Sender):
             and len(self.said) < AHEAD
         )
 
-    def _put(self, position: int, found: Any) -> None:
+    def _put(self, position: int, value: Any) -> None:
         """Store what was published at a tick, and use it if that completes the inputs of our tick."""
         if not self.silent and position < self.want:
             # Of a faster publisher only the newest message up to the wanted tick can be used; older ones are dropped.
-            self.said = {p: said for p, said in self.said.items() if p > position}
-        self.said[position] = found
+            self.said = {p: kept for p, kept in self.said.items() if p > position}
+        self.said[position] = value
         # Acknowledgements and messages overtake each other, so a tick only counts when all before it are known.
         while self.silent and (following := self.schedule.next(self.reached)) in self.said:
             self.reached = following
             if self.said[following] is KEEP:
                 del self.said[following]
             elif following <= self.want:
-                self.said = {p: said for p, said in self.said.items() if p >= following}
+                self.said = {p: kept for p, kept in self.said.items() if p >= following}
         if not self.have and self._complete():
             self._use()
             self._arrived()
@@ -379,11 +379,11 @@ class Counted(Paired):
         """See `Paired.recall`."""
         self.receive(numbered(number, data) if self._behind else data)
 
-    def came(self, stamp: int, found: Any, data: bytes) -> None:
+    def came(self, stamp: int, value: Any, data: bytes) -> None:
         """Accept a message (None for a rejected one) at its number."""
         if not (self.port.stamped or self._in_turn(stamp)):
             return
-        self._queue.append((stamp, found, data))
+        self._queue.append((stamp, value, data))
         if not self.silent:
             self._announced.append(self.schedule.time(self.received))
         self.received += 1
@@ -394,17 +394,17 @@ class Counted(Paired):
         if not self.node.is_plant:
             self.came(self.decode.number(data), None, data)
 
-    def told(self, position: int, spoke: bool) -> None:
+    def told(self, position: int, published: bool) -> None:
         """Process the report of a sporadic sender whether it published at one of its ticks."""
         # This acknowledgement was repeated.
         if position <= self._told:
             return
         self._told = position
-        if spoke:
+        if published:
             self._announced.append(position)
             self._serve()
         else:
-            super().told(position, spoke)
+            super().told(position, published)
 
     def _serve(self) -> None:
         """Assign the messages that have arrived to the ticks at which they were sent."""
@@ -437,7 +437,7 @@ class Counted(Paired):
 class Pace(Paired):
     """A sender whose messages carry only its ticks: /clock."""
 
-    def came(self, stamp: int, found: Any, data: bytes) -> None:
+    def came(self, stamp: int, value: Any, data: bytes) -> None:
         """Process the report that the sender has reached one of its ticks."""
         self.table.heard += 1
         if stamp == self.want and not self.have:
@@ -463,7 +463,7 @@ class Behind(Pace):
         """Return the tick of the node that must be answered before ours."""
         return needed(self.schedule, self.node.schedule, t)
 
-    def came(self, stamp: int, found: Any, data: bytes) -> None:
+    def came(self, stamp: int, value: Any, data: bytes) -> None:
         """Process the acknowledgement of a tick and all before it."""
         self.table.heard += 1
         self.reached = max(self.reached, stamp)
@@ -496,10 +496,10 @@ class Ticks(Pace):
         self._silent_rows, self._then = tuple(silent_rows), then
         self.read = TickReader()  # type: ignore[method-assign]
 
-    def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
+    def came(self, stamp: int, names: Collection[str], data: bytes) -> None:
         """Notify the rows of its sporadic ports, then continue as after any tick."""
         # The rows learn of it first, because `came` may run the next tick, which asks them.
         for row in self._silent_rows:
-            row.told(stamp, row.silent in found)
-        super().came(stamp, found, data)
+            row.told(stamp, row.silent in names)
+        super().came(stamp, names, data)
         self._then()

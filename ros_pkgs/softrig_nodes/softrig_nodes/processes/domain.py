@@ -95,16 +95,16 @@ def holders(domains: Iterable[int]) -> str:
     with suppress(OSError):  # not Linux
         lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]
         sockets = {f"socket:[{words[6]}]" for words in lines if words[-1] in names}
-        found: Counter[str] = Counter()
+        counter: Counter[str] = Counter()
         for entry in Path("/proc").glob("[0-9]*/fd/*") if sockets else ():
             with suppress(OSError):  # another user's, or gone
                 if os.readlink(entry) in sockets:
                     process = entry.parents[1]
-                    found[f"process {process.name} ({(process / 'comm').read_text().strip()})"] += 1
-        if hidden := len(sockets) - found.total():
-            found["processes of other users"] += max(0, hidden)
-        told = [f"{count} by {who}" for who, count in found.most_common(3) if count]
-        return f" ({', '.join(told)}{', ...' if len(found) > len(told) else ''})" if told else ""
+                    counter[f"process {process.name} ({(process / 'comm').read_text().strip()})"] += 1
+        if hidden := len(sockets) - counter.total():
+            counter["processes of other users"] += max(0, hidden)
+        messages = [f"{count} by {who}" for who, count in counter.most_common(3) if count]
+        return f" ({', '.join(messages)}{', ...' if len(counter) > len(messages) else ''})" if messages else ""
     return ""
 
 

@@ -173,8 +173,8 @@ class ForkServer:
                 return {}
             try:
                 socket.send_fds(self._link, [data], descriptors)
-                while said := self._link.recv(LARGEST):
-                    answer: dict[str, Any] = json.loads(said)
+                while text := self._link.recv(LARGEST):
+                    answer: dict[str, Any] = json.loads(text)
                     if answer["number"] == self._asked:  # and not that to a question which a signal has cut off
                         return answer
             except OSError:

@@ -104,10 +104,10 @@ def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
 def _tick_readers(rig: Rig, member: Member) -> list[str]:
     """Name the nodes that read a member's acknowledgements of its ticks."""
     gatherer = _gatherer(rig)
-    found = [gatherer] if gatherer not in (None, member) and member in _acknowledging(rig) else []
-    found += [m for m in rig.members if member in _pacers(rig, m)]
-    found += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
-    return list(dict.fromkeys(m.name for m in found if not m.external))
+    results = [gatherer] if gatherer not in (None, member) and member in _acknowledging(rig) else []
+    results += [m for m in rig.members if member in _pacers(rig, m)]
+    results += [m for p in member.outputs if p.sporadic for m, _ in rig.readers(member, p)]
+    return list(dict.fromkeys(m.name for m in results if not m.external))
 
 
 def _told(reader: Member, link: Link) -> bool:
@@ -121,8 +121,8 @@ def _told(reader: Member, link: Link) -> bool:
 
 def _tells(rig: Rig, member: Member) -> list[str]:
     """Name the nodes that receive the silent ticks of a node in real time."""
-    found = [m.name for m in rig.members for k in m.links.values() if k.source is member and _told(m, k)]
-    return [] if member.external else list(dict.fromkeys(found))
+    results = [m.name for m in rig.members for k in m.links.values() if k.source is member and _told(m, k)]
+    return [] if member.external else list(dict.fromkeys(results))
 
 
 def _clocked(rig: Rig) -> list[Member]:

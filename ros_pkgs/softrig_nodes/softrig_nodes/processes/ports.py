@@ -42,7 +42,7 @@ def of_domain(domain: int) -> range:
     return range(BASE + GAIN * domain, BASE + GAIN * (domain + 1))
 
 
-def chosen(domain: int, taken: Collection[int] = (), now: float | None = None) -> dict[str, int]:
+def chosen(domain: int, used: Collection[int] = (), now: float | None = None) -> dict[str, int]:
     """Return the port parameters of a participant that begins now, as a Fast DDS profile names them.
 
     Parameters
@@ -53,20 +53,20 @@ def chosen(domain: int, taken: Collection[int] = (), now: float | None = None) -
         s, of a clock that all processes of a host share.
     """
     turn = (time.monotonic() if now is None else now) / AROUND % 1
-    flow = _free(FLOWS[:UNIQUE], int(turn * UNIQUE / AT_ONCE) * AT_ONCE + os.getpid() % AT_ONCE, taken)
+    flow = _free(FLOWS[:UNIQUE], int(turn * UNIQUE / AT_ONCE) * AT_ONCE + os.getpid() % AT_ONCE, used)
     base, user = flow + UNIQUE, STANDARD
     whole = of_domain(domain)
     if whole[-1] <= HIGHEST:
         numbers, beside = whole[USER[0] : USER[-1] + 1], 2 * _participants(domain)
-        user = _free(numbers, int(turn * len(USER)), {n - beside for n in taken}) - whole[0]
+        user = _free(numbers, int(turn * len(USER)), {n - beside for n in used}) - whole[0]
     offsets = WELL_KNOWN | {"offsetd3": user}
     return {"portBase": base} | {name: BASE - base + offset for name, offset in offsets.items()}
 
 
-def _free(numbers: range, at: int, taken: Collection[int]) -> int:
+def _free(numbers: range, at: int, used: Collection[int]) -> int:
     """Return the first number from the one `at` a place on, round and round, that is not taken; else that one."""
     at %= len(numbers)
-    return next((n for n in (*numbers[at:], *numbers[:at]) if n not in taken), numbers[at])
+    return next((n for n in (*numbers[at:], *numbers[:at]) if n not in used), numbers[at])
 
 
 def _participants(domain: int) -> int:

@@ -84,19 +84,19 @@ class Restarts:
 
     def _stand(self, dead: Child, children: list[Child]) -> bool:
         """Return whether all others wait or have ended; a node without a status is ignored."""
-        looks = self._looks.setdefault(dead.member.name, {})
+        styles = self._looks.setdefault(dead.member.name, {})
         for child in children:
             with suppress(OSError):
                 if child.process.poll() is None:
                     written, status = child.status.stat().st_mtime_ns, read_status(child.status)
                     ticks = status.get("ticks", 0)
-                    old = looks.setdefault(child.member.name, _Look(written, ticks, False))
+                    old = styles.setdefault(child.member.name, _Look(written, ticks, False))
                     if old.written != written:
                         stood = ticks == old.ticks and not status.get("busy")
-                        looks[child.member.name] = _Look(written, ticks, stood)
+                        styles[child.member.name] = _Look(written, ticks, stood)
                 else:
-                    looks.pop(child.member.name, None)
-        return all(look.stood for look in looks.values())
+                    styles.pop(child.member.name, None)
+        return all(style.stood for style in styles.values())
 
     def _restart(self, children: list[Child], k: int, code: int) -> None:
         name = children[k].member.name

@@ -74,13 +74,13 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
     """
     # of the whole host those of nodes that are not ours, too: they do not look, and would hang
     ours = {f"fastrtps_port{n}" for n in (*range(FLOWS[0], BASE), *of_domain(domain))}
-    looks: dict[tuple[str, int], int] = {}
+    styles: dict[tuple[str, int], int] = {}
     while True:
         there = os.listdir(folder) if folder.is_dir() else []
         unfinished = [folder / name for name in there if name in ours and _unfinished(folder / name)]
-        looks = {key: looks.get(key, 0) + 1 for key in ((p.name, _inode(p)) for p in unfinished)}
+        styles = {key: styles.get(key, 0) + 1 for key in ((p.name, _inode(p)) for p in unfinished)}
         for port in (
-            folder / name for (name, inode), n in looks.items() if n > LOOKS and _inode(folder / name) == inode
+            folder / name for (name, inode), n in styles.items() if n > LOOKS and _inode(folder / name) == inode
         ):
             for path in (port, folder / f"sem.{port.name}_mutex"):
                 with suppress(OSError):
@@ -95,7 +95,7 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
 def numbers(folder: Path = FOLDER) -> set[int]:
     """Return the numbers of all ports that have a file, of any process."""
     there = os.listdir(folder) if folder.is_dir() else []
-    return {int(found[1]) for name in there if (found := re.match(r"fastrtps_port(\d+)", name))}
+    return {int(match[1]) for name in there if (match := re.match(r"fastrtps_port(\d+)", name))}
 
 
 def lacking(processes: int, folder: Path = FOLDER) -> str:
@@ -173,8 +173,8 @@ def _judged(segment: bytes, path: Path) -> int:
     judged and a third of that time are stored 20 bytes further on.
     """
     number = struct.pack("=I", int(path.name.removeprefix("fastrtps_port")))
-    for found in re.finditer(re.escape(number), segment):
-        at = found.start() - 20
+    for result in re.finditer(re.escape(number), segment):
+        at = result.start() - 20
         if at < 0 or at % 8 or at + 36 > len(segment):
             continue
         (last,) = struct.unpack_from("=q", segment, at)

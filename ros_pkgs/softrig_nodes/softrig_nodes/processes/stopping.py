@@ -73,23 +73,23 @@ def stoppable() -> Iterator[Stopping]:
 @contextmanager
 def unstopped() -> Iterator[None]:
     """Delay signals while something is written that must not be left incomplete."""
-    with undisturbed() as came:
+    with undisturbed() as arrived:
         yield
-    if came:
-        signal.raise_signal(came[0])
+    if arrived:
+        signal.raise_signal(arrived[0])
 
 
 @contextmanager
 def undisturbed() -> Iterator[list[int]]:
     """Yield a list of the signals that arrive within the block; they have no other effect, the caller handles them."""
-    came: list[int] = []
+    arrived: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield came
+        yield arrived
         return
     # not blocked: another thread would take them
-    before = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in SIGNALS}
+    before = {number: signal.signal(number, lambda number, frame: arrived.append(number)) for number in SIGNALS}
     try:
-        yield came
+        yield arrived
     finally:
         for number, old in before.items():
             signal.signal(number, old)

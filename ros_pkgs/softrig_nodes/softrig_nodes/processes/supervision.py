@@ -45,7 +45,7 @@ def supervise(
     comes_up = time.monotonic() + rig.scenario.start_timeout
     late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
     first = starter(rig)
-    last, before, moved, said = -1, dict[str, Any](), time.monotonic(), set[str]()
+    last, before, moved, logged = -1, dict[str, Any](), time.monotonic(), set[str]()
     while True:
         stopping.check()
         clock.look()
@@ -85,9 +85,9 @@ def supervise(
         if t != last:
             moved = time.monotonic()
         elif announce is not None and time.monotonic() > moved + STANDS:
-            for line in _stuck(running) - said:
+            for line in _stuck(running) - logged:
                 announce(line)
-                said.add(line)
+                logged.add(line)
         last = t
         # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
         # wakes up all the time, and each time takes a node's core.)
@@ -141,10 +141,10 @@ def idle(states: Mapping[str, Mapping[str, Any]]) -> str:
 
 def left_early(states: Mapping[str, Mapping[str, Any]]) -> str:
     """Name the nodes that a foreign signal ended before their last tick; empty if there are none."""
-    found = [
+    results = [
         f"{name} at t = {state.get('t', 0) / 1e9:.9g} s" for name, state in states.items() if state.get("left_early")
     ]
-    return f"somebody has stopped node {', '.join(found)}" if found else ""
+    return f"somebody has stopped node {', '.join(results)}" if results else ""
 
 
 def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
@@ -185,9 +185,9 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
             killed = f"node {name} was killed by {signal.Signals(-code).name} after t = {t:.9g} s"
             texts.append(killed + restarts.why(child.member))
         else:
-            said = read_status(child.status).get("error")
-            told = f"{name}: {said}" if said else last_line(child.log)
-            texts.append(f"node {told or f'{name} ended with status {code}'}")
+            text = read_status(child.status).get("error")
+            reported = f"{name}: {text}" if text else last_line(child.log)
+            texts.append(f"node {reported or f'{name} ended with status {code}'}")
     return "; ".join(texts)
 
 

@@ -212,7 +212,7 @@ class Live(Sender):
         if not stamp or abs(stamp - now) <= table.window:
             table.excuse(self, stamp or table.grid_time(now), now)
 
-    def came(self, stamp: int, found: Any, data: bytes) -> None:
+    def came(self, stamp: int, value: Any, data: bytes) -> None:
         """Store a message by its stamp; ignore one that arrives after a newer one, or twice."""
         if not (self.port.stamped or self.in_order(stamp)):
             return
@@ -223,7 +223,7 @@ class Live(Sender):
         if self._number is not None:
             used_at_once = self.port.held and not self.paired
             self.table.unrecorded.append((0 if used_at_once else due, self._number, data))
-        self._keep(stamp, due, self.value(stamp, found), now)
+        self._keep(stamp, due, self.value(stamp, value), now)
 
     def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None, int], None]:
         """Return the function for rows of a node of this process, checked by the publisher or not: stamp, row, now."""
@@ -255,7 +255,7 @@ class Live(Sender):
         if self.table.stale:
             self._recovered()
 
-    def told(self, stamp: int, spoke: bool) -> None:
+    def told(self, stamp: int, published: bool) -> None:
         """Ignore the sender's report whether it published at a tick; this kind of row does not wait for it."""
 
     def _begin(self, stamp: int) -> None:
@@ -351,8 +351,8 @@ class Live(Sender):
             return False
         if self.name not in table.stale:
             table.stale.add(self.name)
-            kind, rest = ("command", "safe input") if node.is_plant else ("message", "the last one is held")
-            text = f"no {kind} on {self.port.topic} for {limit / SECOND:g} s: {rest}"
+            kind, remaining = ("command", "safe input") if node.is_plant else ("message", "the last one is held")
+            text = f"no {kind} on {self.port.topic} for {limit / SECOND:g} s: {remaining}"
             node.step.note(Level.ERROR, f"stale {self.port.topic}", text)
         return True
 

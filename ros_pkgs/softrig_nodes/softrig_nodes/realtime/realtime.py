@@ -117,13 +117,15 @@ class Realtime(Link):
         """Begin, or wait for the others if t = 0 is to be agreed; `local` are the other nodes of this process."""
         node = self.node
         self._begun = self._begun or self._by_itself()
-        told = listen(self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local])
+        acknowledgements = listen(
+            self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local]
+        )
         # With a given epoch the nodes need not agree on a start.
         if node.links.starter and not node.epoch:
             readers, inputs = node.links.readers, node.links.inputs
             wanted = [(o, list(readers.get(o.name, []))) for o in node.outputs]
             awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
-            awaited += [(i, i.who) for i in told]
+            awaited += [(i, i.who) for i in acknowledgements]
             wanted.append((node.tick_output, node.links.tells))
             shake = Handshake(node, awaited, wanted, local)
             self.departure = Departure(node, shake, local, self._begin_at, self._stand.hear)
@@ -233,9 +235,9 @@ class Realtime(Link):
     def commanded(self, stamp: int, now: int) -> None:
         """The command of a plant's tick is there."""
         # The newest stamps are at the end, and a command answers one of them.
-        for said, sent in reversed(self._sent):
-            if said <= stamp:
-                if said == stamp:
+        for published, sent in reversed(self._sent):
+            if published <= stamp:
+                if published == stamp:
                     self._round_trip.append(now - sent)
                     self._longest = max(self._longest, now - sent)
                 return

@@ -24,13 +24,13 @@ class Sporadic(Live):
         self._told = -1  # stamp of the newest tick that the publisher has acknowledged
         self._sent: deque[int] = deque(maxlen=KEPT)  # stamps of what has been sent and has not come
 
-    def told(self, stamp: int, spoke: bool) -> None:
+    def told(self, stamp: int, published: bool) -> None:
         """Process the report whether the sender published on this topic at the tick of a stamp."""
         if self.deaf() or stamp <= self._told:
             return
         self._begin(stamp)
         self._told = stamp
-        if spoke:
+        if published:
             self._sent.append(stamp)
             return
         now = self.table.clock()
@@ -92,17 +92,17 @@ class Acknowledgements(Sender):
 
     def read(self, data: bytes) -> tuple[int, Collection[str]]:
         """Return the stamp and the ports that published."""
-        stamp, spoken = self._reader(data)
+        stamp, published = self._reader(data)
         self._table.believe(stamp)
-        return stamp, spoken
+        return stamp, published
 
     def spoilt(self, data: bytes) -> None:
         """Ignore an invalid acknowledgement: another one follows."""
 
-    def came(self, stamp: int, found: Collection[str], data: bytes) -> None:
+    def came(self, stamp: int, names: Collection[str], data: bytes) -> None:
         """Notify the rows."""
         for row, name in self._rows:
-            row.told(stamp, name in found)
+            row.told(stamp, name in names)
         self._table.act()
 
 
@@ -112,7 +112,7 @@ def listen(table: LiveSenders, rows: Iterable[Sporadic]) -> list[Acknowledgement
     by_sender: dict[str, list[tuple[Sporadic, str]]] = {}
     for row in rows:
         by_sender.setdefault(row.who, []).append((row, node.links.inputs[row.name].port))
-    result = [Acknowledgements(table, who, told) for who, told in by_sender.items()]
+    result = [Acknowledgements(table, who, its_rows) for who, its_rows in by_sender.items()]
     for one in result:
         node.paces.append(one)
         node.middleware.subscribe(one.port.topic, TICK, one)

@@ -55,10 +55,10 @@ class Stand:
 
     def hear(self, words: Iterable[str]) -> None:
         """Pause or resume, as received."""
-        said = {key: int(value) for key, _, value in (word.partition("=") for word in words) if value}
-        if not said.keys() >= {"ahead", "from", "until"}:
+        messages = {key: int(value) for key, _, value in (word.partition("=") for word in words) if value}
+        if not messages.keys() >= {"ahead", "from", "until"}:
             return
-        own, ahead, first, until = self._own, said["ahead"], said["from"], said["until"]
+        own, ahead, first, until = self._own, messages["ahead"], messages["from"], messages["until"]
         self._ahead, self._until = ahead, until
         # `first` keeps the clock from going back when `ahead` becomes smaller.
         self._go_by(lambda: min(max(own() + ahead, first), until))

@@ -122,14 +122,14 @@ class Guest:
         return {port.name: self._taken(port, t) for port in self._outputs}
 
     def _taken(self, port: Port, t: int) -> tuple[float, ...]:
-        come = self._come[port.name]
-        if len(come) != 1:
+        arrived = self._come[port.name]
+        if len(arrived) != 1:
             raise RunError(
-                f"{self.who} has published {len(come)} messages on {self._topic(port)} at t = {t / 1e9:.9g} s, "
+                f"{self.who} has published {len(arrived)} messages on {self._topic(port)} at t = {t / 1e9:.9g} s, "
                 "expected exactly one a period; set the node's period and that of its timer alike"
             )
         try:
-            return self._decoders[port.name](come.pop())[1]
+            return self._decoders[port.name](arrived.pop())[1]
         except Refused as error:
             raise RunError(f"{self.who} publishes on {self._topic(port)} at t = {t / 1e9:.9g} s: {error}") from None
 
@@ -159,14 +159,14 @@ class Guest:
         wanted[CLOCKED] = self._clock.get_subscription_count
         begin = since = time.monotonic()
         before: list[str] = []
-        said: list[str] = []
+        messages: list[str] = []
         while lacking := [what for what, count in wanted.items() if not count()]:
             self._executor.spin_once(LOOK)
             now = time.monotonic()
             if lacking != before:
                 before, since = lacking, now
-            if lacking != said and now - since > SAY_AFTER:
-                said = lacking
+            if lacking != messages and now - since > SAY_AFTER:
+                messages = lacking
                 tell(self._name, f"{WAITS}: {self._lacks(lacking, wanted)}")
             if now - begin > limit:
                 raise RunError(f"{self._lacks(lacking, wanted)}; waited for {limit:g} s")
@@ -174,8 +174,8 @@ class Guest:
         self.who = self._named()
         self._parameters = self._node.create_client(GetParameters, f"{self.who}/get_parameters")
         self._wait(self._parameters.service_is_ready, 0)
-        found = self._asked("use_sim_time", 0)
-        if not (found.values and found.values[0].bool_value):
+        result = self._asked("use_sim_time", 0)
+        if not (result.values and result.values[0].bool_value):
             raise RunError(f"{self.who} does not follow /clock; start it with -p use_sim_time:=true")
 
     def _lacks(self, lacking: Sequence[str], wanted: Collection[str]) -> str:
@@ -201,8 +201,8 @@ class Guest:
             self._asked("use_sim_time", t)
         for name, subscription in self._subscriptions.items():
             with subscription.handle:
-                while (found := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    self._come[name].append(found[0])
+                while (result := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    self._come[name].append(result[0])
 
     def _asked(self, parameter: str, t: int) -> Any:
         future = self._parameters.call_async(GetParameters.Request(names=[parameter]))

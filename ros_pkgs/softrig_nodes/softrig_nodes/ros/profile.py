@@ -161,5 +161,5 @@ def _without_memory(root: ElementTree.Element, space: str) -> None:
 
 def _within(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     """Return the child of a tag, made where it is not there."""
-    found = element.find(tag)
-    return ElementTree.SubElement(element, tag) if found is None else found
+    result = element.find(tag)
+    return ElementTree.SubElement(element, tag) if result is None else result

@@ -76,7 +76,7 @@ class Remote:
             number,
             node,
             lambda: client.set_parameters_atomically(parameters),
-            lambda found: (found.result.successful, found.result.reason),
+            lambda result: (result.result.successful, result.result.reason),
         )
 
     def _call(self, number: Any, node: str, service: str) -> None:
@@ -89,7 +89,7 @@ class Remote:
             number,
             node,
             lambda: client.call_async(trigger.Request()),
-            lambda found: (found.success, found.message),
+            lambda result: (result.success, result.message),
         )
 
     def _when(
@@ -110,14 +110,14 @@ class Remote:
                 if not sent and ready():
                     sent.append(send())
                     limit = time.monotonic() + PATIENCE
-                said = read(sent[0].result()) if sent and sent[0].done() else None
+                data = read(sent[0].result()) if sent and sent[0].done() else None
             except Exception as error:  # a number that no message holds: what one asks must not end the others' pages
-                said = (False, f"{type(error).__name__}: {error}")
-            if said is None and time.monotonic() > limit:
-                said = (None, f"{node} does not answer" if sent else f"no node {node} within {self._patience:g} s")
-            if said is not None:
+                data = (False, f"{type(error).__name__}: {error}")
+            if data is None and time.monotonic() > limit:
+                data = (None, f"{node} does not answer" if sent else f"no node {node} within {self._patience:g} s")
+            if data is not None:
                 self._node.destroy_timer(timer)
-                self._answer(number, *said)
+                self._answer(number, *data)
 
         timer = self._node.create_timer(0.01, look)
 

@@ -285,8 +285,8 @@ class ServingNode(Node):  # type: ignore[misc]
         known, described = parameters(self), descriptors(self)
         strange = next((m.name for m in messages if m.name not in described), None)
         if strange is not None:  # rclpy would not name it
-            said = strange[:LONG]
-            reason = f"{said!r} is no parameter of {self.get_name()}{closest(said, described)}"
+            message = strange[:LONG]
+            reason = f"{message!r} is no parameter of {self.get_name()}{closest(message, described)}"
             return SetParametersResult(successful=False, reason=reason)
         untyped = next((m for m in messages if m.value.type not in TYPES), None)
         if untyped is not None:
@@ -394,9 +394,9 @@ def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Argume
 def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
     """Return a callback of a subscription that passes the number of each message on before the message."""
 
-    def take(*said: Any) -> None:
+    def take(*value: Any) -> None:
         # this executor hands both over as one (rclpy 7.1), which is not what it asks the signature for
-        data, info = said if len(said) == 2 else said[0]
+        data, info = value if len(value) == 2 else value[0]
         numbered(info["publication_sequence_number"])
         receive(data)
 
@@ -493,12 +493,12 @@ class RosMiddleware(Middleware):
         """Subscribe to the bytes of a topic."""
         receive, numbered = reader.receive, reader.numbered
         events = SubscriptionEventCallbacks(matched=self._counting(reader.matched))
-        take = self._in_turn(receive if numbered is None else with_number(receive, numbered))
+        accept = self._in_turn(receive if numbered is None else with_number(receive, numbered))
         with self._deaf():
             made = self.node.create_subscription(
                 message_class(msgtype),
                 topic,
-                take,
+                accept,
                 copy(QOS),
                 raw=True,
                 event_callbacks=events,

@@ -162,12 +162,12 @@ class Exchange:
     def _drain(self, until: int) -> None:
         """Process the queue and what follows from it until it is empty or `until` (ns, monotonic) has passed."""
         queue, now = self._queue, time.monotonic_ns
-        take = queue.popleft
+        accept = queue.popleft
         call: Callable[[], object] | None = None
         try:
             while queue:
                 for _ in range(min(len(queue), BATCH)):
-                    call = take()
+                    call = accept()
                     call()
                 if now() > until:
                     break

@@ -57,21 +57,21 @@ class Monitor:
         work : callable
             Takes a message and processes it. An exception in it is raised by `serve`.
         """
-        came, lock = self._came, self._lock
-        came.append(work)
+        arrived, lock = self._came, self._lock
+        arrived.append(work)
         if self._short < SHORT_ONES:
             if not self._asked:
                 self._wake()
             return
         # Another thread may add work after the last look at the queue and fail to get the lock before it is released,
         # so the queue is looked at again after the release.
-        while came and not self._asked and lock.acquire(blocking=False):
+        while arrived and not self._asked and lock.acquire(blocking=False):
             try:
-                while came and not self._asked and self._short >= SHORT_ONES:
-                    self._do(came.popleft())
+                while arrived and not self._asked and self._short >= SHORT_ONES:
+                    self._do(arrived.popleft())
             except BaseException as error:
                 self._error, self.closed = error, True
-                came.clear()
+                arrived.clear()
             finally:
                 lock.release()
             if self._error is not None or self._short < SHORT_ONES:

@@ -98,9 +98,9 @@ class Busy(Input):
         Called at each message.
     """
 
-    def __init__(self, middleware: Middleware, solvers: int, heard: Callable[[], None]) -> None:
+    def __init__(self, middleware: Middleware, solvers: int, received: Callable[[], None]) -> None:
         super().__init__(Port("busy", BUSY, TICK))
-        self._solvers, self._heard = solvers, heard
+        self._solvers, self._heard = solvers, received
         middleware.subscribe(BUSY, TICK, self)
 
     def receive(self, data: bytes) -> None:

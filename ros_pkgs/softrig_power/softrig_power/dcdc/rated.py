@@ -135,10 +135,10 @@ def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...
     tuple of str
         What was assumed.
     """
-    found = buck(given)
-    v, t_i = given["U_out"], found.law["t_i"]
+    result = buck(given)
+    v, t_i = given["U_out"], result.law["t_i"]
     loaded, end = 30.0 * t_i, 60.0 * t_i
-    said = f"""{head(given, ASKED, found.assumed, "A buck converter")}
+    message = f"""{head(given, ASKED, result.assumed, "A buck converter")}
 extends: buck_pi
 title: Voltage control of {name}
 system: {name}
@@ -147,9 +147,9 @@ duration: {text(end)}
 shared: {{target: {text(v)}, loaded: {text(loaded)}}}
 nodes:
   dcdc_plant:
-    parameters: {mapping(found.plant | {"load_currents": f"[0.0, {text(0.5 * v / found.plant['R'])}]"})}
+    parameters: {mapping(result.plant | {"load_currents": f"[0.0, {text(0.5 * v / result.plant['R'])}]"})}
   voltage_controller:
-    parameters: {mapping(found.law)}
+    parameters: {mapping(result.law)}
 figures:
   v_mean: {{arguments: {{start: 0.8 * $dcdc_plant.load_times.1}}}}
   i_mean: {{arguments: {{start: 0.8 * $dcdc_plant.load_times.1}}}}
@@ -158,4 +158,4 @@ expect:
   v_mean: $voltage_controller.set_point +- 0.5 %
   v_end: $voltage_controller.set_point +- 1 %
 """
-    return said, found.assumed
+    return message, result.assumed

@@ -57,10 +57,10 @@ def without_ripples(units: Units) -> Units:
 def repaired(units: Units, P: Array, demand: float) -> Array:
     """Spread what is missing to the demand over all units in proportion to the room that each has left."""
     P = np.clip(P, units.p_min, units.p_max)
-    rest = demand - float(P.sum())
-    room = units.p_max - P if rest > 0.0 else P - units.p_min
+    remaining = demand - float(P.sum())
+    room = units.p_max - P if remaining > 0.0 else P - units.p_min
     total = float(room.sum())
-    return P + rest * room / total if total > 0.0 else P
+    return P + remaining * room / total if total > 0.0 else P
 
 
 def swarm(

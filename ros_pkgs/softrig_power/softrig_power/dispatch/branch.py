@@ -85,9 +85,9 @@ def branch_and_bound(
     corners = 4 + max(len(units.valve_points(j)) for j in range(n))
     start = (units.sorted_copies(P) if conditions is None else P)[order]
     depth = max(2, min(2000, MEMORY // (n * corners)))
-    cost, bound, nodes, found = _search(problem, start, max_nodes, depth, corners)
-    back = np.empty_like(found)
-    back[order] = found
+    cost, bound, nodes, result = _search(problem, start, max_nodes, depth, corners)
+    back = np.empty_like(result)
+    back[order] = result
     return Proof(back, float(cost), float(min(bound, cost)), int(nodes))
 
 
@@ -241,23 +241,23 @@ def _fill(relaxed: Relaxed, lack: Any, lower: Any, multiplier: Any) -> Any:
 
     `lack` is what both sides lack and the number of pieces; give the cost and what the lower side lacks then.
     """
-    rest, more_rest, pieces = lack
+    remaining, more_rest, pieces = lack
     _, _, weight, P, slope, width, owner, beyond, priced, by_slope = relaxed
     for i in range(pieces):
         priced[i] = (slope[i] + multiplier * beyond[i]) / weight[owner[i]]
     _order(priced, pieces, by_slope)
     for q in range(pieces):
         i = by_slope[q]
-        left = rest if priced[i] >= 0.0 else more_rest
+        left = remaining if priced[i] >= 0.0 else more_rest
         if left <= 0.0:
             break
         share = weight[owner[i]]
         more = min(left, share * width[i])
         lower += priced[i] * more
         P[owner[i]] += more / share
-        rest -= more
+        remaining -= more
         more_rest -= more
-    return lower, rest
+    return lower, remaining
 
 
 @jit
@@ -412,16 +412,16 @@ def _relax(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed, enough: Any
     if filled > most + 1e-9 or room < least - n * problem.narrow:
         return np.inf, 0.0
     lack = (least - filled, most - filled, pieces)
-    lower, rest = _fill(relaxed, lack, base, 0.0)
+    lower, remaining = _fill(relaxed, lack, base, 0.0)
     if problem.reserve > 0.0 and lower < enough:
-        return _reserved(problem, boxes.x[t], relaxed, lack, base, (lower, rest), enough)
-    return lower, rest
+        return _reserved(problem, boxes.x[t], relaxed, lack, base, (lower, remaining), enough)
+    return lower, remaining
 
 
 @jit
-def _reserved(problem: Problem, x: Any, relaxed: Relaxed, lack: Any, base: Any, found: Any, enough: Any) -> Any:
+def _reserved(problem: Problem, x: Any, relaxed: Relaxed, lack: Any, base: Any, value: Any, enough: Any) -> Any:
     """Raise a bound by a price of the reserve: its dual function is concave, its best multiplier by bisection."""
-    lower, rest = found
+    lower, remaining = value
     table, ready, P, n = problem.table, problem.ready, relaxed.P, relaxed.P.shape[0]
     multiplier, least, most = 0.0, 0.0, -1.0
     for _ in range(40):
@@ -440,11 +440,11 @@ def _reserved(problem: Problem, x: Any, relaxed: Relaxed, lack: Any, base: Any, 
         for j in range(n):
             P[j] = x[j, 0]
             offset -= multiplier * min(ready[j], table[j, 1] - P[j])
-        dual, rest = _fill(relaxed, lack, offset, multiplier)
+        dual, remaining = _fill(relaxed, lack, offset, multiplier)
         lower = max(lower, dual)
         if lower >= enough:
             break
-    return lower, rest
+    return lower, remaining
 
 
 @jit
@@ -514,14 +514,14 @@ def _search(problem: Problem, start: Any, max_nodes: Any, depth: Any, corners: A
         bound = boxes.bound[top]
         if bound < upper - problem.tol:
             nodes += 1
-            bound, rest = _relax(problem, boxes, top, relaxed, upper - problem.tol)
+            bound, remaining = _relax(problem, boxes, top, relaxed, upper - problem.tol)
         if bound >= upper - problem.tol:
             closed = min(closed, bound)
             continue
         cost, split = _widest(problem, boxes, top, relaxed)
         if problem.conditioned:
-            cost, rest = _mended(problem, relaxed.P), 0.0
-        if cost < upper and rest <= 1e-9:
+            cost, remaining = _mended(problem, relaxed.P), 0.0
+        if cost < upper and remaining <= 1e-9:
             upper = cost
             best[:] = relaxed.P
         # A box that cannot be split, or for which the stack has no room, is closed with the bound that it has.

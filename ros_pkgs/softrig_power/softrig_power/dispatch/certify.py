@@ -205,29 +205,29 @@ class Optimiser:
         result.losses, result.reserve = conditions.losses.of(proof.P), conditions.spinning(self.units, proof.P)
         return result
 
-    def _adapt(self, demand: float, found: Dispatch, begun: float, note: Callable[[str, float], None]) -> None:
+    def _adapt(self, demand: float, dispatch: Dispatch, begun: float, note: Callable[[str, float], None]) -> None:
         """Lower every chord below the cost, solve, split where the model is too low at its own optimum, repeat."""
         points = [p.copy() for p in breakpoints(self.units, self.nseg)]
         groups = self.units.groups
-        while found.gap > self.tol:
+        while dispatch.gap > self.tol:
             left = self.time_limit - (time.perf_counter() - begun)
             if left <= 0.0:
-                found.reason, found.limited = "time limit", True
+                dispatch.reason, dispatch.limited = "time limit", True
                 return
             low = [lowering(self.units, j, p) for j, p in enumerate(points)]
             try:
                 # While the model is coarse, an exact optimum of it is worth little, so the solver may stop early.
-                gap = max(0.25 * self.tol, 0.1 * found.gap) if np.isfinite(found.gap) else 1.0
-                model = milp(self.units, demand, points, low, gap=0.0, gap_abs=gap, time_limit=left, start=found.P)
+                gap = max(0.25 * self.tol, 0.1 * dispatch.gap) if np.isfinite(dispatch.gap) else 1.0
+                model = milp(self.units, demand, points, low, gap=0.0, gap_abs=gap, time_limit=left, start=dispatch.P)
             except NoDispatch as error:
-                found.reason = str(error)
+                dispatch.reason = str(error)
                 return
-            found.nodes += model.nodes
-            found.binaries = max(found.binaries, model.binaries)
-            self._better(found, nlp(self.units, demand, model.P)[0])
+            dispatch.nodes += model.nodes
+            dispatch.binaries = max(dispatch.binaries, model.binaries)
+            self._better(dispatch, nlp(self.units, demand, model.P)[0])
             note("adaptive MILP", model.bound)
             if not model.optimal:
-                found.reason, found.limited = "time limit in the MILP", True
+                dispatch.reason, dispatch.limited = "time limit in the MILP", True
                 return
             missing = [self._missing(j, model.P[j], points[j], low[j]) for j in range(len(self.units))]
             splits = [(j, at) for j, (at, below) in enumerate(missing) if below > self.tol / (2 * len(self.units))]
@@ -237,7 +237,7 @@ class Optimiser:
                     if at not in points[k]:
                         points[k] = np.sort(np.append(points[k], at))
             if not splits:
-                found.reason = "the model is as exact as its numbers"
+                dispatch.reason = "the model is as exact as its numbers"
                 return
 
     def _missing(self, j: int, p: float, points: Array, low: Array) -> tuple[float, float]:
@@ -274,10 +274,10 @@ class Optimiser:
     def _answer(self, P: Array) -> Dispatch:
         return Dispatch(P, self.units.total(P), price=marginal_cost(self.units, P))
 
-    def _better(self, found: Dispatch, P: Array) -> None:
+    def _better(self, dispatch: Dispatch, P: Array) -> None:
         cost = self.units.total(P)
-        if cost < found.cost:
-            found.P, found.cost, found.price = P, cost, marginal_cost(self.units, P)
+        if cost < dispatch.cost:
+            dispatch.P, dispatch.cost, dispatch.price = P, cost, marginal_cost(self.units, P)
 
 
 SMALL = 64  # units up to which the branch and bound goes beyond its first box

@@ -52,10 +52,10 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
         raise InfeasibleError(why)
     order = units.order
     table, groups = np.ascontiguousarray(units.table[order]), units.groups[order]
-    found = [units.valve_points(j) for j in order]
-    sizes = np.array([len(p) for p in found], dtype=np.int64)
+    results = [units.valve_points(j) for j in order]
+    sizes = np.array([len(p) for p in results], dtype=np.int64)
     powers = np.zeros((len(units), int(np.max(sizes))))
-    for row, ends in zip(powers, found, strict=True):
+    for row, ends in zip(powers, results, strict=True):
         row[: len(ends)] = ends
     costs = np.array([[unit_cost(t, p) for p in row] for t, row in zip(table, powers, strict=True)])
     levels = Levels(table, groups, sizes, powers, costs)
@@ -95,15 +95,15 @@ def _enumerate(fleet: Levels, free: Any, demand: Any, least: Any, best: Any, mos
     while i >= 0:
         if i == m:
             count += 1
-            rest = demand - power[m]
-            if table[free, 0] - NARROW <= rest <= table[free, 1] + NARROW:
-                rest = min(max(rest, table[free, 0]), table[free, 1])
-                total = cost[m] + unit_cost(table[free], rest)
+            remaining = demand - power[m]
+            if table[free, 0] - NARROW <= remaining <= table[free, 1] + NARROW:
+                remaining = min(max(remaining, table[free, 0]), table[free, 1])
+                total = cost[m] + unit_cost(table[free], remaining)
                 if total < least:
                     least = result = total
                     for k in range(m):
                         best[others[k]] = levels[others[k], pick[k]]
-                    best[free] = rest
+                    best[free] = remaining
             if count >= most:
                 return result, count
             i -= 1
@@ -120,8 +120,8 @@ def _enumerate(fleet: Levels, free: Any, demand: Any, least: Any, best: Any, mos
                 pick[i] += 1
             continue
         power[i + 1], cost[i + 1] = power[i] + levels[j, pick[i]], cost[i] + costs[j, pick[i]]
-        rest = demand - power[i + 1]
-        if rest < low[i + 1] + table[free, 0] - NARROW or rest > high[i + 1] + table[free, 1] + NARROW:
+        remaining = demand - power[i + 1]
+        if remaining < low[i + 1] + table[free, 0] - NARROW or remaining > high[i + 1] + table[free, 1] + NARROW:
             pick[i] += 1
             continue
         i += 1

@@ -238,40 +238,40 @@ class DispatchSolver(Solver[DispatchParams]):
         """Return a new dispatch once, nothing at other ticks."""
         if not new or result is None:
             return x, {}
-        found = result.answer
-        if found is None or isinstance(found, str):
+        answer = result.answer
+        if answer is None or isinstance(answer, str):
             self.report(
-                Level.ERROR, "no dispatch", f"{found or 'no dispatch in time'}; the last set points stay", anew=True
+                Level.ERROR, "no dispatch", f"{answer or 'no dispatch in time'}; the last set points stay", anew=True
             )
             return x, {}
         # A dispatch was found, so the faults of earlier demands are over.
         for key in ("infeasible", "no dispatch", "NLP", "time limit"):
             self.withdraw(key)
-        if "failed" in found.reason:
-            self.report(Level.WARN, "NLP", found.reason)
-        if found.limited:
-            self.report(Level.WARN, "time limit", f"{found.reason}: gap {found.gap:.6g} $/h, not repeatable")
+        if "failed" in answer.reason:
+            self.report(Level.WARN, "NLP", answer.reason)
+        if answer.limited:
+            self.report(Level.WARN, "time limit", f"{answer.reason}: gap {answer.gap:.6g} $/h, not repeatable")
         # The units of the request, because newer ones may have come since.
         units, demand = result.request.units, result.request.demand
-        low, high = arch_bounds(units, found.P)
+        low, high = arch_bounds(units, answer.P)
         arches = [int(np.searchsorted(units.valve_points(j), low[j] + 1e-9, "right")) for j in range(len(units))]
-        at_valve = (np.abs(found.P - low) < 1e-6) | (np.abs(found.P - high) < 1e-6)
-        rows = np.column_stack([found.P, units.cost(found.P), arches, at_valve])
-        price = np.nan_to_num(found.price, posinf=1e9, neginf=-1e9)
-        repeatable = float(result.repeatable and not found.limited)
+        at_valve = (np.abs(answer.P - low) < 1e-6) | (np.abs(answer.P - high) < 1e-6)
+        rows = np.column_stack([answer.P, units.cost(answer.P), arches, at_valve])
+        price = np.nan_to_num(answer.price, posinf=1e9, neginf=-1e9)
+        repeatable = float(result.repeatable and not answer.limited)
         summary = (
             demand,
-            found.cost,
-            found.bound,
-            found.gap,
+            answer.cost,
+            answer.bound,
+            answer.gap,
             float(price[0]),
             float(price[1]),
-            float(found.nodes),
-            float(found.binaries),
+            float(answer.nodes),
+            float(answer.binaries),
             repeatable,
         )
-        values = {"setpoints": tuple(found.P.tolist()), "result": tuple(rows.ravel().tolist()), "summary": summary}
-        return x._replace(last=found), values
+        values = {"setpoints": tuple(answer.P.tolist()), "result": tuple(rows.ravel().tolist()), "summary": summary}
+        return x._replace(last=answer), values
 
     def health(self, x: State) -> Mapping[str, str]:
         """Add the stages of the last dispatch."""

@@ -227,9 +227,9 @@ def nlp(units: Units, demand: float, P: Array) -> tuple[Array, bool]:
     solver = ca.nlpsol("arches", "ipopt", problem, options)
     before = balanced(units, P, demand)
     try:
-        found = solver(x0=np.clip(P, low, high), lbx=low, ubx=high, lbg=demand, ubg=demand)
+        result = solver(x0=np.clip(P, low, high), lbx=low, ubx=high, lbg=demand, ubg=demand)
         succeeded = bool(solver.stats()["success"])
-        after = np.array(found["x"]).reshape(-1)
+        after = np.array(result["x"]).reshape(-1)
     # casadi raises RuntimeError for every failure.
     except RuntimeError:
         return before, False

@@ -104,7 +104,7 @@ class Units:
         if "/" not in source and not source.endswith(".csv"):
             source = f"package://softrig_power/dispatch/tables/{source}.csv"
         path = resource(source)
-        columns, found = read_rows(path)
+        columns, result = read_rows(path)
         missing = [c for c in ("unit", *COLUMNS) if c not in columns]
         if missing:
             near = closest(missing[0], [c for c in columns if c not in UNITS.table])
@@ -114,7 +114,7 @@ class Units:
         except ScenarioError as error:
             raise TableError(str(error)) from None
         ids, rows, more = [], [], []
-        for row in found:
+        for row in result:
             ids.append(row.values["unit"])
             rows.append([row.number(column) for column in COLUMNS])
             more.append([row.number(column, np.nan) for column in MORE])
@@ -266,11 +266,11 @@ def balanced(units: Units, given: ArrayLike, demand: float) -> Array:
     """
     P = np.clip(np.asarray(given, dtype=float), units.p_min, units.p_max)
     for _ in range(len(units)):
-        rest = demand - float(P.sum())
-        if abs(rest) <= 1e-9 * max(1.0, abs(demand)):
+        remaining = demand - float(P.sum())
+        if abs(remaining) <= 1e-9 * max(1.0, abs(demand)):
             break
-        moved = np.clip(P + rest, units.p_min, units.p_max)
-        full = np.abs(moved - P - rest) <= 1e-12
+        moved = np.clip(P + remaining, units.p_min, units.p_max)
+        full = np.abs(moved - P - remaining) <= 1e-12
         reach = np.where(full, units.cost(moved) - units.cost(P), np.inf)
         j = int(np.argmin(reach)) if full.any() else int(np.argmax(np.abs(moved - P)))
         P[j] = moved[j]

@@ -53,16 +53,16 @@ class FaultedLine(Drawing):
         pen.line([(x, y), (x, y + 24 * on)], "alarm", 2.0)
         if self.some:
             ground(pen, (x, y + 24), "alarm" if self.some else "muted")
-        found = self.place.name in row and math.isfinite(row[self.place.name])
-        mark = self._at(self.place(row)) if found else self.LEFT
-        wide = 7.0 if found else 0.0
+        result = self.place.name in row and math.isfinite(row[self.place.name])
+        mark = self._at(self.place(row)) if result else self.LEFT
+        wide = 7.0 if result else 0.0
         pen.polygon(
             [(mark, y + 42), (mark - wide, y + 42 - 1.6 * wide), (mark + wide, y + 42 - 1.6 * wide)],
             "third",
             "third",
             0,
         )
-        pen.text((320, 28), f"located at {self.place.said(row, '.3f')}" if found else "", "third", 14.0, "middle")
+        pen.text((320, 28), f"located at {self.place.said(row, '.3f')}" if result else "", "third", 14.0, "middle")
         for left, end in ((30.0, "s"), (340.0, "r")):
             for top, which, name, full in ((196.0, 0, "Voltages", self.volts), (286.0, 1, "Currents", 8000.0)):
                 values = self.ends[end][which]

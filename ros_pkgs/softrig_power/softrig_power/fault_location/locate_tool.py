@@ -54,17 +54,17 @@ def _locate(arguments: Sequence[str]) -> int:
         return 1
     except KeyError as error:
         raise RunError(str(error.args[0])) from None
-    found = locate(record, p)
-    trust = confidence(record, p, found, budget) if found.x_km is not None else None
-    print(describe(found, trust, p.line.length))
+    location = locate(record, p)
+    trust = confidence(record, p, location, budget) if location.x_km is not None else None
+    print(describe(location, trust, p.line.length))
     print(conditions(record, p, window))
     if options.pictures is not None:
         from .pictures import objective, waveforms
 
         options.pictures.mkdir(parents=True, exist_ok=True)
         waveforms(record, p, options.pictures / "waveforms.png")
-        objective(record, p, found, options.pictures / "objective.png", truth=options.truth)
-    return 0 if found.x_km is not None else 1
+        objective(record, p, location, options.pictures / "objective.png", truth=options.truth)
+    return 0 if location.x_km is not None else 1
 
 
 def read(sources: Sequence[Path], channels: Sequence[str] = (), late: tuple[float, float] = (0.0, 0.0)) -> Record:

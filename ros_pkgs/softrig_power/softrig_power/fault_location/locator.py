@@ -124,33 +124,33 @@ class FaultLocator(Block[FaultLocatorParams]):
         try:
             drawn = int(self.generator().integers(2**32, size=x.answers + 1)[-1])
             work = Locator(self.read(x), self.p, np.random.default_rng([self.p.seed, drawn]))
-            found = work.locate()
+            location = work.locate()
         except RecordError as error:
-            found = Location(error.status, text=str(error))
-        x = x._replace(answers=x.answers + 1, result=found)
-        self._tell(found, work)
-        verdict = (float(found.status), float(found.mode), 0.0 if work is None else found.f_max)
-        if work is None or found.x_km is None:
+            location = Location(error.status, text=str(error))
+        x = x._replace(answers=x.answers + 1, result=location)
+        self._tell(location, work)
+        verdict = (float(location.status), float(location.mode), 0.0 if work is None else location.f_max)
+        if work is None or location.x_km is None:
             return x, {"verdict": verdict}
-        scatter = confidence(work.record, self.p, found, NO_BUDGET).scatter_km
+        scatter = confidence(work.record, self.p, location, NO_BUDGET).scatter_km
         values = {
-            "x_km": found.x_km,
-            "f_min": found.f_min,
-            "f_max": found.f_max,
-            "mode": float(found.mode),
-            "n_eval": float(found.evaluations),
+            "x_km": location.x_km,
+            "f_min": location.f_min,
+            "f_max": location.f_max,
+            "mode": float(location.mode),
+            "n_eval": float(location.evaluations),
             "scatter_km": scatter,
         }
         objective = (*work.grid.tolist(), *work.curves.ravel().tolist())
         place = tuple(values[name] for name in LOCATION)
         return x, {"verdict": verdict, "location": place, "objective": objective}
 
-    def _tell(self, found: Location, work: Locator | None) -> None:
-        good = found.status in (Status.OK, Status.NO_FAULT)
-        text = found.text
-        if found.x_km is not None and self.p.truth_km is not None:
-            error = found.x_km - self.p.truth_km
+    def _tell(self, location: Location, work: Locator | None) -> None:
+        good = location.status in (Status.OK, Status.NO_FAULT)
+        text = location.text
+        if location.x_km is not None and self.p.truth_km is not None:
+            error = location.x_km - self.p.truth_km
             text += f"; error {100.0 * error / self.p.line.length:.4f} % of the line ({1e3 * error:.1f} m)"
-        self.report(Level.OK if good else Level.WARN, found.status.name.lower(), text)
+        self.report(Level.OK if good else Level.WARN, location.status.name.lower(), text)
         if work is not None and work.warning:
             self.report(Level.WARN, "rate", work.warning)

@@ -46,24 +46,24 @@ def waveforms(record: Record, p: LocatorParams, path: Path, fault: tuple[float, 
     figure.savefig(path, dpi=110)
 
 
-def objective(record: Record, p: LocatorParams, found: Location, path: Path, truth: float | None = None) -> None:
+def objective(record: Record, p: LocatorParams, location: Location, path: Path, truth: float | None = None) -> None:
     """Draw F(x) of the three aerial modes with its minimum and the truth, whole line and the last 400 m around it."""
     work = Locator(record, p)
     figure, axes = _figure(1, 2, height=3.4)
-    centre = found.x_km if found.x_km is not None else (0.5 * work.section.length if truth is None else truth)
+    centre = location.x_km if location.x_km is not None else (0.5 * work.section.length if truth is None else truth)
     wide = np.linspace(0.0, work.section.length, 601)
     near = np.clip(np.linspace(centre - 0.2, centre + 0.2, 401), 0.0, work.section.length)
     for axis, x in zip(axes[0], (wide, near), strict=True):
         for mode, label in ((1, "(a-b)/3"), (2, "(b-c)/3"), (3, "(c-a)/3")):
-            axis.plot(x, work.f(x, mode), lw=1.5 if mode == found.mode else 0.7, label=f"mode {mode} {label}")
-        if found.x_km is not None:
-            axis.axvline(found.x_km, color="tab:green", lw=1.0, label=f"minimum {found.x_km:.4f} km")
+            axis.plot(x, work.f(x, mode), lw=1.5 if mode == location.mode else 0.7, label=f"mode {mode} {label}")
+        if location.x_km is not None:
+            axis.axvline(location.x_km, color="tab:green", lw=1.0, label=f"minimum {location.x_km:.4f} km")
         if truth is not None:
             axis.axvline(truth, color="k", lw=0.8, ls="--", label=f"truth {truth:g} km")
         axis.set_yscale("log")
         axis.set_xlabel("x, km")
-        if found.x_km is not None:  # a mode that is not excited lies far below
-            axis.set_ylim(bottom=0.3 * found.f_min)
+        if location.x_km is not None:  # a mode that is not excited lies far below
+            axis.set_ylim(bottom=0.3 * location.f_min)
     axes[0, 0].set_ylabel("F(x), V")
     axes[0, 0].legend(fontsize=7)
     axes[0, 1].locator_params(axis="x", nbins=5)

@@ -109,11 +109,13 @@ class LinePlant(Plant[LinePlantParams]):
 
     def _row(self, k: int, seed: int, measured: Sequence[float]) -> tuple[float, ...]:
         """Return the instrument readings of a sample: its time, and the values with noise."""
-        told = tuple([u + 0.0 for u in measured])
+        messages = tuple([u + 0.0 for u in measured])
         if self.p.measurement.noise_snr_db is not None:
             normal, at = self._noise(seed), CHANNELS * k
-            told = tuple([u + s * normal(at + c) for c, (u, s) in enumerate(zip(told, self._level, strict=True))])
-        return (k / self._rate, *told)
+            messages = tuple(
+                [u + s * normal(at + c) for c, (u, s) in enumerate(zip(messages, self._level, strict=True))]
+            )
+        return (k / self._rate, *messages)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return the samples; with the last one of a record the record."""
@@ -125,7 +127,7 @@ class LinePlant(Plant[LinePlantParams]):
 
     def _record(self, x: State, row: tuple[float, ...]) -> tuple[float, ...]:
         before = (self._row(k, x.seed, measured) for k, measured in enumerate(x.rows.newest()))
-        return tuple(value for told in (*before, row) for value in told)
+        return tuple(value for sample in (*before, row) for value in sample)
 
     def advance(self, x: State, t: int, *, run: tuple[float, ...] | None) -> State:
         """Move by one sampling period, or start again."""

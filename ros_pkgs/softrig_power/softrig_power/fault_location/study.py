@@ -73,12 +73,12 @@ def run_case(case: Case, rig: Settings, locator: Settings) -> Row:
     p: Any = build(LocatorParams, locator)
     record = _simulated(tuple(sorted(settings.items())))
     begin = time.process_time()
-    found = locate(record, p)
+    location = locate(record, p)
     spent = time.process_time() - begin
-    error = None if found.x_km is None else 100.0 * (found.x_km - case.x_km) / p.line.length
+    error = None if location.x_km is None else 100.0 * (location.x_km - case.x_km) / p.line.length
     profile = str(settings.get("measurement.profile", "m20k"))
-    return Row(case.type, case.x_km, case.rf_ohm, p.algorithm, profile, found.status.name.lower(), found.x_km, error,
-               found.f_min, found.f_max, found.mode, found.evaluations, spent)  # fmt: skip
+    return Row(case.type, case.x_km, case.rf_ohm, p.algorithm, profile, location.status.name.lower(), location.x_km,
+               error, location.f_min, location.f_max, location.mode, location.evaluations, spent)  # fmt: skip
 
 
 Job = tuple[Case, Settings, Settings]
@@ -137,9 +137,9 @@ def sensitivity(mode: str = "auto", processes: int | None = None) -> dict[str, l
             for case in SENSITIVITY
             for seed in range(NOISE_SEEDS)
         ]
-    found = run([(case, rig, loc) for _, case, rig, loc in rows], processes)
+    result = run([(case, rig, loc) for _, case, rig, loc in rows], processes)
     table: dict[str, dict[Case, list[float]]] = {}
-    for (name, case, _, _), row in zip(rows, found, strict=True):
+    for (name, case, _, _), row in zip(rows, result, strict=True):
         table.setdefault(name, {}).setdefault(case, []).append(row.error_m)
     return {name: [e[0] if len(e) == 1 else float(np.std(e)) for e in by.values()] for name, by in table.items()}
 

@@ -88,7 +88,7 @@ def circuit(params: NetworkParams, step: float) -> tuple[Circuit, Lines]:
     """
     p = params
     source_a, source_b = p.sources
-    found = Circuit(
+    result = Circuit(
         step,
         p.omega,
         source_a,
@@ -100,7 +100,7 @@ def circuit(params: NetworkParams, step: float) -> tuple[Circuit, Lines]:
         p.series_limit / fundamental(math.pi),
         p.dc_time,
     )
-    return found, lines([p.half] * 4, step)
+    return result, lines([p.half] * 4, step)
 
 
 @jit

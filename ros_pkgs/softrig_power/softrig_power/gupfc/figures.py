@@ -111,13 +111,13 @@ def cycles(
     if t.size < periods:
         raise ValueError(f"{topic} has {t.size} messages, {count} cycles are {periods}")
     interval(t[-periods:], topic)
-    found = np.empty((periods, steps), dtype=complex)
+    result = np.empty((periods, steps), dtype=complex)
     for step in range(steps):
-        found[:, step] = (
+        result[:, step] = (
             signals[f"{topic}/{step},{column}"][1][-periods:]
             + 1j * signals[f"{topic}/{step},{column + 1}"][1][-periods:]
         )
-    return found.ravel()
+    return result.ravel()
 
 
 @figure("%", ("gupfc/trace/*",), FREQUENCY)

@@ -63,5 +63,5 @@ class Weights:
 
     def phasor(self, samples: NDArray[np.complex128]) -> complex:
         """Mean of `record`, each turned on to the last sample at nominal speed."""
-        found = self.record(samples)
-        return complex(np.mean(dense.times(found, dense.turn(self._turn * np.arange(found.size - 1, -1, -1)))))
+        result = self.record(samples)
+        return complex(np.mean(dense.times(result, dense.turn(self._turn * np.arange(result.size - 1, -1, -1)))))

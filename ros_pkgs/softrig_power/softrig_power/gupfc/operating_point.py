@@ -153,10 +153,10 @@ def _operating_point(
         u1, u2, u4 = (weights.phasor(start.bus[:, k]) for k in (BUS1, BUS2, BUS4))
         i_sh, i12, i34 = (weights.phasor(start.current[:, k]) for k in (I_SH, I12, I34))
         s1, s2 = u2 * i12.conjugate(), u4 * i34.conjugate()
-        found = np.array([s1.real, s1.imag, s2.real, s2.imag, abs(u1), start.power[[SH, SE12, SE34]].sum()])
-        if np.abs(found - wanted).max() < TOLERANCE:
+        result = np.array([s1.real, s1.imag, s2.real, s2.imag, abs(u1), start.power[[SH, SE12, SE34]].sum()])
+        if np.abs(result - wanted).max() < TOLERANCE:
             break
-        asked += wanted - found
+        asked += wanted - result
     columns = {
         "u1": start.bus[:, BUS1],
         "u2": start.bus[:, BUS2],

@@ -131,7 +131,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         s1, s2 = u2 * i12.conjugate(), u4 * i34.conjugate()
         limit = self.p.network.series_limit * v_dc
         v12, v34 = (0.0 if x.tripped else limit * math.sin(0.5 * c.sigma) for c in x.commands[1:])
-        said: dict[str, tuple[float, ...]] = {
+        messages: dict[str, tuple[float, ...]] = {
             "u1": (u1.real, u1.imag, 0.0),
             "u2": (u2.real, u2.imag, 0.0),
             "u4": (u4.real, u4.imag, 0.0),
@@ -144,8 +144,8 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         if self.p.trace:
             shown = (rows.converter[1:, 0], rows.converter[1:, 1], rows.bus[1:, BUS1], rows.current[1:, I_SH])
             parts = np.column_stack([part for row in shown for part in (row.real, row.imag)])
-            said["trace"] = tuple(parts.ravel().tolist())
-        return said
+            messages["trace"] = tuple(parts.ravel().tolist())
+        return messages
 
     def advance(
         self, x: State, t: int, *, shunt: tuple[float, ...], series_1: tuple[float, ...], series_2: tuple[float, ...]

@@ -89,20 +89,20 @@ class PowerFlowNode(Block[PowerFlowParams]):
         due = asked is not None and (asked != x.asked or (pressed and not x.pressed))
         if asked is None or not due:
             return State(x.asked, pressed, x.sizes), {}
-        found = self._solver.solve(asked)
-        if isinstance(found, Diverged):
-            text = f"diverged: mismatch {found.mismatch:.3g} pu after {found.iterations} iterations"
+        solution = self._solver.solve(asked)
+        if isinstance(solution, Diverged):
+            text = f"diverged: mismatch {solution.mismatch:.3g} pu after {solution.iterations} iterations"
             self.report(Level.ERROR, "diverged", text)
-            return State(asked, pressed), {"result": (0.0, float(found.iterations), found.mismatch)}
-        answer = {"result": (1.0, float(found.iterations), found.mismatch), **self._tables(found)}
-        return State(asked, pressed, found.sizes), answer
+            return State(asked, pressed), {"result": (0.0, float(solution.iterations), solution.mismatch)}
+        answer = {"result": (1.0, float(solution.iterations), solution.mismatch), **self._tables(solution)}
+        return State(asked, pressed, solution.sizes), answer
 
     def health(self, x: State) -> Mapping[str, str]:
         """Describe how many operating points there are, and which one was selected."""
         if not x.sizes:
             return {}
-        taken, *others = x.sizes
-        text = f"{len(x.sizes)}; taken: the one with the smallest series voltage, {taken:.4g} pu"
+        used, *others = x.sizes
+        text = f"{len(x.sizes)}; taken: the one with the smallest series voltage, {used:.4g} pu"
         return {"operating points": text + (f", the next needs {others[0]:.4g} pu" if others else "")}
 
     def _references(self, *given: tuple[float, ...] | None) -> References | None:
@@ -116,23 +116,23 @@ class PowerFlowNode(Block[PowerFlowParams]):
             self.report(Level.ERROR, "references", f"references {changes} cannot be meant: nothing is solved")
             return None
 
-    def _tables(self, found: Solution) -> dict[str, tuple[float, ...]]:
+    def _tables(self, solution: Solution) -> dict[str, tuple[float, ...]]:
         z = self.p.network.z_se
-        i12, i34 = found.v12 / z, found.v34 / z
+        i12, i34 = solution.v12 / z, solution.v34 / z
         injected = {
-            "1": found.s_sh - found.bus["1"] * i12.conjugate(),
-            "2": found.bus["2"] * i12.conjugate(),
-            "3": -found.bus["3"] * i34.conjugate(),
-            "4": found.bus["4"] * i34.conjugate(),
+            "1": solution.s_sh - solution.bus["1"] * i12.conjugate(),
+            "2": solution.bus["2"] * i12.conjugate(),
+            "3": -solution.bus["3"] * i34.conjugate(),
+            "4": solution.bus["4"] * i34.conjugate(),
         }
-        bus = [(*cmath.polar(found.bus[b]), injected.get(b, 0j).real, injected.get(b, 0j).imag) for b in BUSES]
+        bus = [(*cmath.polar(solution.bus[b]), injected.get(b, 0j).real, injected.get(b, 0j).imag) for b in BUSES]
         device = (
-            *cmath.polar(found.v12),
-            *cmath.polar(found.v34),
-            *cmath.polar(found.v_sh),
-            found.p12,
-            found.p34,
-            found.s_sh.real,
-            found.s_sh.imag,
+            *cmath.polar(solution.v12),
+            *cmath.polar(solution.v34),
+            *cmath.polar(solution.v_sh),
+            solution.p12,
+            solution.p34,
+            solution.s_sh.real,
+            solution.s_sh.imag,
         )
         return {"bus": tuple(value for row in bus for value in row), "device": device}

@@ -90,6 +90,6 @@ class PulseGenerator(Block[PulseGeneratorParams]):
 @lru_cache(maxsize=16)
 def judged(sigma: float) -> tuple[tuple[float, ...], tuple[float, float, float]]:
     """Spectrum, and fundamental with distortion (all, up to the 50th), of a conduction angle (rad)."""
-    first, found = pulses.fundamental(sigma), pulses.harmonics(sigma, max(ORDERS))
-    spectrum = tuple(part for n in ORDERS for part in (float(n), 100.0 * found[n] / first))
+    first, result = pulses.fundamental(sigma), pulses.harmonics(sigma, max(ORDERS))
+    spectrum = tuple(part for n in ORDERS for part in (float(n), 100.0 * result[n] / first))
     return spectrum, (first, pulses.distortion(sigma), pulses.distortion(sigma, 50))

@@ -137,18 +137,18 @@ def start(
         else:
             spectrum, orders = {1: scale * first * v_dc[0]}, [1]  # type: ignore[assignment]
         signed = [n if n <= steps // 2 else n - steps for n in orders]
-        found = []  # of each order: buses, branches, lines, converters
+        results = []  # of each order: buses, branches, lines, converters
         for n, order in zip(orders, signed, strict=True):
             if n not in network:
                 network[n] = Phasors(params, h, order * omega)
             e = (circuit.source_a, circuit.source_b) if n == 1 else (0j, 0j)
-            found.append(np.concatenate([np.ravel(x) for x in (*network[n](*e, spectrum[n]), spectrum[n])]))
+            results.append(np.concatenate([np.ravel(x) for x in (*network[n](*e, spectrum[n]), spectrum[n])]))
         speeds = turn * np.array(signed)
-        whole = dense.product(dense.turn(np.outer(k, speeds)), np.array(found))
+        whole = dense.product(dense.turn(np.outer(k, speeds)), np.array(results))
         bus, current, mean = whole[:, :6], whole[:, 6:11], whole[:, 19:]
         line = whole[:, 11:19].reshape(-1, 4, 2)
         if pulse == PULSE:
-            i = np.array(found)[:, 6:11][:, [I_SH, I12, I34]]
+            i = np.array(results)[:, 6:11][:, [I_SH, I12, I34]]
             between = dense.times(0.5 * (1.0 + dense.turn(speeds))[:, None], i)
             mean_current = dense.product(dense.turn(np.outer(np.arange(steps), speeds)), between)
             power = dense.times(scale * shape * v_dc[:, None], mean_current.conj()).real.sum(axis=1)

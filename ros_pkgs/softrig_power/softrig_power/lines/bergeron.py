@@ -89,15 +89,15 @@ def lines(sections: Sequence[Section], step: float) -> Lines:
                 f"a section of {s.length:g} km is passed in {s.tau / step:.3g} steps of {step:g} s: expected at least "
                 f"{LEAST_DELAY}, which is {LEAST_DELAY * step * s.velocity:.4g} km"
             )
-    found = [interpolation(s.tau / step) for s in sections]
+    results = [interpolation(s.tau / step) for s in sections]
     z_plus = np.array([s.z_plus for s in sections])
     return Lines(
         1.0 / z_plus,
         np.array([s.z_minus for s in sections]),
         -np.array([s.z for s in sections]) / z_plus**2,
         -0.25 * np.array([s.resistance for s in sections]) / z_plus**2,
-        np.array([whole for whole, _ in found], dtype=np.int64),
-        np.array([weights for _, weights in found]),
+        np.array([whole for whole, _ in results], dtype=np.int64),
+        np.array([weights for _, weights in results]),
     )
 
 

@@ -133,8 +133,8 @@ def characteristic(p: ModuleParams, irradiance: tuple[float, ...], temperature: 
     below, above = np.full_like(i, low), np.full_like(i, high)
     junctions: list[Array | None] = [None] * len(cells)
     for _ in range(100):
-        found, slope = _voltage(cells, p.V_f, i, junctions)
-        error = found - v
+        result, slope = _voltage(cells, p.V_f, i, junctions)
+        error = result - v
         below, above = np.where(error > 0.0, i, below), np.where(error > 0.0, above, i)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = i - error / slope

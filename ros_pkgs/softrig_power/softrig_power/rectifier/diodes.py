@@ -66,10 +66,10 @@ def conduct(t: float, h: float, x: Array, p: tuple[Circuit, Period]) -> None:
         left = (1.0 if x[0] != 0.0 else 0.0) + (1.0 if x[1] != 0.0 else 0.0) + (1.0 if x[2] != 0.0 else 0.0)
         # A current that ends within the step leaves a rest in the others, which must add to zero again.
         if left > 0.0:
-            rest = (x[0] + x[1] + x[2]) / left
-            x[0] = carried(x[0], x[0], s_a, -rest)
-            x[1] = carried(x[1], x[1], s_b, -rest)
-            x[2] = carried(x[2], x[2], s_c, -rest)
+            remaining = (x[0] + x[1] + x[2]) / left
+            x[0] = carried(x[0], x[0], s_a, -remaining)
+            x[1] = carried(x[1], x[1], s_b, -remaining)
+            x[2] = carried(x[2], x[2], s_c, -remaining)
     else:
         x[0], x[1], x[2] = 0.0, 0.0, 0.0
     x[3] = v + h * (s_a * x[0] + s_b * x[1] + s_c * x[2] - v / period.load) / circuit.C

@@ -59,17 +59,17 @@ class Sums:
         figures : tuple of float
             Those so far, as `quality.FIGURES`.
         """
-        row, sums, found, _ = self.traced(x, how, circuit, period, figures, NO_TRACE)
-        return row, sums, found
+        row, sums, result, _ = self.traced(x, how, circuit, period, figures, NO_TRACE)
+        return row, sums, result
 
     def traced(
         self, x: Row, how: How, circuit: Circuit, period: Period, figures: Row, trace: Array
     ) -> tuple[Row, Sums, Row, Row]:
         """See `moved`; with the waveforms, which go into the rows of `trace` (steps, 5)."""
         moving, sums = np.array(x, dtype=float), opened(self.kept)
-        found = np.array(figures)
-        move(moving, how, circuit, period, sums, np.empty_like(sums), found, trace)
-        return tuple(moving.tolist()), Sums(sums.tobytes()), tuple(found.tolist()), tuple(trace.ravel().tolist())
+        result = np.array(figures)
+        move(moving, how, circuit, period, sums, np.empty_like(sums), result, trace)
+        return tuple(moving.tolist()), Sums(sums.tobytes()), tuple(result.tolist()), tuple(trace.ravel().tolist())
 
     def native(self) -> SumsRows:
         """Convert the sums to their form for native code."""
@@ -113,7 +113,7 @@ class SumsRows(NamedTuple):
 
 @jit
 def move(
-    x: Array, how: How, circuit: Circuit, period: Period, sums: Array, complete: Array, found: Array, trace: Array
+    x: Array, how: How, circuit: Circuit, period: Period, sums: Array, complete: Array, values: Array, trace: Array
 ) -> None:
     """Move a state over one period in place; `found` gets the figures of a window that ends in it."""
     windows = sums[PLAIN, WINDOWS]
@@ -132,4 +132,4 @@ def move(
     else:
         advance_averaged(x, how.steps, how.window, both, sums, complete, trace)
     if sums[PLAIN, WINDOWS] != windows and complete[PLAIN, TIME] > 0.999 * how.window:
-        measure(complete, found)
+        measure(complete, values)

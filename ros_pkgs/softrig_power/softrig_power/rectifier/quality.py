@@ -171,7 +171,7 @@ def squares_of(sums: Array, k: int, share: float) -> float:
 
 
 @jit
-def measure(sums: Array, found: Array) -> None:
+def measure(sums: Array, values: Array) -> None:
     """Write the figures of a complete window, in the order of `FIGURES`, into an array.
 
     ::
@@ -204,16 +204,16 @@ def measure(sums: Array, found: Array) -> None:
         grid = share * amplitude(sums, GRID_COS + phase, GRID_SIN + phase, 1)
         peaks += share * math.sqrt(a * a + b * b) * grid
     flows = first > 0.0
-    found[0] = plain[WINDOWS]
-    found[1] = 100.0 * math.sqrt(max(0.0, square - first) / first) if flows else 0.0
-    found[2] = 100.0 * math.sqrt(more / 2.0 / first) if flows else 0.0
-    found[3] = plain[POWER] / duration / rms if flows else 0.0
-    found[4] = product / peaks if flows else 0.0
-    found[5] = math.sqrt(2.0 * first / 3.0)
-    found[6] = plain[POWER] / duration
-    found[7] = plain[LINK] / duration
-    found[8] = plain[HIGH] - plain[LOW]
-    found[9] = share * amplitude(sums, LINK_COS, LINK_SIN, 6)
-    found[10] = share * amplitude(sums, LINK_COS, LINK_SIN, 12)
-    found[11] = math.sqrt(squares_of(sums, 5, share) / 3.0)
-    found[12] = math.sqrt(squares_of(sums, 7, share) / 3.0)
+    values[0] = plain[WINDOWS]
+    values[1] = 100.0 * math.sqrt(max(0.0, square - first) / first) if flows else 0.0
+    values[2] = 100.0 * math.sqrt(more / 2.0 / first) if flows else 0.0
+    values[3] = plain[POWER] / duration / rms if flows else 0.0
+    values[4] = product / peaks if flows else 0.0
+    values[5] = math.sqrt(2.0 * first / 3.0)
+    values[6] = plain[POWER] / duration
+    values[7] = plain[LINK] / duration
+    values[8] = plain[HIGH] - plain[LOW]
+    values[9] = share * amplitude(sums, LINK_COS, LINK_SIN, 6)
+    values[10] = share * amplitude(sums, LINK_COS, LINK_SIN, 12)
+    values[11] = math.sqrt(squares_of(sums, 5, share) / 3.0)
+    values[12] = math.sqrt(squares_of(sums, 7, share) / 3.0)

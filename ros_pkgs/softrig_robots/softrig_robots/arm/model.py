@@ -76,10 +76,10 @@ def compile_arm(urdf: str, tool: str, joints: Sequence[str], edge_speed: float) 
     from ..urdf_file import read_robot
 
     model = load_model(urdf)
-    robot, found = SymbolicRobot(model, tool), read_robot(urdf).joints
+    robot, result = SymbolicRobot(model, tool), read_robot(urdf).joints
     n = robot.n
-    viscous = ca.DM([found[name].damping for name in joints])
-    coulomb = ca.DM([found[name].friction for name in joints])
+    viscous = ca.DM([result[name].damping for name in joints])
+    coulomb = ca.DM([result[name].friction for name in joints])
     q, v, u, force = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("u", n), ca.SX.sym("F", 3)
     armature, payload = ca.SX.sym("armature", n), ca.SX.sym("payload")
     rubbing = viscous * v + coulomb * ca.tanh(v / edge_speed)

@@ -111,10 +111,10 @@ class VcsController(Block[VcsControllerParams]):
         n = self._n
         e = [reference[i] - joint_states[i] for i in range(n)]
         rate = [reference[i] - joint_states[i] for i in range(n, 2 * n)]
-        found = [
+        results = [
             law(own, reference[2 * n + i], e[i], rate[i])
             for i, (law, own) in enumerate(zip(self.laws, x.laws, strict=True))
         ]
-        laws, voltages = zip(*found, strict=True)
+        laws, voltages = zip(*results, strict=True)
         state = (*e, *[own.s for own in laws], *[own.sigma for own in laws], *[own.f_hat for own in laws])
         return State(laws), {"motor_command": voltages, "controller_state": state}

@@ -74,8 +74,8 @@ class ManipulatorParams(DrivenRobotParams):
         motors = self.motors.table(len(self.joints))
         armature = [J / r**2 for J, r in zip(motors["inertia"], motors["gear"], strict=True)]
         model = check_robot(self.urdf, "tool", self.joints, armature)
-        found = read_robot(read_urdf(self.urdf)).joints
-        rubbing = [found[name].damping + found[name].friction / self.edge_speed for name in self.joints]
+        joints = read_robot(read_urdf(self.urdf)).joints
+        rubbing = [joints[name].damping + joints[name].friction / self.edge_speed for name in self.joints]
         fastest = fastest_rubbing(model, self.start("position"), rubbing)
         least = math.ceil(self.period * fastest / LARGEST_STEP)
         if self.substeps < least:
@@ -85,7 +85,7 @@ class ManipulatorParams(DrivenRobotParams):
             )
         if self.limits == "act":
             for name, q in zip(self.joints, self.start("position"), strict=True):
-                joint = found[name]
+                joint = joints[name]
                 if not joint.lower <= q <= joint.upper or joint.effort == 0.0:
                     raise ValueError(
                         f"limits: act needs joint {name} within its limits and an effort above 0: it begins at {q:g} "

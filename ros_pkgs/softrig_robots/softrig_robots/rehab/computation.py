@@ -26,11 +26,11 @@ def computation_times(updates: int = UPDATES) -> dict[str, float]:
     dict
         Law to us, the best of three rounds.
     """
-    found: dict[str, list[float]] = {law: [] for law in LAWS}
+    results: dict[str, list[float]] = {law: [] for law in LAWS}
     for _ in range(ROUNDS):  # law after law, so that a slow minute of the host meets all of them
-        for law, times in found.items():
+        for law, times in results.items():
             times.append(_mean_time(VoltageController(law=law), updates))
-    return {law: min(times) for law, times in found.items()}
+    return {law: min(times) for law, times in results.items()}
 
 
 def _mean_time(controller: VoltageController, updates: int) -> float:
@@ -56,8 +56,8 @@ def _mean_time(controller: VoltageController, updates: int) -> float:
 def main() -> None:
     """Print the times beside the paper's."""
     print("ACT, us   paper   here")
-    for law, found in computation_times().items():
-        print(f"{law:8} {PUBLISHED[law]:6.1f} {found:6.2f}")
+    for law, result in computation_times().items():
+        print(f"{law:8} {PUBLISHED[law]:6.1f} {result:6.2f}")
 
 
 if __name__ == "__main__":

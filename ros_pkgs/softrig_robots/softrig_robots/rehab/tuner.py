@@ -70,15 +70,15 @@ def exercise(alpha_hat: float, duration: float = 15.0) -> Exercise:
     last: tuple[float, ...] | None = None
     for k, (reference, force) in enumerate(zip(references, forces, strict=True)):
         t = k * period
-        found = plant.outputs(t)
-        state = found["joint_states"]
+        outputs = plant.outputs(t)
+        state = outputs["joint_states"]
         bent = impedance.update(t, reference=reference, patient_force=Sample(t, force), joint_states=state[:2])
         answer = controller.update(
             t,
             joint_states=state[:4],
-            motor_states=found["motor_states"],
+            motor_states=outputs["motor_states"],
             reference=bent["regenerated"],
-            applied_voltage=found["applied_voltage"],
+            applied_voltage=outputs["applied_voltage"],
         )
         e1, e2, *_ = answer["controller_state"]
         squares += e1 * e1 + e2 * e2
@@ -248,15 +248,15 @@ class Tuner(Solver[TunerParams]):
 
     def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Values]:
         """Return the best candidate so far."""
-        found = x.search
-        if found is None:
+        actual = x.search
+        if actual is None:
             return x, {"result": (0.0, 0.0, 0.0)}
         # a candidate whose exercise took longer than the limit is worth nothing; one of a search that the button ended
         # is nobody's
         if new and result is not None and result.request[0] == x.candidate:
-            found = found.tell(math.inf if result.answer is None else result.answer)
-            x = x._replace(search=found, candidate=None)
-        now = found.now
+            actual = actual.tell(math.inf if result.answer is None else result.answer)
+            x = x._replace(search=actual, candidate=None)
+        now = actual.now
         if now.best is None or math.isinf(now.best.value):
             return x, {"result": (float(now.iteration), 0.0, 0.0)}
         return x, {"result": (float(now.iteration), now.best.x[0], now.best.value)}

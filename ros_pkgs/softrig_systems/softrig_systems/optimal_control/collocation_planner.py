@@ -39,24 +39,24 @@ class CollocationPlanner(Planner[CollocationParams]):
         if p.warm_start and request.before is not None:
             rows, horizon = request.before
             guess = sampled(rows, horizon, request.horizon, len(problem.states))
-        found = solve(problem, intervals=p.intervals, degree=p.degree, samples=p.samples, guess=guess)
+        solution = solve(problem, intervals=p.intervals, degree=p.degree, samples=p.samples, guess=guess)
         scale = max(map(abs, (*problem.x0, *(problem.x_end or ())))) or 1.0
         details = {
-            "J": f"{found.J:.12g}",
-            "iterations": str(found.iterations),
-            "ipopt": found.reason,
-            "residual": f"{found.residual:.3g}",
-            "alpha": " ".join(map(str, found.alpha)),
+            "J": f"{solution.J:.12g}",
+            "iterations": str(solution.iterations),
+            "ipopt": solution.reason,
+            "residual": f"{solution.residual:.3g}",
+            "alpha": " ".join(map(str, solution.alpha)),
         }
         return Planned(
-            tuple(found.rows.ravel().tolist()),
+            tuple(solution.rows.ravel().tolist()),
             p.degree,
-            found.J,
-            found.residual,
-            found.end_error,
-            found.success and found.end_error <= END * scale,
-            found.success and found.residual < p.eps_res,
-            found.reason,
+            solution.J,
+            solution.residual,
+            solution.end_error,
+            solution.success and solution.end_error <= END * scale,
+            solution.success and solution.residual < p.eps_res,
+            solution.reason,
             details,
-            (found.rows, request.horizon),
+            (solution.rows, request.horizon),
         )

@@ -117,15 +117,15 @@ class OcpEvaluator(Observer[EvaluatorParams]):
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Process one sample."""
         now, at = to_s(t), np.array(state[: self._n])
-        found, begin, newest = x
+        figures, begin, newest = x
         if begin is None:
             begin = t
             if tuple(at) != self._problem.x0:
-                found = found._replace(J_exact=least_cost(self._problem.changed(x0=tuple(at))))
+                figures = figures._replace(J_exact=least_cost(self._problem.changed(x0=tuple(at))))
         together = self.age("plan") == self.age("summary")
         if plan is not None and summary is not None and together and summary != newest.summary:
-            found, newest = self._take(found, newest, plan, summary)
-        J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible = found
+            figures, newest = self._take(figures, newest, plan, summary)
+        J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible = figures
         if newest.states is not None and now <= newest.start + newest.horizon + 1e-9:
             distance = max(distance, float(np.max(np.abs(at - self._planned(newest, now)))))
         left = self._problem.horizon - (now - to_s(begin))
@@ -135,11 +135,11 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         if left > 1e-9:
             *_, paid = self._step((*at, *command, min(self.p.period, left)))
             J_plant = J_plant + (paid if math.isfinite(paid) else 0.0)
-        found = Figures(J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible)
-        return State(found, begin, newest), {"evaluation": tuple(found)}
+        figures = Figures(J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible)
+        return State(figures, begin, newest), {"evaluation": tuple(figures)}
 
     def _take(
-        self, found: Figures, before: Plan, plan: tuple[float, ...], summary: tuple[float, ...]
+        self, figures: Figures, before: Plan, plan: tuple[float, ...], summary: tuple[float, ...]
     ) -> tuple[Figures, Plan]:
         about = dict(zip(SUMMARY, summary, strict=True))
         states: Any
@@ -151,17 +151,17 @@ class OcpEvaluator(Observer[EvaluatorParams]):
             rows = np.reshape(plan, (-1, self.p.samples))[: self._n]
             states = CubicSpline(np.linspace(0.0, 1.0, self.p.samples), rows, axis=1)
         newest = Plan(about["start"], about["horizon"], states, summary)
-        found = found._replace(residual=about["residual"])
+        figures = figures._replace(residual=about["residual"])
         if before.states is not None:
-            return found, newest
-        found = found._replace(J_series=about["J_series"])
+            return figures, newest
+        figures = figures._replace(J_series=about["J_series"])
         whole = abs(newest.horizon - self._problem.horizon) < 1e-9  # not of what is left after a late start
-        below = whole and found.J_series < found.J_exact - MARGIN * abs(found.J_exact)
-        if below or found.residual >= self.p.eps_res:
-            found = found._replace(infeasible=1.0)
-            said = f"J = {found.J_series:.10g}, least {found.J_exact:.10g}, residual {found.residual:.3g}"
-            self.report(Level.WARN, "infeasible", f"infeasible: not an optimum: the plan states {said}")
-        return found, newest
+        below = whole and figures.J_series < figures.J_exact - MARGIN * abs(figures.J_exact)
+        if below or figures.residual >= self.p.eps_res:
+            figures = figures._replace(infeasible=1.0)
+            text = f"J = {figures.J_series:.10g}, least {figures.J_exact:.10g}, residual {figures.residual:.3g}"
+            self.report(Level.WARN, "infeasible", f"infeasible: not an optimum: the plan states {text}")
+        return figures, newest
 
     def _planned(self, plan: Plan, now: float) -> Any:
         s = min(max((now - plan.start) / plan.horizon, 0.0), 1.0)

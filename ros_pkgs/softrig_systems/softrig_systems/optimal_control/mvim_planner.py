@@ -56,7 +56,7 @@ class MvimPlanner(Planner[MvimParams]):
         """Solve one problem."""
         p: MvimParams = request.p
         problem = p.statement().changed(x0=request.x, horizon=request.horizon)
-        found = solve(
+        solution = solve(
             problem,
             p.order,
             p.last,
@@ -67,42 +67,42 @@ class MvimPlanner(Planner[MvimParams]):
             frozen_order=p.frozen_order,
             frozen_alpha=p.frozen_alpha,
         )
-        values = np.zeros((p.stages, found.coefficients.shape[1], p.last + 1))
-        values[:, :, : found.order + 1] = found.coefficients
+        values = np.zeros((p.stages, solution.coefficients.shape[1], p.last + 1))
+        values[:, :, : solution.order + 1] = solution.coefficients
         # a frozen alpha is what somebody claims: its plan is given out to be judged
-        accurate = found.accurate or p.alpha_mode == "frozen"
-        reason = found.reason
-        missed = not found.accurate or found.residual[-1] >= p.eps_res
+        accurate = solution.accurate or p.alpha_mode == "frozen"
+        reason = solution.reason
+        missed = not solution.accurate or solution.residual[-1] >= p.eps_res
         if missed and p.alpha_mode == "own" and request.horizon == p.statement().horizon:
             stages = enough_stages(problem, p.last, p.eps_res)
             reason += f"; stages: {stages} do" if stages else "; nor do 16 stages"
-        if found.roots:
-            reason += f"; {several(found)}"
+        if solution.roots:
+            reason += f"; {several(solution)}"
         return Planned(
             tuple(values.ravel().tolist()),
-            found.order,
-            found.J[-1],
-            found.residual[-1],
-            found.end_error,
+            solution.order,
+            solution.J[-1],
+            solution.residual[-1],
+            solution.end_error,
             accurate,
-            found.converged,
+            solution.converged,
             reason,
-            _details(found, reason),
+            _details(solution, reason),
         )
 
 
-def _details(found: Solution, reason: str) -> dict[str, str]:
+def _details(solution: Solution, reason: str) -> dict[str, str]:
     def row(values: Any) -> str:
         return " ".join(f"{v:.10g}" for v in values)
 
     return {
-        "order": str(found.order),
-        "alpha": row(found.alpha),
-        "J per order": row(found.J),
-        "ratio per order": row(found.ratio),
-        "residual": f"{found.residual[-1]:.3g}",
-        "end error": f"{found.end_error:.3g}",
-        "converged": str(found.converged),
-        "order of the paper's rule": str(found.seed_order),
+        "order": str(solution.order),
+        "alpha": row(solution.alpha),
+        "J per order": row(solution.J),
+        "ratio per order": row(solution.ratio),
+        "residual": f"{solution.residual[-1]:.3g}",
+        "end error": f"{solution.end_error:.3g}",
+        "converged": str(solution.converged),
+        "order of the paper's rule": str(solution.seed_order),
         "reason": reason,
     }

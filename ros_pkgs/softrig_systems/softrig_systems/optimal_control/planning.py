@@ -134,26 +134,26 @@ class Planner(Solver[P]):
         """Return a new plan once."""
         if not new or result is None:
             return x, {}
-        found: Planned | None = result.answer
-        if found is None:
+        answer: Planned | None = result.answer
+        if answer is None:
             self.report(Level.ERROR, "limit", "no plan in time: the last one stays")
             return x, {}
-        if not found.accurate or not np.all(np.isfinite(found.values)):
-            self.report(Level.ERROR, "no_plan", f"no plan: {found.reason}")
+        if not answer.accurate or not np.all(np.isfinite(answer.values)):
+            self.report(Level.ERROR, "no_plan", f"no plan: {answer.reason}")
             return x, {}
-        if not found.converged:
-            self.report(Level.WARN, "not_converged", f"not converged: {found.reason}")
-        trusted = float(found.residual < self.p.eps_res)
-        return x._replace(last=found), {
-            "plan": found.values,
+        if not answer.converged:
+            self.report(Level.WARN, "not_converged", f"not converged: {answer.reason}")
+        trusted = float(answer.residual < self.p.eps_res)
+        return x._replace(last=answer), {
+            "plan": answer.values,
             "summary": (
                 to_s(result.stamp),
                 result.request.horizon,
-                float(found.order),
-                found.J,
-                found.residual,
-                found.end_error,
-                float(found.converged),
+                float(answer.order),
+                answer.J,
+                answer.residual,
+                answer.end_error,
+                float(answer.converged),
                 trusted,
             ),
         }

@@ -169,16 +169,16 @@ class CertificateNode(Solver[CertificateParams]):
     def solve(request: CertificateParams, work: Work) -> Answer:
         """Solve in another process."""
         p = request
-        found: Certificate | None
+        certificate: Certificate | None
         try:
             if p.method == "level":
-                found = _level(p.h or level_margin(**p.tank), p.tank)
-                return Answer(found, "" if found.valid else "no certificate: the tank may run empty")
+                certificate = _level(p.h or level_margin(**p.tank), p.tank)
+                return Answer(certificate, "" if certificate.valid else "no certificate: the tank may run empty")
             system = p.build()
             if p.h > 0.0:
-                found = certify(system, p.h, p.criterion)
+                certificate = certify(system, p.h, p.criterion)
             else:
-                found = certified_margin(
+                certificate = certified_margin(
                     system,
                     p.criterion,
                     low=p.low,
@@ -188,42 +188,42 @@ class CertificateNode(Solver[CertificateParams]):
                 )
         except NotApplicable as reason:
             return Answer(None, f"not applicable: {reason}")
-        return Answer(found, "" if found is not None and found.valid else "no certificate")
+        return Answer(certificate, "" if certificate is not None and certificate.valid else "no certificate")
 
     def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Mapping[str, Any]]:
         """Publish what is new."""
         if result is None or not new:
             return x, {}
-        found, reason = result.answer if result.answer is not None else (None, "no answer before the limit")
+        actual, reason = result.answer if result.answer is not None else (None, "no answer before the limit")
         if reason:
             self.report(Level.WARN, "no_certificate", reason)
-        if found is None:
+        if actual is None:
             return x, {"verdict": (0.0,) * len(VERDICT)}
-        smallest = min((e.smallest / max(abs(e.largest), 1e-300) for e in found.eigenvalues), default=0.0)
-        verdict = (found.h, float(found.valid), found.t, smallest, float(len(found.eigenvalues)))
+        smallest = min((e.smallest / max(abs(e.largest), 1e-300) for e in actual.eigenvalues), default=0.0)
+        verdict = (actual.h, float(actual.valid), actual.t, smallest, float(len(actual.eigenvalues)))
         if not self.p.shapes():
             return x, {"verdict": verdict}
-        if not found.valid:  # never the last iterate
+        if not actual.valid:  # never the last iterate
             return x, {"verdict": verdict, "matrices": (0.0,) * int(np.prod(self.p.padded()))}
-        return x, {"verdict": verdict, "matrices": self.p.pad(found.matrices)}
+        return x, {"verdict": verdict, "matrices": self.p.pad(actual.matrices)}
 
     def health(self, x: State) -> Mapping[str, str]:
         """Describe which matrices are published, and the eigenvalues of the newest certificate."""
         figures = {**super().health(x), "matrices": ", ".join(self.p.shapes())}
         result = x.jobs.result
-        found = result.answer.certificate if result is not None and result.answer else None
-        if found is not None:
-            figures |= {"status": found.status, "seconds": f"{found.seconds:.3g}", "covers": _covered(found)}
-            figures |= {e.name: f"{e.smallest:.4g} to {e.largest:.4g}" for e in found.eigenvalues}
+        actual = result.answer.certificate if result is not None and result.answer else None
+        if actual is not None:
+            figures |= {"status": actual.status, "seconds": f"{actual.seconds:.3g}", "covers": _covered(actual)}
+            figures |= {e.name: f"{e.smallest:.4g} to {e.largest:.4g}" for e in actual.eigenvalues}
         return figures
 
 
-def _covered(found: Certificate) -> str:
-    if not found.valid:
+def _covered(certificate: Certificate) -> str:
+    if not certificate.valid:
         return "nothing"
-    if found.shortest == found.h:
-        return f"a constant delay of {found.h:.6g} s alone, no shorter one"
-    return f"delays from {found.shortest:.6g} s to {found.h:.6g} s, without a gap"
+    if certificate.shortest == certificate.h:
+        return f"a constant delay of {certificate.h:.6g} s alone, no shorter one"
+    return f"delays from {certificate.shortest:.6g} s to {certificate.h:.6g} s, without a gap"
 
 
 def _level(h: float, tank: Mapping[str, float]) -> Certificate:

@@ -94,8 +94,8 @@ class MarginSearch(Solver[MarginSearchParams]):
         """Publish what is new."""
         if result is None or not new:
             return x, {}
-        found = result.answer
-        if not isinstance(found, Margin):
-            self.report(Level.WARN, "no_margin", str(found))
+        answer = result.answer
+        if not isinstance(answer, Margin):
+            self.report(Level.WARN, "no_margin", str(answer))
             return x, {"margin": (0.0, self.p.low, self.p.high, 0.0)}
-        return x, {"margin": (found.h, found.low, found.high, found.growth.get(found.h, 0.0))}
+        return x, {"margin": (answer.h, answer.low, answer.high, answer.growth.get(answer.h, 0.0))}

@@ -211,16 +211,16 @@ def located(
         for step in range(n):
             now, end = t + step * h, t + (step + 1) * h
             start[:] = x
-            found = 0
+            result = 0
             while True:
                 advance(past, now, x, end - now, 1, p)
                 after = cell_of(end, x, past, p)
                 if after == p.cell[0]:
                     break
-                if found == SWITCHES:
+                if result == SWITCHES:
                     p.cell[0] = after
                     break
-                found += 1
+                result += 1
                 low, high = now, end
                 for _ in range(BISECTIONS):
                     middle = 0.5 * (low + high)
@@ -238,7 +238,7 @@ def located(
                 p.cell[0] = after
                 if end - now <= 1e-6 * h:
                     break
-            switches += found
+            switches += result
             if norms.size > 0:
                 largest = 0.0
                 for j in range(width):

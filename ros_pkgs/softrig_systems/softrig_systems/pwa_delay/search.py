@@ -105,25 +105,25 @@ def find_margin(
     ValueError
         The growth rate is not negative at `low`, or it is never positive.
     """
-    found: dict[float, float] = {}
+    results: dict[float, float] = {}
     at_low = at_high = -math.inf
     for h in (low + (high - low) * k / grid for k in range(grid + 1)):
         at_low, at_high = at_high, growth(h)
-        found[h] = at_high
+        results[h] = at_high
         if not at_high < 0.0:
             break
     if not at_low < 0.0 < at_high or at_low == -math.inf:
-        first, last = next(iter(found.items())), next(reversed(found.items()))
+        first, last = next(iter(results.items())), next(reversed(results.items()))
         raise ValueError(
             f"growth {first[1]:.3g} 1/s at {first[0]:g} s and {last[1]:.3g} 1/s at {last[0]:g} s: no margin between"
         )
-    low, high = list(found)[-2:]
+    low, high = list(results)[-2:]
     h = before = low
     side = 0
     while high - low > max(width, 2.0 * math.ulp(high)):  # numbers between them, too
         h = (low * at_high - high * at_low) / (at_high - at_low)
         rate = growth(h)
-        found[h] = rate
+        results[h] = rate
         if rate < 0.0:
             low, at_low = h, rate
             at_high *= 0.5 if side < 0 else 1.0
@@ -135,7 +135,7 @@ def find_margin(
         if abs(h - before) < 0.2 * width:
             break
         before = h
-    return Margin(h, low, high, found)
+    return Margin(h, low, high, results)
 
 
 def pwa_margin(

@@ -168,11 +168,11 @@ def look(
     if min(count + 1, size) <= m + min(back, 3 * m):
         return 0.0, 0.0, 0.0, 0.0
     value = functional_at(p, rows, slopes, count - m, m - round(min(delay / h, 1.0) * m))
-    told, room = counts[1], values.shape[0]
-    rate = (value - values[(told - 1) % room]) / p.period if told > 0 else 0.0
-    rise = value / values[told % room] - 1.0 if told >= room else 0.0
-    values[told % room] = value
-    counts[1] = told + 1
+    number, room = counts[1], values.shape[0]
+    rate = (value - values[(number - 1) % room]) / p.period if number > 0 else 0.0
+    rise = value / values[number % room] - 1.0 if number >= room else 0.0
+    values[number % room] = value
+    counts[1] = number + 1
     return 1.0, value, rate, rise
 
 

@@ -118,12 +118,12 @@ class AqmController(Block[AqmControllerParams]):
 
     def update(self, x: State, t: int, *, state: tuple[float, ...], reference: tuple[float, ...] | None) -> Answer:
         """Return the drop probability."""
-        integral, q_d, e_before, past, silent, said = x
+        integral, q_d, e_before, past, silent, last = x
         age = self.age("state") or 0
         if age > self._stale:
             self.report(Level.WARN, "stale", f"the state is older than {STALE} periods: the last command is held")
             silent = max(silent, age // self._period - 1)
-            return self._hold(State(integral, q_d, e_before, past, silent, said))
+            return self._hold(State(integral, q_d, e_before, past, silent, last))
         w, q, R = state
         if w <= 0.0 or q < 0.0 or R <= 0.0:
             self.report(
@@ -150,22 +150,22 @@ class AqmController(Block[AqmControllerParams]):
         drop = min(max(u, 0.0), 1.0)
         if not (self._freezes and ((u > 1.0 and e > 0.0) or (u < 0.0 and e < 0.0))):
             integral += e * p.period
-        said = Said((drop,), (s, integral, float(drop != u)))
-        return State(integral, q_d, e, past, 0, said), said.values()
+        last = Said((drop,), (s, integral, float(drop != u)))
+        return State(integral, q_d, e, past, 0, last), last.values()
 
     def refused(self, x: State, t: int) -> Answer:
         """Hold the last command; after 50 ticks publish 0."""
         return self._hold(x)
 
     def _hold(self, x: State) -> Answer:
-        integral, q_d, e, past, silent, said = x
+        integral, q_d, e, past, silent, last = x
         silent += 1
         if past is not None:
             past = past.again()  # the record has one entry a tick
         if silent >= HOLD:
             self.report(Level.ERROR, "no_state", f"no valid state for {HOLD} ticks: nothing is dropped")
-            said = Said(health=said.health)
-        return State(integral, q_d, e, past, silent, said), said.values()
+            last = Said(health=last.health)
+        return State(integral, q_d, e, past, silent, last), last.values()
 
     def _aim(self, q_d: float, e: float | None, wanted: float) -> tuple[float, float | None]:
         """Return set point and last e, so that the derivative gets no kick."""

@@ -94,9 +94,9 @@ def currents(
     i_d, i_q = (psi_max * least - psi_f) / L_d, psi_max * math.sqrt(1.0 - least * least) / L_q
     if i_d * i_d + i_q * i_q > i_max * i_max:
         square, half = L_d * L_d - L_q * L_q, psi_f * L_d
-        rest = psi_f * psi_f + L_q * L_q * i_max * i_max - psi_max * psi_max
-        root = half * half - square * rest
-        i_d = -rest / (half + math.sqrt(root)) if root >= 0.0 and half + root > 0.0 else -i_max
+        remaining = psi_f * psi_f + L_q * L_q * i_max * i_max - psi_max * psi_max
+        root = half * half - square * remaining
+        i_d = -remaining / (half + math.sqrt(root)) if root >= 0.0 and half + root > 0.0 else -i_max
         if i_d <= -i_max:  # so fast that no current within the limit is enough
             return -i_max, 0.0, 0.0
         least = min(max((psi_f + L_d * i_d) / psi_max, -1.0), 1.0)

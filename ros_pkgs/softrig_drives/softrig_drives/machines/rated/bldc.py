@@ -108,7 +108,7 @@ def scenario(name: str, given: Mapping[str, float]) -> tuple[str, tuple[str, ...
     start = drive.plant["J"] * step["speed"] / (2.0 * drive.plant["k_e"] * drive.law["i_max"])
     begin, settle = 0.002, 12.0 / alpha + 3.0 * start
     loaded, end = begin + settle, begin + 2.0 * settle
-    said = f"""{head(given, ASKED, drive.assumed, "A drive")}
+    message = f"""{head(given, ASKED, drive.assumed, "A drive")}
 extends: bldc_six_step
 title: Six-step control of {name}
 system: {name}
@@ -129,4 +129,4 @@ expect:
   speed_idle: $speed_source.velocities.1 +- 2 %
   torque_mean: $load_source.values.1 + $bldc_plant.T_coulomb +- 10 %
 """
-    return said, drive.assumed
+    return message, drive.assumed

@@ -36,18 +36,18 @@ def line_data(source: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
         A value is missing, the file cannot be read, or it has unknown names.
     """
     names = list(LineParams.model_fields)
-    told: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     if source == PAPER:
-        told = LineParams().model_dump()
+        entries = LineParams().model_dump()
     elif source is not None:
         try:
-            told = read_yaml(Path(source).read_text(encoding="utf-8-sig"), source)
+            entries = read_yaml(Path(source).read_text(encoding="utf-8-sig"), source)
         except (OSError, UnicodeDecodeError) as error:
             raise ScenarioError(f"--line {source}: {error}") from None
-        if not isinstance(told, dict) or not set(told) <= set(names):
-            raise ScenarioError(f"--line {source}: expected {', '.join(names)}, got {told!r}")
-        build(LineParams, told)  # its errors name the file's own words
-    result = {f"line.{name}": value for name, value in told.items()}
+        if not isinstance(entries, dict) or not set(entries) <= set(names):
+            raise ScenarioError(f"--line {source}: expected {', '.join(names)}, got {entries!r}")
+        build(LineParams, entries)  # its errors name the file's own words
+    result = {f"line.{name}": value for name, value in entries.items()}
     result |= {name: value for name, value in given.items() if name.startswith("line.")}
     missing = [name for name in names if f"line.{name}" not in result]
     if missing:

@@ -51,8 +51,10 @@ def network(p: RigParams) -> Network:
         A section is too short for the step.
     """
     src, h = p.source, p.step
-    x, rest = p.fault.x_km, p.line.length - p.fault.x_km
-    sections = [part.part(length) for length in (x, rest) for part in (p.line.ground, p.line.aerial, p.line.aerial)]
+    x, remaining = p.fault.x_km, p.line.length - p.fault.x_km
+    sections = [
+        part.part(length) for length in (x, remaining) for part in (p.line.ground, p.line.aerial, p.line.aerial)
+    ]
     zero = branch(src.r0, src.x0 / src.omega, h)
     positive = branch(src.r1, src.x1 / src.omega, h)
     prepared = lines(sections, h)
@@ -117,14 +119,14 @@ def to_modes(phasor: complex) -> Complex:
     return modes
 
 
-def line_history(p: RigParams, found: Steady, prepared: Lines) -> Array:
+def line_history(p: RigParams, result: Steady, prepared: Lines) -> Array:
     """Fill the histories of all six sections with the steady state up to t = 0."""
     two = [
         discrete_two_port(p.line.aerial.part(length), p.source.omega, p.step)
         for length in (p.fault.x_km, p.line.length - p.fault.x_km)
     ]
-    u = np.stack([to_modes(v) for v in found.u])  # (node, mode)
-    currents = [dense.product(two[0], found.u[:2]), dense.product(two[1], found.u[1:])]
+    u = np.stack([to_modes(v) for v in result.u])  # (node, mode)
+    currents = [dense.product(two[0], result.u[:2]), dense.product(two[1], result.u[1:])]
     voltages = np.concatenate([u[:2].T, u[1:].T])  # (section and mode, end)
     flows = np.concatenate([np.stack([to_modes(c) for c in pair]).T for pair in currents])
     return np.ascontiguousarray(steady_history(prepared, voltages, flows, p.source.omega, p.step).real)

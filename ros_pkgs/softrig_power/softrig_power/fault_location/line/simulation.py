@@ -179,7 +179,7 @@ class FaultedLine:
 
     def reset(self) -> None:
         """Restore the steady state at t = 0, without a jump."""
-        p, found = self.p, self.steady
+        p, result = self.p, self.steady
         omega, step = p.source.omega, p.step
         self.k = 0
         emf = self.net.emf
@@ -188,10 +188,10 @@ class FaultedLine:
         turn = math.sqrt(1.5) * np.array([0.0, 1.0, -1j])
         for end in range(2):
             modes = dense.times(cmath.rect(emf[end, 0], emf[end, 1]), [0.0, 1.0, -1j])
-            source_voltage[end] = (modes - dense.times(found.u[2 * end], turn)).real
-            source_current[end] = dense.times(found.source[end], turn).real
+            source_voltage[end] = (modes - dense.times(result.u[2 * end], turn)).real
+            source_current[end] = dense.times(result.source[end], turn).real
         a = dense.turn(-2.0 * math.pi / 3.0 * np.arange(3))
-        phasors = np.concatenate([dense.times(x, a) for x in (found.u[0], found.i[0], found.u[2], found.i[1])])
+        phasors = np.concatenate([dense.times(x, a) for x in (result.u[0], result.i[0], result.u[2], result.i[1])])
         filters, filtered = steady_filter(self.chain.sos, phasors, omega, step)
         size = 1 << (int(np.max(self.chain.delay)) + 1).bit_length()
         ages = -np.arange(size) % size
@@ -199,7 +199,7 @@ class FaultedLine:
         measured = dense.times(filtered, dense.turn(-omega * step * np.repeat(self.chain.delay, 6))).real
         self.prefault_rms = np.hypot(filtered.real, filtered.imag) / math.sqrt(2.0) * np.repeat(self.chain.ratio, 3)
         self.state = State(
-            line_history(p, found, self.net.lines),
+            line_history(p, result, self.net.lines),
             source_current,
             source_voltage,
             np.zeros(3),

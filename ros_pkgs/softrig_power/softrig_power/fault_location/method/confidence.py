@@ -54,7 +54,7 @@ class Confidence:
         return float(np.sqrt(self.scatter_km**2 + sum(e * e for e in self.effects_km.values())))
 
 
-def confidence(record: Record, p: LocatorParams, found: Location, budget: ErrorBudget | None = None) -> Confidence:
+def confidence(record: Record, p: LocatorParams, location: Location, budget: ErrorBudget | None = None) -> Confidence:
     """Describe how far a position can be trusted.
 
     Raises
@@ -62,29 +62,29 @@ def confidence(record: Record, p: LocatorParams, found: Location, budget: ErrorB
     ValueError
         The location has no position.
     """
-    if found.x_km is None:
-        raise ValueError(f"there is no position: {found.text}")
-    fixed = p.model_copy(update={"mode": str(found.mode), "algorithm": "brent"})
+    if location.x_km is None:
+        raise ValueError(f"there is no position: {location.text}")
+    fixed = p.model_copy(update={"mode": str(location.mode), "algorithm": "brent"})
     base = locate(record, fixed)
     effects = {}
     for name, disturbed, settings in _disturbed(record, fixed, budget or ErrorBudget()):
         moved = locate(disturbed, settings)
         if moved.x_km is not None and base.x_km is not None:
             effects[name] = abs(moved.x_km - base.x_km)
-    contrast = found.f_max / found.f_min if found.f_min else math.inf
-    return Confidence(_scatter(Locator(record, fixed), found), effects, contrast)
+    contrast = location.f_max / location.f_min if location.f_min else math.inf
+    return Confidence(_scatter(Locator(record, fixed), location), effects, contrast)
 
 
-def _scatter(work: Locator, found: Location) -> float:
+def _scatter(work: Locator, location: Location) -> float:
     """Locate on stretches of the window, each within 2 km of the answer; standard deviation of their mean."""
     from scipy.optimize import minimize_scalar
 
-    assert found.x_km is not None
-    low, high = max(found.x_km - 2.0, 0.0), min(found.x_km + 2.0, work.section.length)
+    assert location.x_km is not None
+    low, high = max(location.x_km - 2.0, 0.0), min(location.x_km + 2.0, work.section.length)
     edges = np.linspace(work.first, work.first + work.count, STRETCHES + 1).astype(int)
     places = [
         minimize_scalar(
-            lambda x, a=a, b=b: float(work.f(np.array([x]), found.mode, (int(a), int(b - a)))[0]),
+            lambda x, a=a, b=b: float(work.f(np.array([x]), location.mode, (int(a), int(b - a)))[0]),
             bounds=(low, high),
             method="bounded",
             options={"xatol": 1e-4},
@@ -131,19 +131,20 @@ def conditions(record: Record, p: LocatorParams, window: str) -> str:
     return "\n".join([*lines, f"  {record.note}"] if record.note else lines)
 
 
-def describe(found: Location, trust: Confidence | None, length: float) -> str:
+def describe(location: Location, trust: Confidence | None, length: float) -> str:
     """Describe a location in a few lines for a person."""
-    if found.x_km is None or trust is None:
-        return found.text
+    if location.x_km is None or trust is None:
+        return location.text
     lines = [
-        f"fault at {found.x_km:.3f} km from S ({length - found.x_km:.3f} km from R), "
+        f"fault at {location.x_km:.3f} km from S ({length - location.x_km:.3f} km from R), "
         f"standard uncertainty {_metres(trust.total_km)}",
-        f"  aerial mode {found.mode}, F from {found.f_min:.4g} to {found.f_max:.4g} V (contrast {trust.contrast:.3g})",
+        f"  aerial mode {location.mode}, F from {location.f_min:.4g} to {location.f_max:.4g} V "
+        f"(contrast {trust.contrast:.3g})",
         f"  scatter inside the record {_metres(trust.scatter_km)}",
     ]
     lines += [f"  {name} would move it by {_metres(e)}" for name, e in trust.effects_km.items()]
-    if found.status == Status.AT_TERMINAL:
-        lines.append(f"  {found.text}: the fault may be beyond the line")
+    if location.status == Status.AT_TERMINAL:
+        lines.append(f"  {location.text}: the fault may be beyond the line")
     return "\n".join(lines)
 
 

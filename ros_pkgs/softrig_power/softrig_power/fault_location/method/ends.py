@@ -52,12 +52,12 @@ def contradiction(work: Objective, limit: float) -> str:
     if apart <= WIRED * voltage:
         return ""
     best, name = min(_likely(work), default=(apart, ""))
-    told = f"contradictory: the ends disagree by {apart:.4g} V or more wherever the fault may be"
+    text = f"contradictory: the ends disagree by {apart:.4g} V or more wherever the fault may be"
     if best * BETTER <= apart:
-        return f"{told}, by {best:.4g} V with {name}: wired so?"
+        return f"{text}, by {best:.4g} V with {name}: wired so?"
     if apart > limit * voltage:
         return (
-            f"{told}, {100.0 * apart / voltage:.3g} % of their voltage (at most {100.0 * limit:g} % expected), and no "
+            f"{text}, {100.0 * apart / voltage:.3g} % of their voltage (at most {100.0 * limit:g} % expected), and no "
             "exchange of signs or phases explains it: the data of another line, clocks, ratios?"
         )
     return ""

@@ -108,7 +108,7 @@ def trial_voltage(
 
 
 @jit
-def mismatch(line: Model, ends: Array, first: int, count: int, x: float, tau: float, rest: float) -> float:
+def mismatch(line: Model, ends: Array, first: int, count: int, x: float, tau: float, remaining: float) -> float:
     """Mean of |u_XS - u_XR| over the window, V.
 
     Parameters
@@ -129,7 +129,7 @@ def mismatch(line: Model, ends: Array, first: int, count: int, x: float, tau: fl
     if line.resistance:
         shunt_s, shunt_r = r_s / 8.0, r_s / 8.0
     trial_voltage(line, ends[:2], r_s, tau, first, line.sign, shunt_s, near)
-    trial_voltage(line, ends[2:], r_r, rest, first, False, shunt_r, far)
+    trial_voltage(line, ends[2:], r_r, remaining, first, False, shunt_r, far)
     total = 0.0
     for n in range(count):
         total += abs(near[n] - far[n])

@@ -17,16 +17,16 @@ def brent(work: Objective, mode: int) -> tuple[float, float]:
     curve = work.curve(mode)
     k = int(np.argmin(curve))
     low, high = work.grid[max(k - 1, 0)], work.grid[min(k + 1, curve.size - 1)]
-    found = minimize_scalar(
+    result = minimize_scalar(
         lambda x: float(work.f(np.array([x]), mode)[0]),
         bounds=(low, high),
         method="bounded",
         options={"xatol": work.p.tolerance},
     )
     # Brent's method never evaluates the ends of its interval, where the minimum may be.
-    if curve[k] < found.fun:
+    if curve[k] < result.fun:
         return float(work.grid[k]), float(curve[k])
-    return float(found.x), float(found.fun)
+    return float(result.x), float(result.fun)
 
 
 def swarm(work: Objective, mode: int) -> tuple[float, float]:

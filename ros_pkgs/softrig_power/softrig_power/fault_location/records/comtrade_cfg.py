@@ -217,10 +217,10 @@ def _revision(fields: list[str]) -> str:
 
 
 def _counts(fields: list[str], lines: int) -> tuple[int, int]:
-    found = [re.fullmatch(pattern, field) for pattern, field in zip((r"(\d+)", r"(\d+)[aA]", r"(\d+)[dD]"), fields)]
-    if None in found:
+    results = [re.fullmatch(pattern, field) for pattern, field in zip((r"(\d+)", r"(\d+)[aA]", r"(\d+)[dD]"), fields)]
+    if None in results:
         raise SettingsError(f"line 2: {','.join(fields)!r}, expected TT,##A,##D")
-    total, analog, switches = (int(match[1]) for match in found if match)
+    total, analog, switches = (int(match[1]) for match in results if match)
     if total != analog + switches:
         raise SettingsError(f"line 2: {total} channels, but {analog} analog and {switches} status channels")
     if total > lines:
@@ -244,20 +244,20 @@ def _analog(lines: _Lines, k: int, old: bool) -> Analog:
 
 def _rates(lines: _Lines) -> tuple[tuple[float, int], ...]:
     count = lines.count(lines.fields("number of sampling rates", (1,))[0], "nrates")
-    found: list[tuple[float, int]] = []
+    results: list[tuple[float, int]] = []
     for _ in range(max(count, 1)):
         samp, end = lines.fields("a sampling rate and its last sample", (2,))
         rate, last = lines.number(samp, "samp"), lines.count(end, "endsamp")
-        if not (rate == 0.0 or SLOWEST <= rate <= FASTEST) or (found and last <= found[-1][1]):
+        if not (rate == 0.0 or SLOWEST <= rate <= FASTEST) or (results and last <= results[-1][1]):
             raise lines.wrong(
                 f"samp {samp} and endsamp {end}: expected 0 or a rate of {SLOWEST:g} to {FASTEST:g} Hz, "
                 "and a rising last sample"
             )
-        found.append((rate if count else 0.0, last))
-    if len(found) > 1 and any(rate == 0.0 for rate, _ in found):
+        results.append((rate if count else 0.0, last))
+    if len(results) > 1 and any(rate == 0.0 for rate, _ in results):
         raise lines.wrong("one of several sampling rates is 0")
     # stretches of one rate are one
-    return tuple(pair for pair, after in zip(found, [*found[1:], (-1.0, 0)], strict=True) if pair[0] != after[0])
+    return tuple(pair for pair, after in zip(results, [*results[1:], (-1.0, 0)], strict=True) if pair[0] != after[0])
 
 
 def _stamp(lines: _Lines, which: str, american: bool) -> tuple[int | None, bool]:
@@ -288,11 +288,11 @@ def _zone(lines: _Lines, code: str) -> int | None:
     """Return a difference from UTC such as -5h30 in ns."""
     if code in ("", "x", "X"):
         return None
-    found = re.fullmatch(r"([+-]?)(\d{1,2})(?:[hH:](\d{1,2})?[mM]?)?", code)
-    if found is None:
+    match = re.fullmatch(r"([+-]?)(\d{1,2})(?:[hH:](\d{1,2})?[mM]?)?", code)
+    if match is None:
         raise lines.wrong(f"time_code is {code!r}, expected a difference from UTC such as 0, +1 or -5h30")
-    minutes = 60 * int(found[2]) + int(found[3] or 0)
-    return (-minutes if found[1] == "-" else minutes) * 60 * 10**9
+    minutes = 60 * int(match[2]) + int(match[3] or 0)
+    return (-minutes if match[1] == "-" else minutes) * 60 * 10**9
 
 
 def _clock(lines: _Lines, quality: str) -> float | None:
@@ -318,14 +318,14 @@ def sections(data: bytes) -> Iterator[tuple[str, str, bytes]]:
         rb"^[ \t]*---\s*file\s+type\s*:\s*([a-z]+)(?:[ \t]+([a-z0-9]+))?(?:\s*:\s*(\d+))?\s*---[ \t]*(?:\r\n|\n|\r|\Z)",
         re.I | re.M,
     )
-    found = head.search(data)
-    if found is None:
+    match = head.search(data)
+    if match is None:
         raise SettingsError("no line '--- file type: CFG ---'")
-    while found is not None:
-        name, form = found[1].decode().upper(), (found[2] or b"").decode().upper()
-        begin = found.end()
+    while match is not None:
+        name, form = match[1].decode().upper(), (match[2] or b"").decode().upper()
+        begin = match.end()
         if name == "DAT" and form != "ASCII":  # a byte of the data may look like anything: no search within them
-            size = int(found[3] or len(data) - begin)
+            size = int(match[3] or len(data) - begin)
             if begin + size > len(data):
                 raise SettingsError(f"the head of the data tells of {size} bytes, there are {len(data) - begin}")
             following = head.search(data, begin + size)
@@ -333,4 +333,4 @@ def sections(data: bytes) -> Iterator[tuple[str, str, bytes]]:
         else:
             following = head.search(data, begin)
             yield name, form, data[begin : following.start() if following else len(data)]
-        found = following
+        match = following

@@ -50,26 +50,26 @@ def read_samples(settings: Settings, data: bytes) -> Samples:
     DataError
         The settings declare far more samples than there are bytes for, or a row has the wrong number of fields.
     """
-    told = settings.rates[-1][1]
+    last = settings.rates[-1][1]
     words = -(-settings.switches // 16)
     count = len(settings.analog)
     if settings.form == "ASCII":
         least = count + settings.switches + 2  # each field has a separator
     else:
         least = 8 + np.dtype(_KINDS[settings.form]).itemsize * count + 2 * words
-    if told > 2 * (len(data) // least + 1):
+    if last > 2 * (len(data) // least + 1):
         raise DataError(
-            f"tells of {told} samples, but its data are {len(data)} bytes, room for {len(data) // least} at most"
+            f"tells of {last} samples, but its data are {len(data)} bytes, room for {len(data) // least} at most"
         )
     n, stamps, raw = _ascii(settings, data) if settings.form == "ASCII" else _binary(settings, data, words)
     notes = []
     if settings.form != "ASCII" and len(data) % least:
         notes.append(f"{len(data) % least} bytes after the last whole sample are not used")
-    if len(n) < told:
-        notes.append(f"the data end after {len(n)} of {told} samples")
-    if len(n) > told:
-        notes.append(f"only the {told} samples that the settings tell of are used, of {len(n)}")
-    return Samples(n[:told], stamps[:told], raw[:told], tuple(notes))
+    if len(n) < last:
+        notes.append(f"the data end after {len(n)} of {last} samples")
+    if len(n) > last:
+        notes.append(f"only the {last} samples that the settings tell of are used, of {len(n)}")
+    return Samples(n[:last], stamps[:last], raw[:last], tuple(notes))
 
 
 def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
@@ -84,11 +84,11 @@ def _ascii(settings: Settings, data: bytes) -> tuple[Array, Array, Array]:
             fields.pop()
         if len(fields) != size:
             raise DataError(f"line {k} of the data has {len(fields)} fields, expected {size}")
-        found = [number_of(field) for field in fields[: 2 + analog]]
-        for field, value in zip(fields, found, strict=False):
+        results = [number_of(field) for field in fields[: 2 + analog]]
+        for field, value in zip(fields, results, strict=False):
             if value != value and field.strip().lower() not in ("", "nan"):
                 raise DataError(f"line {k} of the data: {field.strip()!r} is no number")
-        rows.append(found)
+        rows.append(results)
     table = np.array(rows, dtype=np.float64).reshape(len(rows), 2 + analog)
     raw = table[:, 2:]
     # In the revision of 1991 only an empty field stands for missing data, and 99999 is a value.

@@ -132,21 +132,21 @@ def _pair(path: Path) -> tuple[Settings, bytes]:
     beside = [p for p in path.parent.iterdir() if p.suffix.lower() == ".dat" and p.stem.lower() == path.stem.lower()]
     alike = [p for p in beside if p.stem == path.stem]
     exact = [p for p in alike if p.suffix == (".DAT" if path.suffix.isupper() else ".dat")]
-    found = exact or alike or beside
-    if len(found) != 1:
-        names = ", ".join(p.name for p in found)
-        raise SettingsError(f"several data files beside it: {names}" if found else "no .dat file beside it")
-    return read_settings(text_of(path.read_bytes())), found[0].read_bytes()
+    result = exact or alike or beside
+    if len(result) != 1:
+        names = ", ".join(p.name for p in result)
+        raise SettingsError(f"several data files beside it: {names}" if result else "no .dat file beside it")
+    return read_settings(text_of(path.read_bytes())), result[0].read_bytes()
 
 
 def _cff(data: bytes) -> tuple[Settings, bytes]:
     """Read the sections of a ``.cff``."""
-    found = {name: (form, content) for name, form, content in sections(data)}
+    results = {name: (form, content) for name, form, content in sections(data)}
     for name in ("CFG", "DAT"):
-        if name not in found:
+        if name not in results:
             raise SettingsError(f"no section {name}")
-    settings = read_settings(text_of(found["CFG"][1]).strip("\r\n"))
-    form, samples = found["DAT"]
+    settings = read_settings(text_of(results["CFG"][1]).strip("\r\n"))
+    form, samples = results["DAT"]
     if form and form != settings.form:
         raise SettingsError(f"the section DAT is {form}, but ft is {settings.form}")
     return settings, samples
@@ -201,18 +201,18 @@ def _pick(file: Recorder, names: Sequence[str], ends: int) -> list[int]:
             if list(names).count(name) > 1 or len(by_name[name]) > 1:
                 raise ComtradeFileError(f"{file.path}: channel {name} occurs twice; expected different ones")
         return [by_name[name][0] for name in names]
-    found: dict[tuple[str, int], list[int]] = {}
+    results: dict[tuple[str, int], list[int]] = {}
     for k, (c, phase) in enumerate(zip(known, _phases(known), strict=True)):
         unit = c.unit[-1:].upper()
         if phase is not None and unit in ("V", "A"):
-            found.setdefault((unit, phase), []).append(k)
+            results.setdefault((unit, phase), []).append(k)
     wanted = [(unit, phase) for unit in "VA" for phase in range(3)]
-    if any(len(found.get(key, ())) != ends for key in wanted):
+    if any(len(results.get(key, ())) != ends for key in wanted):
         raise ComtradeFileError(
             f"{file.path}: expected {ends} voltage(s) and {ends} current(s) of each phase, distinct by unit and "
             f"phase; name the channels; it has {listing}"
         )
-    return [found[key][end] for end in range(ends) for key in wanted]
+    return [results[key][end] for end in range(ends) for key in wanted]
 
 
 def _end(file: Recorder, order: Sequence[int]) -> tuple[Array, Array]:

@@ -159,8 +159,8 @@ class Record:
         RecordError
             One topic of an end lacks a message (the text names the topic), or another defect was found.
         """
-        found = {group: [signals[f"{topic}/{axis}"] for axis in "xyz"] for group, topic in TOPICS.items()}
-        times = {group: axes[0][0] for group, axes in found.items()}
+        results = {group: [signals[f"{topic}/{axis}"] for axis in "xyz"] for group, topic in TOPICS.items()}
+        times = {group: axes[0][0] for group, axes in results.items()}
         for u, i in (("u_s", "i_s"), ("u_r", "i_r")):
             for there, short in ((u, i), (i, u)):
                 lost = np.setdiff1d(times[there], times[short])
@@ -170,7 +170,7 @@ class Record:
                         f"gap: {TOPICS[short]} has no message at {lost[0]:.9g} s, {TOPICS[there]} has"
                         + (f" ({lost.size} such times)" if lost.size > 1 else ""),
                     )
-        ends = [np.column_stack([x for g in pair for _, x in found[g]]) for pair in (("u_s", "i_s"), ("u_r", "i_r"))]
+        ends = [np.column_stack([x for g in pair for _, x in results[g]]) for pair in (("u_s", "i_s"), ("u_r", "i_r"))]
         return cls.from_ends(times["u_s"] - late[0], ends[0], times["u_r"] - late[1], ends[1])
 
 

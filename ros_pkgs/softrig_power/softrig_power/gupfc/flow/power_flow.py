@@ -150,9 +150,9 @@ class PowerFlow:
         for point in points:
             if isinstance(first, Solution) and point.apart(tuple(first.bus.values())) < SAME:
                 return replace(first, sizes=sizes)
-            found = self._newton(self._start(point), references, tolerance, surplus)
-            if isinstance(found, Solution):
-                return replace(found, sizes=sizes)
+            result = self._newton(self._start(point), references, tolerance, surplus)
+            if isinstance(result, Solution):
+                return replace(result, sizes=sizes)
         return first if isinstance(first, Diverged) else Diverged(first.iterations, first.mismatch)
 
     @staticmethod
@@ -174,10 +174,10 @@ class PowerFlow:
             except np.linalg.LinAlgError:
                 return Diverged(iteration, mismatch)
             residual, jacobian = self._equations(x, target)
-            found = float(np.abs(residual).max())
-            if not np.isfinite(found):
+            result = float(np.abs(residual).max())
+            if not np.isfinite(result):
                 return Diverged(iteration + 1, mismatch)
-            mismatch = found
+            mismatch = result
         return self._solution(x, ITERATIONS, mismatch) if mismatch <= tolerance else Diverged(ITERATIONS, mismatch)
 
     def _equations(self, x: Array, target: list[float]) -> tuple[Array, Array]:

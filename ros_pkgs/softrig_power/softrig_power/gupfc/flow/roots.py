@@ -87,7 +87,7 @@ def operating_points(
     e_a, e_b = (y_g * e / ground for e in p.sources)  # what A and B have with both lines at zero
     k_a, k_b = y_m * e_a, y_m * e_b
     y = a - b * b / a
-    found: list[Point] = []
+    results: list[Point] = []
     for v2, v4 in _far_side(a, b, k_b, s1, s2):
         i12, i34 = (s1 / v2).conjugate(), (s2 / v4).conjugate()
         j = k_a * (1.0 + b / a) + i12 + i34 * b / a
@@ -110,17 +110,17 @@ def operating_points(
                 v4 - v3 + p.z_se * i34,
                 v1 * (y * v1 + j).conjugate(),
             )
-            if all(point.apart(q.bus) > APART for q in found):
-                found.append(point)
-    return sorted(found, key=lambda q: q.size)
+            if all(point.apart(q.bus) > APART for q in results):
+                results.append(point)
+    return sorted(results, key=lambda q: q.size)
 
 
 def _far_side(a: complex, b: complex, k: complex, s1: complex, s2: complex) -> Iterator[tuple[complex, complex]]:
     """Yield V2, V4 of the roots of S1 = V2 (a V2 - b V4 + k)*, S2 = V4 (a V4 - b V2 + k)*."""
     for v2, v4 in product(_alone(a - b, k, s1), _alone(a - b, k, s2)):
         for step in range(1, STEPS + 1):
-            v2, v4, rest = _newton(a, b, step / STEPS, k, s1, s2, v2, v4)
-        if rest <= SOLVED and min(abs(v2), abs(v4)) > TINY:
+            v2, v4, remaining = _newton(a, b, step / STEPS, k, s1, s2, v2, v4)
+        if remaining <= SOLVED and min(abs(v2), abs(v4)) > TINY:
             yield v2, v4
 
 
@@ -128,8 +128,8 @@ def _alone(a: complex, k: complex, s: complex) -> list[complex]:
     """Roots of S = V (a V + k)*; where there are none, the point between them."""
     # k V* = S* - a m with m = |V|^2, so |S* - a m|^2 = |k|^2 m
     half = (a * s).real + 0.5 * abs(k) ** 2
-    rest = half * half - abs(a * s) ** 2
-    span = math.sqrt(max(rest, 0.0))
+    remaining = half * half - abs(a * s) ** 2
+    span = math.sqrt(max(remaining, 0.0))
     squares = {(half + span) / abs(a) ** 2, (half - span) / abs(a) ** 2}
     return [((s.conjugate() - a * m) / k).conjugate() for m in sorted(squares, reverse=True)]
 

@@ -128,9 +128,9 @@ def solve(
     for k in range(intervals):
         part = first[:, k * degree : (k + 1) * degree]
         w += [part[:n].ravel(order="F"), part[n:].ravel(order="F"), joints[:n, k + 1]]
-    found = grid.solver(x0=np.concatenate(w), p=[*x0, problem.horizon], lbg=0.0, ubg=0.0)
+    result = grid.solver(x0=np.concatenate(w), p=[*x0, problem.horizon], lbg=0.0, ubg=0.0)
     status = grid.solver.stats()
-    w_star, multipliers = np.array(found["x"]).ravel(), np.array(found["lam_g"]).ravel()
+    w_star, multipliers = np.array(result["x"]).ravel(), np.array(result["lam_g"]).ravel()
     xs, us, costates = np.empty((intervals, degree + 1, n)), np.empty((intervals, degree, m)), [-multipliers[:n]]
     end_x = w_star[:n]
     for k in range(intervals):
@@ -158,7 +158,7 @@ def solve(
     end_error = float(np.abs(missed).max())
     return Collocated(
         rows,
-        float(found["f"]),
+        float(result["f"]),
         costates[0],
         residual,
         end_error,

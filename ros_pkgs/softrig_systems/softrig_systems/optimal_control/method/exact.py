@@ -109,10 +109,10 @@ def tpbvp(problem: Problem, tolerance: float = 1e-9, start: NDArray[np.float64] 
     first[:n] = x0[:, None] + (end - x0)[:, None] * s
     if start is not None:
         first[:J] = start[:, None]
-    found = solve_bvp(slopes, ends, s, first, tol=tolerance, max_nodes=50_000)
-    if found.status != 0:
-        raise RuntimeError(f"boundary value problem of {problem.name}: {found.message}")
-    return Trajectory(found.x * problem.horizon, found.y[:J], float(found.y[J, -1]))
+    result = solve_bvp(slopes, ends, s, first, tol=tolerance, max_nodes=50_000)
+    if result.status != 0:
+        raise RuntimeError(f"boundary value problem of {problem.name}: {result.message}")
+    return Trajectory(result.x * problem.horizon, result.y[:J], float(result.y[J, -1]))
 
 
 def least_cost(problem: Problem) -> float:

@@ -213,10 +213,10 @@ def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: f
         All roots, the best first, at a low order.
     """
     T = problem.horizon
-    found, error = newton(problem, alpha, order, stages, T, accurate)
-    if 1 < order <= LOW and not (error <= accurate and _moved(found, alpha) <= NEAR):
+    result, error = newton(problem, alpha, order, stages, T, accurate)
+    if 1 < order <= LOW and not (error <= accurate and _moved(result, alpha) <= NEAR):
         roots = distinct(
-            alpha, found, error, accurate, lambda start: newton(problem, start, order, stages, T, accurate, 4, 16)
+            alpha, result, error, accurate, lambda start: newton(problem, start, order, stages, T, accurate, 4, 16)
         )
         if roots:
             several = (
@@ -230,10 +230,10 @@ def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: f
                 else []
             )
             return (several[0].alpha if several else roots[0]), several
-    if error <= accurate and _moved(found, alpha) <= JUMP:
-        return found, []
+    if error <= accurate and _moved(result, alpha) <= JUMP:
+        return result, []
     size = dense.norm(alpha)
-    roots = [found] if error <= accurate else []
+    roots = [result] if error <= accurate else []
     for start in alpha + max(size, 1.0) * np.vstack([d for r in AROUND for d in (r * np.eye(alpha.size))]):
         tried, missing = newton(problem, start, order, stages, T, accurate, HALVINGS)
         if missing <= accurate:
@@ -244,14 +244,14 @@ def costate(problem: Problem, alpha: Array, order: int, stages: int, accurate: f
     for share in SHARES:
         grown, missing = newton(problem, grown, order, stages, share * T, accurate, HALVINGS)
         if not missing <= accurate:
-            return found, []
+            return result, []
     return grown, []
 
 
-def _moved(found: Array, alpha: Array) -> float:
+def _moved(values: Array, alpha: Array) -> float:
     """Change of alpha from one order to the next, of its size; 0 where that is 0."""
     size = dense.norm(alpha)
-    return dense.norm(found - alpha) / size if size else 0.0
+    return dense.norm(values - alpha) / size if size else 0.0
 
 
 def _series(problem: Problem, alpha: Array, order: int, stages: int) -> tuple[Array, Array]:
@@ -358,31 +358,31 @@ def solve(
     return result
 
 
-def _reason(found: Solution, eps: float, eps_res: float) -> str:
-    if not found.accurate:
-        return f"end conditions missed by {found.end_error:.3g}"
-    if found.residual[-1] >= eps_res:
-        return f"residual {found.residual[-1]:.3g} is not below {eps_res:g}"
-    if not found.converged:
-        return f"cost has not settled: ratios {', '.join(f'{r:.3g}' for r in found.ratio[-2:])} against {eps:g}"
-    return f"converged at order {found.order}"
+def _reason(solution: Solution, eps: float, eps_res: float) -> str:
+    if not solution.accurate:
+        return f"end conditions missed by {solution.end_error:.3g}"
+    if solution.residual[-1] >= eps_res:
+        return f"residual {solution.residual[-1]:.3g} is not below {eps_res:g}"
+    if not solution.converged:
+        return f"cost has not settled: ratios {', '.join(f'{r:.3g}' for r in solution.ratio[-2:])} against {eps:g}"
+    return f"converged at order {solution.order}"
 
 
-def several(found: Solution) -> str:
+def several(solution: Solution) -> str:
     """Describe the orders with several roots, and what the plant pays under each, the first chosen one first."""
-    said = []
-    for order, roots in found.roots.items():
+    messages = []
+    for order, roots in solution.roots.items():
         paid = ", ".join(f"{r.paid:.5g}" if np.isfinite(r.paid) else "without end" for r in roots)
-        said.append(f"{len(roots)} roots at order {order}, under which the plant pays {paid}: the first is taken")
-    return "; ".join(said)
+        messages.append(f"{len(roots)} roots at order {order}, under which the plant pays {paid}: the first is taken")
+    return "; ".join(messages)
 
 
 def enough_stages(problem: Problem, order: int, eps_res: float, most: int = 16) -> int:
     """Return the least power of two of stages, up to `most`, with which the order reaches; 0 when none does."""
     stages = 2
     while stages <= most:
-        found = solve(problem, order, eps_res=eps_res, stages=stages)
-        if found.accurate and found.residual[-1] < eps_res:
+        solution = solve(problem, order, eps_res=eps_res, stages=stages)
+        if solution.accurate and solution.residual[-1] < eps_res:
             return stages
         stages *= 2
     return 0

@@ -52,7 +52,7 @@ def starts(alpha: Array) -> list[Array]:
 
 
 def distinct(
-    alpha: Array, found: Array, error: float, accurate: float, newton: Callable[[Array], tuple[Array, float]]
+    alpha: Array, values: Array, error: float, accurate: float, newton: Callable[[Array], tuple[Array, float]]
 ) -> list[Array]:
     """Return all real roots found, with `found` first if it is a root.
 
@@ -67,8 +67,8 @@ def distinct(
     newton : callable
         A start to (alpha, error).
     """
-    roots = [found] if error <= accurate else []
-    for start in starts(found if roots else alpha):
+    roots = [values] if error <= accurate else []
+    for start in starts(values if roots else alpha):
         root, missing = newton(start)
         size = float(np.sqrt(np.sum(root * root)))
         if missing <= accurate and all(np.max(np.abs(root - other)) > SAME * (size + accurate) for other in roots):

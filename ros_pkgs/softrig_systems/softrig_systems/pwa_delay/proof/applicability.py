@@ -33,10 +33,10 @@ def require_equilibrium(system: PwaSystem) -> PwaSystem:
             return system
         raise NotApplicable("a cell does not hold the origin; conditions (11) to (13) are unusable as printed")
     for i in range(system.cells):
-        rest, *_ = np.linalg.lstsq(system.A[i] + system.Ad[i], -system.a[i], rcond=None)
-        z = np.concatenate([rest, rest])
+        remaining, *_ = np.linalg.lstsq(system.A[i] + system.Ad[i], -system.a[i], rcond=None)
+        z = np.concatenate([remaining, remaining])
         if all(
-            _vanishes(system.A[j] + system.Ad[j], rest, system.a[j]) and _vanishes(system.E[j], z, system.e[j])
+            _vanishes(system.A[j] + system.Ad[j], remaining, system.a[j]) and _vanishes(system.E[j], z, system.e[j])
             for j in range(system.cells)
         ):
             zero = tuple(np.zeros(system.n) for _ in system.a)

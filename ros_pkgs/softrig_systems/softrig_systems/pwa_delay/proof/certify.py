@@ -104,11 +104,11 @@ def certify(
     if sliding:
         require_no_sliding(system, h)
     problem = criterion.problem(system.scaled(h), covered / h)
-    found = problem.solve()
-    eigenvalues = problem.eigenvalues(found.matrices)
-    valid = found.status == "Solved" and found.t > 0.0 and all(e.positive for e in eigenvalues)
+    solution = problem.solve()
+    eigenvalues = problem.eigenvalues(solution.matrices)
+    valid = solution.status == "Solved" and solution.t > 0.0 and all(e.positive for e in eigenvalues)
     seconds = time.perf_counter() - begin
-    return Certificate(h, valid, found.t, found.matrices, eigenvalues, found.status, seconds, covered)
+    return Certificate(h, valid, solution.t, solution.matrices, eigenvalues, solution.status, seconds, covered)
 
 
 def certified_margin(
@@ -170,11 +170,11 @@ def _walk(ask: Callable[..., Certificate], best: Certificate, step: float, width
     """
     shortest, failed = best.shortest, False
     while step > max(0.1 * width * best.h, 2.0 * math.ulp(best.h)) and best.h < most:  # numbers between them, too
-        found = ask(best.h + step, best.h)
-        if found.valid:
-            best = found
-        failed = failed or not found.valid
-        step *= 0.5 if not found.valid else 1.0 if failed else 2.0
+        result = ask(best.h + step, best.h)
+        if result.valid:
+            best = result
+        failed = failed or not result.valid
+        step *= 0.5 if not result.valid else 1.0 if failed else 2.0
     return best._replace(shortest=shortest)
 
 
@@ -187,8 +187,8 @@ def _bisect(ask: Callable[..., Certificate], best: Certificate, step: float, wid
             return best  # stable for every delay, as far as that can be told
     while high - best.h > max(width * best.h, 2.0 * math.ulp(high)):
         middle = 0.5 * (best.h + high)
-        if (found := ask(middle)).valid:
-            best = found
+        if (result := ask(middle)).valid:
+            best = result
         else:
             high = middle
     return best

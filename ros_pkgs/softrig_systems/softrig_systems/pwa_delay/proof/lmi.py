@@ -155,10 +155,14 @@ class Problem:
         solver = clarabel.DefaultSolver(
             sp.csc_matrix((width, width)), aim, sp.vstack(blocks, format="csc"), np.concatenate(sides), cones, settings
         )
-        found = solver.solve()
-        x = np.array(found.x)
+        solution = solver.solve()
+        x = np.array(solution.x)
         return Solution(
-            str(found.status), float(x[-1]), self._take_apart(x), time.perf_counter() - begin, int(found.iterations)
+            str(solution.status),
+            float(x[-1]),
+            self._take_apart(x),
+            time.perf_counter() - begin,
+            int(solution.iterations),
         )
 
     def _coefficients(self, inequality: Inequality) -> dict[str, Array]:

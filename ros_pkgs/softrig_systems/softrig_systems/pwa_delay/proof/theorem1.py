@@ -117,7 +117,7 @@ def _null_space(A: Array, Ad: Array) -> Array:
 def _psi(n: int, F: Array, d: float, rate: float) -> list[Term]:
     """Return the terms of psi_i for h = 1."""
     b1, b2, b3, b4, b5, b6, b7, b8 = (_columns(n, k) for k in range(8))
-    none, g, rest = np.zeros_like(b1), 1.0 - rate, 1.0 - d
+    none, g, remaining = np.zeros_like(b1), 1.0 - rate, 1.0 - d
 
     def side(*blocks: Array) -> Array:
         return np.hstack(blocks)
@@ -125,20 +125,20 @@ def _psi(n: int, F: Array, d: float, rate: float) -> list[Term]:
     E13, E14 = side(b1, b2, b7), side(b2, b3, b8)
     return [
         Term("L1", side(b1, b2) @ F, side(b4, g * b5) @ F),
-        Term("S", side(b3, d * b7, rest * b8), side(b6, b1 - g * b2, g * b2 - b3)),
+        Term("S", side(b3, d * b7, remaining * b8), side(b6, b1 - g * b2, g * b2 - b3)),
         quadratic("Q", side(b1, b4, none)),
         quadratic("Q", side(b2, b5, b1 - b2), -g),
         Term("Q", side(d * b7, b1 - b2, d * (b1 - b7)), side(none, none, b4)),
         quadratic("Z", side(b2, b5, none), g),
         quadratic("Z", side(b3, b6, b2 - b3), -1.0),
-        Term("Z", side(rest * b8, b2 - b3, rest * (b2 - b8)), side(none, none, g * b5)),
+        Term("Z", side(remaining * b8, b2 - b3, remaining * (b2 - b8)), side(none, none, g * b5)),
         quadratic("R", b4),
         quadratic("Z1", E13, d),
         quadratic("Z2", E13, d / 3.0),
         Term("N1", E13, b1 - b2),
         Term("N2", E13, 2.0 * b7 - b1 - b2),
-        quadratic("Z3", E14, rest),
-        quadratic("Z4", E14, rest / 3.0),
+        quadratic("Z3", E14, remaining),
+        quadratic("Z4", E14, remaining / 3.0),
         Term("N3", E14, b2 - b3),
         Term("N4", E14, 2.0 * b8 - b2 - b3),
     ]
