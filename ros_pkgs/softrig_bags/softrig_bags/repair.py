@@ -31,7 +31,7 @@ _UNFINISHED = re.compile(r"^\.(.+)\.\d+\.part$")
 
 @dataclass
 class FileReport:
-    """What was found in one file: messages kept, in words what was lost and left out, whether its index was there."""
+    """Contents of one damaged file: messages kept, descriptions of losses, and whether it had an index."""
 
     name: str
     kept: int = 0

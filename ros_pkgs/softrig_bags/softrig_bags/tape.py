@@ -37,7 +37,7 @@ def _tuples(value: Any) -> Any:
 
 
 class TapeParams(BlockParams):
-    """Which bag, and what of it."""
+    """Parameters of a tape: the bag, and the part of it that is replayed."""
 
     bag: str = param("", "bag of a run")
     until: float = param(0.0, "what came from this time on is left out; 0: nothing is", "s", ge=0.0)

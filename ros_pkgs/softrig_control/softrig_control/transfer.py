@@ -137,7 +137,7 @@ def off(values: Sequence[float], wanted: Sequence[float]) -> float:
 
     Parameters
     ----------
-    found, wanted : sequence of float
+    values, wanted : sequence of float
     """
     largest = max(map(abs, wanted))
     return max(abs(x - y) for x, y in zip(values, wanted, strict=True)) / largest if largest else 0.0

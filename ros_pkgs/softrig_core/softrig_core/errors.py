@@ -19,7 +19,7 @@ class RunError(RuntimeError):
 
 
 class Impure(RunError):
-    """What a block answers does not follow from x, t and inputs alone, so a run may depend on those before it."""
+    """The answers of a block depend on more than x, t and inputs, so a run may depend on earlier runs."""
 
 
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})

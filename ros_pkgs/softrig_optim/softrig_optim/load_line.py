@@ -18,7 +18,7 @@ Corrections = Generator[Sequence[Point], list[float], None]
 
 
 class Matching(Protocol):
-    """How a converter's command turns the load resistance into the one that the source sees."""
+    """Conversion of the load resistance by a converter's command into the resistance that the source sees."""
 
     def load(self, command: float, seen: float) -> float:
         """Return the load (ohm) that makes the source see `seen` ohm under this command."""

@@ -304,7 +304,7 @@ class CommandSearch(Block[P], ABC):
     # the search ------------------------------------------------------------------------------------------------
 
     def _begin(self, x: State | None, t: int, lookback: int = LATER) -> State:
-        """Start a new search; `look` is the time (ns) from which on the node looks back after it for another change."""
+        """Start a new search; from the time `lookback` (ns) on, the node looks for another change after it."""
         history = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
         search = history.now
         # An infinite gap means that this search proves nothing, so there is no bound to withdraw.

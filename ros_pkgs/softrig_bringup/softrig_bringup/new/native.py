@@ -14,7 +14,7 @@ from softrig_core.guard import naming
 
 
 class Language(NamedTuple):
-    """What a law in a language is made of: template to file, how it is built, and where its scenario finds it."""
+    """Template of a controller in a language: its files, the build command, and the path its scenario uses."""
 
     title: str
     source: str

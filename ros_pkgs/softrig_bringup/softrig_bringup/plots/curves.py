@@ -262,7 +262,7 @@ def _held(rig: Rig) -> set[str]:
 
 
 class Shown(BaseModel):
-    """What a page about several runs has to know of a signal of their plots: its unit, and how it is drawn."""
+    """Display data of a plotted signal on pages about several runs: its unit, and how it is drawn."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -94,7 +94,7 @@ def width_of(text: str, size: float) -> float:
 
 
 class _Writer:
-    """What is written, and where: first how much room titles, numbers and legends need, then all that is drawn."""
+    """Writer of an SVG plot: it measures titles, numbers and legends first, then places and draws everything."""
 
     def __init__(self, figure: Figure) -> None:
         self.figure = figure

@@ -31,7 +31,7 @@ COMPARED = ("nodes", "shared", "faults", "changes", "duration", "seed")  # of wh
 
 
 class Judged(NamedTuple):
-    """What one argument names: how it is called in every report, the scenario, and that of the expectations."""
+    """Scenario that one argument selects: its name in reports, and the scenario whose expectations apply."""
 
     name: str
     scenario: str

@@ -30,7 +30,7 @@ REMEMBERED = " (a folder given as `--workspace` is remembered; `--workspace none
 
 
 class Kind(NamedTuple):
-    """What a package can be: in words, further files, packages that it needs, what a first change of it is."""
+    """Kind of package that `new` creates: description, extra files, dependencies, and a suggested first change."""
 
     what: str
     files: dict[str, str]

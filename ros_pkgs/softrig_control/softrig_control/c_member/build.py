@@ -54,7 +54,7 @@ FAST = ("-Ofast", "-ffast-math", "-funsafe-math-optimizations")
 
 
 class Hidden(NamedTuple):
-    """What a library keeps outside of the struct: names of variables, and their bytes."""
+    """State that a library keeps outside its struct: names of variables, and their bytes."""
 
     names: tuple[str, ...]
     bytes: int
@@ -65,7 +65,7 @@ class Hidden(NamedTuple):
 
 
 class Built(NamedTuple):
-    """What a header and a library became."""
+    """Result of compiling a header and loading its library."""
 
     library: Path
     """A copy by content: the user may build the next one while this one runs."""

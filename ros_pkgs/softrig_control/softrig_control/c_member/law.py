@@ -26,7 +26,7 @@ Row = tuple[float, ...]
 
 
 class Counts(NamedTuple):
-    """How many numbers a function takes and gives, in front of them place and time, and the status."""
+    """Numbers of arguments and results of a function; place, time and status come before them."""
 
     takes: int
     gives: int

@@ -25,7 +25,7 @@ _NONE = Struct((), ())
 
 
 class CParams(BlockParams):
-    """Which library or sources, which members of its structs are which channels, and its parameters."""
+    """Parameters of a node in C: library or sources, the channel of each struct member, values of its parameters."""
 
     library: str = param("", "shared library, or package://PACKAGE/path; or name its sources instead")
     sources: tuple[str, ...] = param((), "C, C++ or Fortran files that softrig compiles itself, -O2 -ffp-contract=off")
@@ -165,7 +165,7 @@ class Process:
 
 
 class _C(Block[CParams]):
-    """What both have: the library, and the way from ports to members."""
+    """Base of plant and controller in C: the library, and the mapping from ports to struct members."""
 
     SCRATCH = frozenset({"_process", "_here"})  # a process follows from x; the memory holds constants, by address
 

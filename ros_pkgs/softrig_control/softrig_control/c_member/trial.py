@@ -17,7 +17,7 @@ PERIOD = 1_000_000  # ns between them
 
 
 class Trial(NamedTuple):
-    """What was found."""
+    """Results of a trial of a library."""
 
     wrong: str
     """Why it cannot run; empty."""

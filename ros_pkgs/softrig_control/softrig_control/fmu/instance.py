@@ -15,7 +15,7 @@ EVENTS = 1000  # iterations of one event
 
 
 class Plan(NamedTuple):
-    """What to run and how.
+    """Instructions for the child process of an FMU: what to run, and how.
 
     Attributes
     ----------

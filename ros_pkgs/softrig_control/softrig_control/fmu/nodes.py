@@ -23,7 +23,7 @@ Method = Literal["co_simulation", "model_exchange"]
 
 
 class FmuParams(BlockParams):
-    """Which FMU, which of its variables are which channels, its start values and steps."""
+    """Parameters of an FMU node: the file, the channel of each variable, start values and step sizes."""
 
     fmu: str = param("", "file of the FMU, or package://PACKAGE/path")
     inputs: tuple[str, ...] = param(
@@ -151,7 +151,7 @@ class Running:
 
 
 class _Fmu(Block[FmuParams]):
-    """What both have: the FMU, its time, and the way from ports to variables."""
+    """Base of plant and controller from an FMU: the FMU, its time, and the mapping from ports to variables."""
 
     SCRATCH = frozenset({"_running"})  # the FMU itself: x tells what it was told, and `load` brings it there
 

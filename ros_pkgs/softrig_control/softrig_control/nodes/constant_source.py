@@ -13,7 +13,7 @@ from ..profile import ProfileParams, StepProfile
 
 
 class ScalarSourceParams(ProfileParams):
-    """Which channels, their units, and their values: all at the first time, then all at the next, and so on."""
+    """Parameters of a source of scalars: channels, units, and values, ordered by time and then by channel."""
 
     channels: tuple[str, ...] = param(("v_dc",), "names of the channels", min_length=1)
     units: tuple[str, ...] = param(("V",), "unit of each, or one of all", min_length=1)

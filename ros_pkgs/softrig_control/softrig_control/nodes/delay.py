@@ -20,7 +20,7 @@ Blocks = tuple[tuple[tuple[int, int, Any], ...], ...]
 
 
 class FieldbusDelayParams(LinkParams):
-    """Which messages the link carries and what it does to them."""
+    """Parameters of a fieldbus link: the messages it carries, and their delay, jitter and loss."""
 
     delay: float = param(0.08, "delay, rounded up to whole periods", "s", ge=0.0, live=True)
     jitter: float = param(

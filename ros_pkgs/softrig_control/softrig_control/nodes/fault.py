@@ -19,7 +19,7 @@ Message = tuple[float, ...] | Sample
 
 
 class FaultParams(LinkParams):
-    """Which messages the link carries, what happens to them, to which of their values, and when."""
+    """Parameters of a fault on a link: its messages, the kind of fault, the values concerned, and the times."""
 
     kind: Kind = param("offset", "what happens to the messages")
     affects: tuple[str, ...] = param((), "channels or single values (``shaft/velocity``) concerned; empty: all")

@@ -10,7 +10,7 @@ from softrig_core import Block, BlockParams, Port, array, command, param
 
 
 class ForwardCommandParams(BlockParams):
-    """Which actuators, and where their commands come from."""
+    """Parameters of the command forwarder: the actuators, and the source of their commands."""
 
     joints: tuple[str, ...] = param(("armature",), "names of the actuators, in the order of the array", min_length=1)
     units: tuple[str, ...] = param(("V",), "unit of each, or one of all", min_length=1)

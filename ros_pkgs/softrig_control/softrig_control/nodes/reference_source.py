@@ -15,7 +15,7 @@ FIELDS = {"positions": ("position", ""), "velocities": ("velocity", "/s"), "acce
 
 
 class ReferenceSourceParams(ProfileParams):
-    """Which axes, and their positions, velocities and accelerations from each time on.
+    """Parameters of a reference source: axes, and their positions, velocities and accelerations from each time on.
 
     A field is sent when values are given for it: all axes at the first time, then all axes at the next, and so on.
     """

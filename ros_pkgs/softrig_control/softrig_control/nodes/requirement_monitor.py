@@ -71,7 +71,7 @@ class RequirementMonitorParams(BlockParams):
 
 
 class State(NamedTuple):
-    """What is open of the formula; values of its conditions at the tick before; bounds of the margin, if decided."""
+    """Undecided part of the formula, values of its conditions at the previous tick, bounds of the decided margin."""
 
     opened: tuple[Opened, ...]
     before: tuple[float | None, ...]

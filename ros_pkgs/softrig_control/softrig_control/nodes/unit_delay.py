@@ -23,7 +23,7 @@ MessageType = Literal[
 
 
 class LinkParams(BlockParams):
-    """Which messages a link carries."""
+    """Parameters of a link: the messages it carries."""
 
     topic_in: str = param("axis/state", "topic at the sender's end", min_length=1)
     topic_out: str = param("axis/feedback", "topic at the receiver's end", min_length=1)

@@ -45,7 +45,7 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
 
     Parameters
     ----------
-    found : mapping
+    result : mapping
         Result of the block, port name to values; anything else is refused.
     node : str
         For the error.

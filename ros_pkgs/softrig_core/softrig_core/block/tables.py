@@ -12,7 +12,7 @@ Moment = Mapping[str, Kept]  # by name of the member
 
 
 class Tables:
-    """What the members of a rig, or some of them, hold: of each a row, which `Held` lists.
+    """State of the nodes of a rig, or of some of them: one row a node, with the fields of `Held`.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ LONGEST = 1 << 20  # bytes of a file that describes a node
 
 
 class LinkEntry(Entry):
-    """Where the board of a node is, and what it must run.
+    """Link to the board of a node: its port, and the firmware that must run on it.
 
     Parameters
     ----------

@@ -113,7 +113,7 @@ class Drawing:
         self.draw(pen, row, past)
         return pen.shapes
 
-    def quantity(self, port: str, label: str, remaining: float = 0.0) -> Quantity:
+    def quantity(self, port: str, label: str, at_rest: float = 0.0) -> Quantity:
         """Return a signal of the plant's port, or of a port of this name elsewhere in the rig.
 
         Parameters
@@ -130,15 +130,15 @@ class Drawing:
             Without a name where the rig has no such signal.
         """
         result = self._port(port, label)
-        return self.signal(result.topic if result else "", label, remaining)
+        return self.signal(result.topic if result else "", label, at_rest)
 
-    def signal(self, topic: str, label: str, remaining: float = 0.0) -> Quantity:
+    def signal(self, topic: str, label: str, at_rest: float = 0.0) -> Quantity:
         """Return a signal by its topic, as `quantity` does."""
         name = f"{topic}/{label}"
         if name not in self._units:
-            return Quantity("", rest=remaining)
+            return Quantity("", rest=at_rest)
         self._found[name] = None
-        return Quantity(name, pretty_unit(self._units[name]), remaining)
+        return Quantity(name, pretty_unit(self._units[name]), at_rest)
 
     def _port(self, name: str, label: str) -> Port | None:
         ports = [*self.plant.outputs, *self.plant.inputs]

@@ -10,7 +10,7 @@ from .shapes import Pen
 
 
 class StatePlane(Drawing):
-    """Where the first two states come from and are; a state alone over time."""
+    """Drawing of the path of the first two states in their plane; a single state is drawn over time."""
 
     title = "State of a piecewise affine system with delay"
     trail = 3.0

@@ -38,7 +38,7 @@ SHIFTS = (1.0625, 0.9375, 0.5, 2.0, -1.0)  # factors by which a parameter is tri
 
 @dataclass(frozen=True)
 class Exported:
-    """What is written for a block.
+    """Files and functions exported for a block.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ TOOLS = "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-a
 
 @dataclass(frozen=True)
 class Replayed:
-    """How C compared with its rows.
+    """Comparison of C code with golden rows.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ from .kinds import INT, REAL, Kind, Tuple, kind_of, leaves, room_of, roomy, tupl
 
 @dataclass(frozen=True)
 class Form:
-    """What decides a method's text beside its constants: its name, the type of the state, which inputs are there."""
+    """Key of a method's generated text besides its constants: name, type of the state, inputs that are present."""
 
     method: str
     state: Kind

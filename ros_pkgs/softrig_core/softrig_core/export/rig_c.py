@@ -28,7 +28,7 @@ DRAWN = 200  # calls with drawn inputs: they find ways that the run never takes
 
 @dataclass(frozen=True)
 class Ticks:
-    """What the members of a rig published in a run, tick by tick: time, ns, and by member the outputs of one due."""
+    """Messages of a run by tick: the time in ns, and the outputs of each node that was due."""
 
     rows: list[tuple[int, dict[str, Mapping[str, Any]]]]
     calls: dict[str, list[Call | Changed]]

@@ -45,7 +45,7 @@ KEYWORDS = frozenset(_WORDS.split())
 
 @dataclass
 class Unit:
-    """What is declared: a struct, a function, or the function block."""
+    """Declaration in structured text: a struct, a function, or the function block."""
 
     kind: str
     name: str

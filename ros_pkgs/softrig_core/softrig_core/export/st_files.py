@@ -31,7 +31,7 @@ NEAR = 1e-12  # of a number, where a library's last bit may be another
 
 @dataclass(frozen=True)
 class Executed:
-    """How structured text compared with golden rows: calls, numbers that differ, statuses that differ."""
+    """Comparison of structured text with golden rows: calls, numbers that differ, statuses that differ."""
 
     rows: int
     differing: int

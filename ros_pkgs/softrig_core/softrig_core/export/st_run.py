@@ -27,7 +27,7 @@ class Struct:
 
 
 class Pointer:
-    """Where an array is: assigned by reference."""
+    """Reference to an array: an assignment copies the reference, not the array."""
 
     def __init__(self, array: list[Any] | None = None) -> None:
         self.array = array

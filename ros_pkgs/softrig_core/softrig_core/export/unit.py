@@ -46,7 +46,7 @@ class Signature:
 
 @dataclass
 class Unit:
-    """What is printed for one block: types, tables, functions.
+    """Text generated for one block: types, tables, functions.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ class Cache:
     Parameters
     ----------
     name : str
-        Name of the function, for people who read the folder.
+        Name of the function, for readers of the folder.
     digest : str
         Digest of everything that affects the code, except the types of the arguments and the processor.
     unnamed : tuple of bytes

@@ -43,7 +43,7 @@ def answered(
         All its values, one output after another.
     stamps : sequence of int
         Stamps of its delayed outputs, ns.
-    spoken : mapping of int to int
+    published : mapping of int to int
         Time of the last message of each sporadic output, ns, by its place; `NEVER`.
     """
     step.t = step.schedule.time(number)

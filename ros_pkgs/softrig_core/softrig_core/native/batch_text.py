@@ -121,7 +121,7 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
         Steps of one instance, as for `rig_text`; each has answered a tick.
     agent : Step
         One of them; not a plant.
-    said : sequence of str
+    texts : sequence of str
         Its outputs, number after number, as expressions of action row `a`.
     form : Form
         Form of the result of `remembered`.

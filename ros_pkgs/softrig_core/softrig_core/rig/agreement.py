@@ -93,7 +93,7 @@ def agreeing(
 
     Parameters
     ----------
-    said : mapping of quantity to (node, value)
+    values : mapping of quantity to (node, value)
         See `spoken`.
     arguments : mapping
         Arguments from the scenario.

@@ -31,7 +31,7 @@ def check_entry_point(point: EntryPoint) -> str:
     """Load what a package offers and check that it can be used with its own defaults.
 
     A block's ports have distinct names and topics of their own, it can be set up, and a plant's outputs at the start
-    are finite and the same after a reset. Two ticks on first values change nothing but its state x, and from the same
+    are finite and the same after a reset. Two ticks on first values change only its state x, and from the same
     x they are the same.
 
     Parameters
@@ -79,7 +79,7 @@ def check_entry_point(point: EntryPoint) -> str:
 
 
 def _check_ticks(name: str, block: Block, inputs: Sequence[Port]) -> None:
-    """Ensure that ticks on first values change nothing but x, and that the same ticks have the same answers."""
+    """Check that ticks on first values change only x, and that the same ticks have the same answers."""
     begun, values = contents(block), {port.name: port.initial for port in inputs}
     once, again = (_answers(block, values) for _ in range(2))
     for (t, first), (_, second) in zip(once, again, strict=True):

@@ -34,7 +34,7 @@ class ChangeEntry(Entry):
 
 
 class Changing(Protocol):
-    """What is needed of a member."""
+    """Protocol of a member whose parameters change."""
 
     name: str
     package: str

@@ -65,7 +65,7 @@ class NodeEntry(Entry):
 
 
 class FigureEntry(Entry):
-    """What is measured of a run.
+    """Entry of `figures`: a measurement of the run.
 
     Parameters
     ----------

@@ -252,7 +252,7 @@ def told(rig: Members) -> dict[str, str]:
 
 
 def figures_in(text: str) -> list[Figure]:
-    """Read the figures that `told` has written.
+    """Read the figures that `told` has encoded.
 
     Raises
     ------

@@ -43,7 +43,7 @@ _bounds: dict[tuple[Any, ...], bool] = {}
 
 
 class Measured(Protocol):
-    """What is needed of a figure that a formula names."""
+    """Protocol of a figure that a formula refers to."""
 
     @property
     def unit(self) -> str:

@@ -25,7 +25,7 @@ from .figures import Figure
 
 
 class WatchParams(BlockParams):
-    """How far back the figures look."""
+    """Parameters of the live figures: the length of their time window."""
 
     window: float = param(60.0, "the figures are those of this last time", "s", gt=0.0, le=3600.0)
 
@@ -148,7 +148,7 @@ def _since(blocks: tuple[bytes, ...], stamp: int, size: int) -> tuple[bytes, ...
 
 
 class Window(NamedTuple):
-    """What was seen: of each input, in the order of the ports. The first field of what a subclass remembers."""
+    """Received messages of each input, in the order of the ports; the first field of a subclass's state."""
 
     seen: tuple[Kept, ...]
 

@@ -39,7 +39,7 @@ class Columns(NamedTuple):
         return self.values[:, k]
 
     def messages(self, count: int) -> list[bytes]:
-        """Return the bytes of the messages; `said` is the number of earlier messages of the topic."""
+        """Return the bytes of the messages; `count` is the number of earlier messages of the topic."""
         marks = np.arange(count, count + len(self.times)) if self.layout.numbered else self.times
         raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
         return [raw[i : i + n] for i in range(0, len(raw), n)]

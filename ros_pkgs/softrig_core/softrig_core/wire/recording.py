@@ -412,7 +412,7 @@ class Recording:
             From the beginning of a message on.
         namespace : str
             See `read_shard`.
-        found : callable, optional
+        callback : callable, optional
             Gets the offset and the number of bytes of rows in the content; their messages are then not added.
 
         Returns

@@ -11,7 +11,7 @@ from .ports import FORWARD, REVERSE
 
 
 class StepButtonsParams(BlockParams):
-    """When each button is pressed; times count from the first tick."""
+    """Parameters of the buttons: the times at which each is pressed, counted from the first tick."""
 
     forward: tuple[float, ...] = param(
         (0.0,), "times at which the forward button goes down", "s", each=(0.0, 1e9), live=True
@@ -23,7 +23,7 @@ class StepButtonsParams(BlockParams):
 
 
 class State(NamedTuple):
-    """When its first tick was, ns; None before."""
+    """Time of the first tick, ns; None before it."""
 
     zero: int | None = None
 

@@ -15,7 +15,7 @@ GRAVITY = 9.81
 
 
 class LsrmLoadParams(BlockParams):
-    """When which mass is on the translator."""
+    """Parameters of the load: masses on the translator, and the times at which they change."""
 
     period: float = param(1e-3, "sampling period", "s", gt=0.0, le=1.0)
     times: tuple[float, ...] = param(

@@ -18,7 +18,7 @@ SIXTH = math.pi / 3.0
 
 
 class ShaftSensorParams(BlockParams):
-    """Which sensor, its resolution and errors, and the tracking loop behind it."""
+    """Parameters of a shaft sensor: its kind, resolution and errors, and the tracking loop behind it."""
 
     period: float = param(1e-4, "sampling period", "s", gt=0.0, le=0.1)
     kind: Literal["encoder", "resolver", "hall"] = param("encoder", "which sensor")

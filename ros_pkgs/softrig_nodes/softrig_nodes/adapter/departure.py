@@ -40,7 +40,7 @@ class Departure(Reader):
         Other nodes of this process.
     begin : callable
         Called once with the wall-clock time of t = 0 and by how much the clock of the rig is ahead of ours, ns.
-    heard : callable
+    received : callable
         Called with the words of the node that stops or resumes the clock of the rig.
     """
 

@@ -15,7 +15,7 @@ from ..processes.spawning import DIED
 
 @dataclass
 class Files:
-    """What a rig published before one of its nodes was started again.
+    """Messages that a rig published before one of its nodes was restarted.
 
     Parameters
     ----------

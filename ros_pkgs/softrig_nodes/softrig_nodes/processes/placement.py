@@ -11,7 +11,7 @@ from softrig_core.rig.rig import Rig
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the nodes of a run are placed, and how they run.
+    """Placement of a run: the processes of its nodes, and how they run.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def chosen(domain: int, used: Collection[int] = (), now: float | None = None) ->
 
     Parameters
     ----------
-    taken : collection of int
+    used : collection of int
         Numbers of which there are files; they are chosen only where there is no other.
     now : float, optional
         s, of a clock that all processes of a host share.

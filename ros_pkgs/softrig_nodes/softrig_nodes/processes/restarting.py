@@ -37,7 +37,7 @@ def check_restart(rig: Rig, placement: Placement) -> None:
 
 
 class _Look(NamedTuple):
-    """When a node had written of itself, how many ticks it had answered, and whether as many as the time before."""
+    """Observation of a node: time of its last status, ticks answered, and whether it has stopped answering."""
 
     written: int
     ticks: int

@@ -94,7 +94,7 @@ class Busy(Input):
     ----------
     solvers : int
         Number of solvers, this node included: the input has a publisher when all of them are matched.
-    heard : callable
+    received : callable
         Called at each message.
     """
 

@@ -24,7 +24,7 @@ MEMORY = 30_000_000
 
 @dataclass(frozen=True)
 class Proof:
-    """What the search proved.
+    """Result of a branch-and-bound search: the bounds it has proved.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def branch_and_bound(
 
 
 class Problem(NamedTuple):
-    """What a dispatch must meet, and how near to the optimum (`tol`, $/h); arrays in the order of the search."""
+    """Constraints of a dispatch, and its distance from the optimum (`tol`, $/h); arrays in the order of the search."""
 
     table: Array
     groups: Any

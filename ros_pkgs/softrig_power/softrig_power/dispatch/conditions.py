@@ -74,7 +74,7 @@ class Losses:
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What holds for one dispatch.
+    """Optimality conditions at one dispatch.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class Case(NamedTuple):
 
 
 class Published(NamedTuple):
-    """What the paper prints for a case: places in km, errors in % of the length."""
+    """Published results of a case: places in km, errors in % of the length."""
 
     woa_km: float
     gwo_km: float

@@ -22,7 +22,7 @@ NO_BUDGET = ErrorBudget(sync_us=0.0, ratio=0.0, reactance=0.0, resistance=0.0)
 
 
 class FaultLocatorParams(LocatorParams, BlockParams):
-    """How a record comes and how it is located."""
+    """Parameters of the locator: the source of the record, and the method of location."""
 
     period: float = param(5e-5, "sampling period", "s", gt=0.0, le=1.0)
     form: Literal["streams", "record"] = param("streams", "sample by sample from four topics, or one whole record")
@@ -39,7 +39,7 @@ class FaultLocatorParams(LocatorParams, BlockParams):
 
 
 class State(NamedTuple):
-    """What has come, and what was made of it."""
+    """Received parts of the record, and the results computed from them."""
 
     rows: Rows  # streams: t (s) and the twelve channels (V, A) of the newest samples
     record: tuple[float, ...]  # or the whole record that has come last

@@ -14,7 +14,7 @@ GREY, RED = (0.5, 0.5, 0.5, 1.0), (0.9, 0.1, 0.1, 1.0)
 
 
 class LocationMarkerParams(BlockParams):
-    """What is drawn."""
+    """Parameters of the marker: the line, and its appearance."""
 
     period: float = param(5e-5, "sampling period", "s", gt=0.0, le=1.0)
     length: float = param(120.0, "length of the line", "km", gt=0.0, le=3000.0)

@@ -65,7 +65,7 @@ class Turning(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What happened, a row a step; row 0 is the begin."""
+    """Trajectory of the circuit, one row a step; row 0 is the start."""
 
     bus: Complex  # (n + 1, 6), voltages at the end of the step
     current: Complex  # (n + 1, 5), of the branches, at the end

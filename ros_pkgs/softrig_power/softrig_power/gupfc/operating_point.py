@@ -28,7 +28,7 @@ PAST = 60  # cycles, 1 s
 
 
 class DeviceParams(BlockParams):
-    """What every node of the device knows: the network, how it is stepped and measured, the references at the start."""
+    """Parameters shared by the nodes of the device: network, step, measurement, and initial references."""
 
     period: float = param(1.0 / 2880.0, "control period T_c, a 48th of a cycle", "s", ge=1e-5, le=0.01)
     substeps: int = param(16, "steps of the circuit in a control period", ge=1, le=1000)

@@ -28,7 +28,7 @@ TRIP = (0.5, 1.3)  # pu, of the DC voltage
 
 @dataclass(frozen=True)
 class Command:
-    """What acts on a converter: conduction angle, angle (rad), its speed (rad/s); bad commands in a row. An input."""
+    """Input of a converter: conduction angle, angle (rad), its speed (rad/s), and the number of bad commands."""
 
     sigma: float
     angle: float

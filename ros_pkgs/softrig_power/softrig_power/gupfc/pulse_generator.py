@@ -24,7 +24,7 @@ class State(NamedTuple):
 
 
 class PulseGeneratorParams(BlockParams):
-    """How often it looks, and how long a command turns on."""
+    """Parameters of the pulse generator: its period, and the on-time of a command."""
 
     period: float = param(1.0 / 2880.0, "sampling period", "s", ge=1e-6, le=0.1)
     command_period: float = param(1.0 / 2880.0, "period of the commands, a multiple of `period`", "s", ge=1e-6, le=1.0)

@@ -28,7 +28,7 @@ class Circuit(NamedTuple):
 
 
 class Period(NamedTuple):
-    """What holds over one control period from `start` (s) for `length` (s).
+    """Constant inputs over one control period from `start` (s) for `length` (s).
 
     Attributes
     ----------

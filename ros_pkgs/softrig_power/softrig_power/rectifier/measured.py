@@ -21,7 +21,7 @@ NO_TRACE = np.empty((0, 5))
 
 
 class How(NamedTuple):
-    """How a period goes: which model, its steps, the window (s), the carrier (Hz) and whether there is injection."""
+    """Settings of a period: model, steps, window (s), carrier (Hz), and whether there is injection."""
 
     kind: int
     steps: int
@@ -115,7 +115,7 @@ class SumsRows(NamedTuple):
 def move(
     x: Array, how: How, circuit: Circuit, period: Period, sums: Array, complete: Array, values: Array, trace: Array
 ) -> None:
-    """Move a state over one period in place; `found` gets the figures of a window that ends in it."""
+    """Move a state over one period in place; `values` gets the figures of a window that ends in it."""
     windows = sums[PLAIN, WINDOWS]
     both = (circuit, period)
     if how.kind == BRIDGE:

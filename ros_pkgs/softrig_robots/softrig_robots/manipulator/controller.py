@@ -34,13 +34,13 @@ LAWS: dict[str, Any] = {"adsmc": Adsmc, "dsmc": Dsmc, "smc": Smc}
 
 
 class State(NamedTuple):
-    """What the law of each joint remembers."""
+    """State of the control law of each joint."""
 
     laws: tuple[Any, ...]
 
 
 class VcsControllerParams(BlockParams):
-    """Which law, with the published gains of each."""
+    """Parameters of the controller: the selected law, and the published gains of each law."""
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     joints: tuple[str, ...] = param(JOINTS, "joint names", min_length=1)

@@ -47,7 +47,7 @@ LAWS: dict[str, Any] = {"emvc": Emvc, "tsarc": Tsarc, "arsc": Arsc}
 
 
 class VoltageControllerParams(BlockParams):
-    """Which law, with the preset of each."""
+    """Parameters of the controller: the selected law, and the preset of each law."""
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     law: Literal["emvc", "tsarc", "arsc"] = param("emvc", "control law: emvc, tsarc or arsc")
@@ -80,7 +80,7 @@ class VoltageControllerParams(BlockParams):
 
 
 class State(NamedTuple):
-    """What the law of each joint remembers, voltages sent (V), errors (rad) last seen, ticks refused in a row."""
+    """State of each joint's law, last voltages (V), last errors (rad), and the number of refused ticks in a row."""
 
     laws: tuple[Any, ...]
     sent: Vector = NOTHING

@@ -21,14 +21,14 @@ GRAVITY = 9.81
 
 
 class RobotDrift(Params):
-    """What the motors may drift to."""
+    """Bounds of the drift of the motors."""
 
     resistance: float = param(0.0, "relative change of R at the end", "", gt=-1.0)
     constants: float = param(0.0, "relative change of K_m and K_b at the end", "", gt=-1.0)
 
 
 class LinearRobot(Params):
-    """What the limit of alpha_hat depends on besides the law; the published robot."""
+    """Data besides the law on which the limit of alpha_hat depends; defaults: the published robot."""
 
     segments: Segments = Segments()
     motors: RehabMotors = RehabMotors()

@@ -16,7 +16,7 @@ EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if sum(p != q for p, 
 
 
 class OptimalControl(StatePlane):
-    """Where the states come from and are; the control as a bar."""
+    """Drawing of the path of the states, and of the control as a bar."""
 
     title = "States and control of an optimal control problem"
 

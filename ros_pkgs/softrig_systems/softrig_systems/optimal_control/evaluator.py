@@ -21,7 +21,7 @@ MARGIN = 1e-6  # of the least cost: a claim below it by more is impossible
 
 
 class Figures(NamedTuple):
-    """What is published: costs, errors at the end, largest distance from the plan, residual, whether infeasible."""
+    """Published results: costs, final errors, largest distance from the plan, residual, whether it is infeasible."""
 
     J_plant: float = 0.0
     J_exact: float = 0.0

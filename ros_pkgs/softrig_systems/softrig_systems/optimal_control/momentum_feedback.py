@@ -13,7 +13,7 @@ from .problem import ProblemError
 
 
 class State(NamedTuple):
-    """When it began, ns."""
+    """Time of the first tick, ns."""
 
     begin: int | None = None
 

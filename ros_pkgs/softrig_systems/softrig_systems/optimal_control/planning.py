@@ -16,7 +16,7 @@ LEAST = 2  # periods: with less time left the old plan stays
 
 
 class PlannerParams(SolverParams, ProblemParams):
-    """When to plan, and what is demanded of a plan."""
+    """Parameters of a planner: the times of planning, and the requirements on a plan."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=100.0)
     k_replan: int = param(0, "plan again from the measured state each so many periods; 0: once", ge=0, le=1_000_000)

@@ -88,7 +88,7 @@ class PendulumController(Block[PendulumControllerParams]):
 
 
 class DelayLineParams(DelayParams, BlockParams):
-    """What is delayed, and how."""
+    """Parameters of a delay line: the delayed signals, and the delay."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=1.0)
     channels: tuple[str, ...] = param(("joint",), "names of the channels", min_length=1)

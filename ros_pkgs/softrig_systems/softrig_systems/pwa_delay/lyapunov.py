@@ -88,7 +88,7 @@ class LyapunovMonitorParams(CriterionParams, BlockParams):
 
 
 class State(NamedTuple):
-    """What the certificate makes it remember; None: it has none, or one that its samples are too coarse for."""
+    """Samples that the certificate needs; None without a certificate, or if the samples are too coarse for it."""
 
     watch: Watch | None = None
 

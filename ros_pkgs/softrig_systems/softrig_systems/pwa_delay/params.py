@@ -108,7 +108,7 @@ def law_of_the_tank(switch: float, k_low: float, k_high: float) -> dict[str, Any
 
 
 class DelayParams(Params):
-    """How a delay varies, and its bound."""
+    """Parameters of a delay: its variation over time, and its bound."""
 
     delay: float = param(0.02, "largest delay h", "s", ge=0.0, le=1000.0, live=True)
     max_delay: float = param(1000.0, "longest delay that is allowed; beyond it is clamped", "s", gt=0.0, le=1000.0)

@@ -43,7 +43,7 @@ class Gains(Params):
 
 
 class Measured(NamedTuple):
-    """What a law may use at one tick; `derivative` is the backward difference of e in packet/s."""
+    """Inputs of a law at one tick; `derivative` is the backward difference of e in packet/s."""
 
     e: float
     rate: float
@@ -61,7 +61,7 @@ class Decision(NamedTuple):
 
 
 class Law(Protocol):
-    """How a law is called."""
+    """Signature of a law."""
 
     def __call__(self, m: Measured, g: Gains) -> Decision:
         """Decide for one tick."""

@@ -17,7 +17,7 @@ Row = tuple[float, ...]
 
 
 class Parts(NamedTuple):
-    """What moves a state and stays the same."""
+    """Constant parts of the equations that advance a state."""
 
     net: Network
     chain: Chain

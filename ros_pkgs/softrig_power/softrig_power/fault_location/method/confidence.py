@@ -22,7 +22,7 @@ STRETCHES = 8
 
 
 class ErrorBudget(Params):
-    """What the instruments and the line data may be wrong by, one standard uncertainty each."""
+    """Standard uncertainties of the instruments and of the line data."""
 
     sync_us: float = param(1.0, "clocks of the two ends", "us", ge=0.0, le=1e5)
     ratio: float = param(0.005, "each instrument transformer, relative", ge=0.0, le=0.5)

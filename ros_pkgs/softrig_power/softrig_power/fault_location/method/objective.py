@@ -22,7 +22,7 @@ USUAL_TRAVEL = 4.0  # samples of the whole line's travel time, fewer are warned 
 
 
 class LocatorParams(Params):
-    """How a record is located."""
+    """Parameters of the location of a record."""
 
     line: LineParams = LineParams()
     algorithm: Algorithm = param("brent", "how the minimum of F(x) is found; phasor, travelling_wave: without F(x)")

@@ -25,7 +25,7 @@ SAME = 1e-4  # pu: bus voltages of one operating point
 
 
 class References(Params):
-    """What the GUPFC is asked to hold: flows out of buses 2 and 4 towards source 1, voltage at bus 1."""
+    """References of the GUPFC: flows out of buses 2 and 4 towards source 1, voltage at bus 1."""
 
     p1: float = param(1.0, "active power of circuit 1", "pu", ge=-10.0, le=10.0)
     q1: float = param(-0.3, "reactive power of circuit 1", "pu", ge=-10.0, le=10.0)

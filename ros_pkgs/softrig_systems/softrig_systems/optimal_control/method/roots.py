@@ -54,13 +54,13 @@ def starts(alpha: Array) -> list[Array]:
 def distinct(
     alpha: Array, values: Array, error: float, accurate: float, newton: Callable[[Array], tuple[Array, float]]
 ) -> list[Array]:
-    """Return all real roots found, with `found` first if it is a root.
+    """Return all real roots found, with `values` first if it is a root.
 
     Parameters
     ----------
     alpha : ndarray
         Root of the previous order, which gives the magnitude of the costates.
-    found, error : ndarray, float
+    values, error : ndarray, float
         Result of Newton's method from this root, and its error.
     accurate : float
         Largest error of a root.

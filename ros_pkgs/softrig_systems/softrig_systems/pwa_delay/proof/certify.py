@@ -19,7 +19,7 @@ Method = Literal["theorem1", "constant"]
 
 
 class Criterion(NamedTuple):
-    """Which criterion, and its options."""
+    """Stability criterion and its options."""
 
     method: Method = "theorem1"
     mu: float = 0.0
@@ -37,7 +37,7 @@ THEOREM1 = Criterion()
 
 
 class Certificate(NamedTuple):
-    """What is known at one delay bound.
+    """Result of a criterion at one delay bound.
 
     Parameters
     ----------
