@@ -44,8 +44,10 @@ def run(rig: Rig) -> tuple[Signals, float]:
 
 
 def peer(name: str, given: Any) -> Any:
-    """Run a function of `beside_peers` with the Python of ``SOFTRIG_PEERS``; None where that lacks the library."""
-    return asked("beside_peers", name, given, os.environ.get("SOFTRIG_PEERS", sys.executable), name)
+    """Run a function of `beside_peers` with the Python of ``SOFTRIG_PEERS``, else with ours; None if both lack it."""
+    pythons = dict.fromkeys((os.environ.get("SOFTRIG_PEERS", sys.executable), sys.executable))
+    found = (asked("beside_peers", name, given, python, name) for python in pythons)
+    return next((one for one in found if one is not None), None)
 
 
 def farthest(end: Any, ours: Any) -> float:
@@ -150,6 +152,8 @@ ROWS: tuple[tuple[Callable[[str, float], Row | None], str, float], ...] = (
     (dc_motor, "scipy_ivp", 1e-7),
     (drive, "pmsm_foc", 1e-9),
     (drive, "im_foc", 1e-9),
+    (drive, "im_vhz", 1e-9),
+    (drive, "pmsm_foc_synrm_gem", 1e-9),
     (switched, "motulator", 1e-6),
     # It has Euler's method at 50 us only, which is first order.
     (switched, "gym-electric-motor", 5e-2),

@@ -51,7 +51,10 @@ KINDS = {
 def _functions(file: Path) -> Iterator[tuple[str, str]]:
     """Yield name and code of each function or method and of the module's own statements, without comments."""
     tree = ast.parse(file.read_text())
-    homes = [tree, *(node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))]
+    homes: list[ast.Module | ast.ClassDef] = [
+        tree,
+        *(node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)),
+    ]
     for home in homes:
         for node in home.body:
             if isinstance(node, ast.FunctionDef):
