@@ -193,12 +193,12 @@ def contrast(one, other):
     return max(lights) / min(lights)
 
 
-@pytest.mark.parametrize("lookup", [style.Light, style.Dark])
-def test_every_colour_of_code_can_be_read(lookup):
+@pytest.mark.parametrize("theme", [style.Light, style.Dark])
+def test_every_colour_of_code_can_be_read(theme):
     assert contrast("#ffffff", "#000000") == pytest.approx(21.0)
-    for token, about in lookup:
+    for token, about in theme:
         if about["color"]:
-            assert contrast(f"#{about['color']}", lookup.background_color) >= 4.5, token
+            assert contrast(f"#{about['color']}", theme.background_color) >= 4.5, token
 
 
 def test_what_keeps_readers_out_is_gone_from_a_page():

@@ -487,7 +487,7 @@ def after_a_cloud(algorithm, light, begin, end, seconds, seed=0):
     return np.array(powers)[round(end * 1000) + 1 :], np.array(states)[round(end * 1000) + 1 :]
 
 
-@pytest.mark.parametrize("cloud", few(CLOUDS, 2))
+@pytest.mark.parametrize("cloud", few([pytest.param(cloud) for cloud in CLOUDS], 2))
 @pytest.mark.parametrize("algorithm", ["certified", "certified_transients", "ramp"])
 def test_a_cloud_in_mid_search_is_seen(algorithm, cloud):
     """The maximum after it, and no bound below what is there."""
