@@ -93,7 +93,7 @@ GOES = {
     "manipulator_adsmc": 13,
     "optimal_control": 6,
     "pmsm_field_weakening": 1,
-    "pmsm_foc": 10,
+    "pmsm_foc": 11,
     "pv_mppt": 30,
     "pwa_delay": 20,
     "rectifier_mpc": 47,
@@ -135,6 +135,7 @@ def _each_its_own_text(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)  # of 446 scenarios
 def test_every_scenario_is_what_it_is_in_python() -> None:
     """By the text that numba gets and by the one that Python runs, on 150 ticks each."""
     goes, stays = Counter[str](), Counter[str]()
