@@ -214,7 +214,7 @@ def test_an_svg_moves_by_itself_and_says_everything_once(shorted):
     assert "http" not in animated(made).replace("http://www.w3.org/2000/svg", "")  # nothing to fetch
 
 
-@pytest.mark.parametrize("form", ["svg", "gif", "webp", "png"])
+@pytest.mark.parametrize("form", few(["svg", "gif", "webp", "png"], 2))
 def test_the_verb_writes_every_form(form, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert (

@@ -297,6 +297,7 @@ def no_garbage():
     gc.enable()
 
 
+@pytest.mark.long
 def test_a_fork_leaves_the_idle_processes_of_its_parent_alone(monkeypatch, no_garbage):
     """Python forks by default for `multiprocessing`; closing the parent's pipes would wait for ever."""
     monkeypatch.setattr("softrig_core.solver.worker.MOST_IDLE", 1)

@@ -129,7 +129,7 @@ def shortened(name, duration):
         ("induction_dtc", 0.03),
         ("dc_motor_smc_b2", 0.3),
         ("rehab_impedance", 0.1),
-        ("lsrm_fuzzy", 0.02),
+        pytest.param("lsrm_fuzzy", 0.02, marks=pytest.mark.long),
     ],
 )
 def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration, monkeypatch):
