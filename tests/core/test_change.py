@@ -212,7 +212,7 @@ def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_h
     rig, world, messages = changed_rig("dc_motor_smc_b2", 0.1, {}), World(), []
     run = SimulatedRig(rig, world, "lockstep")
     law = run.adapters["dc_motor_smc"]
-    publish, seen = law.publish, []
+    publish, seen = law.outgoing.publish, []
 
     def tick(t, rows, numbers):
         publish(t, rows, numbers)
@@ -223,7 +223,7 @@ def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_h
                 messages.append(law.step.set({"k": 20.0}))
         seen.append(t)
 
-    law.publish = tick
+    law.outgoing.publish = tick
     assert set(run.run().values()) == {"done"}
     script = dict(events(run.recording))
     assert [*script.values()][-1] == {"dc_motor_smc.k": 40.0}

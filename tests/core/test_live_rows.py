@@ -221,7 +221,7 @@ def test_a_law_answers_a_tick_when_all_that_is_due_has_come_or_its_patience_is_o
     assert node.adapter.ticks == len(wanted) > 10
     stamps = [START + t for _, t, *_ in result]
     assert list(node.said("u")) == [
-        node.adapter.outputs[0].layout.encode(s, (a,)) for s, (_, _, a, *_) in zip(stamps, result, strict=True)
+        node.adapter.outgoing.outputs[0].layout.encode(s, (a,)) for s, (_, _, a, *_) in zip(stamps, result, strict=True)
     ]
 
 
@@ -524,7 +524,7 @@ def test_a_law_that_overflows_says_the_last_value_and_a_mistake_in_it_ends_the_r
     for k in range(3):
         timer_at(node, timer, k)
     assert node.adapter.state == ("failed" if ends else "running")
-    port = node.adapter.outputs[0].layout
+    port = node.adapter.outgoing.outputs[0].layout
     zero = [] if ends else [port.encode(START + k * 10 * MS, (0.0,)) for k in (1, 2)]
     assert node.said("u") == [port.encode(START, (3.0,)), *zero]
     if not ends:

@@ -15,11 +15,11 @@ from softrig_core.rig.options import InputLink, Links, RunOptions
 from softrig_core.wire.cdr import parse
 from softrig_core.wire.recording import ShardWriter
 from softrig_nodes import container as containers
-from softrig_nodes.adapter import adapter as adapters
 from softrig_nodes.adapter.adapter import Adapter
 from softrig_nodes.adapter.departure import READY, START, Departure
 from softrig_nodes.adapter.files import read_files
 from softrig_nodes.adapter.handshake import Handshake
+from softrig_nodes.adapter.record import CLOCK_LAYOUT
 from softrig_nodes.adapter.spin import conclude, failure
 from softrig_nodes.container import Container, split
 from softrig_nodes.group import Group
@@ -53,7 +53,7 @@ class Meeting:
             links=Links(**links),
             namespace="/rig",
             is_plant=plant,
-            outputs=[self.y],
+            outgoing=SimpleNamespace(outputs=[self.y]),
             options=SimpleNamespace(links="x" if rig else ""),
             overheard=SimpleNamespace(absent=list),
             of_rig=lambda name: name if name.startswith("/") else f"/rig/{name}",
@@ -313,7 +313,7 @@ def begun(adapter, hand, readers):
     for item in [*adapter.inputs, *adapter.paces]:
         hand.matched[item.port.topic](1)
     for topic, names in readers.items():
-        ends = *adapter.outputs, adapter.clock_output, adapter.tick_output
+        ends = *adapter.outgoing.outputs, adapter.outgoing.clock_output, adapter.outgoing.tick_output
         output = next(o for o in ends if o.topic == hand.resolve(topic))
         hand.readers[hand.resolve(topic)] = dict.fromkeys(names, output.port.msgtype)
         output.matched(len(names))
@@ -416,7 +416,7 @@ def test_who_speaks_at_some_ticks_says_so_with_its_acknowledgement():
     begun(adapter, hand, {"lag/burst": ["law"], "~/tick": ["law"]})
     clock = hand.heard["/clock"]
     for k in range(3):
-        clock(adapters.CLOCK_LAYOUT.encode(10 * k * MS, ()))
+        clock(CLOCK_LAYOUT.encode(10 * k * MS, ()))
     messages = [TickReader()(data) for data in hand.said["~/tick"]]
     assert messages == [(0, frozenset()), (10 * MS, frozenset(["burst"])), (20 * MS, frozenset())]
     assert [t for _, t, _ in kept.said] == [10 * MS]
@@ -427,7 +427,7 @@ def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
     hand, _, adapter = node(
         Spread(), links, sink=False, duration=0.03, shard=str(tmp_path / "a.shard"), status=str(tmp_path / "a.status")
     )
-    (output,) = adapter.outputs
+    (output,) = adapter.outgoing.outputs
     begun(adapter, hand, {})
     for k in range(3):
         hand.heard["lag/state"](STATE.layout().encode(10 * k * MS, (1.0, 2.0)))
@@ -435,7 +435,7 @@ def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
     assert (numbers, adapter.step.counts[output.name]) == ([0, 1, 2], 3)
     assert conclude(adapter, stopped=False) == 0
     assert json.loads((tmp_path / "a.status").read_text())["state"] == "done"
-    adapter.keep(np.arange(2), np.zeros((2, 0)))
+    adapter.outgoing.keep(np.arange(2), np.zeros((2, 0)))
     assert adapter.step.counts[output.name] == 5
 
 
@@ -509,12 +509,9 @@ def test_who_comes_back_says_again_what_it_has_said_last():
     sent = []
     outputs = [SimpleNamespace(send=lambda *text, k=k: sent.append((k, *text))) for k in range(2)]
     fake = SimpleNamespace(
-        outputs=outputs[:1],
-        clock_output=outputs[1],
-        links=SimpleNamespace(owns_clock=True),
-        acknowledge=lambda *text: sent.append(("ack", *text)),
+        outputs=outputs[:1], clock_output=outputs[1], acknowledge=lambda *text: sent.append(("ack", *text))
     )
-    published = Spoken(fake)
+    published = Spoken(SimpleNamespace(outgoing=fake, links=SimpleNamespace(owns_clock=True)))
     for t in range(3):
         outputs[0].send(t, (1.0,))
     outputs[1].send(2, ())

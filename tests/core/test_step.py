@@ -55,7 +55,7 @@ def test_in_real_time_a_law_beyond_its_range_gives_its_safe_value_and_says_so():
     assert set(run.run().values()) == {"done"}
     assert "became 2e+07 V" in run.adapters["command_source"].step.reports["failed"][1]
     command = run.recording.topics["command"].data
-    layout = run.adapters["command_source"].outputs[0].layout
+    layout = run.adapters["command_source"].outgoing.outputs[0].layout
     assert {layout.decode(data)[1] for data in command} == {(0.0,)}
 
 

@@ -157,7 +157,7 @@ def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monk
         OUTPUTS = (STATE, extra)
 
         def outputs(self, x, t):
-            return {**super().outputs(x, t), "extra": (t * 1e-9,)}
+            return {"state": super().outputs(x, t)["state"], "extra": (t * 1e-9,)}
 
     class Law(Block):
         INPUTS = (STATE, extra)
@@ -188,7 +188,7 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(held, missed, w
         OUTPUTS = (STATE, extra)
 
         def outputs(self, x, t):
-            return {**super().outputs(x, t), "extra": (t * 1e-9,)}
+            return {"state": super().outputs(x, t)["state"], "extra": (t * 1e-9,)}
 
     class Slow(Block):
         INPUTS = (extra,)

@@ -114,7 +114,7 @@ def test_a_reader_gets_each_message_from_when_it_is_there(tmp_path, monkeypatch)
     container.on(200)
     before, received = container.native(), []
     assert before >= 199
-    output = container.clock.outputs[0]
+    output = container.clock.outgoing.outputs[0]
     world = container.world
     person = SimulatedNode(world, "person", {})
     world.add(Endpoint(person, output.topic, output.port.msgtype, received.append, lambda count: None, world.now))

@@ -82,7 +82,7 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
     """
     written: dict[tuple[str, str], tuple[Adapter, Output]] = {}
     for node in nodes:
-        for output in node.outputs:
+        for output in node.outgoing.outputs:
             key = output.topic, output.port.msgtype
             if key in written:
                 names = f"{written[key][0].middleware.full_name}, {node.middleware.full_name}"

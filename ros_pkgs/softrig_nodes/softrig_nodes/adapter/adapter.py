@@ -7,33 +7,28 @@ messages, timers and clocks come from a `Middleware`.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-from softrig_core.block.answer import Rows
 from softrig_core.block.block import Block, Plant
 from softrig_core.block.change import loads
-from softrig_core.block.port import CLOCK, Port, Sample
+from softrig_core.block.port import Port
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step
 from softrig_core.errors import RunError
 from softrig_core.rig.options import InputLink, Links, RunOptions
-from softrig_core.wire.cdr import Layout
 from softrig_core.wire.recording import Sink
 
 from ..seam.buttons import Buttons
 from ..seam.endpoint import Input, Output
 from ..seam.hold import Hold
-from ..seam.middleware import Matched, Middleware
-from ..seam.numbering import Numbering
-from ..seam.tick import TICK, TickWriter, acknowledged
+from ..seam.middleware import Middleware
 from .account import WATCH_PERIOD, Account
 from .files import Files, read_files
+from .outgoing import Outgoing
 from .overheard import OverheardTopics
-from .record import CLOCK_LAYOUT, Record
+from .record import Record
 
 
 class Drive(Protocol):
@@ -129,17 +124,13 @@ class Adapter:
         self.account = Account(self)
         self.inputs: list[Input] = []  # what is read of other nodes, by the table of the drive
         self.paces: list[Input] = []  # /clock and the ticks of other nodes
-        self.outputs = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
-        self.clock_output = Output(CLOCK, middleware.resolve(CLOCK.topic), -1)
-        self.tick_output = Output(Port("tick", "~/tick", TICK), f"{middleware.full_name}/tick", -1)
-        self.acknowledge: Callable[[int, Iterable[str]], None] | None = None
-        self._silent = any(p.sporadic for p in outputs)  # at times
-        self._owns_clock = self.links.owns_clock and options.mode == "lockstep"
+        ends = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
+        owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self.record = Record(
-            self.outputs,
+            ends,
             inputs,
             self.step.plain,
-            self._owns_clock,
+            owns_clock,
             self.links,
             options,
             middleware.resolve,
@@ -147,35 +138,19 @@ class Adapter:
             sink,
         )
         self.overheard = OverheardTopics(self, self.record.overheard)
-        # An array carries a number of its own, and some records need each message; any other answer goes out row by
-        # row.
-        self._plain = self.step.plain and not any(o.numbered for o in self.outputs) and self.record.by_numbers
-        self.alone = False  # whether nothing that it publishes has a subscriber in another process
-        self._unread = False  # the same of a node with plain answers, which are then only recorded
+        self.outgoing = Outgoing(self, ends, owns_clock)
         self.buttons = Buttons(self.values, self._record_press)
-        self.pauses = self._owns_clock or self._may_stand()  # whether people pause the run here
-        self.hold = Hold(options.paused, options.pace, self._owns_clock) if self.pauses else Hold()
+        self.pauses = owns_clock or self._may_stand()  # whether people pause the run here
+        self.hold = Hold(options.paused, options.pace, owns_clock) if self.pauses else Hold()
 
     def begin(self, drive: Drive) -> None:
         """Offer and read the topics, driven by `drive`."""
         self.drive = drive
-        middleware, lockstep = self.middleware, self.options.mode == "lockstep"
-        if self.links.acknowledges if lockstep else self.links.tells:
-            self.acknowledge = self._acknowledging()
         self.overheard.subscribe(drive.last_came)
         for port in self.step.inputs:
             self._subscribe(drive.row(port))
-        for output in self.outputs:
-            topic, layout, matched = output.port.topic, output.layout, self._noting(output)
-            if self.links.returns and output.port.delayed:
-                publish = middleware.publisher(topic, layout.msgtype, matched)
-                output.send = Numbering(publish, layout, self.step.counts, output.name)
-            else:
-                output.send = middleware.sender(topic, layout, matched)
-        if self._owns_clock:
-            self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self._noting(self.clock_output))
-        self._look_for_readers()
-        middleware.timer(WATCH_PERIOD, self.account.watch)
+        self.outgoing.begin()
+        self.middleware.timer(WATCH_PERIOD, self.account.watch)
 
     @property
     def t(self) -> int:
@@ -209,89 +184,9 @@ class Adapter:
         if self.record.sink is not None and port.name in self.record.foreign:
             self.drive.record(self.record.foreign[port.name], port.layout().encode(0, (down,)))
 
-    def _noting(self, output: Output) -> Matched:
-        """Return a callable that gets the number of readers of an output."""
-
-        def matched(count: int) -> None:
-            output.matched(count)
-            self._look_for_readers()
-
-        return matched
-
-    def _look_for_readers(self) -> None:
-        outputs = *self.outputs, self.clock_output, self.tick_output
-        # Rigs with outside nodes or restarts repeat messages, so these are made even while no subscriber is matched.
-        silent = self.middleware.mute and not (self.links.guests or self.links.returns)
-        self.alone = silent and not any(o.readers for o in outputs)
-        self._unread = self.alone and self._plain
-
-    # ticks ----------------------------------------------------------------------------------------------------
-
     def peer(self, link: InputLink) -> Schedule:
         """Return the schedule of a peer."""
         return Schedule(link.period, self.schedule.clock, self.options.duration, link.at_end)
-
-    def publish(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Publish and record the outputs of tick `t`, publish the clock if it is ours, and acknowledge the tick.
-
-        All messages are sent in one burst: a reader that wakes for the first finds the others already there. The
-        messages are recorded while it works. (Each wake-up between two messages costs as much as the controller.)
-        """
-        stamp, record = self.epoch + t, self.record
-        # In a container this is nearly always so.
-        if self._unread:
-            if record.add_row is not None:
-                record.add_row(stamp, numbers)
-            return
-        messages: list[tuple[Output, int, tuple[float, ...]]] = []
-        if self._plain:
-            for output, row in zip(self.outputs, rows, strict=True):
-                output.send(stamp, row)  # type: ignore[arg-type]
-        else:
-            messages = self._send_each(stamp, rows)
-        if self.acknowledge is not None:
-            self.acknowledge(stamp, [o.name for o, _, _ in messages if o.port.sporadic] if self._silent else ())
-        if self._owns_clock:
-            self.clock_output.send(stamp, ())
-        if record.add_row is not None:
-            record.add_row(stamp, numbers)
-        elif record.sink is not None:
-            for output, mark, values in messages:
-                record.sink.add(output.number, stamp, output.layout.encode(mark, values))
-            if self._owns_clock:
-                record.sink.add(record.clock, stamp, CLOCK_LAYOUT.encode(stamp, ()))
-
-    def keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
-        """Record many answers that have no readers: their ticks, shape (n,), and all their numbers, (n, size)."""
-        if self.record.shard is not None and numbers.shape[1]:
-            self.record.shard.add_rows(self.epoch + times, numbers)
-        for output in self.outputs:
-            self.step.counts[output.name] += len(times)
-
-    def _send_each(self, stamp: int, rows: Rows) -> list[tuple[Output, int, tuple[float, ...]]]:
-        """Publish the outputs; return output, stamp or number, and values of each message."""
-        messages = []
-        for output, row in zip(self.outputs, rows, strict=True):
-            if row is None:
-                continue
-            mark, values = (row.stamp + self.epoch, row.data) if isinstance(row, Sample) else (stamp, row)
-            if output.numbered:
-                mark = self.step.counts[output.name]
-                self.step.counts[output.name] += 1
-            output.send(mark, values)
-            messages.append((output, mark, values))
-        return messages
-
-    def _acknowledging(self) -> Callable[[int, Iterable[str]], None]:
-        """Return a callable that acknowledges a tick and lists the sporadic ports that published at it."""
-        if self._silent:
-            write, publish = TickWriter(), self.middleware.publisher("~/tick", TICK, self._noting(self.tick_output))
-            return lambda stamp, published: publish(write(stamp, published))
-        send = self.middleware.sender("~/tick", Layout(TICK), self._noting(self.tick_output))
-        if self.options.mode != "lockstep" or self.middleware.name not in self.links.followers:
-            return lambda stamp, published: send(stamp, ())
-        schedule = self.schedule
-        return lambda stamp, published: send(stamp, ()) if acknowledged(schedule, stamp) else None
 
     # its end ----------------------------------------------------------------------------------------------------
 

@@ -83,7 +83,7 @@ class Handshake:
                 absent += [f"{name} can never read {output.topic}: {why}" for name, why in never]
                 if not never and output.readers < len(there) - len(unfit):
                     absent.append(f"{output.topic} has {output.readers} readers of {len(there) - len(unfit)}")
-        unread = [] if node.options.links or self._local else [o.topic for o in node.outputs if not o.readers]
+        unread = [] if node.options.links or self._local else [o.topic for o in node.outgoing.outputs if not o.readers]
         # A node announces its endpoints one by one, and without a rig nothing names the subscribers. So what the graph
         # shows counts once all publishers are there and it has not changed for a while. A program that is no ROS node
         # has no name in the graph and is seen only as a matched subscriber.
@@ -92,7 +92,7 @@ class Handshake:
         self._seen = seen
         if absent or self._settled >= SETTLED or self._knows_all():
             # Only a plant may run without any subscriber.
-            if len(unread) == len(node.outputs) and not node.is_plant:
+            if len(unread) == len(node.outgoing.outputs) and not node.is_plant:
                 absent += [f"no node subscribes to {topic}" for topic in unread]
             return absent or node.overheard.absent()
         return [f"no node subscribes to {topic}" for topic in unread] or [

@@ -226,7 +226,12 @@ class Following(Reader):
         adapter, topic = self._adapter, self._adapter.middleware.resolve("joint_states")
         if self._active is not None and adapter.state != "running":
             self._end("INVALID_GOAL", "the run has ended")
-        beside = [(n, o) for n in adapter.neighbours for o in n.outputs if (o.topic, o.port.msgtype) == (topic, STATES)]
+        beside = [
+            (n, o)
+            for n in adapter.neighbours
+            for o in n.outgoing.outputs
+            if (o.topic, o.port.msgtype) == (topic, STATES)
+        ]
         for neighbour, output in beside:
             values = dict(zip(output.port.labels, neighbour.step.newest(output.name) or (), strict=False))
             measured = [

@@ -52,14 +52,15 @@ class Spoken:
     def __init__(self, node: Adapter) -> None:
         self.silent = False
         self._kept: list[tuple[Callable[..., None], deque[tuple[Any, ...]]]] = []
-        for output in [*node.outputs, *([node.clock_output] if node.links.owns_clock else [])]:
+        outgoing = node.outgoing
+        for output in [*outgoing.outputs, *([outgoing.clock_output] if node.links.owns_clock else [])]:
             # A repeated message must carry the number that it had, so it is kept with that number.
             if isinstance(output.send, Numbering):
                 output.send.publish = self._keeping(output.send.publish)
             else:
                 output.send = self._keeping(output.send)
-        if node.acknowledge is not None:
-            node.acknowledge = self._keeping(node.acknowledge)
+        if outgoing.acknowledge is not None:
+            outgoing.acknowledge = self._keeping(outgoing.acknowledge)
 
     def _keeping(self, send: Callable[..., None]) -> Callable[..., None]:
         kept: deque[tuple[Any, ...]] = deque(maxlen=SAID)

@@ -91,18 +91,20 @@ class Lockstep(Link):
         if links.guests:
             # A subscriber recognises a repeated message by the stamp of its tick, so arrays and delayed ports are not
             # repeated.
-            stamped = [o for o in node.outputs if o.port.stamped and not o.port.delayed]
+            stamped = [o for o in node.outgoing.outputs if o.port.stamped and not o.port.delayed]
             # A plant counts a tick when it moves on, any other node when it has answered.
             first = 0 if node.is_plant else 1
-            repeat_first([*stamped, node.clock_output], lambda: node.state == "running" and node.ticks == first)
+            repeat_first(
+                [*stamped, node.outgoing.clock_output], lambda: node.state == "running" and node.ticks == first
+            )
         senders.follow_ticks({*local, node.middleware.name}, self.last_came)
         senders.await_tick(0)
-        wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outputs]
+        wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outgoing.outputs]
         if links.owns_clock:
-            wanted.append((node.clock_output, links.clock_readers))
+            wanted.append((node.outgoing.clock_output, links.clock_readers))
             node.hold.begin(node.middleware, self._turns.turn)
         if links.acknowledges:
-            wanted.append((node.tick_output, links.tick_readers))
+            wanted.append((node.outgoing.tick_output, links.tick_readers))
         awaited: list[tuple[Input, str]] = [(row, row.who) for row in [*senders.rows, *senders.unpaced]]
         # A node in a process of its own receives what it publishes itself; one in a container does not.
         here = {*local, node.middleware.name} if local else set()
@@ -218,7 +220,7 @@ class Lockstep(Link):
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Publish an answer; note the time if the node is a plant."""
         node = self.node
-        node.publish(t, rows, numbers)
+        node.outgoing.publish(t, rows, numbers)
         if node.is_plant:
             now = time.perf_counter_ns()
             if self._sent:
@@ -238,7 +240,7 @@ class Lockstep(Link):
             super().send_all(times, numbers, stamps)
             return
         node = self.node
-        node.keep(times, numbers)
+        node.outgoing.keep(times, numbers)
         # `over` is not called for native ticks, so they are counted here.
         node.ticks += len(times)
         if node.is_plant and self._sent:
@@ -270,7 +272,7 @@ class Lockstep(Link):
         """Return whether no other process has a part in its ticks, nor a person."""
         node = self.node
         return (
-            node.alone
+            node.outgoing.alone
             and node.state in ("running", "done")
             and not (self.senders.rows or self.solving or node.links.returns or node.step.bad or node.buttons.pressed)
             and (not node.step.plain or self._keeps)

@@ -123,10 +123,10 @@ class Realtime(Link):
         # With a given epoch the nodes need not agree on a start.
         if node.links.starter and not node.epoch:
             readers, inputs = node.links.readers, node.links.inputs
-            wanted = [(o, list(readers.get(o.name, []))) for o in node.outputs]
+            wanted = [(o, list(readers.get(o.name, []))) for o in node.outgoing.outputs]
             awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
             awaited += [(i, i.who) for i in acknowledgements]
-            wanted.append((node.tick_output, node.links.tells))
+            wanted.append((node.outgoing.tick_output, node.links.tells))
             shake = Handshake(node, awaited, wanted, local)
             self.departure = Departure(node, shake, local, self._begin_at, self._stand.hear)
         else:
@@ -248,7 +248,7 @@ class Realtime(Link):
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Publish; readers of this process receive the messages after the current callback has returned."""
         node = self.node
-        node.publish(t, rows, numbers)
+        node.outgoing.publish(t, rows, numbers)
         stamp = node.epoch + t
         for reader, parts in self._told.items():
             node.middleware.post(partial(reader.hear, parts, stamp, rows))
