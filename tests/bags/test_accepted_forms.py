@@ -197,3 +197,18 @@ def test_texts_that_a_table_does_not_show_are_named(tmp_path, capsys):
         "/said: texts are not in its table: data",
         "/moved: header/frame_id changes ('base' and 'tool'), which its table does not show",
     ]
+
+
+def test_a_message_with_one_name_twice_is_read_by_place_and_the_others_by_name(tmp_path):
+    recording, forms = Recording([("joints", STATE)]), [("a", "a"), ("a", "b"), ("", "b"), ("a", "b")]
+    for k, names in enumerate(forms):
+        recording.add(0, k, Layout(STATE, "", names, {"effort": 2}).encode(k, (k + 1.0, -k - 1.0)))
+    write_bag(tmp_path / "bag", recording)
+    for found in (Signals(recording), signals(tmp_path / "bag")):
+        columns = {name: x.tolist() for name, x in found.table("joints").columns.items()}
+        nan = np.nan
+        assert columns.keys() == {"a/effort", "b/effort", "effort/0", "effort/1"}
+        assert np.array_equal(columns["a/effort"], [nan, 2, nan, 4], equal_nan=True)
+        assert np.array_equal(columns["b/effort"], [nan, -2, -3, -4], equal_nan=True)
+        assert np.array_equal(columns["effort/0"], [1, nan, 3, nan], equal_nan=True)
+        assert np.array_equal(columns["effort/1"], [-1, nan, nan, nan], equal_nan=True)

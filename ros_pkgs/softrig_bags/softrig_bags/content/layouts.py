@@ -328,12 +328,7 @@ def _name_columns(msgtype: str, made: Template, data: bytes) -> None:
     texts = {leaf.path: leaf for leaf in made.leaves if leaf.text}
     rows = np.frombuffer(data, np.uint8)[None]
     read = {path: made.texts(rows, leaf)[0] for path, leaf in texts.items()}
-    renamed = _RENAMED.get(msgtype, lambda labels, *_: labels)([label for label, _, _ in made.labels], read, made, rows)
-    if renamed is None or len(set(renamed)) != len(renamed):
-        return
-    made.labels = [
-        (new, leaf, k) for new, (_, leaf, k) in zip(renamed, made.labels, strict=True) if not new.startswith("\0")
-    ]
+    # Also where the columns keep their places as names: a message that is named otherwise has another shape.
     for path in _NAMING.get(msgtype, ()):
         for at in (leaf for p, leaf in texts.items() if p.startswith(path)):
             made.fixed.append((at.at, data[at.at : at.at + at.n]))
@@ -343,6 +338,12 @@ def _name_columns(msgtype: str, made: Template, data: bytes) -> None:
             for leaf in made.leaves
             if leaf.path.startswith("layout/dim/") and leaf.path.endswith("/size")
         ]
+    renamed = _RENAMED.get(msgtype, lambda labels, *_: labels)([label for label, _, _ in made.labels], read, made, rows)
+    if renamed is None or len(set(renamed)) != len(renamed):
+        return
+    made.labels = [
+        (new, leaf, k) for new, (_, leaf, k) in zip(renamed, made.labels, strict=True) if not new.startswith("\0")
+    ]
 
 
 def _joints(labels: Sequence[str], texts: Mapping[str, str], *_: Any) -> list[str] | None:
