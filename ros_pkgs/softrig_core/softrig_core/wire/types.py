@@ -92,7 +92,7 @@ class MessageType:
         results: list[str] = []
         for name, count in fields.items():
             if names:
-                results += [f"{channel}/{name}" if channel else f"{name}/{i}" for i, channel in enumerate(names[:count])]
+                results += [f"{c}/{name}" if c else f"{name}/{i}" for i, c in enumerate(names[:count])]
                 results += [f"{name}/{i}" for i in range(len(names), count)]  # more values than names
             elif dims:
                 results += element_labels(dims)
