@@ -7,13 +7,13 @@ from functools import cache
 @cache
 def imported(file):
     """Return the import statements of a file, inside functions too, each with whether only type checkers see it."""
-    found, waiting = [], [(ast.parse(file.read_text()), False)]
+    results, waiting = [], [(ast.parse(file.read_text()), False)]
     while waiting:
         node, types = waiting.pop()
         if isinstance(node, ast.Import | ast.ImportFrom):
-            found.append((node, types))
+            results.append((node, types))
         # Statements stand in these lists alone. Expressions, which are nearly all of a tree, are not visited.
         for field in ("body", "orelse", "finalbody", "handlers", "cases"):
             only = types or (field == "body" and getattr(getattr(node, "test", None), "id", "") == "TYPE_CHECKING")
             waiting += [(below, only) for below in getattr(node, field, ())]
-    return found
+    return results

@@ -46,8 +46,8 @@ def run(rig: Rig) -> tuple[Signals, float]:
 def peer(name: str, given: Any) -> Any:
     """Run a function of `beside_peers` with the Python of ``SOFTRIG_PEERS``, else with ours; None if both lack it."""
     pythons = dict.fromkeys((os.environ.get("SOFTRIG_PEERS", sys.executable), sys.executable))
-    found = (asked("beside_peers", name, given, python, name) for python in pythons)
-    return next((one for one in found if one is not None), None)
+    result = (asked("beside_peers", name, given, python, name) for python in pythons)
+    return next((one for one in result if one is not None), None)
 
 
 def farthest(end: Any, ours: Any) -> float:

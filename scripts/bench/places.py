@@ -66,8 +66,8 @@ def _functions(file: Path) -> Iterator[tuple[str, str]]:
 
 def places(packages: Path = ROOT) -> dict[str, list[str]]:
     """Return the functions that name each part of a tick, as ``module.function``, in the packages of a checkout."""
-    found = [packages / room for room in ROOMS]
-    files = [file for room in found for file in (sorted(room.rglob("*.py")) if room.is_dir() else [room])]
+    results = [packages / room for room in ROOMS]
+    files = [file for room in results for file in (sorted(room.rglob("*.py")) if room.is_dir() else [room])]
     code = [one for file in files if file.exists() for one in _functions(file)]
     return {kind: [name for name, text in code if re.search(pattern, text)] for kind, pattern in KINDS.items()}
 

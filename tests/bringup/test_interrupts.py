@@ -170,13 +170,13 @@ def test_what_nodes_recorded_is_named_where_their_run_was_not_written(monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("record", "said"),
+    ("record", "text"),
     [
         ("true", r"^stopped by SIGINT at t = 0\.5 s$"),
         ("false", "^stopped by SIGINT: the run did not reach its end, and nothing of it was recorded or judged "),
     ],
 )
-def test_a_launch_that_is_interrupted_in_mid_run_is_no_success(record, said, in_a_launch):
+def test_a_launch_that_is_interrupted_in_mid_run_is_no_success(record, text, in_a_launch):
     values = {"scenario": "lag", "mode": "lockstep", "record": record, "out": "r"}
     over = SimpleNamespace(is_shutdown=True)
 
@@ -184,7 +184,7 @@ def test_a_launch_that_is_interrupted_in_mid_run_is_no_success(record, said, in_
         for node in nodes_of(values):
             node.on_exit(SimpleNamespace(returncode=0, process_name=node.name), over)
 
-    with pytest.raises(RuntimeError, match=said):
+    with pytest.raises(RuntimeError, match=text):
         end()
 
 

@@ -126,17 +126,17 @@ def test_no_pdf_of_softrig_has_type_3_letters(run, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("window", "said"),
+    ("window", "message"),
     [
         (("0", "0"), "expected FROM before TO"),
         (("0.1", "0.05"), "expected FROM before TO"),
         (("5", "6"), "only from 0"),
     ],
 )
-def test_a_window_without_a_sample_is_refused(run, window, said, capsys):
+def test_a_window_without_a_sample_is_refused(run, window, message, capsys):
     assert main(["draw", "plot", str(run), SIGNAL, "--window", *window]) == 2
     assert f"--window {float(window[0]):g} {float(window[1]):g}: " in (text := capsys.readouterr().err)
-    assert said in text
+    assert message in text
 
 
 @pytest.mark.long

@@ -149,7 +149,7 @@ def test_the_table_has_no_refused_names_that_files_of_the_standard_have():
 
 
 @pytest.mark.parametrize(
-    ("model", "old", "new", "said"),
+    ("model", "old", "new", "text"),
     [
         (TWO, 'name="dT"', 'name="T"', "m.fmu: two variables are called 'T'"),
         (TWO, '<Unit name="K">', '<Unit name="degC">', "m.fmu: two units are called 'degC'"),
@@ -175,10 +175,10 @@ def test_the_table_has_no_refused_names_that_files_of_the_standard_have():
     ],
     ids=lambda part: "" if "\n" in part else part[:30],
 )
-def test_a_description_that_contradicts_itself_is_refused_by_name(tmp_path, model, old, new, said):
+def test_a_description_that_contradicts_itself_is_refused_by_name(tmp_path, model, old, new, text):
     """Duplicates, numbers that are none, factors of zero: tools export them, and each would give a wrong number."""
     assert old in model
-    with pytest.raises(ValueError, match=re.escape(said)):
+    with pytest.raises(ValueError, match=re.escape(text)):
         fmu(tmp_path, model.replace(old, new, 1))
 
 
@@ -186,21 +186,21 @@ def test_a_unit_whose_name_means_something_else_here_must_be_stated(tmp_path):
     """An FMU may call minutes m: 2 of them are 120 s, and never 2 metres."""
     minutes = '<Unit name="m"><BaseUnit s="1" factor="60"/></Unit>'
     text = TWO.replace('<Unit name="K">', minutes + '<Unit name="K">').replace('unit="degC" start="20"', 'unit="m"')
-    found = fmu(tmp_path, text)
+    result = fmu(tmp_path, text)
     with pytest.raises(ValueError, match=r"T is in 'm', which the FMU defines as 60 s and softrig does not"):
-        mapped(found, ["clock/a/position = T"], False)
+        mapped(result, ["clock/a/position = T"], False)
     with pytest.raises(ValueError, match="another quantity"):
-        mapped(found, ["clock/a/position [m] = T"], False)
-    (place,) = mapped(found, ["clock/a/position [s] = T"], False).places
+        mapped(result, ["clock/a/position [m] = T"], False)
+    (place,) = mapped(result, ["clock/a/position [s] = T"], False).places
     assert place.into(120.0) == 2.0
 
 
 def test_the_size_of_an_array_cannot_be_set(tmp_path):
     """Its values are counted before the FMU runs."""
     size = '<UInt64 name="size" valueReference="9" causality="structuralParameter" variability="fixed" start="2"/>'
-    found = fmu(tmp_path, THREE.replace("<Clock", size + "<Clock"))
+    result = fmu(tmp_path, THREE.replace("<Clock", size + "<Clock"))
     with pytest.raises(ValueError, match=r"size is structuralParameter of m\.fmu, it cannot be set"):
-        start_values(found, ["size = 3"])
+        start_values(result, ["size = 3"])
 
 
 def test_an_fmu_that_is_unpacked_or_packed_with_its_folder_says_how_it_is_packed(tmp_path):
@@ -214,6 +214,6 @@ def test_an_fmu_that_is_unpacked_or_packed_with_its_folder_says_how_it_is_packed
 
 
 def test_a_start_value_that_no_message_carries_is_refused(tmp_path):
-    found = fmu(tmp_path, TWO.replace('start="20"', 'start="INF"'))
+    result = fmu(tmp_path, TWO.replace('start="20"', 'start="INF"'))
     with pytest.raises(ValueError, match="T starts at inf, which no message carries"):
-        mapped(found, ["a/b/position = T"], False)
+        mapped(result, ["a/b/position = T"], False)

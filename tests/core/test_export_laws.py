@@ -270,6 +270,6 @@ def test_rows_of_a_rig_end_where_those_of_a_node_do(tmp_path):
     rig = rig_of("pv_mppt", overrides=over, classes={"mppt_optimizer": Steady})
     done, _ = export_rig(rig, tmp_path, rows=50)
     assert done.ends == "pv_plant: the rows end at 0.01 s: _source is asked for another value"
-    found = replayed(tmp_path, done.name)
-    assert found.rows == 10
-    assert found.same
+    result = replayed(tmp_path, done.name)
+    assert result.rows == 10
+    assert result.same

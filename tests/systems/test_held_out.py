@@ -61,12 +61,12 @@ def test_another_magnet_motor(machine):
              "trip_current": 3.0 * i_max, "trip_voltage": 2.0 * U}  # fmt: skip
     nodes = {"pmsm_plant": plant, "foc_controller": {"i_max": i_max, "speed_bandwidth": alpha},
              "speed_source": {"velocities": [0.0, speed]}, "load_source": {"values": [0.0, load]}}  # fmt: skip
-    found = run("pmsm_foc", nodes).figures
+    result = run("pmsm_foc", nodes).figures
     lost, torque = transient(load, J, alpha)
-    assert found["torque_end"] == pytest.approx(torque, rel=1e-3)
-    assert found["speed_end"] == pytest.approx(speed - lost, abs=0.01 * lost + 1e-3)
-    i_d, i_q = least_current(found["torque_end"], psi, L_d, L_q, pole_pairs)
-    assert (found["i_d_end"], found["i_q_end"]) == pytest.approx((i_d, i_q), abs=1e-4 * i_q)
+    assert result["torque_end"] == pytest.approx(torque, rel=1e-3)
+    assert result["speed_end"] == pytest.approx(speed - lost, abs=0.01 * lost + 1e-3)
+    i_d, i_q = least_current(result["torque_end"], psi, L_d, L_q, pole_pairs)
+    assert (result["i_d_end"], result["i_q_end"]) == pytest.approx((i_d, i_q), abs=1e-4 * i_q)
 
 
 # R_s, R_R, L_sigma, L_M (inverse Gamma), pole pairs, J, U_dc, i_max, flux, speed, load
@@ -96,9 +96,9 @@ def test_another_cage_motor(machine):
 @pytest.mark.parametrize(("U", "v", "L", "C", "R"), [(12.0, 3.3, 22e-6, 470e-6, 1.0), (48.0, 12.0, 1e-4, 470e-6, 2.0)])
 def test_another_buck_converter(U, v, L, C, R):
     plant = {"U": U, "L": L, "C": C, "R": R, "load_currents": [0.0, 0.5 * v / R]}
-    found = run("buck_pi", {"dcdc_plant": plant, "voltage_controller": {"set_point": v, "kp": 2.52 / U}}).figures
-    assert found["v_mean"] == pytest.approx(v, rel=1e-6)
-    assert found["i_mean"] == pytest.approx(v / R, rel=5e-4)
+    result = run("buck_pi", {"dcdc_plant": plant, "voltage_controller": {"set_point": v, "kp": 2.52 / U}}).figures
+    assert result["v_mean"] == pytest.approx(v, rel=1e-6)
+    assert result["i_mean"] == pytest.approx(v / R, rel=5e-4)
 
 
 @pytest.mark.parametrize(("flows", "C", "tau", "queue"), [(40, 2500.0, 0.1, 80.0), (100, 10000.0, 0.15, 200.0)])

@@ -47,14 +47,14 @@ def cells(both):
         yield conditions, hinges, exact(TALL if signs[0] == signs[1] else WIDE)
 
 
-def failures(found, h, order, both):
+def failures(result, h, order, both):
     """Give the inequalities of the criterion that do not hold exactly at the delay h, a Fraction.
 
     V = eta' L eta + int (x, x')' Q (x, x') + int int x'' R x', eta = (features, Omega_0 ... ), after Seuret and
     Gouaisbaut 2015, theorem 5, with cells: over a cell, V less [x; x_d]' E' H E [x; x_d] is positive, and its
     derivative plus [x; x_d]' E' U E [x; x_d] is negative, H and U entrywise >= 0.
     """
-    m = {name: rational(matrix) for name, matrix in found.items()}
+    m = {name: rational(matrix) for name, matrix in result.items()}
     assert all((matrix == matrix.T).all() for matrix in m.values())
     unit = exact(np.eye((3 + order) * 2, dtype=int).tolist())
     x, late, late_slope, *omega = (unit[:, 2 * k : 2 * k + 2] for k in range(3 + order))
@@ -88,18 +88,20 @@ def failures(found, h, order, both):
 
 
 def test_a_certificate_holds_in_rational_arithmetic():
-    found = certify(switched(), 0.019, Criterion("constant", order=1), sliding=False)
-    assert found.valid
-    assert failures(found.matrices, Fraction(19, 1000), 1, both=False) == []
-    assert failures(found.matrices, Fraction(20, 1000), 1, both=False) == [f"V' {i}" for i in range(4)]
-    assert failures(found.matrices | {"R": -found.matrices["R"]}, Fraction(19, 1000), 1, both=False)[0] == "R"
+    certificate = certify(switched(), 0.019, Criterion("constant", order=1), sliding=False)
+    assert certificate.valid
+    assert failures(certificate.matrices, Fraction(19, 1000), 1, both=False) == []
+    assert failures(certificate.matrices, Fraction(20, 1000), 1, both=False) == [f"V' {i}" for i in range(4)]
+    assert (
+        failures(certificate.matrices | {"R": -certificate.matrices["R"]}, Fraction(19, 1000), 1, both=False)[0] == "R"
+    )
 
 
 @pytest.mark.long
 def test_the_published_0_0195_is_certified_in_rational_arithmetic():
     """The stretch: 16 cells by x and x_d, N = 5, where the margin of the solver is 7e-9."""
     system = from_lines([-0.1 * np.eye(2)] * 16, [m for m in (TALL, WIDE, WIDE, TALL) for _ in range(4)], LINES, LINES)
-    found = certify(system, 0.0195, Criterion("constant", order=5, cell_terms=True))
-    assert found.valid
-    assert failures(found.matrices, Fraction(195, 10000), 5, both=True) == []
-    assert failures(found.matrices, Fraction(196, 10000), 5, both=True) != []
+    certificate = certify(system, 0.0195, Criterion("constant", order=5, cell_terms=True))
+    assert certificate.valid
+    assert failures(certificate.matrices, Fraction(195, 10000), 5, both=True) == []
+    assert failures(certificate.matrices, Fraction(196, 10000), 5, both=True) != []

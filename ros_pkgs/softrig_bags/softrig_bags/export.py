@@ -245,8 +245,8 @@ def _mat(table: Path) -> Path:
         while name in variables:
             k += 1
             name = f"{plain[: LONGEST - 4]}_{k}"
-        variables[name] = found = _doubles(columns[heading])
-        if columns[heading].null_count and np.abs(found[~np.isnan(found)]).max(initial=0.0) > 2.0**53:
+        variables[name] = result = _doubles(columns[heading])
+        if columns[heading].null_count and np.abs(result[~np.isnan(result)]).max(initial=0.0) > 2.0**53:
             say(f"{table.stem}: {heading} is rounded to doubles: MATLAB's integers have no mark for what is missing")
     file = table.with_suffix(".mat")
     part = table.with_name(f".{file.name}.part")

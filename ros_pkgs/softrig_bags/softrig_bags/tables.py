@@ -134,11 +134,11 @@ class Columns:
         for leaf in made.leaves:
             if not leaf.text or (ours and leaf.path != FRAME):
                 continue
-            found = texts.setdefault(re.sub(r"/\d+(?=/|$)", "/*", leaf.path), set())
-            if len(found) < 2:
+            result = texts.setdefault(re.sub(r"/\d+(?=/|$)", "/*", leaf.path), set())
+            if len(result) < 2:
                 part = rows[:, leaf.at : leaf.at + int(leaf.kind[1:]) * leaf.n]
                 other = int((part != part[0]).any(axis=1).argmax())
-                found.update(made.texts(rows[[0, other]], leaf))
+                result.update(made.texts(rows[[0, other]], leaf))
 
     def untold(self) -> Iterator[str]:
         """Describe the texts that the tables do not show; a frame only where it changes."""
@@ -148,7 +148,7 @@ class Columns:
             if len(frames) > 1:
                 several = " and ".join(repr(frame) for frame in sorted(frames)[:2])
                 yield f"{name}: {FRAME} changes ({several}), which its table does not show"
-            if fields := [field for field, found in texts.items() if found != {""}]:
+            if fields := [field for field, result in texts.items() if result != {""}]:
                 yield f"{name}: texts are not in its table: {', '.join(fields)}"
 
     def finish(self) -> None:

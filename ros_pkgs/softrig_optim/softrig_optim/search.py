@@ -290,7 +290,7 @@ class Told:
         Creates the search from its random generator.
     rng : numpy.random.Generator
         The generator in its initial state; no numbers are drawn from it.
-    said : sequence of (str, tuple)
+    calls : sequence of (str, tuple)
         The calls of `Search.tell` and `Search.watch` so far.
     """
 
@@ -300,10 +300,10 @@ class Told:
         self,
         make: Callable[[np.random.Generator], Search],
         rng: np.random.Generator,
-        said: Sequence[tuple[str, tuple[Any, ...]]] = (),
+        calls: Sequence[tuple[str, tuple[Any, ...]]] = (),
     ) -> None:
-        self._line = _Line(make, rng, said)
-        self._n = len(said)
+        self._line = _Line(make, rng, calls)
+        self._n = len(calls)
 
     @property
     def now(self) -> Search:
@@ -398,11 +398,11 @@ _handed: WeakValueDictionary[int, Told] = WeakValueDictionary()
 class _Line:
     """State shared by the values of one search: all calls so far, and the live search that has received them."""
 
-    def __init__(self, make: Any, rng: np.random.Generator, said: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+    def __init__(self, make: Any, rng: np.random.Generator, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
         # The generator is copied because a search draws from it, and a later line must begin from the same numbers.
-        self.make, self.rng, self.said = make, copy.deepcopy(rng), list(said)
+        self.make, self.rng, self.said = make, copy.deepcopy(rng), list(calls)
         self.live: Search = make(copy.deepcopy(rng))
-        for method, values in said:
+        for method, values in calls:
             getattr(self.live, method)(*values)
 
 

@@ -39,7 +39,7 @@ class Picture:
         Shared line at one time.
     changes : ColumnDataSource
         Column ``t``: when parameters changed.
-    look : {"light", "dark"}
+    theme : {"light", "dark"}
 
     Attributes
     ----------
@@ -48,11 +48,11 @@ class Picture:
     """
 
     def __init__(
-        self, entry: PlotEntry, rig: Rig, time: Range1d, cursor: Span, changes: ColumnDataSource, look: str
+        self, entry: PlotEntry, rig: Rig, time: Range1d, cursor: Span, changes: ColumnDataSource, theme: str
     ) -> None:
         self._entry = entry.model_copy(update={"window": None})  # the reader chooses
         self._curves = Curves(Pane({}), rig)  # type: ignore[arg-type]
-        self._look = look
+        self._look = theme
         self.sources: dict[str, ColumnDataSource] = {}
         named = {name: self._curves.shown(self._entry, name) for name in entry.signals}
         if entry.x:

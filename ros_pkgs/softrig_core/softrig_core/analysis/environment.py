@@ -44,9 +44,9 @@ Signals = Sequence[str] | Mapping[str, tuple[float, float]]
 class _Watched(Link):
     """Keeps what a step publishes as the newest, besides what its link does with it."""
 
-    def __init__(self, step: Step, said: dict[str, Any]) -> None:
+    def __init__(self, step: Step, published: dict[str, Any]) -> None:
         super().__init__(step)
-        self._said, self._topics = said, [p.topic for p in step.outputs]
+        self._said, self._topics = published, [p.topic for p in step.outputs]
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Store an answer."""

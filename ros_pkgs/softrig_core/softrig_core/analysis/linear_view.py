@@ -591,13 +591,13 @@ def _check_link(result: StateMap, link: str) -> None:
 class Differences:
     """The columns of a rig's map, found from what moves: a state is what moves, or is moved by what does."""
 
-    def __init__(self, found: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
-        self.map, self.outputs, self.inputs, self.link = found, list(outputs), list(inputs), link
+    def __init__(self, state_map: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
+        self.map, self.outputs, self.inputs, self.link = state_map, list(outputs), list(inputs), link
         self.said = self._begin()
         self.fixed = {link: self.said[link]} if link else {}
         self.heard = [*outputs, *([link] if link else [])]
         # A limit that is not set is infinite, and infinity cannot be moved.
-        self.finite = np.isfinite(found.start)
+        self.finite = np.isfinite(state_map.start)
         self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
         self.errors: dict[int | str, float] = {}
         self.steps: dict[int | str, float] = {}

@@ -248,11 +248,11 @@ def check_text(
         rows = [] if form.method == "outputs" else [_row(call.inputs[p.name]) for p in inputs if p.name in form.there]
         given = [constants, [0, 0, 0], *(handed[name] for name in law.arrays[form]), x, call.t, *rows]
         try:
-            found = scope[law.roots[form]](*given)
+            result = scope[law.roots[form]](*given)
         except Exception as error:  # whatever it raises discards the call
             why = "; ".join(sorted(set(law.program.seldom))) or _reason(error, law)
             raise NotNative(f"its run takes a way that has no C at {call.t / 1e9:g} s: {why}") from None
-        if not _answers(found, call, outputs):
+        if not _answers(result, call, outputs):
             raise NotNative(f"its text gives another answer than Python at {call.t / 1e9:g} s: a defect of softrig")
 
 
@@ -293,25 +293,25 @@ def _row(values: Any) -> Any:
     return tuple(map(float, values))
 
 
-def _answers(found: Any, call: Call, outputs: Sequence[Port]) -> bool:
+def _answers(value: Any, call: Call, outputs: Sequence[Port]) -> bool:
     """Return whether a text has answered as Python did."""
     if call.method == "advance":
-        return _same(found, packed(call.after))
-    state, numbers, stamps = (None, *found) if call.method == "outputs" else found
+        return _same(value, packed(call.after))
+    state, numbers, stamps = (None, *value) if call.method == "outputs" else value
     if state is not None and not _same(state, packed(call.after)):
         return False
     row, stamped = iter(numbers), iter(stamps)
     for port in outputs:
-        said = call.outputs.get(port.name)
-        if port.sporadic and (next(row) != 0.0) is (said is None):
+        text = call.outputs.get(port.name)
+        if port.sporadic and (next(row) != 0.0) is (text is None):
             return False
         if port.delayed:
             stamp = next(stamped)
-            if said is not None and stamp != said.stamp:
+            if text is not None and stamp != text.stamp:
                 return False
-            said = None if said is None else said.data
+            text = None if text is None else text.data
         got = tuple(next(row) for _ in range(port.size))
-        if said is not None and not _same(got, tuple(map(float, said))):
+        if text is not None and not _same(got, tuple(map(float, text))):
             return False
     return True
 

@@ -254,16 +254,16 @@ def _is_clean(code: types.CodeType, function: Callable[..., Any]) -> bool:
     words = {*code.co_names, *code.co_freevars, *code.co_cellvars}
     if words & REFUSED.keys() or _operators(code) & REFUSED_OPERATORS:
         return False
-    found = [_named(function, word) for word in words]
-    for owner in [one for one in found if isinstance(one, types.ModuleType)]:
+    results = [_named(function, word) for word in words]
+    for owner in [one for one in results if isinstance(one, types.ModuleType)]:
         inside = {word: getattr(owner, word) for word in words if hasattr(owner, word)}
         if owner.__name__ == "numpy" and not NUMPY.issuperset(inside):
             return False
         if any(isinstance(one, types.ModuleType) for one in inside.values()):
             return False
-        found += inside.values()
+        results += inside.values()
     try:
-        for one in found:
+        for one in results:
             _check_call(function, one)
     except ValueError:
         return False

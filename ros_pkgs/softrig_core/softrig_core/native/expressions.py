@@ -401,11 +401,11 @@ class Expressions(Ways):
         self.env[first], self.env[second] = (self._held(self.value(v)) for v in (node.left, node.comparators[0]))
         middle = ast.Name(second, ast.Load())
         head = ast.Compare(ast.Name(first, ast.Load()), node.ops[:1], [middle])
-        rest = ast.Compare(middle, node.ops[1:], node.comparators[1:])
-        found = self.value(ast.copy_location(ast.BoolOp(ast.And(), [head, rest]), node))
+        remaining = ast.Compare(middle, node.ops[1:], node.comparators[1:])
+        result = self.value(ast.copy_location(ast.BoolOp(ast.And(), [head, remaining]), node))
         for name in (first, second):
             self.env.pop(name, None)
-        return found
+        return result
 
     def _compared(self, op: ast.cmpop, left: Value, right: Value, node: ast.AST) -> Value:
         if isinstance(op, (ast.Is, ast.IsNot)):
