@@ -3,6 +3,7 @@
 import argparse
 import ast
 import math
+import os
 import time
 from pathlib import Path
 
@@ -164,3 +165,18 @@ def test_a_run_goes_on_beyond_where_it_begins(capsys):
     assert main(["run", "--from", "a@5", "--duration", "3"]) == 2
     printed = capsys.readouterr().err
     assert "--from a@5 --duration 3: the run would end before the branch; expected a duration above 5 s" in printed
+
+
+@pytest.mark.parametrize("words", [["run", "x", "--out"], ["study", "x", "--out"], ["bag", "export", "x", "--out"]])
+def test_a_name_that_is_no_text_is_refused(words, capsys):
+    assert main([*words, os.fsdecode(b"o\xffut")]) == 2
+    assert r"'o\udcffut': expected a name that is text in UTF-8; rename it" in capsys.readouterr().err
+
+
+def test_a_folder_whose_name_is_no_text_is_refused_before_the_run(tmp_path, monkeypatch, capsys):
+    """The command that a bag records has the whole path."""
+    (folder := tmp_path / os.fsdecode(b"\xff")).mkdir()
+    monkeypatch.chdir(folder)
+    assert main(["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.02", "--out", "out"]) == 2
+    assert "expected a name that is text in UTF-8" in capsys.readouterr().err
+    assert not [*folder.iterdir()]

@@ -1,7 +1,8 @@
 """Floods of service calls from clients that leave without a goodbye: the rig goes on, says why it stands, and ends.
 
 A case is a rig in processes, in a container or in real time, and what its clients call: refused sets, valid ones,
-pauses, steps, resumes, lists. `doc/lab/tests.md` has a table.
+pauses, steps, resumes, lists, and the services of simulation_interfaces where it is installed. `doc/lab/tests.md` has a
+table.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,8 @@ from rcl_interfaces.srv import ListParameters, SetParameters
 from std_srvs.srv import Trigger
 import rclpy
 what, node, clock, seed = sys.argv[1:]
+SERVICES = ("GetEntities", "GetEntityState", "GetSimulationState", "GetSimulatorFeatures", "ResetSimulation")
+SERVICES += ("SetSimulationState", "StepSimulation")
 chance = random.Random(int(seed))
 rclpy.init()
 stranger = rclpy.create_node(f"stranger{seed}")
@@ -40,7 +44,12 @@ kinds = {
     "list": (ListParameters, f"{node}/list_parameters"),
     **{name: (Trigger, f"{clock}/{name}") for name in ("pause", "resume", "step")},
 }
-calls = {"pauses": ("pause", "step", "resume"), "steps": ("step",)}.get(what, (what,))
+if what == "simulation":
+    import simulation_interfaces.srv
+    for name in SERVICES:
+        snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)[1:]
+        kinds[name] = getattr(simulation_interfaces.srv, name), f"/{snake}"
+calls = {"pauses": ("pause", "step", "resume"), "steps": ("step",), "simulation": SERVICES}.get(what, (what,))
 clients = {name: stranger.create_client(*kinds[name]) for name in calls}
 for client in clients.values():
     client.wait_for_service(20.0)
@@ -52,6 +61,12 @@ def request(name):
         text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="x" * 1000)
         named, value = ("k", number) if name == "set" else ("no.such", text)
         asked.parameters = [Parameter(name=named, value=value)]
+    if name == "GetEntityState":
+        asked.entity = chance.choice(("", "shaft", "x" * 1000))
+    if name == "SetSimulationState":
+        asked.state.state = chance.choice((0, 1, 2, 77))  # stopped, playing, paused, none
+    if name == "StepSimulation":
+        asked.steps = chance.choice((0, 1, 2**64 - 1))
     return asked
 
 end = time.monotonic() + chance.uniform(0.5, 2.0)
@@ -62,6 +77,7 @@ os._exit(0)  # with all answers under way
 """
 REASONS = ("stands", "services", "paused")
 KINDS = ("refused", "set", "list", "pauses", "steps")
+KINDS += ("simulation",) if find_spec("simulation_interfaces") else ()
 PLACES: tuple[tuple[str, ...], ...] = (("processes",), ("container",), ("container", "--realtime"))
 
 
@@ -86,7 +102,7 @@ def attack(seed: int, directory: Path) -> None:
         during = watch.rate(LENGTH, lambda: _flood(clients, what, random.Random(seed)))
         for client in clients:
             client.wait(30.0)
-        if what in ("pauses", "steps"):
+        if what in ("pauses", "steps", "simulation"):
             call(Trigger, "/dc_motor_plant/resume")
         after = watch.rate(4.0)
         with (directory / "case").open("a") as case:
@@ -97,7 +113,9 @@ def attack(seed: int, directory: Path) -> None:
             case.write(f"said {sorted(watch.said)}\n")
         assert process.poll() is None, text.read_text()[-2000:]
         assert after > 0.2 * before, f"{before:.0f} ticks a second before, {after:.0f} after"
-        assert what == "pauses" or during > 0.05 * before, f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
+        assert what in ("pauses", "simulation") or during > 0.05 * before, (
+            f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
+        )
         late = STANDS * max(
             1.0, os.getloadavg()[0] / (os.cpu_count() or 1)
         )  # a loaded machine is slow, and says so late

@@ -232,6 +232,8 @@ def test_what_is_not_finite_is_refused(own, value):
         ("VERSION", "\0\0", "is no DBC"),
         ("n_to_1: 8", "n_to_1: 64", "longer than 8 bytes"),
         ("SG_ tick : 0", "SG_ tick M : 0", "multiplexed"),
+        ('"V"', '"mV"', "is in 'mV', expected 'V': the same quantity, 1 mV = 0.001 V; write the channel's unit"),
+        ('"V"', '"A"', "is in 'A', expected 'V', which is another quantity; write the channel's unit"),
     ],
 )
 def test_a_dbc_that_does_not_fit_is_refused(own, old, new, text):

@@ -15,7 +15,7 @@ from typing import Any
 
 from softrig_core import ScenarioError
 from softrig_core.bits import pin
-from softrig_core.command_line import Parser, without_ros
+from softrig_core.command_line import Parser, check_text, without_ros
 from softrig_core.guard import guarded, quietly, say
 from softrig_core.needs import join_prefix
 
@@ -130,6 +130,7 @@ def _verb(arguments: list[str]) -> int:
         from .terminal import completion
 
         arguments = completion.asked(FOREIGN)
+    check_text(arguments)
     for words in (2, 1):
         if (name := " ".join(arguments[:words])) in FOREIGN:
             import importlib

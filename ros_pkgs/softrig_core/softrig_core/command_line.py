@@ -6,7 +6,7 @@ import argparse
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from .errors import ScenarioError, closest
@@ -61,6 +61,21 @@ def named(text: str, option: str, form: str) -> tuple[str, str]:
 def pair(text: str) -> str:
     """Return ``NAME=VALUE`` or ``NAME+=VALUE`` without spaces around its sign: type of an option that is so named."""
     return re.sub(r"\s*(\+?=)\s*", r"\1", text.strip(), count=1)
+
+
+def check_text(words: Iterable[str]) -> None:
+    """Refuse names with bytes that are no text: bags, metrics, tables and pages record names.
+
+    Raises
+    ------
+    ScenarioError
+        Names the word.
+    """
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            raise ScenarioError(f"{word!a}: expected a name that is text in UTF-8; rename it") from None
 
 
 def _half(value: object) -> bool:

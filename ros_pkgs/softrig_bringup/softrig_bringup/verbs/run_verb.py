@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from softrig_core import Rig, Run, ScenarioError
+from softrig_core.command_line import check_text
 from softrig_core.extras import need
 from softrig_core.guard import plain, say
 from softrig_core.rig.agreement import assumptions
@@ -65,6 +66,7 @@ def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> in
         prepare(environment(0, Path()))  # on another core, while this one reads and checks the scenario
     scenario = scenario_of(options)
     rig = checked(scenario)  # before anything of an earlier run is replaced
+    check_text(repeat(options))  # the folder that it is called in, too
     if options.only:
         from ..run.part import run_part
 

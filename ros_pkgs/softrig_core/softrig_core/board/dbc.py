@@ -16,6 +16,7 @@ from ..block.params import flatten
 from ..block.port import PLAUSIBLE, PLAUSIBLE_OTHER, Port
 from ..errors import RunError, ScenarioError
 from ..extras import need
+from ..judge.units import misfit
 from ..wire.types import BUTTON
 from .entry import contents_of
 
@@ -176,11 +177,24 @@ def _signals(values: Sequence[Value], receiver: str) -> Iterator[Any]:
             scale = 1.0 if limit is None else limit / (2 ** (WORD - 1) - 1)
             how = BaseConversion.factory(scale, 0.0, is_float=limit is None)
             ends: dict[str, Any] = {} if limit is None else {"minimum": -limit, "maximum": limit}
-            # a DBC has no way to write a quotation mark, and is of one page of letters
-            shown = "".join(sign if sign.isprintable() and sign not in '"\\' else "_" for sign in unit)
-            ends["unit"] = shown.encode("cp1252", errors="replace").decode("cp1252") or None
+            ends["unit"] = _shown(unit) or None
             yield Signal(name, at, WORD, is_signed=True, conversion=how, receivers=[receiver], **ends)
         at += bits
+
+
+def _shown(unit: str) -> str:
+    """Return a unit as a DBC can have it: without quotation marks, in the letters of one page."""
+    shown = "".join(sign if sign.isprintable() and sign not in '"\\' else "_" for sign in unit)
+    return shown.encode("cp1252", errors="replace").decode("cp1252")
+
+
+def _another(given: str | None, unit: str) -> str:
+    """Return why a signal's unit is not that of its channel: a number would be taken for 1000 times itself."""
+    if (given or "") in ("", _shown(unit)):
+        return ""
+    if why := misfit(str(given), unit):
+        return f"{why.partition('; ')[0]}; write the channel's unit, and scale and offset for it"
+    return ""
 
 
 def messages_of(file: Path, node: str, inputs: Sequence[Port], outputs: Sequence[Port], build: str) -> Messages:
@@ -253,7 +267,7 @@ def _found(database: Any, prefix: str, values: Sequence[Value], where: str) -> t
             if name not in places or name in seen:
                 what = "is there twice" if name in seen else f"is none of {', '.join(places) or 'no signals'}"
                 raise ScenarioError(f"{where}: {message.name}.{name} {what}")
-            if reason := _unfit(signal):
+            if reason := _unfit(signal) or _another(signal.unit, values[places[name]].unit):
                 raise ScenarioError(f"{where}: {message.name}.{name} {reason}")
             seen.add(name)
         if len(head) == 1:
