@@ -103,7 +103,7 @@ def structured_text(name: str, header: str, source: str, support: str, member: M
 
 def _numbers(text: str) -> list[str]:
     """Return the numbers of an initialiser of C in structured text."""
-    plain = re.sub(r"\b(?:SR_REAL|INT64_C)\(([^()]*)\)", r"\1", text)
+    plain = re.sub(r"\b(?:SR_REAL|INT64_C)\(([^()]*)\)", r"\1", _plain(text))
     words = [one.strip().strip("()") for one in plain.split(",")]
     return [{"true": "TRUE", "false": "FALSE"}.get(one, one) for one in words]
 
@@ -116,6 +116,7 @@ def _plain(text: str) -> str:
     text = re.sub(r"#ifdef __cplusplus.*?#endif", "", text, flags=re.DOTALL)
     text = re.sub(r"^#.*$", "", text, flags=re.MULTILINE)
     text = text.replace("static SR_TABLE", "static const")
+    text = re.sub(r"(?<![\w.])(\d+)(?=e[+-]?\d)", r"\1.0", text)  # 1e-09 is no number of IEC 61131-3
     return re.sub(r"\bNULL\b", "0", text)
 
 
@@ -197,7 +198,8 @@ class _Printer:
             elif isinstance(one, c_ast.Decl) and isinstance(one.type, c_ast.FuncDecl):
                 self.signature(one)
             elif isinstance(one, c_ast.Decl) and one.init is not None and isinstance(one.type, c_ast.ArrayDecl):
-                numbers = ", ".join(self.expression(v).text for v in one.init.exprs)
+                found = [self.expression(v).text for v in one.init.exprs]
+                numbers = ", ".join(re.sub(r"^\((-[\d.e+-]+)\)$", r"\1", v) for v in found)
                 self.tables[one.name] = self.type_of(one.type), f"[{numbers}]"
             elif isinstance(one, c_ast.FuncDef):
                 self.signature(one.decl)
@@ -315,7 +317,7 @@ class _Printer:
         ]
         head += ["VAR", *rows, "END_VAR"] if rows else []
         result = "BOOL" if self.result == "void" else self.written(self.result)
-        self.done.append(Unit("FUNCTION", self.own, head, self.lines or ["    ;"], result=result))
+        self.done.append(Unit("FUNCTION", self.own, head, self.lines or [f"    {self.own} := FALSE;"], result=result))
 
     # statements ---------------------------------------------------------------------------------------------------
 
@@ -503,7 +505,8 @@ class _Printer:
         if name in fixed:
             return Typed(*fixed[name])
         if name in ("SR_INFINITY", "SR_NAN"):
-            return Typed("SR_INF()" if name == "SR_INFINITY" else "(SR_INF() - SR_INF())", "LREAL")
+            large = "SR_INF(10.0)"
+            return Typed(large if name == "SR_INFINITY" else f"({large} - {large})", "LREAL")
         if name in self.tables:
             return Typed(self.word(name), self.tables[name][0])
         if name not in self.vars:
@@ -636,9 +639,8 @@ class _Printer:
             value = self.expression(one)
             given.append(f"{self.word(word)} := {value.text if by_reference else self.converted(value, kind).text}")
         text = f"{self.word(name)}({', '.join(given)})"
-        if result == "void":
-            self.emit(f"{text};")
-            return Typed("", "void")
+        if result == "void":  # in IEC 61131-3 each function has a result, and a call is no statement
+            result, named = "BOOL", True
         if named:
             target = self.temporary(result)
             self.emit(f"{target.text} := {text};")
