@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import softrig_nodes
 from pydantic import ValidationError
 from setuptools.config.expand import canonic_data_files
 from softrig_bringup import cli
@@ -799,7 +800,7 @@ def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
         stopped=0,
     )
     asked = []
-    monkeypatch.setattr(runs, "run_processes", lambda *what: asked.append(what) or outcome)
+    monkeypatch.setattr(softrig_nodes, "run_processes", lambda *what: asked.append(what) or outcome)
     result = runs.execute(rig, Placement("processes", "realtime"), tmp_path)
     assert (result.error, result.epoch, result.status, result.mode) == (
         "",
@@ -821,7 +822,7 @@ def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
 
 def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
     asked, outcome = [], SimpleNamespace(error="", stopped=0)
-    monkeypatch.setattr(part, "run_processes", lambda *what: asked.append(what) or outcome)
+    monkeypatch.setattr(softrig_nodes, "run_processes", lambda *what: asked.append(what) or outcome)
     rig = rig_of("lag")
     words = ["run", "lag", "--only", "gain", "--domain", "7"]
 
