@@ -469,7 +469,7 @@ def watched(monkeypatch):
 def test_a_call_that_does_not_return_is_announced_once_when_the_rig_stands(watched):
     run = watched()
     line = "law: `update` at t = 0.1 s has not returned for 5 s; Ctrl-C ends the run (law.py, line 3)"
-    run.at(2.0, lambda: run.logs.update(last=line)).at(4.9, lambda: run.announced.append("until then nothing"))
+    run.at(1.0, lambda: run.logs.update(last=line)).at(1.9, lambda: run.announced.append("until then nothing"))
     all_end(run, 9.0).run()
     assert run.announced == ["until then nothing", line]
     run = all_end(watched(), 9.0)
