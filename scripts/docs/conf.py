@@ -59,7 +59,7 @@ def mathml(formula: str, as_block: bool) -> str:
     """Set a formula; an index of what has a dot or hat stands beside it, where docutils sets it below."""
     made = tex2mathml(formula, as_block=as_block).replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
     # names of characters that are HTML's, not XML's
-    made = re.sub(r"&(?!(?:lt|gt|amp|quot|apos|#\w+);)\w+;", lambda result: unescape(result[0]), made)
+    made = re.sub(r"&(?!(?:lt|gt|amp|quot|apos|#\w+);)\w+;", lambda match: unescape(match[0]), made)
     root = ElementTree.fromstring(made)
     for node in root.iter("munderover"):
         base, below, above = node

@@ -149,8 +149,8 @@ def _verb(arguments: list[str]) -> int:
     arguments = _judging(arguments)
     if not asks and arguments and not arguments[0].startswith("-") and arguments[0] not in VERBS:
         _check_verb(arguments[0])
-    if not asks and arguments[:1] == ["draw"]:
-        _check_drawn(arguments[1:2])
+    if not asks and arguments[:1] == ["draw"] and len(arguments) > 1:
+        _check_drawn(arguments[1])
     if not asks and _of_the_script(arguments):
         return of_the_script()
     if arguments[:1] != ["node"]:
@@ -184,10 +184,10 @@ def _check_verb(word: str) -> None:
 
     from softrig_core.scenario.scenario_file import find, list_scenarios
 
-    from .folder import MARKS
+    from .folder import kind_of
 
     path = Path(word)
-    kind = next((kind for mark, kind in MARKS.items() if (path / mark).is_file()), "")
+    kind = kind_of(path)
     if kind == "run":
         raise ScenarioError(f"{word!r} is a run, expected a verb before it: `softrig report {word}`")
     if kind:
@@ -198,13 +198,14 @@ def _check_verb(word: str) -> None:
         raise ScenarioError(f"{word!r} is no verb and no scenario; did you mean `softrig run {near[0]}`?")
 
 
-def _check_drawn(words: Sequence[str]) -> None:
+def _check_drawn(word: str) -> None:
     """Refuse a run where `draw` expects what is drawn of it."""
     from pathlib import Path
 
-    for word in words:
-        if (Path(word) / "metrics.json").is_file():
-            raise ScenarioError(f"draw: {word!r} is a run; `softrig draw plot {word}` draws its signals")
+    from .folder import kind_of
+
+    if kind_of(Path(word)) == "run":
+        raise ScenarioError(f"draw: {word!r} is a run; `softrig draw plot {word}` draws its signals")
 
 
 class _Unasked:

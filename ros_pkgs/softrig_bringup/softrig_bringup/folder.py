@@ -32,6 +32,11 @@ FALSIFICATION = re.compile(
 MARKS = {"metrics.json": "run", "study.json": "study", "falsification.json": "falsification"}
 
 
+def kind_of(path: Path) -> str:
+    """Return what a folder holds: a value of `MARKS`, or empty."""
+    return next((kind for mark, kind in MARKS.items() if (path / mark).is_file()), "")
+
+
 _held: WeakSet[ResultsFolder] = WeakSet()
 
 

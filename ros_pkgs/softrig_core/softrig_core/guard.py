@@ -178,7 +178,7 @@ def naming(path: Path) -> Iterator[None]:
 
 def plain(text: str) -> str:
     """Escape the control characters of a foreign text, because a terminal would execute them."""
-    return _CONTROL.sub(lambda result: repr(result[0])[1:-1], text)
+    return _CONTROL.sub(lambda match: repr(match[0])[1:-1], text)
 
 
 def secure_streams() -> None:

@@ -99,7 +99,7 @@ def placeless(value: Any) -> Any:
     What begins with no folder that is here is left alone: a topic, an address.
     """
     if isinstance(value, str):
-        return _PLACE.sub(lambda result: "" if Path("/", result[1]).is_dir() else result[0], value)
+        return _PLACE.sub(lambda match: "" if Path("/", match[1]).is_dir() else match[0], value)
     if isinstance(value, Mapping):
         return {placeless(k): placeless(v) for k, v in value.items()}
     return [placeless(v) for v in value] if isinstance(value, list | tuple) else value

@@ -62,10 +62,10 @@ def publisher(text: str) -> dict[str, str]:
 
 def license_of(text: str) -> dict[str, str]:
     """Read a licence: its SPDX identifier, written as the SPDX list has it, or its web address."""
-    from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression  # reads the list: 4 ms
-
     if re.match(r"https?://\S+$", text):
         return {"@id": text, "@type": "CreativeWork", "name": text}
+    from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression  # reads the list: 4 ms
+
     expected = "expected one identifier of spdx.org/licenses, as CC-BY-4.0, or a URL"
     try:
         if not re.fullmatch(r"[A-Za-z0-9.-]+", text):  # an expression such as MIT OR Apache-2.0 has no page there

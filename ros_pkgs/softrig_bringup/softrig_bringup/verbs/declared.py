@@ -74,21 +74,21 @@ def verbs(verb: Verb) -> None:
 
 def _run_and_look(verb: Verb) -> None:
     run_options.arguments(verb("run", "verbs.run_verb:run", "run a scenario: metrics, bag, plots, report", **ONE))
-    style = verb(
+    view = verb(
         "view",
         "verbs.view_verb:view",
         "look at a run or a bag in the browser, or run a scenario that begins paused there",
         **ONE,
     )
-    run_options.arguments(style, "name or YAML file; or a run: its folder, its bag, or a file of `pack`")
-    style.add_argument(
+    run_options.arguments(view, "name or YAML file; or a run: its folder, its bag, or a file of `pack`")
+    view.add_argument(
         "--address",
         default="127.0.0.1:0",
         metavar="HOST:PORT",
         help="of the page (this host, a free port); it is seen with the token in its address only",
     )
-    style.add_argument("--running", action="store_true", help="does not begin paused")
-    style.add_argument(
+    view.add_argument("--running", action="store_true", help="does not begin paused")
+    view.add_argument(
         "--pace",
         type=_pace,
         default=1.0,
@@ -96,7 +96,7 @@ def _run_and_look(verb: Verb) -> None:
         help="simulated by wall-clock time: 1 (default), "
         "0.1, 10, ..., or full: as fast as it goes; the page changes it",
     )
-    style.set_defaults(mode="container")
+    view.set_defaults(mode="container")
     report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="its folder, or a file of `pack`")
     report.add_argument("--out", type=Path, default=Path("report.html"))

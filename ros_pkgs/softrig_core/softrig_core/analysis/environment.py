@@ -383,7 +383,7 @@ def _without(law: Member, value: Any) -> Any:
         if whole := re.fullmatch(reference, value):
             return pick(flatten(law.params), whole[1])
         # in a formula or in arithmetic: in brackets, as it may be below zero
-        return re.sub(reference, lambda result: f"({pick(flatten(law.params), result[1])!r})", value)
+        return re.sub(reference, lambda match: f"({pick(flatten(law.params), match[1])!r})", value)
     if isinstance(value, Mapping):
         return {k: _without(law, v) for k, v in value.items()}
     return [_without(law, v) for v in value] if isinstance(value, list | tuple) else value

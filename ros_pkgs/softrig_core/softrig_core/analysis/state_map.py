@@ -205,12 +205,12 @@ class StateMap:
         """Run to where it begins, and see on the way what changes."""
         # A state's size and whether it moves are seen only along the run, since it may pass zero or rest where the view
         # is.
-        styles: list[tuple[list[str], Array]] = [self._read()]
+        readings: list[tuple[list[str], Array]] = [self._read()]
         often = max(1, self._first // LOOKS)
         if self._first:
             for k, _ in enumerate(self._loop.run()):
                 if k % often == 0 or k == self._first - 1:
-                    styles.append(self._read())
+                    readings.append(self._read())
                 if k == self._first - 1:
                     break
         self._saved = self._tables.keep()
@@ -226,7 +226,7 @@ class StateMap:
         last: dict[str, float] = {}
         size = dict.fromkeys(self.names, 0.0)
         moved = dict.fromkeys(self.names, False)
-        for names, numbers in styles:
+        for names, numbers in readings:
             for name, x in zip(names, numbers.tolist(), strict=True):
                 if name in size:
                     size[name] = max(size[name], abs(x))

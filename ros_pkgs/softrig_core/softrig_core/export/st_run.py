@@ -226,6 +226,6 @@ def _expression(text: str, own: set[str] | None = None) -> str:
     """Return an expression in Python."""
     text = text.replace(":=", "\0").replace("<>", "!=")
     text = re.sub(r"(?<![<>!=])=(?!=)", "==", text).replace("\0", "=")
-    text = re.sub(r"\b[A-Z]+\b", lambda result: _NAMES.get(result[0], result[0]), text)
+    text = re.sub(r"\b[A-Z]+\b", lambda match: _NAMES.get(match[0], match[0]), text)
     tree = ast.fix_missing_locations(_Changes(own or set()).visit(ast.parse(text.strip(), mode="eval")))
     return ast.unparse(tree)

@@ -59,7 +59,7 @@ def named(reference: str) -> str:
 
 def with_names(given: str) -> str:
     """Return a formula with names in the place of its references: ``$motor.R`` becomes ``motor__R``."""
-    return REFERENCE.sub(lambda result: named(result[1]), given)
+    return REFERENCE.sub(lambda match: named(match[1]), given)
 
 
 def timing(given: str) -> set[str]:

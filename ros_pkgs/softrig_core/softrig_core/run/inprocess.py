@@ -83,18 +83,18 @@ def run_inprocess(
         record(
             rig, {n: s for n, s in steps.items() if topics is None or any(p.topic in topics for p in s.outputs)}, sink
         )
-    style = Look(steps, thorough, runs > 1)
+    purity = Look(steps, thorough, runs > 1)
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():
             for t in ticks_of(list(steps.values()), runs)[0]:
-                if t is not None and t >= style.due:
-                    style.check(t)
+                if t is not None and t >= purity.due:
+                    purity.check(t)
                 if progress is not None and t is not None and (t >= due or t == end):
                     progress(t)
                     # About a hundred calls are enough to show the progress.
                     due = t + end // 100
-            style.check()
+            purity.check()
     finally:
         for step in steps.values():
             if step.link is not None:

@@ -371,12 +371,12 @@ class Recording:
             file.seek(at)
             if size <= HELD:
                 return size - at - self.take(head, memoryview(file.readall()), namespace)
-            places, style = list[tuple[int, int]](), _LOOK
+            places, length = list[tuple[int, int]](), _LOOK
             # Rows stay in the file; only their places and what is not a row are kept in memory.
-            while content := file.read(style):
+            while content := file.read(length):
                 used = self.take(head, memoryview(content), namespace, partial(_note_rows, places, at))
                 # A message may be longer than what was read.
-                style = _LOOK if used else 2 * style
+                length = _LOOK if used else 2 * length
                 if not used and at + len(content) == size:
                     break
                 at += used

@@ -84,19 +84,19 @@ class Restarts:
 
     def _stand(self, dead: Child, children: list[Child]) -> bool:
         """Return whether all others wait or have ended; a node without a status is ignored."""
-        styles = self._looks.setdefault(dead.member.name, {})
+        waiting = self._looks.setdefault(dead.member.name, {})
         for child in children:
             with suppress(OSError):
                 if child.process.poll() is None:
                     written, status = child.status.stat().st_mtime_ns, read_status(child.status)
                     ticks = status.get("ticks", 0)
-                    old = styles.setdefault(child.member.name, _Look(written, ticks, False))
+                    old = waiting.setdefault(child.member.name, _Look(written, ticks, False))
                     if old.written != written:
                         stood = ticks == old.ticks and not status.get("busy")
-                        styles[child.member.name] = _Look(written, ticks, stood)
+                        waiting[child.member.name] = _Look(written, ticks, stood)
                 else:
-                    styles.pop(child.member.name, None)
-        return all(style.stood for style in styles.values())
+                    waiting.pop(child.member.name, None)
+        return all(other.stood for other in waiting.values())
 
     def _restart(self, children: list[Child], k: int, code: int) -> None:
         name = children[k].member.name

@@ -74,13 +74,13 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
     """
     # of the whole host those of nodes that are not ours, too: they do not look, and would hang
     ours = {f"fastrtps_port{n}" for n in (*range(FLOWS[0], BASE), *of_domain(domain))}
-    styles: dict[tuple[str, int], int] = {}
+    counts: dict[tuple[str, int], int] = {}
     while True:
         there = os.listdir(folder) if folder.is_dir() else []
         unfinished = [folder / name for name in there if name in ours and _unfinished(folder / name)]
-        styles = {key: styles.get(key, 0) + 1 for key in ((p.name, _inode(p)) for p in unfinished)}
+        counts = {key: counts.get(key, 0) + 1 for key in ((p.name, _inode(p)) for p in unfinished)}
         for port in (
-            folder / name for (name, inode), n in styles.items() if n > LOOKS and _inode(folder / name) == inode
+            folder / name for (name, inode), n in counts.items() if n > LOOKS and _inode(folder / name) == inode
         ):
             for path in (port, folder / f"sem.{port.name}_mutex"):
                 with suppress(OSError):
