@@ -9,9 +9,9 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import RESOLVED, BlockParams, Level, Plant, command, jit, param, resolving_step, to_ns
+from softrig_core import BlockParams, Level, Plant, command, jit, param, resolving_step, to_ns
 
-from .mechanics import Mechanics, friction
+from .mechanics import Mechanics, finer, friction
 from .ports import CURRENTS, DC_LINK, JOINT_STATES, LEGS, LOAD_TORQUE
 
 GATES = command("gates", "gates", LEGS, "1")
@@ -62,7 +62,6 @@ class State(NamedTuple):
     fault: bool = False
 
 
-FINEST = 1000.0  # into how many parts a step is divided at most: beyond all physical speeds it would never end
 CUTS = 100  # of the steps of a period, a few as a rule: beyond all physical speeds cuts would never end
 
 
@@ -144,7 +143,7 @@ def advance(
     t = 0.0
     cuts = 0
     # what becomes faster with the speed: the electrical angle, the torque of a fan
-    step = step / min(max(1.0, abs(w) * max(m[3], 2.0 * m[10] * m[4]) * step / RESOLVED), FINEST)
+    step = finer(step, abs(w) * max(m[3], 2.0 * m[10] * m[4]))
     while t < period:
         on_a, u_a = leg(gates[0], i_a, U, v_diode)
         on_b, u_b = leg(gates[1], i_b, U, v_diode)

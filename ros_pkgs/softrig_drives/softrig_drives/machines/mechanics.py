@@ -7,7 +7,9 @@ from typing import Self
 
 from pydantic import model_validator
 from softrig_control.profile import StepProfile
-from softrig_core import Params, jit, param
+from softrig_core import RESOLVED, Params, jit, param
+
+FINEST = 1000.0  # into how many parts a step is divided at most: beyond all physical speeds it would never end
 
 
 class Mechanics(Params):
@@ -53,6 +55,12 @@ class Mechanics(Params):
             1.0 / self.J, self.B, self.T_coulomb, max(self.T_static, self.T_coulomb), self.w_stribeck, self.w_stick,
             1.0 / self.J_load if self.J_load else 0.0, self.K_shaft, self.C_shaft, self.load_square,
         ]  # fmt: skip
+
+
+@jit
+def finer(step: float, rate: float) -> float:
+    """Return a step that resolves a rate (1/s), too, such as one that grows with the speed."""
+    return step / min(max(1.0, rate * step / RESOLVED), FINEST)
 
 
 @jit

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from softrig_core import RESOLVED, jit
+from softrig_core import jit
 
 from .inverter import FALLING, NEVER, ON, begin, drop, edge, lost
-from .mechanics import friction
+from .mechanics import finer, friction
 
 SQRT3 = 3.0**0.5
 STATES = 9  # four of the machine, omega, theta, omega_l, theta_l, u_dc
-FINEST = 1000.0  # into how many parts a step is divided at most: beyond all physical speeds it would never end
 Vector = tuple[float, ...]
 
 
@@ -104,7 +103,7 @@ def stepper(machine: Any, seen: Any) -> Callable[..., Vector]:
         period, largest, updates = inv[0], inv[10], int(inv[6])
         # what becomes faster with the speed: the electrical angle, the torque of a fan
         pull = 2.0 * mech[9] * max(abs(x[4]) * mech[0], abs(x[6]) * mech[6])
-        largest = largest / min(max(1.0, max(m[4] * abs(x[4]), pull) * largest / RESOLVED), FINEST)
+        largest = finer(largest, max(m[4] * abs(x[4]), pull))
         switched = inv[5] > 0.0 and not tripped
         d_a, d_b, d_c = duty[0], duty[1], duty[2]
         if tripped:
