@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rich.table import Table
-from softrig_bringup.view.beside import Beside, page
+from softrig_bringup.view.run_pages import RunPages, page
 from softrig_core import ScenarioError, rig_of
 from softrig_nodes import run_processes
 from softrig_nodes.processes.placement import Listener, Placement
@@ -64,12 +64,12 @@ def _measure(mode: Mode, shown: bool) -> float:
         rig = rig_of(rig, overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")})
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder, placement = Path(name), Placement("container", mode)
-        beside: Beside | None = None
+        beside: RunPages | None = None
         if shown:
             beside = stack.enter_context(page(rig.scenario, folder, placement, "127.0.0.1:0"))
             reader: Any = subprocess.Popen([sys.executable, "-c", READER], stdin=subprocess.PIPE)
             stack.callback(reader.kill)
-            beside.said = reader.stdin
+            beside.stream = reader.stdin
         listener = Listener(opened=beside.open if beside else None)
         outcome = run_processes(rig, rig.scenario.seed, folder, placement, listener)
     if outcome.error:

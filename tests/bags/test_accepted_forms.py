@@ -156,7 +156,7 @@ def test_a_page_has_what_its_port_took(taken, rig):
         for number, topic in enumerate(recording.topics.values()):
             for t, data in list(zip(topic.times, topic.data, strict=True))[first : first + 7]:
                 part.add(number, t, data)
-        page.take(part)
+        page.append(part)
     check(page.pane(0.0, 1.0).table, values)
 
 

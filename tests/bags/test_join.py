@@ -21,7 +21,7 @@ def joined(name, msgtype, messages):
     join = Join(BagTopic.known(f"/{name}", msgtype, []))
     for data in messages:
         if join.open:
-            join.look(data)
+            join.inspect(data)
     return name, join
 
 

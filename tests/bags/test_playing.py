@@ -474,16 +474,16 @@ def test_an_answer_of_another_tick_is_refused_whichever_comes_first():
     for answers in (late, bare):
         answers.expect(1 * MS, 1 * MS)
         assert answers.missing
-    late.take(right)
+    late.receive(right)
     assert (late.missing, late.ticks, late.stamps, late.data) == (False, [1 * MS], [1 * MS], [right])
     late.expect(1 * MS, 1 * MS)
     with wrong():
-        late.take(other)
-    early.take(other)
+        late.receive(other)
+    early.receive(other)
     assert not early.missing
     with wrong():
         early.expect(1 * MS, 1 * MS)
-    bare.take(other)  # what has no stamp is of whatever tick
+    bare.receive(other)  # what has no stamp is of whatever tick
     assert not bare.missing
 
 

@@ -412,7 +412,7 @@ def session(monkeypatch):
     monkeypatch.setattr(ros.signal, "signal", signals.__setitem__)
     monkeypatch.setattr(ros.uses, "executor", lambda: executor)
     monkeypatch.setattr(ros, "ServingNode", Given)
-    monkeypatch.setattr(ros, "look_after_ports", after.append)
+    monkeypatch.setattr(ros, "watch_ports", after.append)
     monkeypatch.setattr(ros.rclpy, "init", lambda **_: None)
     monkeypatch.setattr(ros.Session, "opened", None)
 

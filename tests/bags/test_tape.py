@@ -133,7 +133,7 @@ def joined(marks):
     looked = 0
     for mark in marks:
         if join.open:
-            join.look(Layout(HEADER).encode(mark, ()))
+            join.inspect(Layout(HEADER).encode(mark, ()))
             looked += 1
     return join, looked
 
@@ -159,7 +159,7 @@ def test_what_has_no_stamp_and_no_number_tells_nothing():
     assert not Join(BagTopic("/x", "std_msgs/msg/String", "string data")).open
     array = Join(BagTopic("/x", "std_msgs/msg/Float64MultiArray"))
     assert array.open
-    array.look(b"\0\0\0\1 of another byte order")
+    array.inspect(b"\0\0\0\1 of another byte order")
     assert (array.open, array.number, array.periods, array.from_start) == (False, 0, 0, False)
     assert missed([("/x", array)]) == {}
 
@@ -176,7 +176,7 @@ def test_a_gap_is_a_hold_when_it_is_longer_than_the_limit():
         held.append(holds.wake(lambda: next(count)))
     assert held == [False, True, False, True]
     assert str(holds) == "2.6 s after message 5, 100.0 s after message 9"
-    assert holds.found == [(2.625, 5), (100.0, 9)]
+    assert holds.gaps == [(2.625, 5), (100.0, 9)]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from softrig_bringup.falsify.definition import Falsification
 from softrig_bringup.falsify.engine import Outcome, _requirements
 from softrig_bringup.falsify.outcome import _standing_alone, content, scenario_file, verdict
 from softrig_bringup.falsify.page import history, lead
-from softrig_bringup.falsify.search import Found
+from softrig_bringup.falsify.search import SearchResult
 from softrig_bringup.falsify.space import parse, space_of
 from softrig_bringup.falsify.words import number, shown
 from softrig_bringup.page.html import page as make_page
@@ -53,7 +53,7 @@ def found(space, *, least=-0.25, corners=-0.125, small=True, case=True, broken=(
     violated = least < 0.0
     scenario = space.scenario
     less = scenario.having(faults={n: f.model_dump() for n, f in scenario.faults.items() if n != "noise"})
-    seen = Found(least, (0.5,) * 4, 7, corners, [1.0, least])
+    seen = SearchResult(least, (0.5,) * 4, 7, corners, [1.0, least])
     return Outcome(
         space, ("low", "last"), {"low": 0.2, "last": LARGE}, {"low": least, "last": None} if case else {}, seen,
         (scenario, CHANGES) if case else None, (less, {"gain.k": 2.5}) if violated and small else None,
@@ -108,7 +108,7 @@ def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
 
     def searched(groups, measure, budget, **more):
         asked.append((groups, budget, more))
-        return Found(min(measure([point, (1.0,) * 4])), point, 2)
+        return SearchResult(min(measure([point, (1.0,) * 4])), point, 2)
 
     for name, what in {
         "Batch": Rows, "Log": lambda *given: given, "search": searched, "trial": lambda *given, **more: given,

@@ -275,7 +275,7 @@ def test_folders_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_pat
     ],
 )
 def test_what_was_changed_is_parted_into_what_and_how(message, parted):
-    assert apart._said(message) == parted
+    assert apart._key_value(message) == parted
 
 
 def test_parameters_are_taken_apart_to_their_leaves():

@@ -13,7 +13,7 @@ from bokeh.document import Document
 from bokeh.events import ButtonClick
 from bokeh.models import ColumnDataSource, CrosshairTool, HoverTool, Range1d, Span
 from softrig_bringup.view import look, words
-from softrig_bringup.view.control import Control, Knob, Said, role
+from softrig_bringup.view.control import Control, Entry, Knob, role
 from softrig_bringup.view.page import PACES, Page, bare
 from softrig_bringup.view.pictures import Picture, plots_of
 from softrig_bringup.view.sources import Recorded
@@ -372,7 +372,7 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeyp
         asked.clear()
         new, lines = control.lines - lines, control.lines
         messages.extend(
-            f"  {s.t:g} s, {s.who}: {s.text}{' (wrong)' if s.wrong else ''}" for s in [*control.said][-new:] if new
+            f"  {s.t:g} s, {s.who}: {s.text}{' (wrong)' if s.wrong else ''}" for s in [*control.entries][-new:] if new
         )
         named(document, "echo").text = named(document, "beat").text
         page.update()
@@ -414,7 +414,7 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeyp
     switches("law.clip", "not now")
     slides("law.k", 7.5)
     slides("law.steps", 51.6)
-    control.took_effect(0.25, "law", {"steps": 4000, "rule": "soft"})
+    control.log_change(0.25, "law", {"steps": 4000, "rule": "soft"})
     after("somebody else turns")
     shows("law.steps", "law.rule")
     slider = named(document, "law.steps slider")
@@ -552,7 +552,7 @@ def test_tables_are_written_at_every_tenth_frame_and_when_something_was_said(dra
     for k in range(2, 34):
         named(document, "echo").text = named(document, "beat").text
         if k == 5:
-            control.say("me", "hm")
+            control.add_entry("me", "hm")
         if k == 16:
             control.held = False
         if k == 25:
@@ -648,7 +648,7 @@ KIND = {
     "held": None,
     "pace": None,
     "goes_back": False,
-    "said": (),
+    "entries": (),
     "live": True,
     "outcome": "",
     "thinned": False,
@@ -691,8 +691,8 @@ def test_the_head_says_how_far_it_is_and_how_it_goes(more, state, look):
 
 
 def test_the_head_says_the_last_line_and_the_log_all_of_them_the_newest_first():
-    messages = [Said(0.5, "me", "k = 1 <V>", False), Said(12.3456789, "law", "no", True)]
-    about = SimpleNamespace(**KIND | {"said": messages})
+    messages = [Entry(0.5, "me", "k = 1 <V>", False), Entry(12.3456789, "law", "no", True)]
+    about = SimpleNamespace(**KIND | {"entries": messages})
     about.rig = SimpleNamespace(scenario=SimpleNamespace(name="x", title="Mine", duration=6.0))
     assert words.head(about, "here", about).endswith('</p><p class="wrong">law: no</p>')
     assert words.log(messages) == (
@@ -735,12 +735,12 @@ def test_what_is_typed_is_read_as_the_knob_is(kind, value, text, result):
 def test_a_hundred_lines_are_kept_and_all_are_counted(rig):
     control = Control(rig, None, lambda: 0.25, lambda: "")
     for k in range(103):
-        control.say("me", str(k))
-    assert [s.text for s in control.said] == [str(k) for k in range(3, 103)]
-    assert (control.lines, control.said[0]) == (103, Said(0.25, "me", "3", False))
-    control.took_effect(0.5, "law", {"k": 2.0, "unknown": 1})
+        control.add_entry("me", str(k))
+    assert [s.text for s in control.entries] == [str(k) for k in range(3, 103)]
+    assert (control.lines, control.entries[0]) == (103, Entry(0.25, "me", "3", False))
+    control.log_change(0.5, "law", {"k": 2.0, "unknown": 1})
     assert control.lines == 105
-    assert control.said[-2] == Said(0.5, "law", "k = 2 from this tick on", False)
+    assert control.entries[-2] == Entry(0.5, "law", "k = 2 from this tick on", False)
 
 
 def test_pictures_of_a_scenario_without_plots_are_those_of_its_topics(monkeypatch):
@@ -788,7 +788,7 @@ def test_what_cannot_be_asked_is_refused_by_its_name(rig, ask, over, why):
     }
     for text, act in acts.items():
         act()
-        assert control.said[-1] == Said(0.25, "me", f"{text} refused: {why}", True)
+        assert control.entries[-1] == Entry(0.25, "me", f"{text} refused: {why}", True)
     assert (control.held, control.pace, control.knobs["law.k"].value) == (True, 1.0, 3.0)
 
 
@@ -796,7 +796,7 @@ def test_a_page_takes_its_session_up_again_by_loading_itself(drawn):
     document, _ = page_of(*live(drawn))
     assert document.template is look.TEMPLATE
     calls = {name: [c.code for c in result] for name, result in document.callbacks._js_event_callbacks.items()}
-    assert calls == {"document_ready": ["echo.text = beat.text"], "connection_lost": [look.COME_BACK]}
+    assert calls == {"document_ready": ["echo.text = beat.text"], "connection_lost": [look.RECONNECT]}
     sheets = {name: [s.css for s in named(document, name).stylesheets] for name in ("state", "law.k")}
     assert sheets == {"state": [look.WIDGETS], "law.k": [look.WIDGETS, look.BESIDE]}
     assert document.theme._json == look.theme("light")

@@ -23,11 +23,11 @@ from softrig_bags.compare import compare
 from softrig_bags.read import signals
 from softrig_bringup.cli import main
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.view.beside import Beside
 from softrig_bringup.view.control import Control, Knob
 from softrig_bringup.view.here import Here, here
 from softrig_bringup.view.page import SLOW, Page, reach
 from softrig_bringup.view.pictures import plots_of
+from softrig_bringup.view.run_pages import RunPages
 from softrig_bringup.view.serve import OneLine
 from softrig_bringup.view.sources import Live, Recorded
 from softrig_bringup.view.tracks import Track
@@ -227,7 +227,7 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
     session.go(0.06)
     control.turn("me", "dc_motor_smc.delta", 0.8)
     session.go(0.08)
-    source.look()
+    source.read_new()
     left = session.recording.before(80_000_000)
     shard = tmp_path / "log/rig.shard"
     assert read_shards([shard]).topics == left.topics  # were the process killed now
@@ -240,7 +240,7 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
     control.go_back("me", 0.02)  # nothing was turned between
     session.go(0.03)
     session.go()
-    source.look()
+    source.read_new()
     assert [t for t, *_ in source.changes] == [0.02]
     assert read_shards([shard]).topics == session.recording.topics
     plain = simulate("dc_motor_smc", duration=0.1)
@@ -264,11 +264,11 @@ def test_a_full_disk_takes_nothing_from_a_run_in_the_process_of_its_page(tmp_pat
     source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
     source.control.turn("me", "dc_motor_smc.delta", 0.5)
     source.session.go(0.05)
-    source.look()
-    source.look()
+    source.read_new()
+    source.read_new()
     assert capsys.readouterr().err.count("nothing is kept in case that this process is killed: [Errno 28]") == 1
     source.control.go_back("me", 0.0)
-    assert re.match(r"back to 0 s refused: .*No space left on device", source.control.said[-1].text)
+    assert re.match(r"back to 0 s refused: .*No space left on device", source.control.entries[-1].text)
     assert (source.session.t, source.branched) == (0.05, [])
     source.control.go_back("me", 0.0)  # the link is gone with the refused file
     assert (source.session.t, source.branched[0]["left"]) == (0.0, "left_1.yaml")
@@ -462,7 +462,9 @@ def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
     assert len(asked) == 2
     for typed in ("0,5", "0.5 V", ""):  # nothing that was typed is left out
         number.value = typed
-        assert control.said[-1].text == f"noise.probability = {typed!r} refused: expected a number, such as 2.5 or 1e-3"
+        assert (
+            control.entries[-1].text == f"noise.probability = {typed!r} refused: expected a number, such as 2.5 or 1e-3"
+        )
     number.value = "5e-1"
     assert asked[2][0] == {"node": "noise", "set": {"probability": 0.5}}
     assert len(asked) == 3
@@ -495,14 +497,17 @@ def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_wor
     asked, over = [], ["ended"]
     control = Control(rig_of("dc_motor_smc"), lambda *words: asked.append(words), lambda: 1.0, lambda: over[0])
     control.turn("me", "dc_motor_smc.k", 3.0)
-    assert control.said[-1].wrong
-    assert "the run is over" in control.said[-1].text
+    assert control.entries[-1].wrong
+    assert "the run is over" in control.entries[-1].text
     over[0] = ""
     control.turn("me", "dc_motor_smc.k", 3)
     ((request, answered),) = asked
     assert request == {"node": "dc_motor_smc", "set": {"k": 3.0}}
     answered(False, "no")
-    assert control.said[-1].text == "dc_motor_smc.k = 3 rad/s^2 refused: no" or "refused: no" in control.said[-1].text
+    assert (
+        control.entries[-1].text == "dc_motor_smc.k = 3 rad/s^2 refused: no"
+        or "refused: no" in control.entries[-1].text
+    )
     assert control.knobs["dc_motor_smc.k"].value != 3.0
     answered(True, "")
     assert control.knobs["dc_motor_smc.k"].value == 3.0
@@ -549,7 +554,7 @@ def test_a_page_says_who_is_awaited_while_a_rig_starts(tmp_path):
     def says(text, **states):
         for name, state in states.items():
             (tmp_path / f"{name}.status").write_text(json.dumps({"state": state, "epoch": 0}))
-        source.look()
+        source.read_new()
         for _ in range(SLOW):
             page.update()
             echo.text = beat.text
@@ -567,10 +572,12 @@ def test_a_page_says_who_is_awaited_while_a_rig_starts(tmp_path):
 def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_path, capsys, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "softrig_bringup.view.beside.Remote",
+        "softrig_bringup.view.run_pages.Remote",
         lambda *words: SimpleNamespace(ask=lambda request, answered: asked.append(request), close=lambda: None),
     )
-    page = Beside(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=True, pace=1.0), "127.0.0.1:0")
+    page = RunPages(
+        load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=True, pace=1.0), "127.0.0.1:0"
+    )
     monkeypatch.setattr(page, "_start", lambda: subprocess.Popen(["false"], stdin=subprocess.PIPE, text=True))
     page.open(7)
     page.keeper.join(PATIENCE)

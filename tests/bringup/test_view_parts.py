@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from conftest import few
 from softrig_bringup.folder import ResultsFolder
-from softrig_bringup.view import beside as beside_module, here as here_module, remote, serve, sources
-from softrig_bringup.view.beside import Beside, page
+from softrig_bringup.view import here as here_module, remote, run_pages as run_pages_module, serve, sources
 from softrig_bringup.view.control import Control
 from softrig_bringup.view.here import Here, here
+from softrig_bringup.view.run_pages import RunPages, page
 from softrig_bringup.view.serve import Pages, Watched, _Token, free_address, new_token
 from softrig_bringup.view.sources import Growing, Live, Recorded
 from softrig_bringup.view.tracks import Pane, Track
@@ -159,7 +159,7 @@ def test_a_run_has_come_as_far_as_all_have_spoken_for(run, clock, held):
             part.topics[name].times.extend(whole.times[:n])
             part.topics[name].data.extend(map(bytes, whole.data[:n]))
             given[name] += len(whole.times[:n])
-        source.take(part)
+        source.append(part)
         version += sum(bool(t.times and rig.topics[n].labels) for n, t in part.topics.items())
         newest = {n: run.recording.topics[n].times[c - 1] / SECOND for n, c in given.items() if c}
         held_up = [t + periods[n] for n, t in newest.items() if n in periods] if held else []
@@ -206,17 +206,17 @@ def written(folder, run, upto, epoch=0, status=None):
 
 def test_a_run_under_way_is_what_its_nodes_have_written(run, tmp_path, clock):
     source = Live(run.rig, tmp_path, False)
-    source.look()
+    source.read_new()
     assert (source.end, source.changes) == (0.0, [])
     assert len(source.pane(0.0, 1.0)) == 0
     clock.now = 3.0
     assert source.waited == 3.0
     written(tmp_path, run, 100_000_000)
     version = source.version
-    source.look()
+    source.read_new()
     published = sum(bool(run.recording.topics[t].times and p.labels) for t, p in run.rig.topics.items())
     assert source.version == version + published + 1  # a topic each, and a change
-    source.look()
+    source.read_new()
     assert source.waited == 0.0  # all are there
     assert source.end == pytest.approx(0.1)
     assert source.changes == [(0.05, "dc_motor_smc", {"delta": 1.5})]
@@ -230,7 +230,7 @@ def test_a_run_under_way_is_what_its_nodes_have_written(run, tmp_path, clock):
     assert (other.status["dc_motor_plant"], other.outcome, other.end) == ({"state": "done"}, "ended", 0.1)
     source.finish("ended", tmp_path)
     assert (source.results, source.status, source.outcome) == ([{"name": "a"}], {"b": {}}, "ended")
-    source.look()  # nothing more
+    source.read_new()  # nothing more
     assert source.status == {"b": {}}
 
 
@@ -240,8 +240,8 @@ def test_in_real_time_nothing_is_shown_before_the_plant_says_when_it_began(run, 
     written(tmp_path, run, 100_000_000, epoch)
     assert source.read() is False
     assert source.end == 0.0
-    source.look()  # now it knows the status
-    source.look()
+    source.read_new()  # now it knows the status
+    source.read_new()
     assert source.end == pytest.approx(0.1)
     assert source.pane(0.0, 1.0)["motor/state/shaft/velocity"].t[0] == 0.0
 
@@ -317,7 +317,7 @@ def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, cloc
         lambda: control.go_back("me", 0.0001),
     ):
         act()
-        messages.append((control.said[-1].text, control.said[-1].wrong, round(source.session.t, 9)))
+        messages.append((control.entries[-1].text, control.entries[-1].wrong, round(source.session.t, 9)))
     assert messages[:4] == [
         ("step refused: it runs: pause it first", True, 1e-4),
         ("pause: paused", False, 1e-4),
@@ -333,7 +333,7 @@ def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, cloc
     assert source.status["dc_motor_plant"]["state"] == "running"
     assert source.branched == [{"at_s": 1e-4, "from_s": 2e-4, "left": ""}]  # without a folder nothing is kept
     source.session.go()
-    source.look()
+    source.read_new()
     assert {s["state"] for s in source.status.values()} == {"done"}
     assert source.status["dc_motor_plant"]["ticks"] == 100
     assert [c[1:] for c in source.changes] == [("dc_motor_smc", {"delta": 0.5})]
@@ -395,7 +395,7 @@ def test_a_run_in_the_process_of_its_page_is_concluded_once_and_gives_its_status
     assert pages.about == ("inprocess", "127.0.0.1:0")
     assert pages.closed
     assert pages.measured
-    assert (pages.source.outcome, pages.control.said[-1].text) == ("ended", "ended")
+    assert (pages.source.outcome, pages.control.entries[-1].text) == ("ended", "ended")
     assert "the page is http://here" in capsys.readouterr().err
 
 
@@ -717,8 +717,8 @@ def test_a_page_beside_a_run_follows_what_the_nodes_write_until_it_is_over(
                 call(*words)
             seen.append(state())
             style()
-            seen.append(page.control.said[-1][1:])
-            seen.append([s.text for s in page.control.said if s.who == "dc_motor_smc"])
+            seen.append(page.control.entries[-1][1:])
+            seen.append([s.text for s in page.control.entries if s.who == "dc_motor_smc"])
 
     made, styles, listeners, lines = [], [], [], queue.Queue()
     monkeypatch.setattr(serve, "Pages", lambda *words: made.append(Beside(*words)) or made[-1])
@@ -790,7 +790,7 @@ def test_the_page_is_told_how_the_run_ended_and_waited_for(tmp_path, capsys, run
 
 
 def test_a_page_that_was_never_opened_or_has_ended_is_not_told(tmp_path, capsys):
-    beside = Beside(load_scenario("dc_motor_smc"), tmp_path, Placement("container"), "127.0.0.1:0")
+    beside = RunPages(load_scenario("dc_motor_smc"), tmp_path, Placement("container"), "127.0.0.1:0")
     beside.over(None, tmp_path)
     beside._process = SimpleNamespace(poll=lambda: 0)
     beside.over(None, tmp_path)
@@ -799,9 +799,9 @@ def test_a_page_that_was_never_opened_or_has_ended_is_not_told(tmp_path, capsys)
 
 def test_the_process_of_a_page_is_told_what_it_must_know(tmp_path, monkeypatch):
     started = []
-    monkeypatch.setattr(beside_module.subprocess, "Popen", lambda command, **how: started.append((command, how)))
+    monkeypatch.setattr(run_pages_module.subprocess, "Popen", lambda command, **how: started.append((command, how)))
     placement = Placement("processes", "realtime", paused=True, pace=0.5)
-    beside = Beside(load_scenario("dc_motor_smc"), tmp_path, placement, ":0")
+    beside = RunPages(load_scenario("dc_motor_smc"), tmp_path, placement, ":0")
     monkeypatch.setattr(beside.keeper, "start", lambda: started.append("kept"))
     beside.open(7)
     reported = told_of(beside)
@@ -953,11 +953,11 @@ def test_a_recording_is_shown_until_it_is_interrupted(run, monkeypatch, capsys):
 
 @pytest.mark.parametrize(("ends", "starts"), [(False, 3), (True, 0)])
 def test_a_page_that_ends_with_its_run_is_not_started_again(tmp_path, monkeypatch, capsys, ends, starts):
-    page_of = Beside(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=False), "127.0.0.1:0")
-    page_of._told["domain"], page_of._ends = 7, ends
+    page_of = RunPages(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=False), "127.0.0.1:0")
+    page_of._watched["domain"], page_of._ends = 7, ends
     made = []
     monkeypatch.setattr(page_of, "_start", lambda: made.append(1) or SimpleNamespace(wait=lambda: 5))
-    monkeypatch.setattr(beside_module, "Remote", lambda *what: pytest.fail("nobody is held"))
+    monkeypatch.setattr(run_pages_module, "Remote", lambda *what: pytest.fail("nobody is held"))
     page_of._process = SimpleNamespace(wait=lambda: 5)
     page_of._keep()
     assert len(made) == starts

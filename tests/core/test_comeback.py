@@ -153,24 +153,24 @@ def test_a_node_is_started_again_when_all_others_stand(watched):
     all_of_them = {"plant": 4, "source": 4, "watcher": 4}
     styles = [all_of_them, {"plant": 4, "source": 4}, {"watcher": -4}, {"watcher": 4}]
     for ticks in styles:
-        assert restarts.look(children) == []
+        assert restarts.check(children) == []
         assert again == []
         write(**ticks)
-    assert restarts.look(children) == []
+    assert restarts.check(children) == []
     assert again == ["gain"]
     assert text == ["node gain was killed by SIGKILL after t = 0 s; it is started again (1 of 1)"]
     assert restarts.counts == {"gain": 1}
     new = next(c for c in children if c.member.name == "gain")
-    assert restarts.look(children) == []
+    assert restarts.check(children) == []
     new.process.code = -11
-    assert restarts.look(children) == [new]
+    assert restarts.check(children) == [new]
     assert restarts.why(new.member) == "; it was started again 1 of 1 times"
 
 
 def test_who_failed_by_itself_is_not_started_again(watched):
     by_name, children, restarts, _, again, _ = watched
     by_name["gain"].process.code = 3
-    assert restarts.look(children) == [by_name["gain"]]
+    assert restarts.check(children) == [by_name["gain"]]
     assert again == []
     assert Restarts(0, lambda member: None).why(by_name["gain"].member) == ""
 

@@ -12,7 +12,7 @@ MS, SECOND = 1_000_000, 1_000_000_000
 
 LIMITS = {
     # how often nodes look, ns
-    "softrig_nodes.adapter.account": {"WATCH_PERIOD": 250 * MS, "LOOK_EVERY": 4},
+    "softrig_nodes.adapter.account": {"WATCH_PERIOD": 250 * MS, "CHECK_EVERY": 4},
     "softrig_nodes.adapter.handshake": {"CHECK": 20 * MS, "SETTLED": 25},
     "softrig_nodes.adapter.departure": {"LEAD": 500 * MS, "CLOCKS": 500 * MS, "REPEAT": 5},
     "softrig_nodes.face.frames": {"PERIOD": 33_333_333},
@@ -22,13 +22,13 @@ LIMITS = {
     "softrig_nodes.ros.ros.Answers": {"MOST": 100},
     # a run in lockstep: ticks, messages, s without progress
     "softrig_nodes.lockstep.comeback": {"SAID": 2},
-    "softrig_nodes.lockstep.lockstep": {"FEW": 2, "SAY_AFTER": 250},
+    "softrig_nodes.lockstep.lockstep": {"FEW": 2, "REPORT_AFTER": 250},
     "softrig_nodes.lockstep.lockstep.Lockstep": {"status_every": 1},
     "softrig_nodes.lockstep.paired": {"AHEAD": 100_000},
-    "softrig_nodes.lockstep.stalls": {"GONE_AFTER": 0.5, "GOODBYE": 2.0, "SAY_AFTER": 1.5},
+    "softrig_nodes.lockstep.stalls": {"GONE_AFTER": 0.5, "GOODBYE": 2.0, "REPORT_AFTER": 1.5},
     "softrig_nodes.seam.tick": {"LAG": 4},
     "softrig_nodes.seam.hold": {"LOOK": 10 * MS},
-    "softrig_nodes.seam.solving": {"LOOK": 2 * MS, "TOLD_EVERY": 0.5},
+    "softrig_nodes.seam.solving": {"LOOK": 2 * MS, "REPORT_EVERY": 0.5},
     "softrig_core.run.session": {"KEPT": 256},
     # a run in real time, ns but for AGAIN
     "softrig_nodes.realtime.beat": {"BEHIND": 50 * MS},

@@ -614,12 +614,12 @@ def test_of_two_writers_one_is_believed_when_it_alone_has_spoken_without_a_gap_f
     ):
         rivals = Rivals()
         for number, now, alone in text:
-            rivals.hear(number, now, 10)
+            rivals.receive(number, now, 10)
             assert rivals.alone is alone, (text, number)
         rivals.change()
         assert not rivals.alone
         for number, now in ((1, 100), (2, 111)):
-            rivals.hear(number, now, 10)
+            rivals.receive(number, now, 10)
         assert rivals.alone
 
 
@@ -771,7 +771,7 @@ def test_an_array_belongs_to_the_tick_at_which_it_comes_and_of_a_slower_sender_t
 def test_what_a_neighbour_says_goes_into_the_row_as_if_it_had_come_over_a_wire():
     node = three()
     row, used = node.rows["a"], []
-    node.drive.senders.take = lambda *text: used.append(text[1:])
+    node.drive.senders.on_value = lambda *text: used.append(text[1:])
     tell = row.teller(None, False)
     tell(START + 10 * MS, (1.0,), START + 11 * MS)
     assert used == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
@@ -876,7 +876,7 @@ def test_the_clock_stands_from_the_next_tick_on_and_goes_on_from_there():
     assert clocks[-1]() == now + 5 * MS
     before = len(clocks)
     for words in ((), ("ahead=1", "from=2"), ("until=",), ("12345",)):
-        stand.hear(words)
+        stand.receive(words)
     assert len(clocks) == before
     assert (NEVER, LEAD) == (2**63 - 1, 50 * MS)
 

@@ -132,7 +132,7 @@ class Sender:
         else:
             t = self.ticks[self.told]
             self.told += 1
-            row.told(t, t in self.spoken)
+            row.acknowledge(t, t in self.spoken)
 
     def there(self, t):
         """Whether all that a tick needs has come."""
@@ -433,7 +433,7 @@ def test_a_node_that_follows_the_clock_waits_for_each_of_its_ticks_once():
     hear(clock(60 * MS, ()))
     assert row.reached == 40 * MS
     reader.table.await_tick(40 * MS)
-    assert (reader.table.missing, reader.table.heard) == (0, 14)
+    assert (reader.table.missing, reader.table.signs_of_life) == (0, 14)
     hear(b"")
     assert not reader.step.bad
     reader.middleware.matched["/clock"](1)
@@ -545,7 +545,7 @@ def test_after_a_restart_a_row_goes_on_behind_what_was_used_and_learns_what_was_
     row = counted.row(array("x", "x", {"q": 1}, "m"))
     row.resume(-1, 10 * MS)
     row.count(4, [10 * MS])
-    row.told(10 * MS, True)  # known already
+    row.acknowledge(10 * MS, True)  # known already
     row.receive(said(row.port, 4, 6.0))
     counted.table.await_tick(10 * MS)
     assert (row.received, counted.values["x"], counted.table.missing) == (5, (6.0,), 0)
@@ -558,7 +558,7 @@ def test_a_row_keeps_no_more_than_a_hundred_thousand_messages_that_are_ahead(mon
     reader.table.await_tick(0)
     for k in range(1, 6):
         row.receive(said(row.port, k * 10 * MS, 1.0))
-    assert sorted(row.said) == [10 * MS, 20 * MS, 30 * MS]
+    assert sorted(row.pending) == [10 * MS, 20 * MS, 30 * MS]
     assert [text for _, text in reader.refusals] == [f"stamp 0.0{k} s from sender, expected 0 s" for k in (4, 5)]
 
 
@@ -602,15 +602,15 @@ def stands(rig=None, **options):
     row.outside = 1
     stalls = Stalls(reader.table)
     stalls.handshake = Shake()
-    reader.ticks, reader.table.heard = 5, 1
+    reader.ticks, reader.table.signs_of_life = 5, 1
     reader.table.await_tick(reader.t)
-    stalls.look()
+    stalls.check()
     return reader, row, stalls
 
 
 def after(reader, stalls, seconds):
     reader.middleware.time += round(seconds * 1e9)
-    stalls.look()
+    stalls.check()
     return reader.failures[-1] if reader.failures else reader.state
 
 
@@ -622,7 +622,7 @@ def test_a_rig_that_stands_says_for_what_it_waits_once_until_it_moves():
         after(reader, stalls, 0.1)
     waits = ("WARN", "stands", "waits for x from sender at t = 0.05 s")
     assert reader.notes == [waits]
-    reader.table.heard += 1
+    reader.table.signs_of_life += 1
     after(reader, stalls, 0.1)
     assert reader.notes == [waits, (None, "stands", "")]
     after(reader, stalls, 1.6)
@@ -642,13 +642,13 @@ def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_wait
     assert after(reader, stalls, 10.0) == "running"
     assert after(reader, stalls, 0.25) == "nothing stamped t = 0.05 s within 10.2 s on x from sender"
     assert reader.waits_for == ["sender"]
-    for moves in ("tick", "heard"):
+    for moves in ("tick", "signs_of_life"):
         reader, row, stalls = stands()
         assert after(reader, stalls, 9.0) == "running"
         if moves == "tick":
             reader.ticks += 1
         else:
-            reader.table.heard += 1
+            reader.table.signs_of_life += 1
         assert after(reader, stalls, 9.0) == "running"  # it has moved
         assert after(reader, stalls, 10.0) == "running"
         assert after(reader, stalls, 0.1).startswith("nothing stamped")
@@ -659,7 +659,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_wait
     row.receive(said(row.port, 130 * MS, 1.0))
     row.receive(said(row.port, 120 * MS, 1.0))
     row.receive(b"")
-    reader.table.heard = 1
+    reader.table.signs_of_life = 1
     assert after(reader, stalls, 11.0) == (
         "nothing stamped t = 0.05 s within 11.0 s on x from sender; last refused: sensor_msgs/msg/JointState: 0 bytes"
         " end inside a field at byte 4; it is ahead, at 0.13 s"
@@ -672,7 +672,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_wait
         reader.links.guests = guests
         row.used = 40 * MS
         row.receive(said(row.port, 0, 1.0))
-        reader.table.heard = 1
+        reader.table.signs_of_life = 1
         result = after(reader, stalls, 11.0)
         assert result.startswith("nothing stamped t = 0.05 s within 11.0 s on x from sender")
         assert result.endswith(said_of_it or ", expected 0.05 s")
@@ -683,7 +683,7 @@ def test_at_the_first_ticks_it_waits_as_long_as_a_start_may_take():
         reader, row, stalls = stands()
         reader.ticks = ticks
         row.have = False
-        stalls.look()
+        stalls.check()
         assert after(reader, stalls, limit) == "running"
         assert after(reader, stalls, 0.1).startswith("nothing stamped")
 
@@ -727,7 +727,7 @@ def test_of_several_only_who_has_gone_is_named():
 def test_a_start_that_takes_too_long_says_who_is_not_there(starting):
     def begun():
         reader, row, stalls = stands()
-        reader.ticks = reader.table.heard = 0
+        reader.ticks = reader.table.signs_of_life = 0
         reader.state = "starting" if starting else "running"
         return reader, row, stalls
 
@@ -752,17 +752,17 @@ def test_a_rig_has_begun_when_somebody_has_said_something():
 
     def limit(change, **links):
         reader, row, stalls = stands(links)
-        reader.ticks = reader.table.heard = 0
+        reader.ticks = reader.table.signs_of_life = 0
         row.have = False
         change(reader, row)
-        stalls.look()
+        stalls.check()
         reader.options.timeout, reader.options.start_timeout = 40.0, 30.0
         text = after(reader, stalls, 35.0)
         return "start" if text.startswith("not all peers") else text
 
     assert limit(lambda reader, row: None) == "start"
     assert limit(lambda reader, row: None, owns_clock=True) == "running"
-    assert limit(lambda reader, row: setattr(reader.table, "heard", 1)) == "running"
+    assert limit(lambda reader, row: setattr(reader.table, "signs_of_life", 1)) == "running"
     assert limit(lambda reader, row: setattr(row, "have", True)) == "running"
     assert limit(lambda reader, row: setattr(reader, "ticks", 1)) == "running"
     assert limit(lambda reader, row: setattr(row, "earlier", True)) == "start"
@@ -775,7 +775,7 @@ def test_two_who_publish_one_topic_are_named_when_the_graph_knows_them():
     reader, row, stalls = stands()
     stalls.rivals, reader.state = row, "failed"
     reader.middleware.writers["/x"] = ["one", "_NODE_NAME_UNKNOWN_"]
-    stalls.look()
+    stalls.check()
     assert not reader.failures
     assert after(reader, stalls, 10.0) == "failed"
     assert after(reader, stalls, 0.1) == "2 publishers on x (/_NODE_NAME_UNKNOWN_, /one), expected exactly one"
@@ -795,7 +795,7 @@ class Drive:
 
     def __init__(self, reader):
         self.node, self.senders, self.solving = reader, reader.table, None
-        self.spoken = SimpleNamespace(silent=False)
+        self.last_published = SimpleNamespace(silent=False)
 
     def await_tick(self, t):
         self.senders.await_tick(t)
@@ -834,7 +834,7 @@ def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, cl
     def ticks():
         for k in range(reader.schedule.count()):
             reader.ticks = k
-            assert back._drive.spoken.silent
+            assert back._drive.last_published.silent
             if reader.step.link.lacks(reader.t):
                 yield None
                 return
@@ -865,7 +865,7 @@ def test_who_comes_back_answers_the_ticks_for_which_the_others_have_said_all_and
     ]
     assert marked[4] == {"x": 40 * MS, "s": 10 * MS, "c": 40 * MS}
     assert planned == [Change(MS, {"k": 1.0})]
-    assert (reader.step.link, back._drive.spoken.silent) == ("its links", False)
+    assert (reader.step.link, back._drive.last_published.silent) == ("its links", False)
     assert reader.refusals == [("s", "q/position is nan, expected a finite number")]
     assert {name: (row.used, row.reached) for name, row in rows.items()} == {
         "x": (40 * MS, 40 * MS),
@@ -883,12 +883,12 @@ def test_who_comes_back_learns_from_the_files_what_was_said_meanwhile_and_who_ha
     reader, rows, back, *_, recording = comes_back(RECORD, answered={"quiet": 60 * MS, "sender": 50 * MS})
     more = RECORD | {"x": [(10 * k, k + 0.5) for k in range(6)], "s": [*RECORD["s"], (50, 8.0)]}
     files = Files(recording(more), recording({}), {"quiet": 70 * MS, "sender": math.inf}, frozenset({"sender"}))
-    back._look_up = lambda: files
-    assert back.look()
+    back._open_files = lambda: files
+    assert back.read_earlier()
     assert back.gone == {"sender"}
-    assert [row.heard for row in rows.values()] == [True, False, True]
+    assert [row.received_any for row in rows.values()] == [True, False, True]
     assert (reader.table.missing, reader.values["x"]) == (0, (5.5,))
-    assert not back.look()  # nobody new
+    assert not back.read_earlier()  # nobody new
     assert len(reader.refusals) == 1
 
 
@@ -911,7 +911,7 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
     assert len(seen) == reader.schedule.count()  # they had said all
     assert rows["s"].reached == 200 * MS
     assert back.gone == {"quiet"}
-    assert [row.heard for row in rows.values()] == [False, True]
+    assert [row.received_any for row in rows.values()] == [False, True]
 
 
 def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
@@ -928,15 +928,15 @@ def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
     reader.record.foreign, row = {"f": 4}, None
     reader.row(state("x"))
     row = reader.row(free)
-    received = comebacks._Heard(row, Files(recording({}), recording(own)), outside=True)
+    received = comebacks._Recorded(row, Files(recording({}), recording(own)), outside=True)
     reader.ticks = 1
     received.bring(10 * MS)
     assert [(number, t) for number, t, _ in reader.kept] == [(4, 10 * MS)] * 3  # recorded anew
-    assert [number for number, _ in received.rest()] == [3, 4]
-    paired_ = comebacks._Heard(reader.table.rows[0], Files(recording(record), recording(own)), outside=False)
+    assert [number for number, _ in received.unused()] == [3, 4]
+    paired_ = comebacks._Recorded(reader.table.rows[0], Files(recording(record), recording(own)), outside=False)
     paired_.bring(15 * MS)
     assert (reader.values["x"], reader.table.rows[0].stamp, len(reader.kept)) == ((1.5,), 10 * MS, 3)
-    assert [number for number, _ in paired_.rest()] == [2]
+    assert [number for number, _ in paired_.unused()] == [2]
 
 
 def test_who_paces_itself_by_the_clock_comes_back_to_its_newest_tick():

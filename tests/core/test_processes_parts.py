@@ -404,7 +404,7 @@ class Watched:
         self.children = [Child(name, pid) for pid, name in enumerate(("plant", "law", "source"), 1)]
         self.states = {c.member.name: {"t": 0, "state": "running"} for c in self.children}
         self.restarts = SimpleNamespace(
-            most=most, counts={}, look=lambda children: self.failed, why=lambda member: "; again"
+            most=most, counts={}, check=lambda children: self.failed, why=lambda member: "; again"
         )
         self.announced = []
         self.failed, self.looks, self.stopping, self.logs = [], [], SimpleNamespace(number=0, check=lambda: None), {}
@@ -448,11 +448,11 @@ class Watched:
             self.rig,
             self.children,
             self.told.append,
-            SimpleNamespace(look=self.looks.append),
+            SimpleNamespace(check=self.looks.append),
             self.realtime,
             self.stopping,
             self.restarts,
-            SimpleNamespace(look=lambda: None),
+            SimpleNamespace(update=lambda: None),
             self.announced.append,
         )
         return text, round(self.now - 100.0, 1)
@@ -517,7 +517,7 @@ def test_a_node_that_says_nothing_of_itself_has_the_time_of_the_start(watched):
     assert run.run() == ("node law has reported nothing within 30 s of its start", 30.1)
     run = watched()
     run.states["law"] = {}
-    run.restarts.look = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)  # started anew
+    run.restarts.check = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)  # started anew
     assert run.run()[1] == 50.1
 
 
@@ -602,7 +602,7 @@ def test_a_system_clock_that_is_set_back_is_told(monkeypatch):
         wall.ahead = ahead
         assert clock.set_back() == ""  # a second is none
     wall.ahead = 570.0
-    clock.look()
+    clock.update()
     wall.ahead = 640.0
     assert clock.set_back() == "; the system's clock was set back by 30 s meanwhile, and Fast DDS waits by it"
     assert idle({"a": {"ticks": 0}, "b": {}}) == "all nodes have ended, and none of them has answered a tick"
@@ -633,7 +633,7 @@ def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path,
 
     def look(**states):
         written.update(dead=(0, {}), **states)
-        assert restarts.look(nodes) == []
+        assert restarts.check(nodes) == []
         return len(started)
 
     assert look(one=(1, {"ticks": 5}), two=(1, {"ticks": 4})) == 0
@@ -649,10 +649,10 @@ def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path,
     assert look(one=(9, {}), two=(3, {"ticks": 4})) == 1  # looked at anew
     assert look(one=(9, {}), two=(4, {"ticks": 4})) == 2
     nodes[0].process.returncode = -9
-    assert restarts.look(nodes) == [nodes[0]]
+    assert restarts.check(nodes) == [nodes[0]]
     nodes[0].process.returncode = 3
-    assert Restarts(9, again).look(nodes) == [nodes[0]]
-    assert Restarts(0, again).look(nodes) == [nodes[0]]
+    assert Restarts(9, again).check(nodes) == [nodes[0]]
+    assert Restarts(0, again).check(nodes) == [nodes[0]]
     assert Restarts(0, again).why(nodes[0].member) == ""
     assert Restarts(1, again).why(nodes[0].member) == "; it was started again 0 of 1 times"
 
@@ -703,7 +703,7 @@ def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypa
 
     def look(**states):
         before = len(messages)
-        guests.look(states)
+        guests.check(states)
         return messages[before:]
 
     lacks = {"lacking": ["lag/command"]}
@@ -733,7 +733,7 @@ def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypa
     Guests(rig_of(make_scenario(nodes)), None).invite(7)
     nobody = Guests(rig_of(make_scenario(BASIC)), messages.append)
     nobody.invite(7)
-    nobody.look({"plant": {"refused": {"lag/command": [1, "bad"]}}})
+    nobody.check({"plant": {"refused": {"lag/command": [1, "bad"]}}})
     assert messages[-1] == "gain is there"
 
 

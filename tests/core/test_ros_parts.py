@@ -224,10 +224,10 @@ def test_what_a_node_offers_is_what_its_block_and_its_place_in_the_rig_are_for()
     assert (answer.success, answer.message, adapter.values["kick"]) == (True, "kick pressed", (1.0,))
     answer = plant.services["~/pause"](None, SimpleNamespace())
     assert (answer.success, answer.message) == (False, "this node has not begun")
-    assert shown._beside is None
+    assert shown._executor is None
     linked, *_ = face(Lag(), links={"base": "0.01", "inputs": {"kick": {"period": "0.01", "node": "other"}}})
     assert linked.services == {}  # the button is another node's
-    assert face(Lag(), "realtime")[3]._beside is not None
+    assert face(Lag(), "realtime")[3]._executor is not None
 
 
 class Arm(Block):
@@ -588,8 +588,8 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
         def end(self):
             self.log.append("end")
 
-        def look(self):
-            self.log.append("look")
+        def report_writers(self):
+            self.log.append("report_writers")
 
     monkeypatch.setattr(ros, "Arrival", Arrives)
     monkeypatch.setattr(ros, "Garbage", lambda off: SimpleNamespace(step=lambda: received.append(("garbage", off))))
@@ -626,7 +626,7 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
     for timer in node.timers:
         timer.call()
     assert received[2:] == [("garbage", True), "processor"]
-    assert one.log == ["begin", "look"]
+    assert one.log == ["begin", "report_writers"]
     middleware.publisher("more", "std_msgs/msg/Float64", received.append)
     assert one.log[2:] == ["end", "begin"]  # while an endpoint is made nothing is told
     middleware.close()
@@ -1026,12 +1026,12 @@ def test_messages_are_handed_over_as_they_came_however_long_they_are(monkeypatch
     assert (received, rcl.resets) == (messages, 0)
     for writers, reported in ((0, []), (2, [2]), (2, [2]), (1, [2, 1])):
         rcl.writers = writers
-        one.look()
+        one.report_writers()
         assert matched == reported
     one.end()
     assert not rcl.call
     rcl.code = 5
-    one.look()
+    one.report_writers()
     assert (matched, rcl.resets) == ([2, 1], 1)
     for call, message in (
         (works[0], "a message cannot be taken (rcl reports 5)"),

@@ -263,10 +263,10 @@ def test_each_press_is_one_tick_down_and_at_least_one_up_however_fast_they_come(
 
 def test_an_end_knows_how_many_are_matched_and_an_input_forgets_the_number_when_that_changes():
     end, joined = Input(joint_state("a", "t", ["x"], position="m")), []
-    assert (end.publishers, end.outside, end.heard, end.following) == (0, 0, False, None)
+    assert (end.publishers, end.outside, end.received_any, end.following) == (0, 0, False, None)
     assert (end.lost, end.late, end.overdue, end.refused, end.last_refusal) == (0, 0, 0, 0, "")
     end.receive(b"")  # dropped
-    assert not end.heard
+    assert not end.received_any
     end.following = 7
     for count, following in ((0, 7), (2, None), (2, 8), (1, None)):
         end.matched(count)

@@ -97,7 +97,7 @@ def test_a_rig_is_paused_stepped_resumed_and_its_bytes_are_those_of_a_run_that_n
     )
     assert call("step_simulation", steps=left - 1, header="d") is None
     assert call.set(PLAYING) == (1, "")
-    call.simulation._look()
+    call.simulation._check()
     assert call.late[-1][0] == "d"
     assert call.late[-1][1].result.error_message == "it was resumed after 0 steps"
     assert set(call.run.run().values()) == {"done"}
@@ -121,17 +121,17 @@ def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_ow
     call, messages = Caller(monkeypatch, "dc_motor_smc_b2", paused=True), []
     call.until(lambda: call.adapter.state == "running")
     for name, count in (("a", 3), ("b", 2)):
-        published = call.simulation._take(
+        published = call.simulation._begin_steps(
             count, lambda n, name=name: messages.append((name, n)), lambda text: messages.append(text)
         )
         assert published == ""
     waiting = call.simulation._steps[:]
     call.simulation._steps += waiting * 49
-    assert call.simulation._take(1, print, print) == "100 requests of steps wait already, expected at most 100"
+    assert call.simulation._begin_steps(1, print, print) == "100 requests of steps wait already, expected at most 100"
     call.simulation._steps[:] = waiting
     for ticks in (1, 3, 4, 5):
         call.adapter.ticks = ticks
-        call.simulation._look()
+        call.simulation._check()
     first = [("a", 1), ("b", 0), ("a", 3), "", ("b", 0)]
     assert messages == [*first, ("b", 1), ("b", 2), ""]
     assert call.simulation._steps == []
@@ -141,7 +141,7 @@ def test_of_a_run_without_an_end_any_number_of_steps_may_be_taken(monkeypatch):
     call = Caller(monkeypatch, "dc_motor_smc_b2", paused=True)
     call.until(lambda: call.adapter.state == "running")
     call.adapter.schedule = SimpleNamespace(last=None, count=lambda: 0)
-    assert call.simulation._take(10**9, lambda n: None, lambda text: None) == ""
+    assert call.simulation._begin_steps(10**9, lambda n: None, lambda text: None) == ""
     assert call.adapter.hold.steps == 10**9
 
 

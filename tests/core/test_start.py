@@ -24,7 +24,7 @@ from softrig_nodes.adapter.spin import conclude, failure
 from softrig_nodes.container import Container, split
 from softrig_nodes.group import Group
 from softrig_nodes.lockstep import comeback as comebacks, turns as turns_module
-from softrig_nodes.lockstep.comeback import Comeback, Spoken
+from softrig_nodes.lockstep.comeback import Comeback, LastPublished
 from softrig_nodes.lockstep.turns import Turns
 from softrig_nodes.seam.endpoint import Input, Output
 from softrig_nodes.seam.exchange import Exchange
@@ -92,7 +92,7 @@ def test_a_node_begins_when_all_that_it_reads_are_said_and_all_who_read_it_hear_
     assert (meeting.absent(), meeting.shake.missing, meeting.shake.lacking) == ([], [], [])
     gone = Meeting().whole()
     gone.x.matched(0)
-    gone.x.heard = True  # who has said all it had to say is gone
+    gone.x.received_any = True  # who has said all it had to say is gone
     assert gone.absent() == []
     nobody = Meeting([])
     nobody.x.matched(1)
@@ -227,7 +227,7 @@ def test_the_starter_waits_until_all_are_ready_and_hear_it_and_says_when():
     one.hand.time += SECOND
     ready(TickWriter()(0, ["law"]))  # who still asks is told again, with what time it is
     assert TickReader()(text[1]) == (epoch, frozenset([str(now + SECOND)]))
-    one.departure.say(["ahead=0", "from=5"])
+    one.departure.announce(["ahead=0", "from=5"])
     assert TickReader()(text[2]) == (epoch, frozenset([str(now + SECOND), "ahead=0", "from=5"]))
     ready(b"\0\1\0\0")
     assert one.failures == ["std_msgs/msg/Header: 4 bytes end inside a field at byte 4"]
@@ -484,7 +484,7 @@ def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch)
     clock, written = SimpleNamespace(now=5.0), []
     monkeypatch.setattr(comebacks, "time", SimpleNamespace(monotonic=lambda: clock.now))
     back = object.__new__(Comeback)
-    back._told, back._paired, back._free = 5.0, {}, []
+    back._reported_at, back._paired, back._free = 5.0, {}, []
     account = SimpleNamespace(write_status=lambda: written.append(clock.now))
     back._node = SimpleNamespace(account=account, block=None)
     back._drive = SimpleNamespace(senders=SimpleNamespace(rows=[]), solving=None)
@@ -511,7 +511,7 @@ def test_who_comes_back_says_again_what_it_has_said_last():
     fake = SimpleNamespace(
         outputs=outputs[:1], clock_output=outputs[1], acknowledge=lambda *text: sent.append(("ack", *text))
     )
-    published = Spoken(SimpleNamespace(outgoing=fake, links=SimpleNamespace(owns_clock=True)))
+    published = LastPublished(SimpleNamespace(outgoing=fake, links=SimpleNamespace(owns_clock=True)))
     for t in range(3):
         outputs[0].send(t, (1.0,))
     outputs[1].send(2, ())

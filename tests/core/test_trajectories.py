@@ -384,13 +384,13 @@ def test_in_a_container_the_joints_are_those_of_the_node_beside(monkeypatch):
     rig.until(10 * MS)
     within = rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))), end=[bound(joint, 0.1) for joint in JOINTS]))
     rig.until(rig.adapter.step.t + 60 * MS)
-    rig.following._look()
+    rig.following._check()
     rig.until(0)
     assert within.code == (0, "succeed")
     assert len(within.handle.told[0].actual.velocities) == 3
     beyond = rig.send(goal(trajectory(point(MS, (2, 2, 2)), point(SECOND, (1, 1, 1))), path=[bound("joint2", 0.5)]))
     rig.until(rig.adapter.step.t + 5 * MS)  # in this process ticks come in stretches
-    rig.following._look()
+    rig.following._check()
     rig.until(0)
     assert beyond.code == (-4, "abort")
 

@@ -64,23 +64,23 @@ def test_running_figures_go_out_while_somebody_reads_them(mode):
     faces = object.__new__(Faces)
     faces._adapter = SimpleNamespace(step=eye, block=eye.block, t=eye.t, middleware=SimpleNamespace(name="eye"))
     faces._figures, faces._diagnostics, faces._markers = Publisher(), Nobody(), None
-    faces._measured, faces._looks = None, 0
-    faces._beside = ThreadPoolExecutor(1) if mode == "realtime" else None
+    faces._measured, faces._checks = None, 0
+    faces._executor = ThreadPoolExecutor(1) if mode == "realtime" else None
     faces._publish_diagnostics()
     assert not messages
     assert faces._measured is None
     readers[0] = 1
-    if faces._beside:
-        faces._beside.submit(held.wait)
+    if faces._executor:
+        faces._executor.submit(held.wait)
     faces._publish_diagnostics()
-    if faces._beside:
+    if faces._executor:
         eye.x = eye.block.first()  # it goes on meanwhile
         faces._publish_diagnostics()  # one at a time
-        faces._look()
+        faces._check()
         assert not messages
         held.set()
         faces._measured.result()
-        faces._look()
+        faces._check()
         assert faces._measured is None
     ((status,),) = [message.status for message in messages]
     assert {v.key: v.value for v in status.values} == expected

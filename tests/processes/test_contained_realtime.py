@@ -372,12 +372,12 @@ def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():
     for stamps, kept in (((40, 50, 60), [50, 60]), ((70, 80), [70, 80])):
         answered.clear()
         for stamp in stamps:
-            answering.take(row, stamp, stamp, None, stamp)
+            answering.process(row, stamp, stamp, None, stamp)
         answering.act()
         assert answered == kept
     table.clock, answered[:] = lambda: 1000, []
     for stamp in (90, 100):
-        answering.take(row, stamp, stamp, None, stamp)
+        answering.process(row, stamp, stamp, None, stamp)
     answering.act()
     assert (answered, answering.dropped) == ([100], 2)
 
@@ -389,5 +389,5 @@ def test_by_hand_a_law_begins_with_the_tick_of_its_first_message():
     row.by_arrival, row.paired, row._number = False, False, None
     row.value, row._keep = (lambda stamp, result: result), (lambda *_: None)
     for stamp in (123, 135):  # the second is not the first
-        row.came(stamp, (1.0,), b"")
+        row.accept(stamp, (1.0,), b"")
         assert node.epoch == 120

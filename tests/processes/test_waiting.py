@@ -54,7 +54,7 @@ def test_a_controller_on_a_wrong_topic_is_told_which_one_it_should_be():
     guests = Guests(with_guests("basic", ("gain",)), messages.append)
 
     def look():
-        guests.look({name: a.account.status() for name, a in run.adapters.items()})
+        guests.check({name: a.account.status() for name, a in run.adapters.items()})
 
     look()
     assert messages == []
@@ -76,7 +76,7 @@ def test_a_refused_message_of_an_outside_node_is_told_once():
     messages = []
     guests = Guests(with_guests("basic", ("gain",)), messages.append)
     for count in (1, 2):
-        guests.look({"plant": {"refused": {"lag/command": [count, "u is nan"]}}})
+        guests.check({"plant": {"refused": {"lag/command": [count, "u is nan"]}}})
     assert messages == ["plant refused a message on lag/command: u is nan"]
 
 

@@ -160,7 +160,7 @@ def main_record(argv: list[str]) -> int:
     print(f"recording into {directory}", flush=True)
     recorder.run()
     print(f"{writer.count} messages of {len(writer.topics)} topics in {directory}, {recorder.losses()}")
-    return 1 if recorder.lost or recorder.missed or recorder.refused or recorder.holds.found else 0
+    return 1 if recorder.lost or recorder.missed or recorder.refused or recorder.holds.gaps else 0
 
 
 @_leaving

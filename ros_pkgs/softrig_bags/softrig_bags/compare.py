@@ -216,7 +216,7 @@ def compare(
         for k, block in _in_step(streams):
             for number in distinct(block.topic):
                 if number in places[k]:
-                    places[k][number].add(k, block.take(np.flatnonzero(block.topic == number)))
+                    places[k][number].add(k, block.select(np.flatnonzero(block.topic == number)))
         results = [pair.finish() for pair in gathered]
     # Two bags without a message on these topics would count as equal, but nothing is no agreement.
     if topics != [] and not any(r.count_a or r.count_b for r in results):

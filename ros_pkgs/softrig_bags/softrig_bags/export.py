@@ -14,7 +14,7 @@ from softrig_core.guard import naming, say
 
 from .errors import BagError
 from .files.reader import BagReader
-from .read import epoch_of, say_left_out
+from .read import epoch_of, report_left_out
 from .tables import Columns, Piece, lacking, stacked
 
 ROWS = 1 << 14  # that are written at a time
@@ -91,7 +91,7 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
             names += _file_names(bag.labels, names)
             columns.finish()
             whole = [i for i in bag.chosen if columns.decoder(i) and not columns.reason(i)]
-            say_left_out(path, columns)
+            report_left_out(path, columns)
             for line in columns.untold():
                 say(f"{path}: {line}")
             if not whole:

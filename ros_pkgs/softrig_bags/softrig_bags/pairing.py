@@ -90,7 +90,7 @@ class Pairing:
         for blocks, block, rows in zip(self._waiting, (one, two), pairs, strict=True):
             remaining = np.ones(len(block), bool)
             remaining[rows] = False
-            blocks[:] = [block.take(remaining).compact()] if remaining.any() else []
+            blocks[:] = [block.select(remaining).compact()] if remaining.any() else []
         self._left, self._new = sum(len(b) for blocks in self._waiting for b in blocks), 0
 
     def _decide(self, one: Block, two: Block) -> None:

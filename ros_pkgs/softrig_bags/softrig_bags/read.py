@@ -164,11 +164,11 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
             for topic, piece in columns.pieces(block):
                 tables.setdefault(topic, Growing()).add(piece)
         columns.finish()
-        say_left_out(path, columns)
+        report_left_out(path, columns)
         return BagSignals(Path(path), bag, columns, tables, namespace)
 
 
-def say_left_out(path: Path | str, columns: Columns) -> None:
+def report_left_out(path: Path | str, columns: Columns) -> None:
     """Report what of a bag has not become numbers."""
     for line, lost in columns.lines():
         (incomplete if lost else say)(f"{path}: {line}")

@@ -99,7 +99,7 @@ class Columns:
         for topic in distinct(block.topic):
             decoder = self.decoder(topic)
             if decoder is not None:
-                chosen = block.take(np.flatnonzero(block.topic == topic))
+                chosen = block.select(np.flatnonzero(block.topic == topic))
                 piece = self._piece(topic, decoder, chosen)
                 self._good[topic] = self._good.get(topic, 0) + len(piece.t)
                 if len(piece.t):

@@ -64,7 +64,7 @@ def _loaded(bag: str) -> tuple[Recording, int]:
 class State(NamedTuple):
     """Number of messages that are published on each topic."""
 
-    said: tuple[int, ...]
+    published: tuple[int, ...]
 
 
 class Tape(Block[TapeParams]):
@@ -112,7 +112,7 @@ class Tape(Block[TapeParams]):
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, Any]]:
         """Describe what counts from this tick on."""
         results, messages = {}, []
-        for (name, rows), before in zip(self._rows.items(), x.said, strict=True):
+        for (name, rows), before in zip(self._rows.items(), x.published, strict=True):
             k = bisect_right(rows, t, before, key=lambda row: row[0])
             messages.append(k)
             if k > before:

@@ -46,7 +46,7 @@ class Group:
                 Beat([drives[n] for n in _in_order(nodes, links)], commands)
             else:
                 for writer, output, reader, item, pick in links:
-                    drives[writer].tell(output, drives[reader], item, pick)
+                    drives[writer].connect(output, drives[reader], item, pick)
             for node, drive in drives.items():
                 drive.join(names - {node.middleware.name})
             waiting = [d.departure for d in drives.values() if d.departure is not None]

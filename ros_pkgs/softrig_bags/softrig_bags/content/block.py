@@ -38,7 +38,7 @@ class Block:
     def __len__(self) -> int:
         return len(self.t)
 
-    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Block:
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Block:
         """Return some of the messages; they share the buffer."""
         return Block(self.raw, self.topic[rows], self.t[rows], self.at[rows], self.size[rows])
 

@@ -180,17 +180,17 @@ class _Maker:
         self._types, self._data, self._wide = types, data, wide
         self._at = 4
         self._empty = 0  # sequences of numbers of eight bytes
-        self.found = Template(len(data), order, [(0, data[:2])])
+        self.template = Template(len(data), order, [(0, data[:2])])
         self.names: dict[str, tuple[int, str]] = {}  # texts by path: where they are
 
     def make(self, msgtype: str) -> Template:
         if msgtype == _STAMPS[1]:
-            self.found.stamp_at = self._at
+            self.template.stamp_at = self._at
         self._struct(msgtype, "")
         left = len(self._data) - self._at
         if left > PADDING + ALIGNMENT * self._empty:
             raise Undecodable(f"it is {left} bytes longer than its definition")
-        return self.found
+        return self.template
 
     def _align(self, n: int) -> None:
         self._at += -(self._at - 4) % n
@@ -206,8 +206,8 @@ class _Maker:
     def _length(self, path: str) -> int:
         self._align(4)
         at = self._move(4, path)
-        self.found.fixed.append((at, self._data[at : at + 4]))
-        return int.from_bytes(self._data[at : at + 4], "little" if self.found.order == "<" else "big")
+        self.template.fixed.append((at, self._data[at : at + 4]))
+        return int.from_bytes(self._data[at : at + 4], "little" if self.template.order == "<" else "big")
 
     def _struct(self, msgtype: str, path: str) -> None:
         fields = self._types[msgtype][1]
@@ -217,7 +217,7 @@ class _Maker:
         for i, (name, kind) in enumerate(fields):
             if not path and kind[0] == Nodetype.NAME and _has_stamp(i, name, kind[1]):
                 self._align(4)
-                self.found.stamp_at = self.found.stamp_at or self._at
+                self.template.stamp_at = self.template.stamp_at or self._at
             if name == "structure_needs_at_least_one_member":
                 self._move(1, path)
             else:
@@ -242,7 +242,7 @@ class _Maker:
                     self._item(inner, f"{path}/{i}")
 
     def _base(self, name: str, path: str, n: int, *, single: bool) -> None:
-        if len(self.found.leaves) > MANY:
+        if len(self.template.leaves) > MANY:
             raise Undecodable(f"it has more than {MANY} fields")
         if name in ("string", "wstring"):
             self._text(name, path)
@@ -258,27 +258,27 @@ class _Maker:
         self._empty += n == 0 and width == 8
         at = self._move(n * width, path)
         leaf = Leaf(path[1:], kind, at, n, name == "bool", name in _OCTETS and not single)
-        self.found.leaves.append(leaf)
+        self.template.leaves.append(leaf)
         if n > (LONGEST_OCTETS if leaf.octets else LONGEST):
-            self.found.omitted.append(f"{leaf.path} of {n} elements")
+            self.template.omitted.append(f"{leaf.path} of {n} elements")
         elif single:
-            self.found.labels.append((leaf.path, leaf, 0))
+            self.template.labels.append((leaf.path, leaf, 0))
         else:
-            self.found.labels += [(f"{leaf.path}/{i}", leaf, i) for i in range(n)]
+            self.template.labels += [(f"{leaf.path}/{i}", leaf, i) for i in range(n)]
 
     def _text(self, name: str, path: str) -> None:
         n = self._length(path)
         if name == "wstring":
             at = self._move(n * self._wide, path)
             if self._wide == 4 and any(
-                x > _LAST_LETTER for x in np.frombuffer(self._data, f"{self.found.order}u4", n, at)
+                x > _LAST_LETTER for x in np.frombuffer(self._data, f"{self.template.order}u4", n, at)
             ):
                 raise Undecodable(f"{path[1:]} has letters that do not exist")
-            self.found.leaves.append(Leaf(path[1:], "u1", at, n, text="utf-16" if self._wide == 2 else "utf-32"))
+            self.template.leaves.append(Leaf(path[1:], "u1", at, n, text="utf-16" if self._wide == 2 else "utf-32"))
             return
         at = self._move(n, path)
         ends = n > 0 and self._data[at + n - 1] == 0
-        self.found.leaves.append(Leaf(path[1:], "u1", at, n - ends, text="utf-8"))
+        self.template.leaves.append(Leaf(path[1:], "u1", at, n - ends, text="utf-8"))
 
 
 def template(msgtype: str, types: Types, data: bytes) -> Template:

@@ -29,18 +29,18 @@ class _Feed:
         self.number = number
         self._columns = topic.columns()
         self._times, self._data = ([], []) if self._columns else (topic.times, topic.data)
-        self._taken = 0
+        self._position = 0
 
     def sizes(self, count: int) -> NDArray[np.int64] | int:
         """Return how many bytes each of the first messages has that are not taken yet; one number if all have it."""
         if self._columns is not None:
             return self._columns.layout.length
-        return np.fromiter(map(len, self._data[self._taken : self._taken + count]), np.int64, count)
+        return np.fromiter(map(len, self._data[self._position : self._position + count]), np.int64, count)
 
-    def take(self, count: int) -> tuple[NDArray[np.int64], NDArray[np.uint8] | list[bytes]]:
+    def read(self, count: int) -> tuple[NDArray[np.int64], NDArray[np.uint8] | list[bytes]]:
         """Return times and bytes of the next messages; an array of shape (count, bytes) where all are of one length."""
-        first, last = self._taken, self._taken + count
-        self._taken = last
+        first, last = self._position, self._position + count
+        self._position = last
         if self._columns is not None:
             part, layout = self._columns.part(first, last), self._columns.layout
             marks = np.arange(first, last) if layout.numbered else part.times
@@ -93,7 +93,7 @@ def _write_part(file: McapFile, feeds: list[_Feed], ranks: NDArray[Any], at: NDA
     known, begins = np.unique(ranks, return_index=True)
     for rank in known[np.argsort(begins)].tolist():
         places = at[np.flatnonzero(ranks == rank)]
-        times, data = feeds[rank].take(len(places))
+        times, data = feeds[rank].read(len(places))
         number = feeds[rank].number
         index[number] = times, places
         if isinstance(data, list):

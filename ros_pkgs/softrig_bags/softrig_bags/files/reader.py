@@ -99,7 +99,7 @@ class BagReader:
         self._counts: list[int] | None = None
         self._start: int | None = None
         self._end = 0
-        self._said: set[str] = set()
+        self._logged: set[str] = set()
 
     def __enter__(self) -> BagReader:
         try:
@@ -289,7 +289,7 @@ class BagReader:
     @property
     def is_whole(self) -> bool:
         """Return whether nothing that was read so far differs from what was claimed."""
-        return not self._said
+        return not self._logged
 
     @property
     def attachments(self) -> list[tuple[str, int]]:
@@ -320,7 +320,7 @@ class BagReader:
             rows = block.t >= start
             if chosen is not None:
                 rows &= np.isin(block.topic, chosen)
-            result = self._inside(block if rows.all() else block.take(rows))
+            result = self._inside(block if rows.all() else block.select(rows))
             if len(result):
                 try:
                     yield plain_messages(result)
@@ -335,7 +335,7 @@ class BagReader:
         if not self._namespace:
             return block
         rows = np.isin(block.topic, self.chosen)
-        return block if rows.all() else block.take(rows)
+        return block if rows.all() else block.select(rows)
 
     def _by_time(self, counted: list[Counter[int]], start: int = 0) -> Iterator[Block]:
         """Merge the files, which give their blocks by time, and give what can be given: nothing earlier follows."""
@@ -403,8 +403,8 @@ class BagReader:
             for number, n in result.items():
                 self._counts[numbers[number]] += n
         for line in self.differences(counted):
-            if line not in self._said:
-                self._said.add(line)
+            if line not in self._logged:
+                self._logged.add(line)
                 self._report(line)
 
     def differences(self, counted: list[Counter[int]]) -> Iterator[str]:
@@ -493,12 +493,12 @@ def _parted(waiting: list[_Waiting], bound: int) -> tuple[Block, list[_Waiting]]
         if early.all():
             ready.append(block)
         else:
-            ready.append(block.take(early))
-            remaining = block.take(~early)
+            ready.append(block.select(early))
+            remaining = block.select(~early)
             left.append(
                 _Waiting(rank, remaining.compact() if 2 * remaining.size.sum() < len(remaining.raw) else remaining)
             )
     whole = joined([b for b in ready if len(b)])
     if len(whole) and (np.diff(whole.t) < 0).any():
-        whole = whole.take(np.argsort(whole.t, kind="stable"))
+        whole = whole.select(np.argsort(whole.t, kind="stable"))
     return whole, left

@@ -28,13 +28,13 @@ class Holds:
 
     Attributes
     ----------
-    found : list of (float, int)
+    gaps : list of (float, int)
         Length of each longer gap in s, and the number of messages before it.
     """
 
     def __init__(self, limit: float, clock: Callable[[], float] | None = None) -> None:
         self.limit = limit
-        self.found: list[tuple[float, int]] = []
+        self.gaps: list[tuple[float, int]] = []
         self._clock = clock or (lambda: time.clock_gettime(time.CLOCK_BOOTTIME))
         self._last = self._clock()
 
@@ -43,11 +43,11 @@ class Holds:
         now = self._clock()
         gap, self._last = now - self._last, now
         if gap > self.limit:
-            self.found.append((gap, messages()))
+            self.gaps.append((gap, messages()))
         return gap > self.limit
 
     def __str__(self) -> str:
-        return ", ".join(f"{gap:.1f} s after message {count}" for gap, count in self.found)
+        return ", ".join(f"{gap:.1f} s after message {count}" for gap, count in self.gaps)
 
 
 def patience() -> float:

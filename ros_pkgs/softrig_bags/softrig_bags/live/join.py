@@ -40,7 +40,7 @@ class Join:
         self._number = 0
         self.open = self._numbered or is_stamped(topic)
 
-    def look(self, data: bytes) -> None:
+    def inspect(self, data: bytes) -> None:
         """Look at one more message."""
         if self._numbered:
             self.open = False

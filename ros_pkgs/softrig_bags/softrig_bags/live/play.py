@@ -65,7 +65,7 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             )
             result = lockstep.run()
             counts = ", ".join(f"{len(t.data)} on {t.name}" for t in result.topics.values())
-            _say_refused(options, publishers)
+            _report_refused(options, publishers)
             print(f"{lockstep.sent} messages played, answered by {counts}")
             if options.answers:
                 write_bag(options.answers, result)
@@ -81,12 +81,12 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             paused=options.paused,
         )
         player.run(options.wait)
-        _say_refused(options, publishers)
+        _report_refused(options, publishers)
         print(f"{player.sent} messages played")
         return 0
 
 
-def _say_refused(options: argparse.Namespace, publishers: Publishers) -> None:
+def _report_refused(options: argparse.Namespace, publishers: Publishers) -> None:
     for name, n in publishers.refused.items():
         incomplete(f"{options.bag}: {n} messages not played on {name}: ROS refuses their bytes, which are damaged")
 

@@ -274,7 +274,7 @@ class Answers:
         self.stamps.append(header)
         self._check(len(self.ticks) - 1)
 
-    def take(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Return the next answer; RunError: an answer with another stamp is awaited."""
         self.data.append(data)
         self._check(len(self.data) - 1)
@@ -338,7 +338,7 @@ class LockstepPlayer:
         self._timeout = timeout
         self._pauser = Pauser(session, paused, self._step)
         self._answers: dict[str, Answers] = {}
-        self._heard: list[Subscription] = []
+        self._subscriptions: list[Subscription] = []
         self._paces: set[str] = set()
         self._changes = deque(_changes(bag))
         self._tuned: dict[str, AsyncParameterClient] = {}
@@ -389,25 +389,27 @@ class LockstepPlayer:
             if name in self._answers or (name not in recorded and live not in types):
                 continue
             topic = recorded.get(name) or BagTopic.known(name, types[live][0])
-            self._hear(topic, live, name in recorded)
+            self._subscribe(topic, live, name in recorded)
         return all(name in self._answers for name in self._names)
 
-    def _hear(self, topic: BagTopic, live: str, recorded: bool) -> None:
+    def _subscribe(self, topic: BagTopic, live: str, recorded: bool) -> None:
         answer = self._answers[topic.name] = Answers(topic.name, topic.msgtype, recorded, is_stamped(topic))
 
         def receive(data: bytes) -> None:
-            answer.take(data)
+            answer.receive(data)
             self._step()
 
         # Every answer counts, so none may be replaced by a newer one in the queue.
         profile = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-        self._heard.append(self._session.node.create_subscription(_class(topic), live, receive, profile, raw=True))
+        self._subscriptions.append(
+            self._session.node.create_subscription(_class(topic), live, receive, profile, raw=True)
+        )
 
     def _absent(self) -> list[str]:
         """Describe what is not matched yet: the answers' publishers, and the node's own subscriptions."""
         node, absent, wanted = self._session.node, [], set()
         played = set(self._publishers.names.values())
-        for subscription in list(self._heard):
+        for subscription in list(self._subscriptions):
             topic = subscription.topic_name
             publishers = node.get_publishers_info_by_topic(topic)
             # The answers of two nodes could not be told apart.
@@ -444,7 +446,7 @@ class LockstepPlayer:
         if tick in self._paces or tick in self._answers or not self._session.node.count_publishers(tick):
             return []
         self._paces.add(tick)
-        self._hear(BagTopic.known(tick, "std_msgs/msg/Header"), tick, False)
+        self._subscribe(BagTopic.known(tick, "std_msgs/msg/Header"), tick, False)
         return [f"{tick} is not matched"]
 
     def _step(self) -> None:

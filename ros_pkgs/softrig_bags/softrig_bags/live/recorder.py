@@ -12,7 +12,7 @@ from rclpy.event_handler import QoSSubscriptionEventType as Event, SubscriptionE
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from softrig_core import RunError
-from softrig_nodes.below.uses import taken
+from softrig_nodes.below.uses import pending_messages
 from softrig_nodes.ros.messages import message_class
 from softrig_nodes.seam.awaited import RECORDER, left_out
 from softrig_nodes.seam.tick import TICK
@@ -95,7 +95,7 @@ class Recorder:
         if missed:
             counted.append(f"JOINED LATE, MISSED {sum(missed.values())}: {_listed(missed)}")
         uncounted = [f"NOT RECORDED: {'; '.join(self.refused)}"] if self._refused else []
-        if self.holds.found:
+        if self.holds.gaps:
             uncounted.append(f"HELD for {self.holds}: what was sent then may be missing")
         if uncounted and not counted:
             return f"none counted as lost, but {'; '.join(uncounted)}"
@@ -217,7 +217,7 @@ class Recorder:
         subscription = self._subscriptions.pop(name)
         del self._types[name]
         self._events.remove(subscription)
-        self._take(subscription)
+        self._receive_pending(subscription)
         self._node.destroy_subscription(subscription)
         self._lost_before[name] = self._lost_before.get(name, 0) + self._lost.pop(name, 0)
 
@@ -229,7 +229,7 @@ class Recorder:
             def by_arrival(data: bytes) -> None:
                 write(number, now(), data)
                 if join.open:
-                    join.look(data)
+                    join.inspect(data)
 
             return by_arrival
 
@@ -239,13 +239,13 @@ class Recorder:
             self._newest = max(self._newest, t)
             write(number, t, data)
             if join.open:
-                join.look(data)
+                join.inspect(data)
 
         # A topic without a header has no time of its own; the newest stamp is the tick at which it was sent.
         def by_newest(data: bytes) -> None:
             write(number, self._newest, data)
             if join.open:
-                join.look(data)
+                join.inspect(data)
 
         return by_stamp if is_stamped(topic) else by_newest
 
@@ -276,10 +276,10 @@ class Recorder:
     def _drain(self) -> None:
         """Receive what had arrived before the signal."""
         for subscription in self._subscriptions.values():
-            self._take(subscription)
+            self._receive_pending(subscription)
 
-    def _take(self, subscription: Subscription) -> None:
-        for data in taken(subscription):
+    def _receive_pending(self, subscription: Subscription) -> None:
+        for data in pending_messages(subscription):
             subscription.callback(data)
 
 

@@ -23,7 +23,7 @@ from softrig_core import SECOND
 from softrig_core.block.params import Declaration
 from softrig_nodes.below import uses
 from softrig_nodes.ros.messages import range_descriptor
-from softrig_nodes.ros.profile import joining, look_after_ports
+from softrig_nodes.ros.profile import joining, watch_ports
 from softrig_nodes.ros.ros import ServingNode
 
 from ..content.topics import BagTopic
@@ -91,7 +91,7 @@ class Session:
                 )
         for declaration, value in parameters:
             self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))
-        look_after_ports(self.node)
+        watch_ports(self.node)
         self._executor: Any = uses.executor()
         self._executor.add_node(self.node)
 

@@ -20,7 +20,7 @@ from ..study.batch import Batch, Log
 from ..study.engine import made_of, same
 from ..study.work import LARGE, repeated, repeating, run, trial
 from .definition import Falsification
-from .search import Found, Point, needs, search
+from .search import Point, SearchResult, needs, search
 from .shrink import Case, shrink
 from .space import Over, Space, parse, space_of
 from .words import shown
@@ -38,7 +38,7 @@ class Outcome:
         The requirements.
     nominal, worst : dict of str to float or None
         Margins of the run without changes, and of the worst run.
-    found : Found
+    found : SearchResult
         The search result; with several requirements, each margin is divided by its magnitude in the nominal run.
     case : Case, optional
         The worst run; None when no run could be measured.
@@ -60,7 +60,7 @@ class Outcome:
     names: tuple[str, ...]
     nominal: dict[str, float | None]
     worst: dict[str, float | None]
-    found: Found
+    found: SearchResult
     case: Case | None
     small: Case | None
     small_margins: dict[str, float | None]

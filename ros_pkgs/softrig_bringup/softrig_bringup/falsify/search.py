@@ -25,7 +25,7 @@ WORST = 1e300
 
 
 @dataclass
-class Found:
+class SearchResult:
     """Results of a search so far.
 
     Parameters
@@ -69,7 +69,7 @@ def search(
     seed: int = 0,
     sampler: Sampler = "cmaes",
     enough: float = -math.inf,
-) -> Found:
+) -> SearchResult:
     """Look for the least margin in the unit cube.
 
     Corners come first, then the sampler; what is left of the budget goes to climbs from corner
@@ -94,7 +94,7 @@ def search(
         Stop at a margin below this.
     """
     size = sum(groups)
-    result = Found()
+    result = SearchResult()
     known: dict[Point, float] = {}
 
     def tell(points: Sequence[Point]) -> list[float]:
@@ -141,7 +141,7 @@ def _sample(
     seed: int,
     tell: Callable[[Sequence[Point]], list[float]],
     over: Callable[[], bool],
-    result: Found,
+    result: SearchResult,
 ) -> None:
     """Ask for batches until it is over."""
     if sampler == "random":
@@ -156,7 +156,7 @@ def _sample(
 
 
 def _cmaes(
-    size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool], result: Found
+    size: int, seed: int, tell: Callable[[Sequence[Point]], list[float]], over: Callable[[], bool], result: SearchResult
 ) -> None:
     CMA = _cma_class()
     cube = np.array([[0.0, 1.0]] * size)

@@ -125,16 +125,16 @@ def _with_time(
     pen = Pen()
     digits = max(0, min(6, 1 - math.floor(math.log10(speed)))) if speed < 10 else 0
     pen.text((x + 20, y + height + 14), f"t = {t:.{digits}f} s", "muted")
-    pen.text((x + width - 20, y + height + 14), said(speed), "muted", 13.0, "end")
+    pen.text((x + width - 20, y + height + 14), speed_text(speed), "muted", 13.0, "end")
     return [*drawing.frame(row, past), *pen.shapes]
 
 
-def said(speed: float) -> str:
+def speed_text(speed: float) -> str:
     """Describe the speed of a film relative to the run.
 
     Examples
     --------
-    >>> said(0.02), said(1.0), said(5.0)
+    >>> speed_text(0.02), speed_text(1.0), speed_text(5.0)
     ('slowed down 50 times', 'as fast as it is', '5 times as fast as it is')
     """
     if speed == 1.0:

@@ -81,7 +81,7 @@ def new_native(name: str, folder: Path, language: str, command: str) -> Path:
     return folder / f"{name}.yaml"
 
 
-def told(scenario: Path, language: str, command: str) -> str:
+def next_steps(scenario: Path, language: str, command: str) -> str:
     """Describe what was written, and what to do with it."""
     folder = shlex.quote(os.path.relpath(scenario.parent))
     build = f"  cargo build --release --manifest-path {folder}/Cargo.toml\n" if language == "rust" else ""

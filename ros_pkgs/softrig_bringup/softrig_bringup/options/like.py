@@ -66,7 +66,7 @@ class Recalled:
         ``versions``, ``code`` and ``contents`` as ``metrics.json`` has them; a bag alone may know less.
     digests : mapping of str to Digest
         By topic, in place of the recording.
-    bag_says : mapping of str to str
+    bag_metadata : mapping of str to str
         What the bag's writer has left in it.
     """
 
@@ -78,7 +78,7 @@ class Recalled:
     late: Mapping[str, Mapping[str, int]]
     made_with: Mapping[str, Mapping[str, Any]]
     digests: Mapping[str, Digest] = field(default_factory=dict)
-    bag_says: Mapping[str, str] = field(default_factory=dict)
+    bag_metadata: Mapping[str, str] = field(default_factory=dict)
 
 
 def _reached(recording: Recording, epoch: int) -> int:
@@ -134,7 +134,7 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
             f"{path}: expected the directory of a run, the bag of a run, or a file of `softrig pack`{near}"
         ) from None
     need_packages(path, made_with.get("code", ()))
-    return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with, bag_says=data)
+    return Recalled(path, options, bag.absolute(), recording, epoch, late, made_with, bag_metadata=data)
 
 
 def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
@@ -156,7 +156,7 @@ def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> R
     with BagReader(bag) as reader:
         data = reader.custom_data
     late, epoch = json.loads(data.get("late", "{}")), int(data.get("epoch", "0"))
-    return Recalled(path, options, bag, read_bag(bag), epoch, late, made_with, bag_says=data)
+    return Recalled(path, options, bag, read_bag(bag), epoch, late, made_with, bag_metadata=data)
 
 
 def _content(metrics: Path) -> Mapping[str, Any]:
@@ -258,7 +258,7 @@ def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
         if (old := before.digests.get(topic)) is not None:
             topics, messages = topics + 1, messages + old.messages
             lines += [topic] if old != digest else []
-    for member, port in _said(run):
+    for member, port in _outputs(run):
         old_topic = before.recording.topics.get(port.topic)
         if old_topic is None:
             continue
@@ -280,7 +280,7 @@ def _differences(before: Recalled, run: Run) -> tuple[list[str], int, int]:
     return lines, messages, topics
 
 
-def _said(run: Run) -> Iterable[tuple[Member, Port]]:
+def _outputs(run: Run) -> Iterable[tuple[Member, Port]]:
     """Yield the outputs of all nodes except the one that replays the external inputs."""
     return ((m, port) for m in run.rig.members if m.name != TAPE for port in m.outputs)
 
@@ -288,7 +288,7 @@ def _said(run: Run) -> Iterable[tuple[Member, Port]]:
 def digests(run: Run) -> dict[str, Digest]:
     """Return the digest of each topic that a node of a run has spoken on."""
     result = {}
-    for _, port in _said(run):
+    for _, port in _outputs(run):
         rows = list(_values(port, run.recording.topics[port.topic], run.epoch))
         hashed = hashlib.sha256()
         for t, stamp, values in rows:

@@ -90,7 +90,7 @@ def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str
             parts = [dict(_leaves(node, r.parameters.get(node, {}))) for r in runs]
             values |= {name: [p.get(name, "") for p in parts] for p in parts for name in p}
     follows = {what: own for what, own in values.items() if len({*own}) > 1}
-    messages = [dict(_said(text) for text in r.changed if r.stopped != text) for r in runs]
+    messages = [dict(_key_value(text) for text in r.changed if r.stopped != text) for r in runs]
     for what in dict.fromkeys(key for own in messages for key in own):
         results.setdefault(what, follows.pop(what, []) or [own.get(what, "as in the scenario") for own in messages])
     changed = {what: own for what, own in results.items() if len({*own}) > 1}
@@ -103,7 +103,7 @@ def machine(run: RunRecord) -> dict[str, str]:
     return {k: v for k, v in run.versions.items() if k not in ("commit", "run.lock") or not run.code}
 
 
-def _said(text: str) -> tuple[str, str]:
+def _key_value(text: str) -> tuple[str, str]:
     """Part what was changed into what and how: ``node.k=3``, ``duration 3``, or a text by itself."""
     what, sign, value = text.partition("=")
     if sign:

@@ -119,8 +119,8 @@ def draw_missing(directory: Path, into: Path) -> list[Path]:
     return plot_run(result, rig, into)
 
 
-class Look(NamedTuple):
-    """Look of pictures: font size in points, width in inches, and the font family for publishers."""
+class Style(NamedTuple):
+    """Style of pictures: font size in points, width in inches, and the font family for publishers."""
 
     title: bool
     font: float | None
@@ -132,7 +132,7 @@ def main(options: argparse.Namespace) -> int:
     """Draw pictures of runs again, of some signals or of the plots of their scenario; print their files."""
     runs = [Path(word) for word in options.what if _is_run(word)] or [Path(options.what[0])]
     names = [word for word in options.what if Path(word) not in runs]
-    style = _look(options, bool(names))
+    style = _style(options, bool(names))
     out = options.out or _folder(runs, names, options.window)
     drawn = _of_one(runs[0], names, options, style) if len(runs) == 1 else _of_several(runs, names, options, style)
     number = 0
@@ -159,12 +159,12 @@ def _is_run(word: str) -> bool:
     return path.exists() and (path.is_file() or (path / "metrics.json").is_file() or (path / "metadata.yaml").is_file())
 
 
-def _look(options: argparse.Namespace, named: bool) -> Look:
+def _style(options: argparse.Namespace, named: bool) -> Style:
     """Return the look that the options select; an explicit option overrides the publisher's style."""
     paper = PAPERS.get(options.style)
     width = options.width or (paper.widths[int(options.columns) - 1] if paper else None)
     title = not (options.no_title or named or paper)
-    return Look(
+    return Style(
         title, options.font or (paper.font if paper else None), width and width / MM, bool(paper and paper.serif)
     )
 
@@ -186,7 +186,7 @@ def _folder(runs: Sequence[Path], names: Sequence[str], window: Sequence[float] 
 Drawing = Iterator[tuple[PlotEntry, "Figure", str]]
 
 
-def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, style: Look) -> Drawing:
+def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, style: Style) -> Drawing:
     rig, result = rig_of_run(run, options.namespace)
     rig = with_plots(rig, "_".join(n.replace("/", " ") for n in names), names, options.window)
     _check_window(options.window, [result])
@@ -196,7 +196,7 @@ def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, style:
         yield entry, figure, _table([source.shown(entry, n) for n in entry.signals], source)
 
 
-def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Namespace, style: Look) -> Drawing:
+def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Namespace, style: Style) -> Drawing:
     """Draw what several runs share over one another."""
     records = [(run, record_of_pack(opened(run)) if is_pack(run) else read_run(run)) for run in runs]
     called = run_names(records, options.label)

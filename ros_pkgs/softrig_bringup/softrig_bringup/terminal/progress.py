@@ -16,11 +16,11 @@ SILENT = 1.0  # s of wall-clock time that work may take without a word
 NEWS = 10.0  # s of wall-clock time between two lines
 REDRAWN = 0.1  # s of wall-clock time between two states of a notebook's bar
 
-Tell = Callable[[int], None]
+OnTick = Callable[[int], None]
 
 
 @contextmanager
-def progress(title: str, duration: float) -> Iterator[Tell]:
+def progress(title: str, duration: float) -> Iterator[OnTick]:
     """Show how far a run is until it ends.
 
     Parameters
@@ -82,7 +82,7 @@ def _notebook() -> Any:
     return sys.modules["IPython.display"].display
 
 
-def _cell(show: Any, title: str, duration: float) -> Iterator[Tell]:
+def _cell(show: Any, title: str, duration: float) -> Iterator[OnTick]:
     """Draw a bar of HTML, which needs no widgets; it leaves an empty line."""
 
     def bar(seconds: float) -> dict[str, str]:
@@ -92,25 +92,25 @@ def _cell(show: Any, title: str, duration: float) -> Iterator[Tell]:
 
     shown, last = show(bar(0.0), raw=True, display_id=True), time.monotonic()
 
-    def tell(t: int) -> None:
+    def on_tick(t: int) -> None:
         nonlocal last
         if time.monotonic() - last > REDRAWN:
             last = time.monotonic()
             shown.update(bar(t / 1e9), raw=True)
 
     try:
-        yield tell
+        yield on_tick
     finally:
         shown.update({"text/html": "", "text/plain": ""}, raw=True)
 
 
-def _lines(title: str, duration: float) -> Tell:
+def _lines(title: str, duration: float) -> OnTick:
     last = time.monotonic()
 
-    def tell(t: int) -> None:
+    def on_tick(t: int) -> None:
         nonlocal last
         if time.monotonic() - last > NEWS:
             last = time.monotonic()
             say(f"{title}: {t / 1e9:.3g} of {duration:g} s")
 
-    return tell
+    return on_tick

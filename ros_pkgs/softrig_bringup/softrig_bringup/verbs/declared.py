@@ -19,7 +19,7 @@ Verb = Callable[..., argparse.ArgumentParser]  # of name, function and text, and
 
 def verbs(verb: Verb) -> None:
     """Declare the verbs, in the order of their groups."""
-    _run_and_look(verb)
+    _run_and_view(verb)
     _vary(verb)
     _judge(verb)
     _analyse(verb)
@@ -72,7 +72,7 @@ def verbs(verb: Verb) -> None:
     env.add_argument("--completion", nargs="?", const="bash", choices=("bash", "zsh", "fish"))
 
 
-def _run_and_look(verb: Verb) -> None:
+def _run_and_view(verb: Verb) -> None:
     run_options.arguments(verb("run", "verbs.run_verb:run", "run a scenario: metrics, bag, plots, report", **ONE))
     view = verb(
         "view",

@@ -372,7 +372,7 @@ def main(options: argparse.Namespace) -> int:
     folder, recipes = _chosen(options, options.names, changes, new=True)
     works = [(folder / name, recipe, changes, False, options.differing) for name, recipe in recipes.items()]
     for row, new, _ in sweep(_one, works, title="golden bags", workers=1):
-        _say(folder, row, new)
+        _print_row(folder, row, new)
     return 0
 
 
@@ -383,7 +383,7 @@ def check(options: argparse.Namespace) -> int:
     elsewhere: set[str] = set()
     works: list[_Work] = [(folder / name, recipe, {}, True, False) for name, recipe in recipes.items()]
     for row, _, others in sweep(_one, works, title="golden bags", workers=options.workers):
-        _say(folder, row)
+        _print_row(folder, row)
         length = f"{row['duration_s']:g} s"
         suites.append(Suite(row["bag"], row["wall_s"], [Case("bag", row["differs"], length)]))
         content.append(row)
@@ -414,7 +414,7 @@ def _chosen(
     return folder, recipes if options.node is None else _with(options.node, folder, recipes)
 
 
-def _say(folder: Path, row: dict[str, Any], new: bool = False) -> None:
+def _print_row(folder: Path, row: dict[str, Any], new: bool = False) -> None:
     size = sum(f.stat().st_size for f in (folder / row["bag"] / "bag").glob("*")) / 1e3
     verdict = "new" if new else f"{'agrees' if row['pass'] else 'DIFFERS'} {row['compared']}"
     print(f"{row['bag']}: {row['duration_s']:g} s, {size:.0f} kB, {verdict}")

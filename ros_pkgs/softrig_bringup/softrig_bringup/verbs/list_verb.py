@@ -74,13 +74,13 @@ def _tree(system: str, scenarios: list[Listed], depth: int) -> Tree:
             continue
         below = sum(other.name.startswith(f"{s.name}_") for other in scenarios) if len(branches) == depth else 0
         more = [f"{below} variant{'s' if below > 1 else ''}: list {s.name}"] if below else []
-        facts = ", ".join([f"{s.duration:g} s", *_took(s.name), *more])
+        facts = ", ".join([f"{s.duration:g} s", *_last_duration(s.name), *more])
         label = styled(f"{s.name}  ", (facts, "dim"), f"  {s.title}")
         branches.append((s.name, (branches[-1][1] if branches else tree).add(label)))
     return tree
 
 
-def _took(name: str) -> list[str]:
+def _last_duration(name: str) -> list[str]:
     """Return how long the last run took here, if there is one."""
     try:
         content = json.loads((Path("runs") / name / "metrics.json").read_text())

@@ -20,7 +20,7 @@ from softrig_core.guard import naming
 from softrig_core.scenario.scenario_file import find
 
 from ..new.controller import Replaced, replaced
-from ..new.native import new_native, told
+from ..new.native import new_native, next_steps
 from ..new.rated import from_data_sheet
 
 # template, and where it goes; $name below stands for the package's name
@@ -175,7 +175,7 @@ def main(options: argparse.Namespace) -> int:
         if options.only == "plant":
             raise ScenarioError("--only plant: `--language` writes a law; c_plant runs a plant in C")
         scenario = new_native(options.name, folder_of(options.name, options.into), options.language, command())
-        print(told(scenario, options.language, command()))
+        print(next_steps(scenario, options.language, command()))
         return 0
     if options.scenario:
         if options.only != "law":

@@ -171,7 +171,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
             f"{run}: it brings {', '.join(names)}, which packing would run; send the original file instead"
         )
     before = recall(run, Again().parse_args)
-    content = _beside(before.bag)
+    content = _known_of_run(before.bag)
     scenario = scenario_of(before.options)
     scenario = scenario.having(nodes={name: entry for name, entry in scenario.nodes.items() if name != TAPE})
     rig = rig_of(scenario)
@@ -239,7 +239,9 @@ def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str,
 
 def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | None:
     """Write the bag of a run of ours without folders of this machine; None where it names none."""
-    messages = {key: json.loads(text) if key in ("from", "branched") else text for key, text in before.bag_says.items()}
+    messages = {
+        key: json.loads(text) if key in ("from", "branched") else text for key, text in before.bag_metadata.items()
+    }
     if "command" not in messages:
         return None
     entries = {k: v if isinstance(v, str) else json.dumps(v) for k, v in _elsewhere(messages, made).items()}
@@ -296,7 +298,7 @@ def _sha256(content: bytes | Path) -> str:
 def _one_run(run: Path, rig: Rig, content: Mapping[str, Any], before: Recalled) -> None:
     """Refuse what is not of one run: the figures of one beside the bag or the scenario of another."""
     recording = before.recording if before.recording.topics else None
-    wrong = strangers(content, before.bag_says, recording)
+    wrong = strangers(content, before.bag_metadata, recording)
     digest = str(content.get("run", ""))
     if digest and not wrong and asked_half(rig, int(content["seed"])) != digest[HALF:]:
         wrong = ["its scenario gives another duration, seed or parameters than the run had"]
@@ -313,7 +315,7 @@ def _offers(package: str) -> dict[str, dict[str, str]]:
     return result
 
 
-def _beside(bag: Path) -> dict[str, Any]:
+def _known_of_run(bag: Path) -> dict[str, Any]:
     """Read what is known of a run beside its bag, or beside the one that a file is of."""
     try:
         content = json.loads(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())

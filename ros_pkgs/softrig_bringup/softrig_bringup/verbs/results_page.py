@@ -30,14 +30,14 @@ AGREES = (
 
 def counts(rows: Sequence[Finding]) -> str:
     """Describe how many claims have which verdict, and how many verdicts are false; a repeated claim counts once."""
-    counter = Counter(verdict for verdict in _said(rows).values())
+    counter = Counter(verdict for verdict in _verdicts(rows).values())
     text = ", ".join(f"{counter[v]} {v.replace('_', ' ')}" for v in VERDICTS if counter[v])
     false = sum(not row.holds for row in rows)
     total = f"{counter.total()} claims" + (f" in {len(rows)} rows" if len(rows) > counter.total() else "")
     return f"{total}: {text}; " + (f"{false} verdicts are not borne out" if false else "every verdict holds")
 
 
-def _said(rows: Sequence[Finding]) -> dict[tuple[str, ...], str]:
+def _verdicts(rows: Sequence[Finding]) -> dict[tuple[str, ...], str]:
     return {row.statement: row.verdict for row in rows}
 
 
@@ -188,7 +188,7 @@ def _borne_out(group: Sequence[Finding]) -> Element:
 
 
 def _count(group: Sequence[Finding], verdict: str) -> str:
-    return str(sum(v == verdict for v in _said(group).values()) or "")
+    return str(sum(v == verdict for v in _verdicts(group).values()) or "")
 
 
 def _with_unit(text: str, row: Finding) -> str:

@@ -34,7 +34,7 @@ from ..run.run import checked, execute, illustrate, once_broken_off, save, summa
 from ..terminal.console import console as make_console, styled
 from ..terminal.progress import busy, progress
 from ..terminal.tables import Cell, print_judged
-from ..view.beside import page
+from ..view.run_pages import page
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -123,7 +123,7 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
         out = out.with_name(f"{out.name}-again")
     folder, number = ResultsFolder(out), 1
     if options.out is not None and not options.force and folder.hold() is None and folder.broke:
-        folder = _kept_beside(folder, rig)
+        folder = _without_broken_run(folder, rig)
     while why := _kept(folder, rig, options.force):
         if options.out is not None:
             forced = ", or --force" if why.endswith(")") else ""  # which takes no folder from who is writing there
@@ -140,7 +140,7 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
     return folder
 
 
-def _kept_beside(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
+def _without_broken_run(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
     """Move a run that broke, and that cannot be made again, out of the way of the next try; return the folder."""
     if not folder.once(lambda shards: once_broken_off(rig, shards)):
         return folder
@@ -168,7 +168,7 @@ class _Kept(NamedTuple):
 
     content: Mapping[str, Any]
     same: bool
-    told: Sequence[str]
+    remarks: Sequence[str]
 
 
 def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> int:
@@ -196,7 +196,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
             kept = _keep(options, done, folder)
             if slow := too_slow(options, done.rig, done.status, bool(done.error)):
                 say(slow)
-            _speak(kept, done, folder.path if folder is not None else None)
+            _print_results(kept, done, folder.path if folder is not None else None)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(_lacking(options, folder))
         raise
@@ -247,7 +247,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
             from ..options.like import compared
 
             same, messages = compared(options.recalled, done, content)
-            messages = [*_doubts(options.like), *messages]
+            messages = [*_contradictions(options.like), *messages]
         if options.recalled is not None:
             content["repeats"] = messages
             same = same or bool(options.recalled.late) or bool(done.epoch)
@@ -281,7 +281,7 @@ def _write_junit(options: argparse.Namespace, done: Run) -> None:
     write_junit(options.junit, [replace(suite, error=suite.error or done.stopped_at)])
 
 
-def _doubts(like: Path) -> list[str]:
+def _contradictions(like: Path) -> list[str]:
     """Describe statements of a pack or a run about itself that its own bag contradicts."""
     from ..report.looked import doubts, record_of_pack
 
@@ -292,7 +292,7 @@ def _doubts(like: Path) -> list[str]:
     return [f"{like}: {doubt}" for doubt in record_of_pack(folder).doubts] if with_both else []
 
 
-def _speak(kept: _Kept, done: Run, out: Path | None) -> None:
+def _print_results(kept: _Kept, done: Run, out: Path | None) -> None:
     """Print the figures and the remarks on the run."""
     if done.error:
         say(f"the run broke: {done.error}")
@@ -300,7 +300,7 @@ def _speak(kept: _Kept, done: Run, out: Path | None) -> None:
             say(f"what was recorded up to there is in {_shown(out)}, the output of the nodes in its log/")
         return
     _print_figures(kept.content, done, out)
-    for line in (*assumptions(done.rig.members), *kept.told):
+    for line in (*assumptions(done.rig.members), *kept.remarks):
         say(line)
     if done.stopped:
         say(done.stopped_at)

@@ -80,7 +80,7 @@ class Knob:
             raise ScenarioError(f"{self.key} = {text!r} refused: expected {what}") from None
 
 
-class Said(NamedTuple):
+class Entry(NamedTuple):
     """A line for the page: time in the run (s), author, text, and whether the change was refused."""
 
     t: float
@@ -114,7 +114,7 @@ class Control:
     roles : dict of str to str
         Role of each node with a knob, see `role`.
     buttons : list of (node, name)
-    said : deque of Said
+    entries : deque of Entry
     lines : int
         Number of lines so far.
     goes_back : bool
@@ -146,12 +146,12 @@ class Control:
             for p in m.inputs
             if p.msgtype == "std_msgs/msg/Bool" and p.name not in m.links
         ]
-        self.said: deque[Said] = deque(maxlen=KEPT)
+        self.entries: deque[Entry] = deque(maxlen=KEPT)
         self.lines = 0
 
-    def say(self, who: str, text: str, wrong: bool = False) -> None:
+    def add_entry(self, who: str, text: str, wrong: bool = False) -> None:
         """Add a line to what all pages show."""
-        self.said.append(Said(self._now(), who, text, wrong))
+        self.entries.append(Entry(self._now(), who, text, wrong))
         self.lines += 1
 
     def turn(self, who: str, key: str, value: Any) -> None:
@@ -162,7 +162,7 @@ class Control:
         def answered(done: bool, reason: str) -> None:
             if done:
                 knob.value = value
-            self.say(
+            self.add_entry(
                 who, f"{key} = {_shown(value)} {knob.unit}".rstrip() + ("" if done else f" refused: {reason}"), not done
             )
 
@@ -185,7 +185,7 @@ class Control:
         """Return to a time of the run, s, also when it is over."""
 
         def answered(done: bool, reason: str) -> None:
-            self.say(who, reason if done else f"back to {t:g} s refused: {reason}", not done)
+            self.add_entry(who, reason if done else f"back to {t:g} s refused: {reason}", not done)
 
         assert self._ask is not None
         self._ask({"node": self.clock, "back": t}, answered)
@@ -197,7 +197,7 @@ class Control:
         def answered(done: bool, reason: str) -> None:
             if done:
                 self.pace = pace
-            self.say(who, text if done else f"{text} refused: {reason}", not done)
+            self.add_entry(who, text if done else f"{text} refused: {reason}", not done)
 
         self._send(who, text, {"node": self.clock, "set": {"run.pace": pace}}, answered)
 
@@ -205,24 +205,24 @@ class Control:
         def answered(done: bool, reason: str) -> None:
             if done:
                 after()
-            self.say(who, f"{text}: {reason}" if done else f"{text} refused: {reason}", not done)
+            self.add_entry(who, f"{text}: {reason}" if done else f"{text} refused: {reason}", not done)
 
         self._send(who, text, {"node": node, "call": name}, answered)
 
     def _send(self, who: str, text: str, request: Mapping[str, Any], answered: Answer) -> None:
         if over := self._over():
-            self.say(who, f"{text} refused: the run is over ({over})", True)
+            self.add_entry(who, f"{text} refused: the run is over ({over})", True)
         elif self._ask is None:
-            self.say(who, f"{text} refused: this is a recording", True)
+            self.add_entry(who, f"{text} refused: this is a recording", True)
         else:
             self._ask(request, answered)
 
-    def took_effect(self, t: float, node: str, values: Mapping[str, Any]) -> None:
+    def log_change(self, t: float, node: str, values: Mapping[str, Any]) -> None:
         """Add a line for a change that a node has recorded, from any source."""
         for name, value in values.items():
             if (knob := self.knobs.get(f"{node}.{name}")) is not None:
                 knob.value = value
-            self.said.append(Said(t, node, f"{name} = {_shown(value)} from this tick on", False))
+            self.entries.append(Entry(t, node, f"{name} = {_shown(value)} from this tick on", False))
             self.lines += 1
 
 

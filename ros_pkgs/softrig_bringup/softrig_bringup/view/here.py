@@ -81,7 +81,7 @@ class Here(Growing):
         self.control.buttons.clear()  # a press is a message from outside, for which a session has no place
         self.control.goes_back = True
         session.step()
-        self.look()
+        self.read_new()
 
     # what the page asks for ----------------------------------------------------------------------------------------
 
@@ -132,7 +132,7 @@ class Here(Growing):
         self._seen.clear()
         self._end_log()
         self.version += 1
-        self.look()
+        self.read_new()
         for knob in self.control.knobs.values():
             known = flatten(session.steps[knob.node].params)[knob.name]
             knob.value = turned.get(knob.key, known)
@@ -153,7 +153,7 @@ class Here(Growing):
         super().finish(outcome, folder)
         self._end_log()
         self._folder = str(folder or "")
-        self.control.say("the run", outcome)
+        self.control.add_entry("the run", outcome)
 
     # ticks ---------------------------------------------------------------------------------------------------------
 
@@ -173,18 +173,18 @@ class Here(Growing):
         with suppress(RunError):  # the session is over then, and says why
             self.session.step()
 
-    def look(self) -> None:
+    def read_new(self) -> None:
         """Copy new recorded data."""
         session = self.session
         part = Recording(())
         for name, topic in session.recording.topics.items():
             part.topics[name] = topic.since(self._seen[name])
             self._seen[name] += len(part.topics[name].times)
-        self.take(part)
+        self.append(part)
         results: list[Turned] = [(to_s(t), node, values) for t, node, values in recorded(session.recording)]
         for change in results:
             if change not in self.changes:
-                self.control.took_effect(*change)
+                self.control.log_change(*change)
         self.changes = results
         self.status = {
             name: {
@@ -202,7 +202,7 @@ class Here(Growing):
                 self._full = error
                 text = f"from here on nothing is kept in case that this process is killed: {error}"
                 say(text)
-                self.control.say("the run", text, True)
+                self.control.add_entry("the run", text, True)
 
     def _write(self, place: Callable[[], Path]) -> None:
         """Write what is new into a file as nodes do: of a process that is killed `bag repair` finds it there."""
@@ -253,7 +253,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 
     def where() -> ResultsFolder:
         nonlocal place
-        place = place or _beside(folder.path)
+        place = place or _branch_folder(folder.path)
         return place
 
     source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: where().path)
@@ -266,7 +266,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
         nonlocal status, ended, place, wrong
         into = where()
         with unstopped(), into.keeping():
-            source.look()
+            source.read_new()
             run = session.run
             run.mode, run.wall_s, run.stopped = str(placement), time.perf_counter() - started, stopped
             run.status, run.branched, source.branched = source.status, source.branched, []
@@ -297,14 +297,14 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
         else:
             loop.call_later(remaining, turn)
 
-    def look() -> None:
+    def refresh() -> None:
         if not source.outcome:
-            source.look()
+            source.read_new()
         pages.measure()
         if pages.left() and source.outcome:
             loop.stop()
 
-    PeriodicCallback(look, FRAME).start()
+    PeriodicCallback(refresh, FRAME).start()
     loop.add_callback(turn)
     try:
         loop.start()
@@ -318,7 +318,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
     return status
 
 
-def _beside(path: Path) -> ResultsFolder:
+def _branch_folder(path: Path) -> ResultsFolder:
     """Return a folder of its own for what went back from the run in this one."""
     number = 2
     while (place := path.with_name(f"{path.name}-{number}")).exists():

@@ -91,7 +91,7 @@ svg { width: 100%; height: auto; max-height: 46vh; }
 @media (max-width: 800px) { svg { max-height: 24vh; } }
 """
 
-COME_BACK = """document.getElementById('lost').style.display = 'block'
+RECONNECT = """document.getElementById('lost').style.display = 'block'
 const server = () => fetch('static/js/bokeh.min.js', {method: 'HEAD', cache: 'no-store'})
 const ask = setInterval(() => server().then(() => { clearInterval(ask); location.reload() }, () => 0), 1000)
 """

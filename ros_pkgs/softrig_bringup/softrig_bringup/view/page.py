@@ -32,7 +32,7 @@ from ..film.film import PAST, rows
 from ..film.svg import still
 from . import words
 from .control import Control, Knob
-from .look import BESIDE, CHANGED, COME_BACK, TEMPLATE, WIDGETS, theme
+from .look import BESIDE, CHANGED, RECONNECT, TEMPLATE, WIDGETS, theme
 from .pictures import Picture, plots_of
 from .sources import Source
 
@@ -74,12 +74,12 @@ class Page:
         look: str,
     ) -> None:
         self._source, self._control, self._figures = source, control, figures
-        self._who, self._how = who, how
-        self._sheet, self._beside = InlineStyleSheet(css=WIDGETS), InlineStyleSheet(css=BESIDE)
+        self._author, self._how = who, how
+        self._sheet, self._narrow_sheet = InlineStyleSheet(css=WIDGETS), InlineStyleSheet(css=BESIDE)
         self._calm = False  # what changes is changed by us
         self._shown: tuple[Any, ...] = ()
         self._texts: tuple[Any, ...] = ()
-        self._told: tuple[Any, ...] = ()
+        self._shown_state: tuple[Any, ...] = ()
         self._count = 0
         self._at = self._speed = self._ahead = 0.0  # of the drawing: s, s a frame, newest that it knew of
         self._drawn_at = -1.0
@@ -89,7 +89,7 @@ class Page:
         rig = source.rig
         self._pictures = [Picture(e, rig, self.time, self._cursor, self._changes, look) for e in plots_of(rig)]
         self._head = self._div("state")
-        self._look = look
+        self._theme = look
         self._drawing, self._drawn = drawing_for(rig), self._div("drawing")
         self._tables = {name: self._div(name) for name in ("figures", "health", "log")}
         self._sliders: dict[str, Slider] = {}
@@ -125,7 +125,7 @@ class Page:
         )
         # by itself Bokeh would take up the session again, of which a server that was started anew knows nothing
         document.config.update(reconnect_session=False, notify_connection_status=False)
-        document.js_on_event("connection_lost", CustomJS(code=COME_BACK))
+        document.js_on_event("connection_lost", CustomJS(code=RECONNECT))
         document.theme = Theme(json=theme(look))
         document.template = TEMPLATE
         document.title = f"{rig.scenario.name} - softrig"
@@ -143,7 +143,7 @@ class Page:
 
     def _press(self, node: str, name: str) -> Button:
         def press() -> None:
-            self._control.press(self._who, node, name)
+            self._control.press(self._author, node, name)
 
         return self._button(f"{node}: {name}", press, f"{node}/{name}", width=None)  # as wide as its words
 
@@ -159,7 +159,7 @@ class Page:
         result: list[Any] = [self._window, self._follow]
         if self._control.held is not None and self._source.live:
             self._hold = self._button("pause", self._pause, "hold")
-            result += [self._hold, self._button("step", lambda: self._control.hold(self._who, "step"))]
+            result += [self._hold, self._button("step", lambda: self._control.hold(self._author, "step"))]
         if not self._source.live or (self._control.held is not None and self._control.pace is not None):
             now = _pace((self._control.pace or 0.0) if self._source.live else 1.0)
             paces = [*PACES, *([] if now in PACES else [now])]
@@ -250,7 +250,7 @@ class Page:
         if knob.number and (ends := reach(knob)) is not None:
             self._sliders[knob.key] = self._slider_of(knob, *ends)
         title += _range(knob)
-        about["stylesheets"] = [self._sheet, self._beside]
+        about["stylesheets"] = [self._sheet, self._narrow_sheet]
         result = TextInput(title=title, value=_text(knob.value), description=knob.doc or None, **about)
         result.on_change("value", lambda attr, old, new: self._turned(knob, new))
         return result
@@ -279,9 +279,9 @@ class Page:
         try:
             value = knob.read(value) if isinstance(value, str) else value
             if value != knob.value:
-                self._control.turn(self._who, knob.key, value)
+                self._control.turn(self._author, knob.key, value)
         except ScenarioError as error:
-            self._control.say(self._who, str(error), True)
+            self._control.add_entry(self._author, str(error), True)
         self._texts = ()
 
     def _aim(self) -> float:
@@ -297,15 +297,15 @@ class Page:
         return t
 
     def _go_back(self) -> None:
-        self._control.go_back(self._who, self._aim())
+        self._control.go_back(self._author, self._aim())
         self._shown = self._texts = ()
 
     def _pause(self) -> None:
-        self._control.hold(self._who, "resume" if self._control.held else "pause")
+        self._control.hold(self._author, "resume" if self._control.held else "pause")
 
     def _go(self, attr: str, old: Any, new: Any) -> None:
         if not self._calm and new in self._pace.options:
-            self._control.go_at(self._who, 0.0 if new == "full" else float(new))
+            self._control.go_at(self._author, 0.0 if new == "full" else float(new))
             self._texts = ()
 
     def _moved(self, attr: str, old: Any, new: Any) -> None:
@@ -345,7 +345,7 @@ class Page:
         past = rows(known, np.linspace(max(0.0, t - drawing.trail), t, PAST)) if drawing.trail and known else ()
         try:
             now = rows(known, np.array([t]))[0] if known else {}  # at rest before anything has come
-            self._drawn.text = still(drawing, drawing.frame(now, past), self._look == "dark")
+            self._drawn.text = still(drawing, drawing.frame(now, past), self._theme == "dark")
         except Exception as error:  # of somebody's plant: the page goes on without it
             self._drawing = None
             self._drawn.text = f"<p class=wrong>{drawing.title}: no drawing: {html.escape(repr(error))}</p>"
@@ -379,8 +379,8 @@ class Page:
                 changed = self._draw()
             self._count += 1
             state = (self._control.lines, self._control.held, self._control.pace)
-            if self._count % SLOW == 1 or source.outcome or state != self._told:
-                self._told = state
+            if self._count % SLOW == 1 or source.outcome or state != self._shown_state:
+                self._shown_state = state
                 changed = self._write() or changed
         finally:
             self._calm = False
@@ -418,7 +418,7 @@ class Page:
         texts = (
             words.figures(results, so_far),
             words.health(source.status),
-            words.log(control.said),
+            words.log(control.entries),
             words.head(source, self._how, control),
             tuple(repr(k.value) for k in control.knobs.values()),
             control.held,

@@ -52,7 +52,7 @@ class Picture:
     ) -> None:
         self._entry = entry.model_copy(update={"window": None})  # the reader chooses
         self._curves = Curves(Pane({}), rig)  # type: ignore[arg-type]
-        self._look = theme
+        self._theme = theme
         self.sources: dict[str, ColumnDataSource] = {}
         named = {name: self._curves.shown(self._entry, name) for name in entry.signals}
         if entry.x:
@@ -89,7 +89,7 @@ class Picture:
             x_axis_label="t, s",
             y_axis_label=title,
         )
-        result.vspan(x="t", source=changes, line_color=CHANGED[self._look], line_dash="dotted", line_width=1)
+        result.vspan(x="t", source=changes, line_color=CHANGED[self._theme], line_dash="dotted", line_width=1)
         lines = self._lines(result, names, named)
         result.add_layout(cursor)
         text = f"$name: @y{{%.6g}} {pretty_unit(unit)} at @x{{%.6g}} s"
@@ -101,7 +101,7 @@ class Picture:
                 tooltips=text,
                 formatters={"@y": "printf", "@x": "printf"},
             ),
-            CrosshairTool(dimensions="height", line_color=SOFT[self._look], line_alpha=0.6),
+            CrosshairTool(dimensions="height", line_color=SOFT[self._theme], line_alpha=0.6),
         )
         return result
 
@@ -130,12 +130,12 @@ class Picture:
         return result
 
     def _lines(self, value: Any, names: Sequence[str], named: dict[str, Curve]) -> list[Any]:
-        lines, colours, dashes = [], iter(COLOURS[self._look] * len(names)), iter(DASHED * len(names))
+        lines, colours, dashes = [], iter(COLOURS[self._theme] * len(names)), iter(DASHED * len(names))
         alone = all(named[name].reference for name in names)
         for name in sorted(names, key=lambda n: named[n].reference):  # references on top
             curve = named[name]
             dark = curve.reference and not alone
-            style: dict[str, Any] = {"line_color": INK[self._look] if dark else next(colours)}
+            style: dict[str, Any] = {"line_color": INK[self._theme] if dark else next(colours)}
             style["line_width"] = 1.2 if dark else 1.4
             if curve.reference:
                 style["line_dash"] = next(dashes)

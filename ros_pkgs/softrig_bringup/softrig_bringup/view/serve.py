@@ -196,7 +196,7 @@ class Pages:
         self._results: Sequence[Result] = ()
         self._worker = ThreadPoolExecutor(1)
         self._next, self._busy = 0.0, False
-        self.came = False
+        self.visited = False
         host, chosen = free_address(address)
         reported = OneLine()  # one for all: three lines a message are a flood, too
         for name in ("bokeh.server.protocol_handler", "bokeh.server.views.ws", "tornado.application"):
@@ -243,8 +243,8 @@ class Pages:
         """Update the connections; return whether a browser has shown a page and all have left without reloading."""
         sessions = self.server.get_sessions(PAGE)
         # what was only asked for, without its websocket, may be a slow machine's
-        self.came = self.came or any(session.connection_count > 0 for session in sessions)
-        return self.came and not sessions
+        self.visited = self.visited or any(session.connection_count > 0 for session in sessions)
+        return self.visited and not sessions
 
     def _figures(self) -> tuple[Sequence[Result], bool]:
         if self._source.results:
@@ -305,15 +305,15 @@ def beside(watched: Watched, lines: Any) -> None:
     say(f"the page is {pages.url}")
     told, paced = 0, (held, pace)
 
-    def look() -> None:
+    def refresh() -> None:
         nonlocal told, paced
-        source.look()
+        source.read_new()
         now = source.status[control.clock] if held is not None else {}
         known = (now["held"], None if watched.realtime else now["pace"]) if "pace" in now else paced
         if paced != (paced := known):  # whoever has changed it
             control.held, control.pace = paced
         for change in source.changes[told:]:
-            control.took_effect(*change)
+            control.log_change(*change)
         told = len(source.changes)
         pages.measure()
         if pages.left() and source.outcome:
@@ -321,7 +321,7 @@ def beside(watched: Watched, lines: Any) -> None:
 
     def over(values: dict[str, Any]) -> None:
         source.finish(values["over"], Path(values["folder"]) if values.get("folder") else None)
-        control.say("the run", values["over"], values.get("wrong", False))
+        control.add_entry("the run", values["over"], values.get("wrong", False))
 
     def listen() -> None:
         for line in lines:
@@ -330,7 +330,7 @@ def beside(watched: Watched, lines: Any) -> None:
 
     from tornado.ioloop import PeriodicCallback
 
-    PeriodicCallback(look, EVERY).start()
+    PeriodicCallback(refresh, EVERY).start()
     threading.Thread(target=listen, daemon=True).start()
     try:
         loop.start()

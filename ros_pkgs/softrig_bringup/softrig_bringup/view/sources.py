@@ -105,7 +105,7 @@ class Growing:
         """Return whether only extremes are left of what is old."""
         return any(track.thinned for track in self._tracks.values())
 
-    def take(self, recording: Recording, epoch: int = 0) -> None:
+    def append(self, recording: Recording, epoch: int = 0) -> None:
         """Add what is new."""
         result = Signals(recording, epoch).known_as(self._also)
         for name, topic in recording.topics.items():
@@ -152,7 +152,7 @@ class Live(Growing):
         self._directory, self._realtime = directory, realtime
         self._tails = [ShardTail(directory / f"{name}.shard") for name in self._names]
 
-    def look(self) -> None:
+    def read_new(self) -> None:
         """Read what has come."""
         if self.outcome:
             return
@@ -170,7 +170,7 @@ class Live(Growing):
             return False
         recording = Recording((t, p.msgtype) for t, p in self.rig.topics.items())
         more = [tail.read(recording) for tail in self._tails]
-        self.take(recording, epoch)
+        self.append(recording, epoch)
         for t, node, values in recorded(recording, epoch):
             self.changes.append((t / SECOND, node, values))
             self.version += 1
@@ -180,7 +180,7 @@ class Live(Growing):
         """Note that the run is over, and what it has brought."""
         while self.read():
             pass
-        self.look()
+        self.read_new()
         super().finish(outcome, folder)
 
 

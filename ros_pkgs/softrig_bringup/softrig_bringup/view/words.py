@@ -11,7 +11,7 @@ from softrig_core.judge.units import pretty_unit
 from softrig_core.verdict.figures import Result
 
 from ..page.wording import NEVER, accepted, in_words, measured_here
-from .control import Control, Said
+from .control import Control, Entry
 from .sources import Source
 
 COUNTS = {
@@ -37,7 +37,7 @@ def head(source: Source, how: str, control: Control) -> str:
     note = "; of what is old only the extremes are kept" if source.thinned else ""
     text = "".join(
         f'<p class="{"wrong" if s.wrong else "soft"}">{html.escape(f"{s.who}: {s.text}")}</p>'
-        for s in list(control.said)[-1:]
+        for s in list(control.entries)[-1:]
     )
     return (
         f"<h1>{html.escape(scenario.name)}</h1><p>{html.escape(scenario.title)}</p>"
@@ -105,7 +105,7 @@ def health(status: Mapping[str, Mapping[str, Any]]) -> str:
     return _section("Nodes", "<tr><th>node</th><th>state</th><th>ticks</th><th>health</th></tr>", rows)
 
 
-def log(lines: Iterable[Said]) -> str:
+def log(lines: Iterable[Entry]) -> str:
     """Format the log of actions and reports, newest first."""
     rows = [
         f'<tr><td class="n">{s.t:.6g} s</td><td>{html.escape(s.who)}</td>'

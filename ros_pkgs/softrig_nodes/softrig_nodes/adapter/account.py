@@ -15,7 +15,7 @@ from ..seam.middleware import other_types
 if TYPE_CHECKING:
     from .adapter import Adapter
 
-LOOK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
+CHECK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
 PAUSED = "paused"  # key of a report
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
 
@@ -65,7 +65,7 @@ class Account:
         for key, (level, text, _) in node.step.reports.items():
             self._log_once(key, level, text)
         node.drive.progress()
-        if self.watches % LOOK_EVERY == 0:
+        if self.watches % CHECK_EVERY == 0:
             self._notice_types()
             if (why := node.middleware.deaf()) and node.state in ("starting", "running"):
                 node.fail(why)
@@ -127,7 +127,7 @@ class Account:
         node = self._node
         for item in node.inputs:
             key = f"type of {item.port.topic}"
-            if item.publishers or item.heard or key in node.step.reports:
+            if item.publishers or item.received_any or key in node.step.reports:
                 continue
             other = other_types(node.middleware, item.port)
             if other:

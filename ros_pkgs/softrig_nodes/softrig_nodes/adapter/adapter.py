@@ -63,7 +63,7 @@ class Drive(Protocol):
     def progress(self) -> None:
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
 
-    def last_came(self) -> None:
+    def on_last_message(self) -> None:
         """Leave if the node waited only for this message after its last tick."""
 
     def busy(self) -> bool:
@@ -146,7 +146,7 @@ class Adapter:
     def begin(self, drive: Drive) -> None:
         """Offer and read the topics, driven by `drive`."""
         self.drive = drive
-        self.overheard.subscribe(drive.last_came)
+        self.overheard.subscribe(drive.on_last_message)
         for port in self.step.inputs:
             self._subscribe(drive.row(port))
         self.outgoing.begin()
@@ -178,7 +178,7 @@ class Adapter:
 
     def _subscribe(self, item: Input) -> None:
         self.inputs.append(item)
-        self.middleware.subscribe(item.port.topic, item.port.msgtype, self.overheard.beside(item))
+        self.middleware.subscribe(item.port.topic, item.port.msgtype, self.overheard.recorded_reader(item))
 
     def _record_press(self, port: Port, down: bool) -> None:
         if self.record.sink is not None and port.name in self.record.foreign:

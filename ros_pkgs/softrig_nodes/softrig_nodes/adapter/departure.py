@@ -54,7 +54,7 @@ class Departure(Reader):
     ) -> None:
         self._node = node
         self._begin = begin
-        self._heard = received
+        self._on_words = received
         self._words: Sequence[str] = ()
         self.handshake = handshake
         self.absent: list[str] = []  # what is not there yet
@@ -73,7 +73,7 @@ class Departure(Reader):
         node.paces.append(self._input)
         self._send = middleware.publisher(READY if not self.is_starter else START, TICK, self._matched)
         middleware.subscribe(topic, TICK, self)
-        self._timer = middleware.timer(CHECK, self._look)
+        self._timer = middleware.timer(CHECK, self._check)
 
     def _matched(self, count: int) -> None:
         self._unheard = self._others - count
@@ -88,9 +88,9 @@ class Departure(Reader):
 
     def receive(self, data: bytes) -> None:
         """Receive a message of the starter, or on the starter a message of another node."""
-        (self._hear_ready if self.is_starter else self._hear_start)(data)
+        (self._receive_ready if self.is_starter else self._receive_start)(data)
 
-    def _hear_ready(self, data: bytes) -> None:
+    def _receive_ready(self, data: bytes) -> None:
         try:
             _, names = self._read(data)
         except Refused as error:
@@ -99,9 +99,9 @@ class Departure(Reader):
         self._silent -= names
         # A node that still reports that it is ready has missed the start time, or was started again.
         if self._epoch:
-            self._say_start()
+            self._announce_start()
 
-    def _hear_start(self, data: bytes) -> None:
+    def _receive_start(self, data: bytes) -> None:
         try:
             epoch, words = self._read(data)
         except Refused as error:
@@ -116,14 +116,14 @@ class Departure(Reader):
             ahead = clock - self._node.middleware.now() if clock else 0
             # A smaller difference is the time that the message took, and leaves the own clock as it is.
             self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
-        self._heard(words)
+        self._on_words(words)
 
-    def say(self, words: Sequence[str]) -> None:
+    def announce(self, words: Sequence[str]) -> None:
         """Publish to all nodes, also those that start later, that the clock of the rig is held or released."""
         self._words = words
-        self._say_start()
+        self._announce_start()
 
-    def _say_start(self) -> None:
+    def _announce_start(self) -> None:
         self._publish(TickWriter()(self._epoch, [str(self._node.middleware.now()), *self._words]))
 
     def _deaf(self) -> str:
@@ -132,7 +132,7 @@ class Departure(Reader):
         there = {middleware.name, *(peer.name for peer in middleware.subscribers(middleware.resolve(START)))}
         return ", ".join(n for n in self._node.links.starts if n not in there) or f"one of {len(there)} nodes"
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         self.absent = self.handshake.absent()
         self._checks += 1
         if self.is_starter:
@@ -144,7 +144,7 @@ class Departure(Reader):
                 grid = Schedule(self._node.links.grid)
                 # `held` rounds down to the grid; one period more keeps the lead.
                 self._epoch = grid.held(self._node.middleware.now() + LEAD + grid.time(1))
-                self._say_start()
+                self._announce_start()
                 self._begin(self._epoch, 0)
         elif not self.absent and self._checks % REPEAT == 0:
             self._publish(self._header(0, [self._node.middleware.name]))

@@ -55,12 +55,12 @@ class Handshake:
     def absent(self) -> list[str]:
         """Describe the peers that are not there yet; nothing when the node may begin."""
         node = self._node
-        self.missing = [sender for i, sender in self._awaited if not i.publishers and not i.heard]
+        self.missing = [sender for i, sender in self._awaited if not i.publishers and not i.received_any]
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
             for i, sender in self._awaited
             # A publisher that was heard and is gone has published everything.
-            if not i.publishers and not i.heard
+            if not i.publishers and not i.received_any
         ]
         results: list[tuple[str, str]] = []
         for peer in self._outside(absent):
@@ -109,7 +109,7 @@ class Handshake:
         peers = []
         self.lacking = []
         resolve = self._node.middleware.resolve
-        unmatched = {resolve(i.port.topic) for i, _ in self._awaited if not i.publishers and not i.heard}
+        unmatched = {resolve(i.port.topic) for i, _ in self._awaited if not i.publishers and not i.received_any}
         for name in self._node.links.outside:
             topic = self._node.of_rig(name)
             result = self._node.middleware.publishers(topic)

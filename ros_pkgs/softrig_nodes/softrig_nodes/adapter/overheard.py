@@ -64,7 +64,7 @@ class Overheard(Input):
         # Before t = 0 is set in real time, and after the run, it belongs to no tick.
         if self._node.state == "running" or (self._node.state, self._node.options.mode) == ("starting", "lockstep"):
             self._record(data)
-            self.topics.came()
+            self.topics.restart_timeout()
 
     def _record(self, data: bytes) -> None:
         """Record a message unless it is published again for late subscribers, or no input would accept it."""
@@ -77,7 +77,7 @@ class Overheard(Input):
             node.step.note(Level.WARN, f"unrecorded {self.port.topic}", text)
             return
         self.decode.kept = values
-        self.heard = True
+        self.received_any = True
         # A message equal to the last one is a repetition if it has a stamp or a number. Without either this is only
         # certain of the first message, before the first tick: later ones may be two with the same values.
         known = self._stamped or (self.port.type.shaped and mark >= 0)
@@ -157,12 +157,12 @@ class OverheardTopics:
             if not row.read_here:
                 self._node.middleware.subscribe(topic, row.port.msgtype, row)
 
-    def beside(self, item: Input) -> Reader:
+    def recorded_reader(self, item: Input) -> Reader:
         """Return what receives the messages of an input: the record has them, too."""
         row = self._rows.get(self._node.middleware.resolve(item.port.topic))
         return item if row is None else _Both(row, item)
 
-    def came(self) -> None:
+    def restart_timeout(self) -> None:
         """Restart the timeout: the wait for a slow publisher continues as long as it publishes."""
         self._since.pop("end", None)
         self._then()
@@ -174,7 +174,7 @@ class OverheardTopics:
 
     def absent(self) -> list[str]:
         """Describe the topics of publishers for which the node still waits at the start."""
-        lacking = [row.port.topic for row in self._rows.values() if not row.publishers and not row.heard]
+        lacking = [row.port.topic for row in self._rows.values() if not row.publishers and not row.received_any]
         if lacking and self._waits("start"):
             return [f"no publisher on {topic} yet (of an external node)" for topic in lacking]
         for topic in lacking:

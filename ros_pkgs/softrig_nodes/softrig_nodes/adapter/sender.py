@@ -45,14 +45,14 @@ class Sender(Input):
         """Receive the bytes of a message."""
         if self.deaf():
             return
-        self.heard = True
+        self.received_any = True
         try:
             stamp, result = self.read(data)
         except Refused as error:
             self.node.account.refuse(self, str(error))
-            self.spoilt(data)
+            self.rejected(data)
             return
-        self.came(stamp, result, data)
+        self.accept(stamp, result, data)
 
     def matched(self, count: int) -> None:
         """Note how many writers there are in other processes, and let the drive react."""
@@ -68,11 +68,11 @@ class Sender(Input):
         """Return stamp (or number) and values; raise `Refused` with the reason if they are invalid."""
         return self.decode(data)
 
-    def spoilt(self, data: bytes) -> None:
+    def rejected(self, data: bytes) -> None:
         """A message was refused: no value of it reaches the block."""
         raise NotImplementedError
 
-    def came(self, stamp: int, value: Any, data: bytes) -> None:
+    def accept(self, stamp: int, value: Any, data: bytes) -> None:
         """Process a valid message."""
         raise NotImplementedError
 

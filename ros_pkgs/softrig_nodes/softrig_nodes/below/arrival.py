@@ -46,7 +46,7 @@ class _Bytes(ctypes.Structure):
     )
 
 
-_Heard = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
+_Callback = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
 
 
 def library() -> Any:
@@ -102,7 +102,7 @@ class Arrival:
         self._matched = matched
         self._writers, self._counted = 0, ctypes.c_size_t()
         known: set[int] = set()
-        hand_over = self._taking(receive)
+        hand_over = self._receiver(receive)
 
         def call(nothing: int, count: int) -> None:
             if (thread := threading.get_ident()) not in known:
@@ -112,7 +112,7 @@ class Arrival:
             for _ in range(count):
                 arrive(hand_over)
 
-        self._call = _Heard(call)
+        self._call = _Callback(call)
 
     def begin(self) -> None:
         """Report writers from now on, including those that exist already."""
@@ -120,14 +120,14 @@ class Arrival:
 
     def end(self) -> None:
         """Stop reporting; reports under way finish first."""
-        self._set(_Heard())
+        self._set(_Callback())
 
     def _set(self, call: Any) -> None:
         if self._rcl.rcl_subscription_set_on_new_message_callback(self._reader, call, None):
             self._rcl.rcutils_reset_error()
             raise RCLError(f"{self.subscription.topic_name}: cannot be notified of its messages")
 
-    def look(self) -> None:
+    def report_writers(self) -> None:
         """Report the writers if their number has changed since the last look."""
         if self._rcl.rcl_subscription_get_publisher_count(self._reader, ctypes.byref(self._counted)):
             self._rcl.rcutils_reset_error()
@@ -135,7 +135,7 @@ class Arrival:
             self._writers = self._counted.value
             self._matched(self._writers)
 
-    def _taking(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
+    def _receiver(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
         """Return a callable that takes the oldest message and passes it on; in a full queue a newer one replaced it."""
         accept, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
         bytes_now = memoryview(self._bytes).cast("B").cast("Q")  # where they are, how many, how many there may be

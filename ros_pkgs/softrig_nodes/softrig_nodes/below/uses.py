@@ -258,7 +258,7 @@ def news(node: Node, handlers: Iterable[Any]) -> list[tuple[Callable[[Any], None
         return [(h.callback, h.take_data()) for h in handlers if h.is_ready(wait_set)]
 
 
-def taken(subscription: Any) -> Iterator[bytes]:
+def pending_messages(subscription: Any) -> Iterator[bytes]:
     """Return the messages that have arrived and that no executor has taken; none if rclpy does not provide them."""
     if not works("take_message"):
         return

@@ -49,9 +49,9 @@ class Faces:
             if adapter.options.mode == "lockstep" and find_spec("simulation_interfaces") is not None:
                 _offer_simulation(node, adapter)
         self._measured: Future[tuple[int, Mapping[str, tuple[float, str]]]] | None = None
-        self._beside = ThreadPoolExecutor(1) if adapter.options.mode == "realtime" else None
-        self._looks = 0
-        adapter.middleware.timer(WATCH_PERIOD, self._look)
+        self._executor = ThreadPoolExecutor(1) if adapter.options.mode == "realtime" else None
+        self._checks = 0
+        adapter.middleware.timer(WATCH_PERIOD, self._check)
 
     def _presser(self, port: Port) -> Any:
         def press(request: Any, response: Any) -> Any:
@@ -67,15 +67,15 @@ class Faces:
 
         return hold
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         adapter = self._adapter
         if self._markers is not None and _read(self._markers) and adapter.state == "running":
             self._markers.publish(marker_array(adapter.drive.now(), adapter.step.markers()))
         if self._measured is not None and self._measured.done():
             self._publish_figures(*self._measured.result())
             self._measured = None
-        self._looks += 1
-        if self._looks % 4 == 0:
+        self._checks += 1
+        if self._checks % 4 == 0:
             self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
@@ -101,10 +101,10 @@ class Faces:
         The measured data are a value, which ticks in the meantime do not change.
         """
         t, x = self._adapter.t, self._adapter.step.x
-        if self._beside is None:
+        if self._executor is None:
             self._publish_figures(t, block.status(x))
         elif self._measured is None:
-            self._measured = self._beside.submit(lambda: (t, block.status(x)))
+            self._measured = self._executor.submit(lambda: (t, block.status(x)))
 
     def _publish_figures(self, t: int, status: Mapping[str, tuple[float, str]]) -> None:
         figures = {name: f"{value:.9g} {unit}".strip() for name, (value, unit) in status.items()}

@@ -67,7 +67,7 @@ class _Active:
     at_end: Tolerances
     until: int | None  # ns of the run: when its joints must have arrived
     over: Future[tuple[str, str]] = field(default_factory=Future)  # name of the error code, text; "": canceled
-    told: int = 0  # ns of the wall: the newest feedback
+    feedback_at: int = 0  # ns of the wall: the newest feedback
 
 
 class Following(Reader):
@@ -86,9 +86,9 @@ class Following(Reader):
         self._joints = list(port.channels)
         self._active: _Active | None = None
         self._sources: int | None = None  # publishers of joint states; None: not subscribed yet
-        self._timer = adapter.middleware.timer(LOOK, self._look)
+        self._timer = adapter.middleware.timer(LOOK, self._check)
         self._timer.cancel()
-        accept = quiet_after_shutdown(self._take)
+        accept = quiet_after_shutdown(self._follow_message)
         node.create_subscription(message_class(TRAJECTORY), "~/joint_trajectory", accept, QOS)
         if kind is not None:
             self._kind = kind
@@ -127,7 +127,7 @@ class Following(Reader):
         """Stay where the reference is now."""
         self._set(hold(len(self._joints), *self._now()))
 
-    def _take(self, message: Any) -> None:
+    def _follow_message(self, message: Any) -> None:
         """Follow what was published, without an answer."""
         with self._node.monitor:
             try:
@@ -221,7 +221,7 @@ class Following(Reader):
         """Note how many publishers of measured joints there are."""
         self._sources = count
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         """End what no message ends, and measure the joints of a node in this process: its messages go by no wire."""
         adapter, topic = self._adapter, self._adapter.middleware.resolve("joint_states")
         if self._active is not None and adapter.state != "running":
@@ -267,7 +267,7 @@ class Following(Reader):
         row, n = active.path.at(t), len(self._joints)
         desired, actual = [row[k * n : (k + 1) * n] for k in range(3)], [*measured, []]
         error = [[d - a for d, a in zip(want, got, strict=False)] for want, got in zip(desired, actual, strict=True)]
-        self._tell(active, t, (desired, actual, error))
+        self._publish_feedback(active, t, (desired, actual, error))
         if t < active.motion.end:
             if wrong := active.on_way.beyond(error):
                 self._stop("PATH_TOLERANCE_VIOLATED", wrong)
@@ -277,11 +277,11 @@ class Following(Reader):
             late = (t - active.motion.end) / SECOND
             self._stop("GOAL_TOLERANCE_VIOLATED", f"{wrong}, {late:g} s after the end of the trajectory")
 
-    def _tell(self, active: _Active, t: int, rows: Sequence[Sequence[Sequence[float]]]) -> None:
+    def _publish_feedback(self, active: _Active, t: int, rows: Sequence[Sequence[Sequence[float]]]) -> None:
         """Publish feedback, at most every `FEEDBACK`."""
-        if (now := time.monotonic_ns()) - active.told < FEEDBACK:
+        if (now := time.monotonic_ns()) - active.feedback_at < FEEDBACK:
             return
-        active.told = now
+        active.feedback_at = now
         feedback = self._kind.Feedback(joint_names=self._joints)
         stamp = feedback.header.stamp
         stamp.sec, stamp.nanosec = divmod(t + self._adapter.epoch, SECOND)

@@ -68,7 +68,7 @@ class _Steps:
 
     first: int
     last: int
-    told: Callable[[int], object]  # gets how many have been taken, when there are more
+    on_step: Callable[[int], object]  # gets how many have been taken, when there are more
     over: Callable[[str], object]  # gets what went wrong
 
 
@@ -89,7 +89,7 @@ class Simulation:
         self._result, self._state, self._simulating = (types[n] for n in ("Result", "SimulationState", "SimulateSteps"))
         self._steps: list[_Steps] = []
         self._late: dict[int, tuple[Any, Any]] = {}  # answers that are not given yet: response, header
-        self._timer = adapter.middleware.timer(LOOK, self._look)
+        self._timer = adapter.middleware.timer(LOOK, self._check)
         self._timer.cancel()
         answers = (
             self._features,
@@ -105,7 +105,7 @@ class Simulation:
         self._send, service.send_response = service.send_response, self._send_unless_late  # of the last, StepSimulation
         self._action = ActionServer(node, self._simulating, "simulate_steps", self._simulate)
 
-    def _said(self, result: Any, code: str = "RESULT_OK", text: str = "") -> None:
+    def _answer(self, result: Any, code: str = "RESULT_OK", text: str = "") -> None:
         result.result, result.error_message = getattr(self._result, code), text
 
     # state -----------------------------------------------------------------------------------------------------
@@ -127,7 +127,7 @@ class Simulation:
 
     def _get_state(self, request: Any, response: Any) -> Any:
         response.state.state = self._now()
-        self._said(response.result)
+        self._answer(response.result)
         return response
 
     def _set_state(self, request: Any, response: Any) -> Any:
@@ -143,18 +143,18 @@ class Simulation:
             done, text = adapter.hold.ask("resume" if wanted == state.STATE_PLAYING else "pause")
         else:
             done, text = False, ONCE if wanted == state.STATE_STOPPED else f"no state {wanted} can be set"
-        self._said(response.result)
+        self._answer(response.result)
         if not done:
             response.result.result, response.result.error_message = response.STATE_TRANSITION_ERROR, text
         return response
 
     def _reset(self, request: Any, response: Any) -> Any:
-        self._said(response.result, "RESULT_FEATURE_UNSUPPORTED", ONCE)
+        self._answer(response.result, "RESULT_FEATURE_UNSUPPORTED", ONCE)
         return response
 
     # steps -----------------------------------------------------------------------------------------------------
 
-    def _take(self, count: int, callback: Callable[[int], object], over: Callable[[str], object]) -> str:
+    def _begin_steps(self, count: int, callback: Callable[[int], object], over: Callable[[str], object]) -> str:
         """Run steps; return why not, if refused."""
         adapter = self._adapter
         if adapter.state != "running" or not adapter.hold.held:
@@ -173,11 +173,11 @@ class Simulation:
         self._timer.again(LOOK)
         return ""
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         adapter = self._adapter
         for steps in self._steps[:]:
             used = min(adapter.ticks, steps.last) - steps.first
-            steps.told(max(0, used))
+            steps.on_step(max(0, used))
             if adapter.ticks < steps.last and adapter.hold.held:
                 continue
             self._steps.remove(steps)
@@ -187,11 +187,11 @@ class Simulation:
 
     def _step(self, request: Any, response: Any) -> Any:
         def over(text: str) -> None:
-            self._said(response.result, "RESULT_OPERATION_FAILED" if text else "RESULT_OK", text)
+            self._answer(response.result, "RESULT_OPERATION_FAILED" if text else "RESULT_OK", text)
             if id(response) in self._late:
                 self._send(*self._late.pop(id(response)))
 
-        wrong = self._take(request.steps, lambda used: None, over)
+        wrong = self._begin_steps(request.steps, lambda used: None, over)
         if wrong:
             over(wrong)
         elif self._steps and request.steps:
@@ -209,15 +209,15 @@ class Simulation:
         kind, count = self._simulating, goal.request.steps
         result, feedback, end = kind.Result(), kind.Feedback(), Future()
 
-        def told(used: int) -> None:
+        def on_step(used: int) -> None:
             if used != feedback.completed_steps:
                 feedback.completed_steps, feedback.remaining_steps = used, count - used
                 goal.publish_feedback(feedback)
 
         with self._node.monitor:
-            wrong = self._take(count, told, end.set_result)
+            wrong = self._begin_steps(count, on_step, end.set_result)
         wrong = wrong or await end
-        self._said(result.result, "RESULT_OPERATION_FAILED" if wrong else "RESULT_OK", wrong)
+        self._answer(result.result, "RESULT_OPERATION_FAILED" if wrong else "RESULT_OK", wrong)
         (goal.abort if wrong else goal.succeed)()
         return result
 
@@ -240,26 +240,26 @@ class Simulation:
     def _entities(self, request: Any, response: Any) -> Any:
         filters = request.filters
         if filters.categories or filters.tags.tags or filters.bounds.type:
-            self._said(response.result, "RESULT_FEATURE_UNSUPPORTED", "bodies have names only: filter by these")
+            self._answer(response.result, "RESULT_FEATURE_UNSUPPORTED", "bodies have names only: filter by these")
             return response
         try:
             wanted = re.compile(filters.filter)
         except re.error as error:
-            self._said(response.result, "RESULT_OPERATION_FAILED", f"filter {filters.filter!r}: {error}")
+            self._answer(response.result, "RESULT_OPERATION_FAILED", f"filter {filters.filter!r}: {error}")
             return response
         response.entities = [*filter(wanted.search, self._poses(self._values("position")))]
-        self._said(response.result)
+        self._answer(response.result)
         return response
 
     def _entity(self, request: Any, response: Any) -> Any:
         q, v = self._values("position"), self._values("velocity")
         pose = self._poses(q).get(request.entity)
         if pose is None:
-            self._said(response.result, "RESULT_NOT_FOUND", f"no body {request.entity!r}: see get_entities")
+            self._answer(response.result, "RESULT_NOT_FOUND", f"no body {request.entity!r}: see get_entities")
             return response
         adapter, state = self._adapter, response.state
         if adapter.state == "starting":
-            self._said(response.result, "RESULT_INCORRECT_STATE", "it has not begun: no body has a place yet")
+            self._answer(response.result, "RESULT_INCORRECT_STATE", "it has not begun: no body has a place yet")
             return response
         stamp = adapter.epoch + adapter.step.t
         state.header.frame_id = pose.parent
@@ -273,7 +273,7 @@ class Simulation:
         linear = [(b - a) / APART for a, b in zip(before.position, after.position, strict=True)]
         _fill(state.twist.linear, "xyz", linear)
         _fill(state.twist.angular, "xyz", [w / APART for w in turned(before.rotation, after.rotation)])
-        self._said(response.result, text="accelerations are not reported")
+        self._answer(response.result, text="accelerations are not reported")
         return response
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 SAID = 2  # newest messages of each topic that are repeated
 
 
-class Spoken:
+class LastPublished:
     """Stores what a node published last on each topic.
 
     Parameters
@@ -80,7 +80,7 @@ class Spoken:
                 send(*message)
 
 
-class _Heard:
+class _Recorded:
     """The messages of one row, as they were recorded."""
 
     def __init__(self, row: Sender, files: Files, outside: bool) -> None:
@@ -113,7 +113,7 @@ class _Heard:
             if self._outside:
                 row.record(node.t, self.data[k])
 
-    def rest(self) -> Iterator[tuple[int, bytes]]:
+    def unused(self) -> Iterator[tuple[int, bytes]]:
         """Return number and bytes of those that are not used."""
         return enumerate(self.data[self.next :], self.next)
 
@@ -147,15 +147,15 @@ class Comeback:
     """
 
     def __init__(self, drive: Lockstep, look_up: Callable[[], Files]) -> None:
-        self._drive, self._node, self._look_up = drive, drive.node, look_up
+        self._drive, self._node, self._open_files = drive, drive.node, look_up
         files = self._files = look_up()
         self.gone = set(files.gone)
-        self._told = time.monotonic()
+        self._reported_at = time.monotonic()
         rows = [*drive.senders.rows, *drive.senders.unpaced]
         # Acknowledgements are not recorded; the status files show which ticks a node has answered.
-        self._paired = {row: _Heard(row, files, outside=False) for row in rows if not isinstance(row, Ticks)}
+        self._paired = {row: _Recorded(row, files, outside=False) for row in rows if not isinstance(row, Ticks)}
         free = [i for i in self._node.inputs if isinstance(i, Sender) and i not in rows]
-        self._free = [_Heard(row, files, outside=True) for row in free]
+        self._free = [_Recorded(row, files, outside=True) for row in free]
 
     def go(self, ticks: Iterator[int | None]) -> None:
         """Run all ticks whose messages are recorded; then the node waits for missing ones like any other."""
@@ -164,7 +164,7 @@ class Comeback:
         # Changes that people made while the node ran are only in its own record.
         changes = [Change(t, values) for t, who, values in recorded(self._files.own) if who == node.middleware.name]
         step.plan(sorted([*step.changes, *changes], key=lambda change: change.at))
-        published = drive.spoken
+        published = drive.last_published
         assert published is not None
         returning = _Returning(step, self.lacks)
         # These ticks have been published before, so the node repeats only the newest once it has caught up.
@@ -178,8 +178,8 @@ class Comeback:
     def lacks(self, t: int) -> bool:
         """Let the inputs hold what had arrived up to tick t; return whether the tick lacks something."""
         # No timer fires during this loop, so the status by which the runner sees the node alive is written here.
-        if time.monotonic() - self._told > WATCH_PERIOD * 1e-9:
-            self._told = time.monotonic()
+        if time.monotonic() - self._reported_at > WATCH_PERIOD * 1e-9:
+            self._reported_at = time.monotonic()
             self._node.account.write_status()
         for received in (*self._paired.values(), *self._free):
             if not isinstance(received.row, Pace):
@@ -206,11 +206,11 @@ class Comeback:
         drive, node = self._drive, self._node
         for row in (*drive.senders.rows, *drive.senders.unpaced):
             received = self._paired.get(row)
-            used = self._heard_of(row)
+            used = self._newest_used(row)
             # A silent tick leaves no message, so only the status file of the publisher shows that it was answered.
             reached = self._answered(row) if row.silent or isinstance(row, Ticks) else used
             row.resume(used, reached)
-            row.heard = row.who in self.gone
+            row.received_any = row.who in self.gone
             # No tick waits for an unpaced row, so it counts as complete.
             row.have = row in drive.senders.unpaced
             if received is not None and isinstance(row, Counted):
@@ -222,30 +222,30 @@ class Comeback:
         # Recalled messages are compared with the wanted stamps, so these are set first.
         drive.await_tick(node.t)
         for row, received in self._paired.items():
-            for k, data in () if isinstance(row, Pace) else received.rest():
+            for k, data in () if isinstance(row, Pace) else received.unused():
                 row.recall(k, data)
 
-    def look(self) -> bool:
+    def read_earlier(self) -> bool:
         """Read from the current files what was published before this node was known; return whether nodes have left."""
-        files = self._files = self._look_up()
+        files = self._files = self._open_files()
         new = files.gone - self.gone
         self.gone |= new
         for row in (*self._drive.senders.rows, *self._drive.senders.unpaced):
-            row.heard = row.heard or row.who in new
+            row.received_any = row.received_any or row.who in new
             if row.have and row.who not in new:
                 continue
             if not isinstance(row, Pace):
-                received = _Heard(row, files, outside=False)
+                received = _Recorded(row, files, outside=False)
                 for k, (t, data) in enumerate(zip(received.times, received.data, strict=True)):
                     if isinstance(row, Counted) and row.silent:
-                        row.told(t, True)
+                        row.acknowledge(t, True)
                     if k >= row.received if isinstance(row, Counted) else t > row.used:
                         row.recall(k, data)
             if row.silent or isinstance(row, Pace):
                 row.learn(self._answered(row))
         return bool(new)
 
-    def _heard_of(self, row: Paired) -> int:
+    def _newest_used(self, row: Paired) -> int:
         """Return the tick of the newest message that was used; for a sender without messages, its newest tick."""
         received = self._paired.get(row)
         if received is None:

@@ -27,14 +27,14 @@ from ..seam.endpoint import Input
 from ..seam.health import percentiles
 from ..seam.middleware import Place, Reader
 from ..seam.solving import Busy, Solving
-from .comeback import Comeback, Spoken
+from .comeback import Comeback, LastPublished
 from .first import repeat_first
 from .paired import PairedSenders
 from .stalls import Stalls
 from .turns import Turns
 
 FEW = 2  # followers that a loop of two can have and still be placed by itself
-SAY_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin logs what it lacks
+REPORT_AFTER = 5 * SECOND // CHECK  # checks after which a node that cannot begin logs what it lacks
 
 
 class Lockstep(Link):
@@ -67,11 +67,11 @@ class Lockstep(Link):
         self._sent = self._first = self._longest = 0
         self.solving: Solving | None = None
         self._comeback: Comeback | None = None
-        self._stood = -1  # ticks at the last look at its progress
+        self._ticks_before = -1  # ticks at the last look at its progress
         self._shake: Callable[[], Handshake]  # describes the peers again when some have left
         super().__init__(node.step)
         node.begin(self)
-        self.spoken = Spoken(node) if node.links.returns else None
+        self.last_published = LastPublished(node) if node.links.returns else None
 
     def join(self, local: Set[str]) -> None:
         """Wait for the peers that are not in this process.
@@ -97,7 +97,7 @@ class Lockstep(Link):
             repeat_first(
                 [*stamped, node.outgoing.clock_output], lambda: node.state == "running" and node.ticks == first
             )
-        senders.follow_ticks({*local, node.middleware.name}, self.last_came)
+        senders.follow_ticks({*local, node.middleware.name}, self.on_last_message)
         senders.await_tick(0)
         wanted = [(o, list(links.readers.get(o.name, []))) for o in node.outgoing.outputs]
         if links.owns_clock:
@@ -177,14 +177,14 @@ class Lockstep(Link):
         self.node.lacking = self.handshake.lacking
         if absent:
             self._checks += 1
-            if self._checks == SAY_AFTER:
+            if self._checks == REPORT_AFTER:
                 self.node.middleware.log(Level.WARN, f"cannot begin yet: {'; '.join(absent)}")
         else:
             self._starter.cancel()
             self.ready = True
             self._stalls.restart()
-            if self._comeback is not None and self.spoken is not None:
-                self.spoken.again()
+            if self._comeback is not None and self.last_published is not None:
+                self.last_published.again()
             self._turns.begin()
             # A node that comes back may have answered its last tick from the files of the run, before its peers were
             # matched.
@@ -193,10 +193,10 @@ class Lockstep(Link):
 
     def _patient(self) -> None:
         """A solver is at work somewhere in the rig: the time without progress starts again."""
-        self.senders.heard += 1
+        self.senders.signs_of_life += 1
 
-    def last_came(self) -> None:
-        """See `Drive.last_came`."""
+    def on_last_message(self) -> None:
+        """See `Drive.on_last_message`."""
         if self._over and self.node.state == "running":
             self._leave()
 
@@ -285,7 +285,7 @@ class Lockstep(Link):
         Then wait for a bounded time for the last messages of external nodes, and record them.
         """
         self._over = True
-        begun = self.ready and all(row.heard for row in self.senders.rows if row.earlier)
+        begun = self.ready and all(row.received_any for row in self.senders.rows if row.earlier)
         if begun and self.node.overheard.complete():
             self.node.finish()
 
@@ -300,9 +300,9 @@ class Lockstep(Link):
 
     def native(self) -> dict[str, Any]:
         """Return what native code answers of its ticks, where it may."""
-        if self._turns.tell_native is None:
+        if self._turns.report_native is None:
             return {}
-        self._turns.tell_native()
+        self._turns.report_native()
         return {"native": self.step.native}
 
     def statistics(self) -> dict[str, Any]:
@@ -313,15 +313,15 @@ class Lockstep(Link):
 
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came; publish again what may have been lost with one."""
-        if self.spoken is not None:
+        if self.last_published is not None:
             # A rig that answered a tick since the last look has lost nothing, so messages are only repeated while it
             # stands.
-            stands, self._stood = self._stood == self.node.ticks, self.node.ticks
+            stands, self._ticks_before = self._ticks_before == self.node.ticks, self.node.ticks
             if stands and self.ready:
-                self.spoken.again()
-            if stands and self._comeback is not None and self._comeback.look():
+                self.last_published.again()
+            if stands and self._comeback is not None and self._comeback.read_earlier():
                 # Nodes that have left can no longer be matched, so the handshake is made again without them.
                 self._stalls.handshake = self.handshake = self._shake()
-        self.last_came()
+        self.on_last_message()
         # The wait for last messages of external nodes ends by time, when no message may arrive that would check it.
-        self._stalls.look()
+        self._stalls.check()

@@ -41,7 +41,7 @@ class PairedSenders:
         To be matched before the start, but not waited for.
     missing : int
         Number of rows that the tick under way still lacks.
-    heard : int
+    signs_of_life : int
         Messages that do not advance our tick but show that a peer is alive.
     """
 
@@ -51,7 +51,7 @@ class PairedSenders:
         self.rows: list[Paired] = []
         self.unpaced: list[Paired] = []
         self.missing = 0
-        self.heard = 0
+        self.signs_of_life = 0
 
     def row(self, port: Port) -> Sender:
         """Create the row of an input: paired with the ticks of its sender, or holding the newest value."""
@@ -124,11 +124,11 @@ class PairedSenders:
 class Newest(Sender):
     """An input of which the newest value is used, at whatever tick it arrives."""
 
-    def spoilt(self, data: bytes) -> None:
+    def rejected(self, data: bytes) -> None:
         """The next answer would have used it."""
         self.node.step.bad = True
 
-    def came(self, stamp: int, value: Any, data: bytes) -> None:
+    def accept(self, stamp: int, value: Any, data: bytes) -> None:
         """Hold the value of a message."""
         if not (self.port.stamped or self.in_order(stamp)):
             return
@@ -164,9 +164,9 @@ class Paired(Sender):
         The last awaited stamp up to which the sender had published.
     reached : int
         The last tick that its messages, silences and acknowledgements cover.
-    said : dict
+    pending : dict
         What was published at ticks that are not used yet: value and bytes, `KEEP` or `BAD`.
-    excused : int
+    rejected_stamp : int
         Stamp of the newest rejected message whose tick is answered: a valid one that follows is too late.
     """
 
@@ -184,8 +184,8 @@ class Paired(Sender):
         self.want = self.used if earlier else 0
         # Before t = 0 there is no earlier tick to wait for.
         self.have = earlier
-        self.excused = -1
-        self.said: dict[int, Any] = {}
+        self.rejected_stamp = -1
+        self.pending: dict[int, Any] = {}
         self.last_stamp_zero = False  # of the last message that was no step of ours
         self._holds = 0  # until this time the awaited message serves
         # with our period: due whenever we are, up to its last tick
@@ -204,7 +204,7 @@ class Paired(Sender):
         if want == self.want and (t or self.earlier):
             return False
         self.want = want
-        self.have = (want <= self.used or want <= self.reached or bool(self.said)) and self._complete()
+        self.have = (want <= self.used or want <= self.reached or bool(self.pending)) and self._complete()
         if self.have:
             self._use()
         return not self.have
@@ -233,14 +233,14 @@ class Paired(Sender):
 
     def _complete(self) -> bool:
         """Return whether the sender has published up to the awaited tick."""
-        return self.want <= self.used or self.want <= self.reached or (not self.silent and self.want in self.said)
+        return self.want <= self.used or self.want <= self.reached or (not self.silent and self.want in self.pending)
 
     def _use(self) -> None:
         """Use the newest message up to the awaited tick; drop the others."""
         self.used = max(self.used, self.want)
         result: Any = KEEP
-        for position in sorted(p for p in self.said if p <= self.want):
-            value = self.said.pop(position)
+        for position in sorted(p for p in self.pending if p <= self.want):
+            value = self.pending.pop(position)
             if value is not KEEP:
                 result = value
                 # A rejected message leaves the old value, and with it that value's age.
@@ -260,11 +260,11 @@ class Paired(Sender):
 
     # what has come -------------------------------------------------------------------------------------------------
 
-    def came(self, stamp: int, value: Any, data: bytes, tick: int | None = None) -> None:
+    def accept(self, stamp: int, value: Any, data: bytes, tick: int | None = None) -> None:
         """Accept a message for a tick of its sender: the tick of its stamp, unless given."""
         position = stamp if tick is None else tick
         # Nearly every message is the awaited one, with nothing stored ahead of it: it needs no table.
-        if position == self.want and not self.have and not self.said and not self.silent:
+        if position == self.want and not self.have and not self.pending and not self.silent:
             if self._number is not None:
                 self.record(self.node.t, data)
             self._values[self.name] = self.value(stamp, value) if self._valued else value
@@ -272,11 +272,11 @@ class Paired(Sender):
             self._arrived()
         elif self.node.links.returns and self._again(position):
             return
-        elif self._may_come(position):
-            self.table.heard += 1
+        elif self._is_new(position):
+            self.table.signs_of_life += 1
             self._put(position, (self.value(stamp, value), data))
         # The tick has been answered with the rejected message, so a corrected one is too late.
-        elif position == self.excused:
+        elif position == self.rejected_stamp:
             return
         # A stamp of 0 is a first message repeated for a late subscriber, or comes from an outside node that copies no
         # stamp; if a stall follows, its report names this cause.
@@ -291,52 +291,52 @@ class Paired(Sender):
         """Accept a message from the record of its sender: its number there, from 0."""
         self.receive(data)
 
-    def spoilt(self, data: bytes) -> None:
+    def rejected(self, data: bytes) -> None:
         """A controller answers a tick with a bad measurement too; a plant waits for a good command."""
         if not self.node.is_plant:
-            self._excuse(readable_stamp(data))
+            self._count_rejected(readable_stamp(data))
 
-    def told(self, position: int, published: bool) -> None:
+    def acknowledge(self, position: int, published: bool) -> None:
         """Process the report of a sporadic sender whether it published at one of its ticks."""
-        if not published and self._may_come(position):
+        if not published and self._is_new(position):
             self._put(position, KEEP)
 
     def _again(self, position: int) -> bool:
         """Return whether a message is one that was there before, or older than one that serves in its place."""
-        if position <= self.used or position in self.said:
+        if position <= self.used or position in self.pending:
             return True
-        return not self.silent and any(position < p <= self.want for p in self.said)
+        return not self.silent and any(position < p <= self.want for p in self.pending)
 
-    def _excuse(self, position: int | None) -> None:
+    def _count_rejected(self, position: int | None) -> None:
         """The refused message counts as that of its tick."""
-        if position is not None and self._may_come(position):
-            self.excused = position
+        if position is not None and self._is_new(position):
+            self.rejected_stamp = position
             self._put(position, BAD)
 
-    def _may_come(self, position: int) -> bool:
+    def _is_new(self, position: int) -> bool:
         """Return whether a message of this tick of the sender is new and possible."""
         last = self.schedule.last
         return (
             self.used < position
-            and position not in self.said
+            and position not in self.pending
             and self.schedule.due(position)
             and (last is None or position <= last)
-            and len(self.said) < AHEAD
+            and len(self.pending) < AHEAD
         )
 
     def _put(self, position: int, value: Any) -> None:
         """Store what was published at a tick, and use it if that completes the inputs of our tick."""
         if not self.silent and position < self.want:
             # Of a faster publisher only the newest message up to the wanted tick can be used; older ones are dropped.
-            self.said = {p: kept for p, kept in self.said.items() if p > position}
-        self.said[position] = value
+            self.pending = {p: kept for p, kept in self.pending.items() if p > position}
+        self.pending[position] = value
         # Acknowledgements and messages overtake each other, so a tick only counts when all before it are known.
-        while self.silent and (following := self.schedule.next(self.reached)) in self.said:
+        while self.silent and (following := self.schedule.next(self.reached)) in self.pending:
             self.reached = following
-            if self.said[following] is KEEP:
-                del self.said[following]
+            if self.pending[following] is KEEP:
+                del self.pending[following]
             elif following <= self.want:
-                self.said = {p: kept for p, kept in self.said.items() if p >= following}
+                self.pending = {p: kept for p, kept in self.pending.items() if p >= following}
         if not self.have and self._complete():
             self._use()
             self._arrived()
@@ -354,13 +354,13 @@ class Counted(Paired):
         self.received = 0
         self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: refused
         self._announced: deque[int] = deque()  # the ticks at which they were sent
-        self._told = -1  # the newest tick that the publisher has acknowledged
+        self._acknowledged = -1  # the newest tick that the publisher has acknowledged
         self._behind = self.port.delayed and self.node.links.returns  # its number is behind a message
 
     def resume(self, used: int, reached: int) -> None:
         """See `Paired.resume`."""
         super().resume(used, reached)
-        self._told = max(self._told, reached)
+        self._acknowledged = max(self._acknowledged, reached)
 
     def count(self, received: int, announced: Iterable[int]) -> None:
         """Continue after a number of used messages; messages of the announced ticks will still arrive."""
@@ -379,7 +379,7 @@ class Counted(Paired):
         """See `Paired.recall`."""
         self.receive(numbered(number, data) if self._behind else data)
 
-    def came(self, stamp: int, value: Any, data: bytes) -> None:
+    def accept(self, stamp: int, value: Any, data: bytes) -> None:
         """Accept a message (None for a rejected one) at its number."""
         if not (self.port.stamped or self._in_turn(stamp)):
             return
@@ -389,31 +389,31 @@ class Counted(Paired):
         self.received += 1
         self._serve()
 
-    def spoilt(self, data: bytes) -> None:
+    def rejected(self, data: bytes) -> None:
         """Count a rejected message if the node does not wait for a valid one."""
         if not self.node.is_plant:
-            self.came(self.decode.number(data), None, data)
+            self.accept(self.decode.number(data), None, data)
 
-    def told(self, position: int, published: bool) -> None:
+    def acknowledge(self, position: int, published: bool) -> None:
         """Process the report of a sporadic sender whether it published at one of its ticks."""
         # This acknowledgement was repeated.
-        if position <= self._told:
+        if position <= self._acknowledged:
             return
-        self._told = position
+        self._acknowledged = position
         if published:
             self._announced.append(position)
             self._serve()
         else:
-            super().told(position, published)
+            super().acknowledge(position, published)
 
     def _serve(self) -> None:
         """Assign the messages that have arrived to the ticks at which they were sent."""
         while self._queue and self._announced:
             (stamp, values, data), position = self._queue.popleft(), self._announced.popleft()
             if values is None:
-                self._excuse(position)
+                self._count_rejected(position)
             else:
-                super().came(stamp, values, data, position)
+                super().accept(stamp, values, data, position)
 
     def _in_turn(self, number: int) -> bool:
         """Return whether a message is the next one; reject a repeated one; end the run if one is missing."""
@@ -437,16 +437,16 @@ class Counted(Paired):
 class Pace(Paired):
     """A sender whose messages carry only its ticks: /clock."""
 
-    def came(self, stamp: int, value: Any, data: bytes) -> None:
+    def accept(self, stamp: int, value: Any, data: bytes) -> None:
         """Process the report that the sender has reached one of its ticks."""
-        self.table.heard += 1
+        self.table.signs_of_life += 1
         if stamp == self.want and not self.have:
             self.used = self.reached = stamp
             self._arrived()
         elif stamp == self.schedule.next(self.reached):
             self.reached = stamp
 
-    def spoilt(self, data: bytes) -> None:
+    def rejected(self, data: bytes) -> None:
         """Ignore an invalid message: another one follows, or the run ends without it."""
 
 
@@ -463,9 +463,9 @@ class Behind(Pace):
         """Return the tick of the node that must be answered before ours."""
         return needed(self.schedule, self.node.schedule, t)
 
-    def came(self, stamp: int, value: Any, data: bytes) -> None:
+    def accept(self, stamp: int, value: Any, data: bytes) -> None:
         """Process the acknowledgement of a tick and all before it."""
-        self.table.heard += 1
+        self.table.signs_of_life += 1
         self.reached = max(self.reached, stamp)
         if not self.have and stamp >= self.want:
             self._arrived()
@@ -496,10 +496,10 @@ class Ticks(Pace):
         self._silent_rows, self._then = tuple(silent_rows), then
         self.read = TickReader()  # type: ignore[method-assign]
 
-    def came(self, stamp: int, names: Collection[str], data: bytes) -> None:
+    def accept(self, stamp: int, names: Collection[str], data: bytes) -> None:
         """Notify the rows of its sporadic ports, then continue as after any tick."""
-        # The rows learn of it first, because `came` may run the next tick, which asks them.
+        # The rows learn of it first, because `accept` may run the next tick, which asks them.
         for row in self._silent_rows:
-            row.told(stamp, row.silent in names)
-        super().came(stamp, names, data)
+            row.acknowledge(stamp, row.silent in names)
+        super().accept(stamp, names, data)
         self._then()

@@ -18,7 +18,7 @@ GONE_AFTER = 0.5  # s without the awaited message after its only publisher has v
 GOODBYE = 2.0  # s: a publisher that vanishes sooner has left in order; a killed one stays for its lease (3 s)
 
 
-STANDS, SAY_AFTER = "stands", 1.5  # key of a report, and s without a tick after which it is made
+STANDS, REPORT_AFTER = "stands", 1.5  # key of a report, and s without a tick after which it is made
 
 
 class Stalls:
@@ -40,14 +40,14 @@ class Stalls:
         self._middleware = senders.node.middleware
         self._progress = (-1, 0)
         self.rivals: Input | None = None
-        self._said = False  # that it stands
+        self._reported = False  # that it stands
         self.restart()
 
     def restart(self) -> None:
         """Count the time from now."""
         self._since = self._middleware.steady()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """End the run when a peer is gone, stalls or never came."""
         node, senders = self._node, self._senders
         waited = self._middleware.steady() - self._since
@@ -62,19 +62,19 @@ class Stalls:
                 silent = [f"nothing on {row.port.topic} yet" for row in lacking]
                 node.fail(f"not all peers after {limit:g} s: {'; '.join(absent or silent)}")
         elif node.state == "running":
-            if self._progress != (node.t, senders.heard):
-                self._progress = (node.t, senders.heard)
+            if self._progress != (node.t, senders.signs_of_life):
+                self._progress = (node.t, senders.signs_of_life)
                 self.restart()
-                if self._said:
+                if self._reported:
                     node.step.note(None, STANDS, "")
-                    self._said = False
+                    self._reported = False
             else:
                 self._judge(waited)
 
     def _begun(self) -> bool:
         """Return whether the rig has sent anything; until then a node may still wait for an outside node."""
         node = self._node
-        if node.links.owns_clock or self._senders.heard:
+        if node.links.owns_clock or self._senders.signs_of_life:
             return True
         # A row of an earlier tick is complete before anything has arrived. Neither does an own tick prove that the rig
         # has begun: a source for an outside plant publishes t = 0 unasked.
@@ -97,8 +97,8 @@ class Stalls:
         node = self._node
         lacking = [row for row in self._senders.rows if not row.have]
         # In the first ticks other nodes may still be starting, which is no stall.
-        if lacking and waited > SAY_AFTER and node.ticks > 1 and not self._said:
-            self._said = True
+        if lacking and waited > REPORT_AFTER and node.ticks > 1 and not self._reported:
+            self._reported = True
             what = ", ".join(f"{row.port.topic} from {row.who}" for row in lacking)
             node.step.note(Level.WARN, STANDS, f"waits for {what} at t = {node.t / SECOND:.9g} s", anew=True)
         gone = [row for row in lacking if not row.publishers and not node.links.returns]
@@ -121,7 +121,7 @@ class Stalls:
             what = ", ".join(
                 f"{row.port.topic} from {row.who}{' (gone)' if row in gone else ''}"
                 f"{'; last refused: ' + row.last_refusal if row.last_refusal else ''}"
-                f"{f'; it is ahead, at {max(row.said) / SECOND:.9g} s' if row.said else ''}"
+                f"{f'; it is ahead, at {max(row.pending) / SECOND:.9g} s' if row.pending else ''}"
                 f"{f'; its last message was stamped 0: {COPY}' if row.last_stamp_zero else ''}"
                 for row in lacking
             )

@@ -26,7 +26,7 @@ class Turns:
     ----------
     ticks : iterator
         Ticks of the loop; a restarted node repeats those that it had answered.
-    tell_native : callable or None
+    report_native : callable or None
         Updates `Step.native` of each step; None: no ticks run natively.
     """
 
@@ -35,7 +35,7 @@ class Turns:
     def __init__(self, nodes: Sequence[Adapter]) -> None:
         self._nodes = nodes
         self._lacking = len(nodes)  # nodes whose peers are not all there
-        self.tell_native: Callable[[], object] | None = None
+        self.report_native: Callable[[], object] | None = None
 
     def order(self, members: Sequence[Step], alone: Callable[[], bool]) -> None:
         """Set the order of the nodes in a tick.
@@ -49,7 +49,7 @@ class Turns:
         """
         self.ticks = Loop(members).run()
         if len(members) > 1 and all(n.middleware.mute for n in self._nodes):
-            self.ticks, self.tell_native = ticks_of(members, alone=alone)
+            self.ticks, self.report_native = ticks_of(members, alone=alone)
 
     def begin(self) -> None:
         """Count a node whose peers are present; with the last one the ticks begin."""

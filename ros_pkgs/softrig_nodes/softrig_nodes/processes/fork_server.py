@@ -231,14 +231,14 @@ class _Edited:
 
     def __init__(self) -> None:
         self._seen: dict[str, int] = {}
-        self._look()
+        self._scan()
 
     def __bool__(self) -> bool:
         before = dict(self._seen)
-        self._look()
+        self._scan()
         return any(self._seen[file] != written for file, written in before.items())
 
-    def _look(self) -> None:
+    def _scan(self) -> None:
         for module in list(sys.modules.values()):
             file = getattr(module, "__file__", None)
             if file and not file.startswith(_LIBRARIES):

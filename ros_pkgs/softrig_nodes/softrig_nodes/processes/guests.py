@@ -29,7 +29,7 @@ class Guests:
             m.name: {p.topic for p in m.outputs if ours(rig.readers(m, p))} for m in rig.members if m.external
         }
         self._rig = rig
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._awaited = [name for name, topics in self._needed.items() if topics]
         self._since = time.monotonic()
 
@@ -49,7 +49,7 @@ class Guests:
             lines += [f"  {m.name} can read {p.topic} ({p.msgtype})" for p in m.inputs if m.external]
         self._announce("\n".join(lines))
 
-    def look(self, states: Mapping[str, Mapping[str, Any]]) -> None:
+    def check(self, states: Mapping[str, Mapping[str, Any]]) -> None:
         """Report the nodes that have joined since the last call and, once, what prevents the others from joining.
 
         Parameters
@@ -103,7 +103,7 @@ class Guests:
                     )
 
     def _once(self, key: str, text: str) -> None:
-        if key not in self._said:
-            self._said.add(key)
+        if key not in self._reported:
+            self._reported.add(key)
             if self._announce is not None:
                 self._announce(text)

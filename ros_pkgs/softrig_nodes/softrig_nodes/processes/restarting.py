@@ -36,12 +36,12 @@ def check_restart(rig: Rig, placement: Placement) -> None:
         raise ScenarioError("--restart: a node comes back from what the others have recorded, expected a record")
 
 
-class _Look(NamedTuple):
+class _Progress(NamedTuple):
     """Observation of a node: time of its last status, ticks answered, and whether it has stopped answering."""
 
     written: int
     ticks: int
-    stood: bool
+    stalled: bool
 
 
 class Restarts:
@@ -63,9 +63,9 @@ class Restarts:
     def __init__(self, most: int, again: Again, announce: Callable[[str], object] | None = None) -> None:
         self.most, self._again, self._announce = most, again, announce
         self.counts: dict[str, int] = {}
-        self._looks: dict[str, dict[str, _Look]] = {}  # by node that has died, at each of the others
+        self._progress: dict[str, dict[str, _Progress]] = {}  # by node that has died, at each of the others
 
-    def look(self, children: list[Child]) -> list[Child]:
+    def check(self, children: list[Child]) -> list[Child]:
         """Start killed nodes again when all others wait; return those that cannot be started again.
 
         A node writes its recording to its file within a quarter of a second, and its status after that. Two statuses
@@ -84,25 +84,25 @@ class Restarts:
 
     def _stand(self, dead: Child, children: list[Child]) -> bool:
         """Return whether all others wait or have ended; a node without a status is ignored."""
-        waiting = self._looks.setdefault(dead.member.name, {})
+        waiting = self._progress.setdefault(dead.member.name, {})
         for child in children:
             with suppress(OSError):
                 if child.process.poll() is None:
                     written, status = child.status.stat().st_mtime_ns, read_status(child.status)
                     ticks = status.get("ticks", 0)
-                    old = waiting.setdefault(child.member.name, _Look(written, ticks, False))
+                    old = waiting.setdefault(child.member.name, _Progress(written, ticks, False))
                     if old.written != written:
-                        stood = ticks == old.ticks and not status.get("busy")
-                        waiting[child.member.name] = _Look(written, ticks, stood)
+                        stalled = ticks == old.ticks and not status.get("busy")
+                        waiting[child.member.name] = _Progress(written, ticks, stalled)
                 else:
                     waiting.pop(child.member.name, None)
-        return all(other.stood for other in waiting.values())
+        return all(other.stalled for other in waiting.values())
 
     def _restart(self, children: list[Child], k: int, code: int) -> None:
         name = children[k].member.name
         t = read_status(children[k].status).get("t", 0) / 1e9
         self.counts[name] = self.counts.get(name, 0) + 1
-        del self._looks[name]
+        del self._progress[name]
         self._again(k)
         if self._announce is not None:
             self._announce(

@@ -52,7 +52,7 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
         # the locks last, and held until then: a node that starts now must not take the port meanwhile
         with ExitStack() as held:
-            if not all(_taken(lock, held) for lock in locks):
+            if not all(_is_abandoned(lock, held) for lock in locks):
                 continue
             for path in (folder / stem, folder / f"sem.{stem}_mutex", *locks):
                 with suppress(OSError):
@@ -136,7 +136,7 @@ class Ears:
     def __init__(self) -> None:
         self._good: dict[Path, int] = {}  # inodes
         self._since: dict[Path, float] = {}
-        self._looked, self._time = -math.inf, 0.0
+        self._checked_at, self._time = -math.inf, 0.0
         self._places: dict[tuple[Path, int], int] = {}
 
     def lost(self) -> str:
@@ -151,8 +151,8 @@ class Ears:
         self._good = {path: inode for path in own if (inode := _inode(path)) in mapped.get(path, ())}
         self._judge()
         now = time.monotonic()
-        self._time += min(now - self._looked, 1.0)
-        self._looked = now
+        self._time += min(now - self._checked_at, 1.0)
+        self._checked_at = now
         self._since = {path: self._since.get(path, self._time) for path in own - self._good.keys()}
         return next((path.name for path, since in self._since.items() if self._time - since >= self.PATIENCE), "")
 
@@ -229,7 +229,7 @@ def _unfinished(path: Path) -> bool:
         return False
 
 
-def _taken(lock: Path, held: ExitStack) -> bool:
+def _is_abandoned(lock: Path, held: ExitStack) -> bool:
     """Return whether a lock file is old and not locked; if so, this process locks it until `held` ends."""
     try:
         if not _older(lock, AGE):

@@ -48,17 +48,17 @@ def supervise(
     last, before, moved, logged = -1, dict[str, Any](), time.monotonic(), set[str]()
     while True:
         stopping.check()
-        clock.look()
+        clock.update()
         running = [c for c in children if c.process.poll() is None]
         started = dict(restarts.counts)
-        if failed := restarts.look(children):
+        if failed := restarts.check(children):
             return _reason(children, failed, restarts)
         if restarts.counts != started:
             comes_up = time.monotonic() + rig.scenario.start_timeout
         if all(c.process.poll() == 0 for c in children):
             return ""
         states = {c.member.name: read_status(c.status) for c in children}
-        guests.look(states)
+        guests.check(states)
         if time.monotonic() > comes_up and (mute := _mute(states, rig.scenario.start_timeout)):
             return mute
         plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
@@ -115,7 +115,7 @@ class SystemClock:
         self._most = self._ahead()
         self._back = 0.0
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Update the lead over the monotonic clock, and the largest amount by which the clock was set back, s."""
         now = self._ahead()
         self._most = max(self._most, now)
@@ -123,7 +123,7 @@ class SystemClock:
 
     def set_back(self) -> str:
         """Describe that it was set back; empty if it was not."""
-        self.look()
+        self.update()
         what = f"; the system's clock was set back by {self._back:.0f} s meanwhile, and Fast DDS waits by it"
         return what if self._back > 1.0 else ""
 

@@ -40,7 +40,7 @@ class Answering:
         self._deadline = node.middleware.timer(1_000_000_000, self._give_up)
         self._deadline.cancel()
 
-    def take(self, row: Live, stamp: int, due: int, value: object, now: int) -> None:
+    def process(self, row: Live, stamp: int, due: int, value: object, now: int) -> None:
         """Process a valid message of the tick that `due` belongs to."""
         if row.awaited:
             if due >= self._following:
@@ -97,7 +97,7 @@ class Answering:
                         self._deadline.again(self._patience)
                     return
             self._complete = 0
-            self._say(pending.popleft())
+            self._answer_tick(pending.popleft())
             # The limit that runs was that of the tick before.
             if pending and not self._unarmed:
                 self._deadline.cancel()
@@ -138,7 +138,7 @@ class Answering:
                 row.expected = False
             topics = ", ".join(f.port.topic for f in lacking)
             node.step.note(Level.WARN, "incomplete", f"answered without what was due on {topics}")
-            self._say(stamp)
+            self._answer_tick(stamp)
         elif not self._pending:
             # The messages that are still missing may begin this tick again.
             self._following = stamp
@@ -146,7 +146,7 @@ class Answering:
         if self._pending:
             self._deadline.again(self._patience)
 
-    def _say(self, stamp: int) -> None:
+    def _answer_tick(self, stamp: int) -> None:
         """Answer the tick of a stamp with the newest values up to it."""
         node, now = self._node, self._table.clock()
         last, self._last_stamp = self._last_stamp, stamp
@@ -156,7 +156,7 @@ class Answering:
             missed = node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
             self.missed += missed
         for row in self._used:
-            if (value := row.take(stamp)) is not None:
+            if (value := row.value_at(stamp)) is not None:
                 node.values[row.name] = value
             if row.awaited:
                 row.silent(now)

@@ -59,7 +59,7 @@ class Beat:
         # Ticks that are made up for in order have the numbers that they would have had in time.
         if t - grid.time(self._number + 1) <= BEHIND:
             for k in range(self._number + 1, number):
-                self._say(k, grid.time(k), first.clock())
+                self._answer(k, grid.time(k), first.clock())
         else:
             for drive in self._drives:
                 schedule = drive.node.schedule
@@ -67,9 +67,9 @@ class Beat:
                 # values by now.
                 if (own := schedule.held(t)) < t:
                     drive.tick(schedule.tick(own), own, now)
-        self._say(number, t, first.clock())
+        self._answer(number, t, first.clock())
 
-    def _say(self, number: int, t: int, now: int) -> None:
+    def _answer(self, number: int, t: int, now: int) -> None:
         """Answer with the nodes that are due at a tick."""
         self._number = number
         for drive, every in self._members:

@@ -43,15 +43,15 @@ class LiveSenders:
         ns after which a command is stale; 0: a number of intervals of its sender.
     unrecorded : list of (due, number, message)
         Messages from outside that no tick has used: they are recorded at the first tick that is not before `due`, ns.
-    take : callable
+    on_value : callable
         Gets (row, stamp, time of the tick that it belongs to, value, now) of each valid message.
     excuse : callable
         Gets (row, time of its tick, now) of each invalid one whose tick is known.
     act : callable
-        Called when all messages that arrived together have been passed to `take` or `excuse`.
+        Called when all messages that arrived together have been passed to `on_value` or `excuse`.
     """
 
-    take: Callable[[Live, int, int, Any, int], object]
+    on_value: Callable[[Live, int, int, Any, int], object]
     excuse: Callable[[Live, int, int], object]
     act: Callable[[], object]
 
@@ -81,7 +81,7 @@ class LiveSenders:
                     sink.add(number, stamp, data)
             self.unrecorded = [entry for entry in self.unrecorded if entry[0] > stamp]
 
-    def record_rest(self, stamp: int) -> None:
+    def record_late(self, stamp: int) -> None:
         """Record messages that arrived after the last tick, whose stamp is given."""
         for due in sorted({max(due, stamp) for due, _, _ in self.unrecorded}):
             self.record(due)
@@ -181,7 +181,7 @@ class Live(Sender):
         if self.outside < 2:
             return
         before, silence = self._rivals.alone, max(self._silence(), GONE)
-        self._rivals.hear(number, self.table.clock(), silence)
+        self._rivals.receive(number, self.table.clock(), silence)
         if self._rivals.alone and not before and not self.local:
             text = f"of {self.publishers} publishers only one has published for {silence / SECOND:g} s: accepted"
             self.node.step.note(Level.WARN, f"rivals {self.port.topic}", text)
@@ -202,7 +202,7 @@ class Live(Sender):
             self.table.believe(stamp, self.port.delayed)
         return stamp, values
 
-    def spoilt(self, data: bytes) -> None:
+    def rejected(self, data: bytes) -> None:
         """Use a rejected message for its tick, which the block then answers by `Block.refused`."""
         table, now = self.table, self.table.clock()
         if self.node.is_plant:
@@ -212,7 +212,7 @@ class Live(Sender):
         if not stamp or abs(stamp - now) <= table.window:
             table.excuse(self, stamp or table.grid_time(now), now)
 
-    def came(self, stamp: int, value: Any, data: bytes) -> None:
+    def accept(self, stamp: int, value: Any, data: bytes) -> None:
         """Store a message by its stamp; ignore one that arrives after a newer one, or twice."""
         if not (self.port.stamped or self.in_order(stamp)):
             return
@@ -231,7 +231,7 @@ class Live(Sender):
 
         def tell(stamp: int, row: Row | None, now: int) -> None:
             if row is None:
-                self.told(stamp, False)
+                self.acknowledge(stamp, False)
                 return
             if self.outside and self._refuses():
                 return
@@ -255,7 +255,7 @@ class Live(Sender):
         if self.table.stale:
             self._recovered()
 
-    def told(self, stamp: int, published: bool) -> None:
+    def acknowledge(self, stamp: int, published: bool) -> None:
         """Ignore the sender's report whether it published at a tick; this kind of row does not wait for it."""
 
     def _begin(self, stamp: int) -> None:
@@ -282,7 +282,7 @@ class Live(Sender):
             self.overdue += 1
         if self.table.stale:
             self._recovered()
-        self.table.take(self, stamp, due, value, now)
+        self.table.on_value(self, stamp, due, value, now)
 
     def excuse(self, stamp: int, now: int) -> None:
         """Store the stamp of a rejected message: its tick need not wait for another."""
@@ -319,7 +319,7 @@ class Live(Sender):
         """Return whether there is a value for the tick of a stamp."""
         return bool(self.recent) and (self.by_arrival or self.recent[0][0] <= stamp)
 
-    def take(self, stamp: int) -> Any:
+    def value_at(self, stamp: int) -> Any:
         """Return the value of the tick of a stamp: the newest one not after it; None when there is none."""
         self.fresh = False
         self.answered = stamp

@@ -72,10 +72,10 @@ class Realtime(Link):
         self._longest = self._latest = -CATCH_UP
         self.tick_number = -1
         self.skipped = 0
-        self._silence_told = 0.0
+        self._silence_reported_at = 0.0
         self._missed = self._late = 0
         self._period = node.schedule.time(1)
-        self._told: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
+        self._local_readers: dict[Realtime, list[tuple[int, Callable[[int, Row | None, int], None]]]] = {}
         node.epoch = node.options.epoch
         super().__init__(node.step)
         gather(node.step, STRETCH // node.step.schedule.time(1))
@@ -83,7 +83,7 @@ class Realtime(Link):
         self._commands = [f for f in self.senders.rows if f.awaited and node.is_plant]
         block = node.block
         self._idle = isinstance(block, Plant) and block.AWAITS_COMMAND and not node.options.links
-        self.senders.take, self.senders.excuse, self.senders.act = self._take, self._excuse, lambda: None
+        self.senders.on_value, self.senders.excuse, self.senders.act = self._on_value, self._excuse, lambda: None
         self._answering: Answering | None = None
         self._paired: list[Live] = []  # what it takes by stamp; a law does when it answers
         self._fed: list[Live] = []  # inputs that neighbours fill
@@ -92,9 +92,9 @@ class Realtime(Link):
         self.departure: Departure | None = None
         self._over = False  # the last tick is answered
 
-    def tell(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
+    def connect(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
         """Pass an output to a node of this process, too."""
-        self._told.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
+        self._local_readers.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
 
     def follow(self, begun: Callable[[], object]) -> None:
         """Follow the ticks of a `Beat`: it fills the inputs and triggers the ticks; the node waits for no message."""
@@ -106,7 +106,7 @@ class Realtime(Link):
         node, senders = self.node, self.senders
         if not node.is_plant and any(f.awaited for f in senders.rows):
             self._answering = answering = Answering(senders, self._answer)
-            senders.take, senders.excuse, senders.act = answering.take, answering.excuse, answering.act
+            senders.on_value, senders.excuse, senders.act = answering.process, answering.excuse, answering.act
             return lambda: None
         self._paired = [f for f in senders.rows if f.paired]
         self._timer = node.middleware.timer(SOON, self._tick)
@@ -128,7 +128,7 @@ class Realtime(Link):
             awaited += [(i, i.who) for i in acknowledgements]
             wanted.append((node.outgoing.tick_output, node.links.tells))
             shake = Handshake(node, awaited, wanted, local)
-            self.departure = Departure(node, shake, local, self._begin_at, self._stand.hear)
+            self.departure = Departure(node, shake, local, self._begin_at, self._stand.receive)
         else:
             self._begin_at(node.epoch, 0)
 
@@ -147,14 +147,14 @@ class Realtime(Link):
         # The first tick has no time for generating these functions.
         self.node.step.make()
         self.node.state = "running"
-        self._silence_told = self.node.middleware.steady()
+        self._silence_reported_at = self.node.middleware.steady()
         if self._idle:
             topics = ", ".join(row.port.topic for row in self._commands)
             self.node.middleware.log(Level.OK, f"stays at t = 0 until it is commanded on {topics}")
         assert self._begun is not None
         self._begun()
         if self.node.pauses and self.departure is not None:
-            self._stand.serve(self.departure.say)
+            self._stand.serve(self.departure.announce)
 
     def progress(self) -> None:
         """Report a silence again while it lasts; end a node whose senders ended before it, after the run."""
@@ -162,9 +162,9 @@ class Realtime(Link):
         if self.departure is not None:
             node.lacking = self.departure.handshake.lacking
         if not node.ticks and self._answering is not None and node.state == "running":
-            self._tell_unheard()
-        if self.senders.stale and node.middleware.steady() > self._silence_told + AGAIN:
-            self._silence_told = node.middleware.steady()
+            self._report_unreceived()
+        if self.senders.stale and node.middleware.steady() > self._silence_reported_at + AGAIN:
+            self._silence_reported_at = node.middleware.steady()
             for row in sorted(self.senders.rows, key=lambda row: row.name):
                 if row.name in self.senders.stale:
                     node.middleware.log(Level.ERROR, node.step.reports[f"stale {row.port.topic}"][1])
@@ -173,14 +173,14 @@ class Realtime(Link):
         if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
             node.finish()
 
-    def _tell_unheard(self) -> None:
+    def _report_unreceived(self) -> None:
         """Report inputs that a controller has never received although they have a publisher."""
         node, now = self.node, self.node.middleware.steady()
         unheard = sorted(r.port.topic for r in self.senders.rows if r.awaited and r.stamp is None and r.publishers)
         if not unheard:
-            self._silence_told = now
-        elif now > self._silence_told + AGAIN:
-            self._silence_told = now
+            self._silence_reported_at = now
+        elif now > self._silence_reported_at + AGAIN:
+            self._silence_reported_at = now
             text = f"has received nothing on {', '.join(unheard)} for {AGAIN:g} s, though it is published"
             node.middleware.log(Level.ERROR, text)
 
@@ -227,7 +227,7 @@ class Realtime(Link):
         item.on_matched()
         self._rivals = [f for f in self._fed if f.outside]
 
-    def _take(self, row: Live, stamp: int, due: int, value: Any, now: int) -> None:
+    def _on_value(self, row: Live, stamp: int, due: int, value: Any, now: int) -> None:
         if not row.paired:
             self.node.values[row.name] = value
         self.commanded(stamp, now)
@@ -250,15 +250,17 @@ class Realtime(Link):
         node = self.node
         node.outgoing.publish(t, rows, numbers)
         stamp = node.epoch + t
-        for reader, parts in self._told.items():
-            node.middleware.post(partial(reader.hear, parts, stamp, rows))
+        for reader, parts in self._local_readers.items():
+            node.middleware.post(partial(reader.receive_local, parts, stamp, rows))
 
     def changed(self, t: int, values: Mapping[str, Any]) -> None:
         """Record new parameters."""
         node = self.node
         node.record.change(node.epoch + t, node.middleware.name, values)
 
-    def hear(self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows) -> None:
+    def receive_local(
+        self, parts: list[tuple[int, Callable[[int, Row | None, int], None]]], stamp: int, rows: Rows
+    ) -> None:
         """Receive the outputs of a node of this process at a tick: all of them before this node runs because of one."""
         if self.node.state != "running":
             return
@@ -337,7 +339,7 @@ class Realtime(Link):
         if self._paired or self.senders.unrecorded:
             stamp = self.node.epoch + t
             for row in self._paired:
-                if (value := row.take(stamp)) is not None:
+                if (value := row.value_at(stamp)) is not None:
                     self.node.values[row.name] = value
             if self.senders.unrecorded:
                 self.senders.record(stamp)
@@ -383,7 +385,7 @@ class Realtime(Link):
         """Finish, after a bounded wait for the last messages of external nodes, which it records."""
         if not self._over:
             self._over = True
-            self.senders.record_rest(self.node.epoch + self.node.t)
+            self.senders.record_late(self.node.epoch + self.node.t)
             self.node.overheard.over()
         if self.node.overheard.complete():
             block = self.node.step.block
@@ -392,8 +394,8 @@ class Realtime(Link):
             else:
                 self.node.finish()
 
-    def last_came(self) -> None:
-        """See `Drive.last_came`."""
+    def on_last_message(self) -> None:
+        """See `Drive.on_last_message`."""
         if self._over and self.node.state == "running":
             self._leave()
 

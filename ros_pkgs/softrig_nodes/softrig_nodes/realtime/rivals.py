@@ -26,7 +26,7 @@ class Rivals:
         self._last: int | None = None
         self._since = 0
 
-    def hear(self, number: int | None, now: int, silence: int) -> None:
+    def receive(self, number: int | None, now: int, silence: int) -> None:
         """Receive the number of a message.
 
         Parameters

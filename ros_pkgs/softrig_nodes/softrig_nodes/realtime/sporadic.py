@@ -21,15 +21,15 @@ class Sporadic(Live):
 
     def __init__(self, table: LiveSenders, port: Port) -> None:
         super().__init__(table, port)
-        self._told = -1  # stamp of the newest tick that the publisher has acknowledged
+        self._acknowledged = -1  # stamp of the newest tick that the publisher has acknowledged
         self._sent: deque[int] = deque(maxlen=KEPT)  # stamps of what has been sent and has not come
 
-    def told(self, stamp: int, published: bool) -> None:
+    def acknowledge(self, stamp: int, published: bool) -> None:
         """Process the report whether the sender published on this topic at the tick of a stamp."""
-        if self.deaf() or stamp <= self._told:
+        if self.deaf() or stamp <= self._acknowledged:
             return
         self._begin(stamp)
-        self._told = stamp
+        self._acknowledged = stamp
         if published:
             self._sent.append(stamp)
             return
@@ -38,7 +38,7 @@ class Sporadic(Live):
         self.expected = self._optional
         if self.table.stale:
             self._recovered()
-        self.table.take(self, stamp, stamp, None, now)
+        self.table.on_value(self, stamp, stamp, None, now)
 
     def complete(self, stamp: int) -> bool:
         """Return whether it is known for the tick of a stamp that the sender published or was silent."""
@@ -50,7 +50,7 @@ class Sporadic(Live):
         newest = -1 if self.stamp is None else self.stamp
         while self._sent and self._sent[0] <= newest:
             self._sent.popleft()
-        there = newest >= want or (self._told >= want and not (self._sent and self._sent[0] <= want))
+        there = newest >= want or (self._acknowledged >= want and not (self._sent and self._sent[0] <= want))
         if there:
             self.holds = self.node.epoch + self.schedule.next(t)
         return there
@@ -59,11 +59,11 @@ class Sporadic(Live):
         """There need not be a value: before the first one it is that of the port."""
         return True
 
-    def take(self, stamp: int) -> object:
+    def value_at(self, stamp: int) -> object:
         """Return the newest value up to a tick; end the wait for messages that were sent for it but did not arrive."""
         while self._sent and self._sent[0] <= stamp:
             self._sent.popleft()
-        return super().take(stamp)
+        return super().value_at(stamp)
 
     def held_stamp(self) -> int | None:
         """Return the stamp of what the block gets, ns from its t = 0; None before the first message is used."""
@@ -96,13 +96,13 @@ class Acknowledgements(Sender):
         self._table.believe(stamp)
         return stamp, published
 
-    def spoilt(self, data: bytes) -> None:
+    def rejected(self, data: bytes) -> None:
         """Ignore an invalid acknowledgement: another one follows."""
 
-    def came(self, stamp: int, names: Collection[str], data: bytes) -> None:
+    def accept(self, stamp: int, names: Collection[str], data: bytes) -> None:
         """Notify the rows."""
         for row, name in self._rows:
-            row.told(stamp, name in names)
+            row.acknowledge(stamp, name in names)
         self._table.act()
 
 

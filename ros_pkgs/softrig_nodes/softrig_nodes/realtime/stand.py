@@ -33,7 +33,7 @@ class Stand:
         self._node, self._goes_by = node, goes_by
         self._own = self._clock = node.middleware.now
         self._ahead, self._until = 0, NEVER
-        self._say: Callable[[Sequence[str]], object]
+        self._publish: Callable[[Sequence[str]], object]
 
     def follow(self, ns: int) -> None:
         """Follow the clock of the rig, which is ahead of this host's by `ns`."""
@@ -47,13 +47,13 @@ class Stand:
 
     def serve(self, say: Callable[[Sequence[str]], object]) -> None:
         """Pause the rig when the node of its clock gets a request (`seam.hold`); `say` publishes it to the others."""
-        self._say = say
+        self._publish = say
         node = self._node
         node.hold.begin(node.middleware, self._turn)
         if node.hold.held:
             self._turn()
 
-    def hear(self, words: Iterable[str]) -> None:
+    def receive(self, words: Iterable[str]) -> None:
         """Pause or resume, as received."""
         messages = {key: int(value) for key, _, value in (word.partition("=") for word in words) if value}
         if not messages.keys() >= {"ahead", "from", "until"}:
@@ -76,5 +76,5 @@ class Stand:
             until = epoch + schedule.time(schedule.tick(until - epoch) + hold.steps)
         hold.steps = 0
         words = [f"ahead={ahead}", f"from={now}", f"until={until}"]
-        self.hear(words)
-        self._say(words)
+        self.receive(words)
+        self._publish(words)

@@ -33,12 +33,12 @@ from softrig_core.guard import tell
 
 from ..processes.shared_memory import domain_id
 from .messages import message_class
-from .profile import RANGE, joining, look_after_ports
+from .profile import RANGE, joining, watch_ports
 
 QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 CLOCKED = "a subscription of its clock"
 LOOK = 0.05  # s between two looks at the graph
-SAY_AFTER = 1.0  # s without a change after which it is said what is waited for
+REPORT_AFTER = 1.0  # s without a change after which it is said what is waited for
 
 
 class Guest:
@@ -67,16 +67,16 @@ class Guest:
         with joining(silence=entry.timeout):
             rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
             self._node = Node(f"{name}_gate", namespace=name, context=self._context, start_parameter_services=False)
-        look_after_ports(self._node)
+        watch_ports(self._node)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._publishers = {p.name: self._offer(p) for p in inputs}
         self._clock = self._offer(CLOCK)
-        self._come: dict[str, list[bytes]] = {p.name: [] for p in outputs}
+        self._received: dict[str, list[bytes]] = {p.name: [] for p in outputs}
         self._decoders = {p.name: Decoder(p) for p in outputs}
         self._subscriptions = {
             p.name: self._node.create_subscription(
-                message_class(p.msgtype), self._topic(p), self._come[p.name].append, QOS, raw=True
+                message_class(p.msgtype), self._topic(p), self._received[p.name].append, QOS, raw=True
             )
             for p in outputs
         }
@@ -117,12 +117,12 @@ class Guest:
             self._check_silent(t)
             return {}
         self._clock.publish(CLOCK.layout().encode(t, ()))
-        self._wait(lambda: all(self._come.values()), t)
+        self._wait(lambda: all(self._received.values()), t)
         self._settle(t)
-        return {port.name: self._taken(port, t) for port in self._outputs}
+        return {port.name: self._values_of(port, t) for port in self._outputs}
 
-    def _taken(self, port: Port, t: int) -> tuple[float, ...]:
-        arrived = self._come[port.name]
+    def _values_of(self, port: Port, t: int) -> tuple[float, ...]:
+        arrived = self._received[port.name]
         if len(arrived) != 1:
             raise RunError(
                 f"{self.who} has published {len(arrived)} messages on {self._topic(port)} at t = {t / 1e9:.9g} s, "
@@ -135,7 +135,7 @@ class Guest:
 
     def _check_silent(self, t: int) -> None:
         for port in self._outputs:
-            if self._come[port.name]:
+            if self._received[port.name]:
                 raise RunError(
                     f"{self.who} has published on {self._topic(port)} at t = {t / 1e9:.9g} s, before its first message "
                     "is due; a node that answers each message has first: 0.0"
@@ -165,7 +165,7 @@ class Guest:
             now = time.monotonic()
             if lacking != before:
                 before, since = lacking, now
-            if lacking != messages and now - since > SAY_AFTER:
+            if lacking != messages and now - since > REPORT_AFTER:
                 messages = lacking
                 tell(self._name, f"{WAITS}: {self._lacks(lacking, wanted)}")
             if now - begin > limit:
@@ -202,7 +202,7 @@ class Guest:
         for name, subscription in self._subscriptions.items():
             with subscription.handle:
                 while (result := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    self._come[name].append(result[0])
+                    self._received[name].append(result[0])
 
     def _asked(self, parameter: str, t: int) -> Any:
         future = self._parameters.call_async(GetParameters.Request(names=[parameter]))
@@ -217,7 +217,7 @@ class Guest:
             if gone and not done():
                 raise RunError(f"{self.who} has gone at t = {t / 1e9:.9g} s")
             if time.monotonic() > end and not done():
-                silent = [self._topic(p) for p in self._outputs if not self._come[p.name]]
+                silent = [self._topic(p) for p in self._outputs if not self._received[p.name]]
                 raise RunError(
                     f"{self.who} at t = {t / 1e9:.9g} s: "
                     + (

@@ -96,7 +96,7 @@ def third() -> bool:
     return any((prefix / "share" / "fastdds").is_dir() for prefix in prefixes())
 
 
-def look_after_ports(node: Node) -> None:
+def watch_ports(node: Node) -> None:
     """Check the ports of a tool's node each second, so that a process that opens one knows that it is alive."""
     node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
 

@@ -25,7 +25,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from softrig_core.guard import secure_streams
 
 from .messages import message_class
-from .profile import joining, look_after_ports
+from .profile import joining, watch_ports
 
 PATIENCE = 10.0  # s: for a node to be there, and again for it to answer
 
@@ -104,7 +104,7 @@ class Remote:
         limit = time.monotonic() + self._patience
         sent: list[Any] = []
 
-        def look() -> None:
+        def check() -> None:
             nonlocal limit
             try:
                 if not sent and ready():
@@ -119,7 +119,7 @@ class Remote:
                 self._node.destroy_timer(timer)
                 self._answer(number, *data)
 
-        timer = self._node.create_timer(0.01, look)
+        timer = self._node.create_timer(0.01, check)
 
 
 def set_parameters(wanted: Mapping[str, Mapping[str, Any]], patience: float) -> list[str]:
@@ -165,7 +165,7 @@ def main() -> None:
     with joining():
         rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])  # no files beside those of the run
         node = Node(f"softrig_view_{os.getpid()}")
-    look_after_ports(node)
+    watch_ports(node)
     executor = rclpy.get_global_executor()
     executor.add_node(node)
 

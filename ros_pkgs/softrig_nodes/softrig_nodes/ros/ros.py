@@ -394,14 +394,14 @@ def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Argume
 def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
     """Return a callback of a subscription that passes the number of each message on before the message."""
 
-    def take(*value: Any) -> None:
+    def receive_numbered(*value: Any) -> None:
         # this executor hands both over as one (rclpy 7.1), which is not what it asks the signature for
         data, info = value if len(value) == 2 else value[0]
         numbered(info["publication_sequence_number"])
         receive(data)
 
-    take.__signature__ = signature(lambda data, info: None)  # type: ignore[attr-defined]
-    return take
+    receive_numbered.__signature__ = signature(lambda data, info: None)  # type: ignore[attr-defined]
+    return receive_numbered
 
 
 class _RosTimer:
@@ -538,7 +538,7 @@ class RosMiddleware(Middleware):
             self._arrivals.append(Arrival(rcl, subscription, reader.receive, reader.matched, self.monitor.arrive))
         self.prompt = self.node.beside = bool(self._arrivals)
         if self.prompt:
-            self.timer(LOOK, self._look)
+            self.timer(LOOK, self._check_arrivals)
             self.timer(SEARCH, Garbage(off=True).step)
             if place != "anywhere":
                 self._processor = Processor(domain_id(), place == "beside", lambda: self.monitor.done)
@@ -546,9 +546,9 @@ class RosMiddleware(Middleware):
         for arrival in self._arrivals:
             arrival.begin()
 
-    def _look(self) -> None:
+    def _check_arrivals(self) -> None:
         for arrival in self._arrivals:
-            arrival.look()
+            arrival.report_writers()
 
     @contextmanager
     def _deaf(self) -> Iterator[None]:

@@ -29,7 +29,7 @@ class Input(Reader):
         Messages that arrived after a newer one, or twice, and were ignored.
     overdue : int
         Messages of the rig that arrived after the tick that should have used them.
-    heard : bool
+    received_any : bool
         Whether a message has arrived.
     refused : int
         Messages that were rejected before they reached the block.
@@ -46,7 +46,7 @@ class Input(Reader):
         self.lost = 0
         self.late = 0
         self.overdue = 0
-        self.heard = False
+        self.received_any = False
         self.refused = 0
         self.last_refusal = ""
 

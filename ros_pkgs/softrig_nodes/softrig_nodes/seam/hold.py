@@ -11,7 +11,7 @@ from collections.abc import Callable
 from softrig_core.timebase import SECOND, Pace
 
 from .middleware import Middleware, Timer
-from .solving import BUSY, TOLD_EVERY
+from .solving import BUSY, REPORT_EVERY
 from .tick import TICK, TickWriter
 
 LOOK = SECOND // 100  # ns between two looks at the wall clock: ticks come in bursts as long as this
@@ -43,7 +43,7 @@ class Hold:
         self._paced = paced
         self.steps = 0
         self._turn: Callable[[], object] | None = None
-        self._tells = False
+        self._publishing = False
         self._until = 0  # ns up to which the wall clock need not be asked
         self._timer: Timer | None = None
 
@@ -61,7 +61,7 @@ class Hold:
         """Serve a node that owns the clock; `turn` resumes or stops its ticks."""
         self._turn, self._middleware = turn, middleware
         if self.held:
-            self._tell()
+            self._keep_publishing()
         self.go_at(self.pace)
 
     def go_at(self, pace: float) -> bool:
@@ -71,31 +71,33 @@ class Hold:
         self._pace.change(pace, self._middleware.steady())
         self._until = 0
         if pace:
-            self._tell()
+            self._keep_publishing()
             if self._timer is None:
-                self._timer = self._middleware.timer(LOOK, self._look)
+                self._timer = self._middleware.timer(LOOK, self._retry)
             self._timer.again(LOOK)
         elif self._timer is not None:
             self._timer.cancel()
             # No timer fires any more that would run the tick that waits.
-            self._middleware.post(self._look)
+            self._middleware.post(self._retry)
         return True
 
-    def _look(self) -> None:
+    def _retry(self) -> None:
         """Try the tick again that waits for the wall clock."""
         if self.waits:
             self.waits = False
             assert self._turn is not None
             self._turn()
 
-    def _tell(self) -> None:
+    def _keep_publishing(self) -> None:
         """Publish while the rig is paused or waits, so that the other nodes do not time out."""
-        if self._tells or not self._paced:
+        if self._publishing or not self._paced:
             return
-        self._tells = True
+        self._publishing = True
         header = TickWriter()(0, [self._middleware.full_name])
         publish = self._middleware.publisher(BUSY, TICK, lambda count: None)
-        self._middleware.timer(round(TOLD_EVERY * SECOND), lambda: publish(header) if self.held or self.waits else None)
+        self._middleware.timer(
+            round(REPORT_EVERY * SECOND), lambda: publish(header) if self.held or self.waits else None
+        )
 
     def holds(self, t: int) -> bool:
         """Return whether the step from tick `t` (ns) to the next one has to wait; a single step is used up by it."""
@@ -116,7 +118,7 @@ class Hold:
         if what == "pause":
             self.held = True
             self._pace.stop(self._middleware.steady())
-            self._tell()
+            self._keep_publishing()
         elif what == "step":
             if not self.held:
                 return False, "it runs: pause it first"

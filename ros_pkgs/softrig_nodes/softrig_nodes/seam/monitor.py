@@ -42,7 +42,7 @@ class Monitor:
     def __init__(self, wake: Callable[[], object], clock: Callable[[], int] = time.perf_counter_ns) -> None:
         self._wake, self._clock = wake, clock
         self._lock = threading.Lock()
-        self._came: deque[Callable[[], object]] = deque()
+        self._arrived: deque[Callable[[], object]] = deque()
         self._asked = False  # the executor's thread wants it or has it
         self._short = 0  # pieces of work in a row
         self._error: BaseException | None = None
@@ -57,7 +57,7 @@ class Monitor:
         work : callable
             Takes a message and processes it. An exception in it is raised by `serve`.
         """
-        arrived, lock = self._came, self._lock
+        arrived, lock = self._arrived, self._lock
         arrived.append(work)
         if self._short < SHORT_ONES:
             if not self._asked:
@@ -103,8 +103,8 @@ class Monitor:
             self._asked = False
             # Messages that arrive during this work are left for the next turn, or the executor might never return to
             # its own work.
-            for _ in range(len(self._came)):
-                self._do(self._came.popleft())
+            for _ in range(len(self._arrived)):
+                self._do(self._arrived.popleft())
         except BaseException:
             self.closed = True
             raise
@@ -113,7 +113,7 @@ class Monitor:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
-        if self._came:
+        if self._arrived:
             self._wake()
 
     def close(self, patience: float) -> bool:

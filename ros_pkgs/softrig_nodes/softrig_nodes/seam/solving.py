@@ -15,7 +15,7 @@ from .middleware import Middleware
 from .tick import TICK, TickWriter
 
 BUSY = "/softrig/busy"  # std_msgs/Header, frame_id = the node: nodes that wait for progress are to be patient
-TOLD_EVERY = 0.5  # s
+REPORT_EVERY = 0.5  # s
 LOOK = 2_000_000  # ns
 
 
@@ -38,8 +38,8 @@ class Solving(Link):
         self._header = TickWriter()(0, [middleware.full_name])
         self._publish = middleware.publisher(BUSY, TICK, lambda count: None)
         self._resume = resume
-        self._told = 0.0
-        self._timer = middleware.timer(LOOK, self._look)
+        self._reported_at = 0.0
+        self._timer = middleware.timer(LOOK, self._check)
         # The timer runs only while an answer is waited for.
         self._timer.cancel()
         self._waits = False
@@ -65,25 +65,25 @@ class Solving(Link):
             step.begun = t
             step.x = block.carry_on(step.x, t) if step.bad else block.begin(step.x, t, **step.values)
         if block.ready(step.x, t):
-            self._rest()
+            self._release_idle()
             return True
         if not self._waits:
             self._waits = True
-            self._told = self._middleware.steady()
+            self._reported_at = self._middleware.steady()
             self._timer.again(LOOK)
         return False
 
-    def _rest(self) -> None:
+    def _release_idle(self) -> None:
         self._timer.cancel()
         self._waits = False
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         assert self.step.begun is not None
         if self._block.ready(self.step.x, self.step.begun):
-            self._rest()
+            self._release_idle()
             self._resume()
-        elif self._middleware.steady() - self._told > TOLD_EVERY:
-            self._told = self._middleware.steady()
+        elif self._middleware.steady() - self._reported_at > REPORT_EVERY:
+            self._reported_at = self._middleware.steady()
             self._publish(self._header)
 
 
@@ -100,12 +100,12 @@ class Busy(Input):
 
     def __init__(self, middleware: Middleware, solvers: int, received: Callable[[], None]) -> None:
         super().__init__(Port("busy", BUSY, TICK))
-        self._solvers, self._heard = solvers, received
+        self._solvers, self._on_message = solvers, received
         middleware.subscribe(BUSY, TICK, self)
 
     def receive(self, data: bytes) -> None:
         """Report it."""
-        self._heard()
+        self._on_message()
 
     def matched(self, count: int) -> None:
         """Note how many solvers are matched."""

@@ -20,7 +20,7 @@ from .remote import Remote, let_go
 RESTARTS = 3  # of a page that breaks
 
 
-class Beside:
+class RunPages:
     """The process of the pages of one run (`view.serve`); it only reads what the nodes write.
 
     A page process that crashes is restarted at its address; after the last attempt the run continues without a page.
@@ -37,7 +37,7 @@ class Beside:
 
     def __init__(self, scenario: Scenario, directory: Path, placement: Placement, address: str) -> None:
         self._directory, self._address = directory, address
-        self._told: dict[str, Any] = {
+        self._watched: dict[str, Any] = {
             "scenario": scenario.model_dump(mode="json", exclude_unset=True),
             "directory": str(directory),
             "realtime": placement.clock == "realtime",
@@ -48,21 +48,21 @@ class Beside:
         self._process: subprocess.Popen[str] | None = None
         self._ends = False  # whether its end is no break
         self.keeper = threading.Thread(target=self._keep, daemon=True)
-        self.said: Any = None  # where it says its address; this process's own error stream if that is nowhere
+        self.stream: Any = None  # where it says its address; this process's own error stream if that is nowhere
 
     def open(self, domain: int) -> None:
         """Serve the page of a rig in this domain."""
         from .serve import free_address, new_token
 
         host, port = free_address(self._address)
-        self._told |= {"domain": domain, "address": f"{host}:{port}", "token": new_token()}
-        (self._directory / "view.json").write_text(json.dumps(self._told))
+        self._watched |= {"domain": domain, "address": f"{host}:{port}", "token": new_token()}
+        (self._directory / "view.json").write_text(json.dumps(self._watched))
         self._process = self._start()
         self.keeper.start()
 
     def _start(self) -> subprocess.Popen[str]:
         command = [sys.executable, "-P", "-m", "softrig_bringup.view.serve", str(self._directory / "view.json")]
-        return subprocess.Popen(command, stdin=subprocess.PIPE, stderr=self.said, text=True, process_group=0)
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stderr=self.stream, text=True, process_group=0)
 
     def _keep(self) -> None:
         """Start a page that breaks again."""
@@ -75,9 +75,9 @@ class Beside:
             say(f"the page has broken (status {status}): {what}")
             if left:
                 self._process = self._start()
-        if self._told["paused"]:  # nobody could have it go on
-            rig = rig_of(Scenario.model_validate(self._told["scenario"]))
-            remote = Remote(self._told["domain"], self._directory, lambda call: call())
+        if self._watched["paused"]:  # nobody could have it go on
+            rig = rig_of(Scenario.model_validate(self._watched["scenario"]))
+            remote = Remote(self._watched["domain"], self._directory, lambda call: call())
             remote.ask({"node": rig.clock.name, "call": "resume"}, lambda done, reason: remote.close())
 
     def over(self, run: Run, folder: Path) -> None:
@@ -105,9 +105,9 @@ class Beside:
 
 
 @contextmanager
-def page(scenario: Scenario, directory: Path, placement: Placement, address: str) -> Iterator[Beside]:
-    """Yield a page that can be opened beside a run; see `Beside`."""
-    result = Beside(scenario, directory, placement, address)
+def page(scenario: Scenario, directory: Path, placement: Placement, address: str) -> Iterator[RunPages]:
+    """Yield a page that can be opened beside a run; see `RunPages`."""
+    result = RunPages(scenario, directory, placement, address)
     try:
         yield result
     finally:
