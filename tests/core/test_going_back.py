@@ -291,7 +291,6 @@ FIXED = (
     "_asking",
     "waits",
     "readers",
-    "doubters",
     "fed",
     "stamps",
     "name",

@@ -60,7 +60,7 @@ class Container:
             self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
 
     def connect(self) -> None:
-        """Connect the nodes and start them; a RunError describes what does not fit."""
+        """Connect the nodes and start them; an error describes what does not fit."""
         for mode in ("lockstep", "realtime"):
             if alike := [a for a in self.adapters if a.options.mode == mode]:
                 Group(alike)

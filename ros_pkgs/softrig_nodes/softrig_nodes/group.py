@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 
 from softrig_core.block.codec import selection
 from softrig_core.block.fill import Pick
+from softrig_core.block.loop import in_order
 from softrig_core.block.port import Refused
+from softrig_core.block.step import Step
 from softrig_core.errors import RunError
 
 from .adapter.adapter import Adapter
@@ -43,7 +45,8 @@ class Group:
             if _whole(drives.values(), links):
                 _feed(links)
                 commands = [(k.writer.step, k.item, drives[k.reader]) for k in links if k.reader.is_plant]
-                Beat([drives[n] for n in _in_order(nodes, links)], commands)
+                driven = {d.step: d for d in drives.values()}
+                Beat([driven[step] for step in _ordered(nodes)], commands)
             else:
                 for writer, output, reader, item, pick in links:
                     drives[writer].connect(output, drives[reader], item, pick)
@@ -57,7 +60,7 @@ class Group:
         steps = [Lockstep(n, turns) for n in nodes]
         links = _links(nodes)
         _feed(links)
-        turns.order([n.step for n in _in_order(nodes, links)], lambda: all(step.alone for step in steps))
+        turns.order(_ordered(nodes), lambda: all(step.alone for step in steps))
         for step in steps:
             step.join(names - {step.node.middleware.name})
 
@@ -108,6 +111,11 @@ def _feed(links: Sequence[_Link]) -> None:
         writer.step.hands_to(output.name, reader.step, item.name, pick)
 
 
+def _ordered(nodes: Sequence[Adapter]) -> list[Step]:
+    """Return the steps of nodes that are fed, in the order in which they answer a tick."""
+    return in_order([n.step for n in nodes], lambda s: s.plant, lambda s: [fill.source for fill in s.fed.values()])
+
+
 def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
     """Return whether nodes read only each other, with checked links and at their ticks; free inputs may be external."""
     rows = [row for drive in drives for row in drive.senders.rows]
@@ -119,16 +127,3 @@ def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
         and not any(k.output.port.unchecked for k in links)
         and all(d.node.links.starter or d.node.options.epoch for d in drives)
     )
-
-
-def _in_order(nodes: Sequence[Adapter], links: Sequence[_Link]) -> list[Adapter]:
-    """Sort plants first, then each node after those that it reads."""
-    done = [n for n in nodes if n.is_plant]
-    left = [n for n in nodes if not n.is_plant]
-    while left:
-        free = [n for n in left if not any(k.reader is n and k.writer in left for k in links)]
-        if not free:
-            raise RunError(f"cycle without a plant in it: {', '.join(n.middleware.name for n in left)}")
-        done += free
-        left = [n for n in left if n not in free]
-    return done

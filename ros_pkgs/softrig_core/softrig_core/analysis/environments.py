@@ -263,7 +263,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         """Create the text for the states as they are."""
         if not self._tries:
             raise NotNative("what it remembers changes its type")
-        odd = [s.name for s in steps if s.doubters or s.changes or any(p.sporadic or p.delayed for p in s.outputs)]
+        odd = [s.name for s in steps if s.changes or any(p.sporadic or p.delayed or p.unchecked for p in s.outputs)]
         if odd:
             raise NotNative(f"{odd[0]}: its messages do not come at each tick, or its parameters change")
         self._tries -= 1

@@ -117,8 +117,9 @@ Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, t
 
 def places(outputs: Sequence[Port]) -> list[Where]:
     """Return the position of each output in the numbers that a step publishes at a tick (see `part`)."""
-    at = [0, *accumulate(p.width for p in outputs)]
-    stamp = [0, *accumulate(p.delayed for p in outputs)]
+    at = [*accumulate((p.width for p in outputs), initial=0)]
+    # From 0 on: the sum of the first two switches alone would be a bool, which numpy takes for a mask.
+    stamp = [*accumulate((p.delayed for p in outputs), initial=0)]
     flag = [*accumulate((p.sporadic for p in outputs), initial=at[-1])]
     return [
         (at[j], at[j + 1], stamp[j] if p.delayed else None, flag[j] if p.sporadic else None)

@@ -113,12 +113,14 @@ class Block(Generic[P]):
     TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
     # attributes that a tick may change in place because no answer depends on them: caches, buffers, handles
     SCRATCH: ClassVar[frozenset[str]] = frozenset()
+    FINISHES: ClassVar[bool] = False  # whether it is `Finishing`: asked at each start, which the protocol makes slow
     _seed = 0
     _open = True  # whether every attribute may be written: while the block is made
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
+        cls.FINISHES = issubclass(cls, Finishing)
         for name in ("outputs", "advance", "update", "finish", "refused"):
             code = getattr(cls.__dict__.get(name), "__code__", None)
             if code is not None and code.co_varnames[1:2] == ("t",):
@@ -306,7 +308,7 @@ class Block(Generic[P]):
     @classmethod
     def speaks_at_end(cls) -> bool:
         """Return whether the block has a tick at the end time of a run: plants, observers, and blocks with `finish`."""
-        return issubclass(cls, Plant | Observer | Finishing)
+        return cls.FINISHES or issubclass(cls, Plant | Observer)
 
     def health(self, *x: Any) -> Mapping[str, str]:
         """Return name to text of what /diagnostics shows beside the reports, about once a second; gets x."""

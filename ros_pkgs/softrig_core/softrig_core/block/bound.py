@@ -71,7 +71,7 @@ PLAIN = """
 
 def sayer(step: Step) -> Callable[[int], None]:
     """Create the function that answers a tick (ns) of a step with its present wiring; see `Step.say`."""
-    fills = [*step.readers, *step.doubters]
+    fills = step.readers
     known: dict[str, Any] = {"respond": step.respond, "bound": min([port.bound for port in step.outputs], default=0.0)}
     for number, fill in enumerate(fills):
         reader = fill.reader

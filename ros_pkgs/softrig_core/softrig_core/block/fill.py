@@ -68,6 +68,11 @@ class Fill(NamedTuple):
         port = self.source.outputs[self.output]
         return port.sporadic or port.delayed
 
+    @property
+    def doubted(self) -> bool:
+        """Return whether the input checks what it receives, because a fault may publish bad values."""
+        return self.source.outputs[self.output].unchecked
+
     def take(self, row: Row) -> Row:
         """Return what the input gets of the row that the output publishes at the tick of its source."""
         if isinstance(row, Sample):

@@ -7,10 +7,11 @@ names in it, which runs in half the time.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from ..errors import ScenarioError
 from .schedule import Plan
 
 if TYPE_CHECKING:
@@ -59,13 +60,52 @@ def move(step: Step, t: int, values: Mapping[str, Any] | None = None) -> None:
         step.link.over(t)
 
 
+class Named(Protocol):
+    """A node of a rig, in any form."""
+
+    name: str
+
+
+Node = TypeVar("Node", bound=Named)
+
+
+def in_order(
+    nodes: Sequence[Node], is_plant: Callable[[Node], bool], sources: Callable[[Node], Iterable[Node]]
+) -> list[Node]:
+    """Return nodes in the order in which they answer a tick: plants first, then each other one after its sources.
+
+    Raises
+    ------
+    ScenarioError
+        Nodes that are no plants read each other in a cycle; the error names them.
+    """
+    done = [node for node in nodes if is_plant(node)]
+    path: list[Node] = []
+
+    def visit(node: Node) -> None:
+        if node in done:
+            return
+        if node in path:
+            cycle = " -> ".join(one.name for one in [*path[path.index(node) :], node])
+            raise ScenarioError(f"cycle without a plant in it: {cycle}; no tick could ever be answered")
+        path.append(node)
+        for source in sources(node):
+            visit(source)
+        path.pop()
+        done.append(node)
+
+    for node in nodes:
+        visit(node)
+    return done
+
+
 class Loop:
     """The members of a rig that live in this process: all of them, some, or one.
 
     Parameters
     ----------
     steps : sequence of Step
-        Plants first, then the others, each after those that it reads. Their schedules have one clock and end together.
+        In the order of `in_order`. Their schedules have one clock and end together.
     """
 
     def __init__(self, steps: Sequence[Step]) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from ..errors import RunError, describe
 from .answer import Row, Rows, answers, flat
-from .block import Block, Finishing, Level, Plant
+from .block import Block, Level, Plant
 from .bound import mover, sayer
 from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
@@ -48,9 +48,8 @@ class Step(Held):
         Whether a message was rejected that the next answer would have used.
     t : int
         The tick under way, or the newest completed one, ns.
-    readers, doubters : list of Fill
-        Inputs in this process that its outputs fill, in order. `doubters` are the inputs that check what they receive,
-        because a fault may publish bad values.
+    readers : list of Fill
+        Inputs in this process that its outputs fill, in order; those that check what they receive are last.
     fed : dict of str to Fill
         By input, the output in this process that fills it.
     plain : bool
@@ -109,7 +108,6 @@ class Step(Held):
         self.numbers: tuple[float, ...] = ()
         self.said: Rows = ()  # the newest answer that was admitted; it is held when an input is rejected
         self.readers: list[Fill] = []
-        self.doubters: list[Fill] = []
         self.plant = isinstance(block, Plant)
         block.ages = self.age
         self.link = None
@@ -150,7 +148,7 @@ class Step(Held):
         block = self.block
         if isinstance(block, Plant):
             return block.outputs
-        return self._finish_or_update if isinstance(block, Finishing) else block.update
+        return self._finish_or_update if block.FINISHES else block.update
 
     @property
     def move(self) -> Callable[..., Any]:
@@ -194,15 +192,19 @@ class Step(Held):
         """Forward what is not an answer of the block to subscribers in this and other processes."""
         # This comes before any reader is filled: the age of what it gets counts from these times (`Fill.told`).
         if not self.plain:
-            self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
-        for fill in (*self.readers, *self.doubters):
+            self.mark(t, rows)
+        for fill in self.readers:
             row = rows[fill.output]
-            if row is not None and self.outputs[fill.output].unchecked:
+            if row is not None and fill.doubted:
                 fill.reader.doubt(t, fill.port, fill.take(row))
             elif row is not None:
                 fill.bring(row)
         if self.link is not None:
             self.link.send(t, rows, self.numbers)
+
+    def mark(self, t: int, rows: Rows) -> None:
+        """Store when each output has published last; a plain step needs no such list."""
+        self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
 
     def status(self) -> Mapping[str, tuple[float, str]]:
         """Return the figures of an observer after it has processed all its messages; see `Observer.status`."""
@@ -277,9 +279,9 @@ class Step(Held):
     # its parts ----------------------------------------------------------------------------------------------------
 
     def _finish_or_update(self, x: Any, t: int, **inputs: Any) -> Any:
-        assert isinstance(self.block, Finishing)
+        block: Any = self.block
         last = self.schedule.last
-        return (self.block.update if last is None or t < last else self.block.finish)(x, t, **inputs)
+        return (block.update if last is None or t < last else block.finish)(x, t, **inputs)
 
     def checked(self, value: Any) -> Rows:
         """Return the checked values of each output."""
@@ -302,7 +304,8 @@ class Step(Held):
         port = next(p for p in reader.inputs if p.name == name)
         stamp: Stamp = "own" if self.outputs[k].delayed else "tick" if port.delayed else "none"
         fill = reader.fed[name] = Fill(self, k, reader, port, pick, stamp)
-        (self.doubters if self.outputs[k].unchecked else self.readers).append(fill)
+        # A plant that rejects a value ends the run; by then all other inputs are filled.
+        self.readers = sorted([*self.readers, fill], key=lambda one: one.doubted)
         reader.stamps[name] = fill.told
 
     def doubt(self, t: int, port: Port, values: Row) -> None:

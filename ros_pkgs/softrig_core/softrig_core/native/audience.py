@@ -55,7 +55,7 @@ def answered(
         step.spoken = [None if t == NEVER else t for t in newest]
     for fill in step.readers:
         # A silent tick must not overwrite what the reader holds; `Fitted.take` fills it where something was published.
-        if not step.outputs[fill.output].sporadic:
+        if not (fill.doubted or step.outputs[fill.output].sporadic):
             fill.bring(answers[fill.output])  # type: ignore[arg-type]
 
 
@@ -120,7 +120,7 @@ class Audience:
 
     def __init__(self, steps: Sequence[Step], plan: Plan) -> None:
         self._plan = plan
-        self.watchers = [s for s in steps if isinstance(s.block, Observer) and not s.readers and not s.doubters]
+        self.watchers = [s for s in steps if isinstance(s.block, Observer) and not s.readers]
         self.tick_by_tick = {w.name for w in self.watchers if not takes_batches(w.block)}
 
     def hand_out(self, core: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
@@ -164,8 +164,7 @@ class Audience:
                 if (at := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
                     if not s.plain:
-                        answers = parted(s.outputs, numbers[at], stamps[at])
-                        s.spoken = [t if row is None else s.t for row, t in zip(answers, s.spoken, strict=True)]
+                        s.mark(s.t, parted(s.outputs, numbers[at], stamps[at]))
                     for fill, where in readers:
                         row = part(numbers[at], stamps[at], where)
                         if row is not None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
+from ..block.answer import places
 from ..block.fill import Fill
 from ..block.port import LONGEST, Port, Sample
 from ..block.schedule import Plan
@@ -58,7 +59,7 @@ def holdings(steps: Sequence[Step]) -> list[Holding]:
     """Return links between native nodes that are sporadic, delayed or checked, and links from other nodes."""
     result: list[Holding] = []
     for k, s in enumerate(steps):
-        result += [Holding(k, fill) for fill in (*(f for f in s.readers if f.silent), *s.doubters)]
+        result += [Holding(k, fill) for fill in s.readers if fill.silent or fill.doubted]
     for s in steps:
         result += [Holding(None, fill) for fill in s.fed.values() if fill.source not in steps]
     return result
@@ -247,8 +248,7 @@ class Turns:
 
     def _read(self, fill: Fill, numbers: str, stamps: str, time: str, values: Any) -> Value:
         """Write what a reader makes of an output, which has `values` of it now."""
-        outputs, delayed = fill.source.outputs[: fill.output], fill.stamp == "own"
-        before = sum(p.width for p in outputs)
+        before, _, place, _ = places(fill.source.outputs)[fill.output]
         data = values.data if isinstance(values, Sample) else values
         row = [
             Dynamic(f"{numbers}[{before + p}]" if type(p) is int else repr(p), float(v))
@@ -256,7 +256,7 @@ class Turns:
         ]
         if not isinstance(values, Sample):
             return Group(tuple(row))
-        stamp = f"{stamps}[{len([p for p in outputs if p.delayed])}]" if delayed else time
+        stamp = f"{stamps}[{place}]" if fill.stamp == "own" else time
         return Dynamic(
             f"{self.program.name(Sample, 'Sample')}({stamp}, ({''.join(f'{v.code}, ' for v in row)}))",
             Sample(values.stamp, tuple(float(v) for v in data)),
@@ -320,8 +320,7 @@ class Turns:
         """Pass outputs with their time to their recorders; leave new kinds and invalid values to Python."""
         step, kept = self.steps[k], self.kept
         lines: list[str] = []
-        flag = sum(p.width for p in step.outputs)
-        for j, port in enumerate(step.outputs):
+        for j, (port, (_, _, _, flag)) in enumerate(zip(step.outputs, places(step.outputs), strict=True)):
             messages: list[str] = []
             for i, one in enumerate(kept):
                 if (one.source, one.fill.output) != (k, j):
@@ -337,10 +336,9 @@ class Turns:
                 messages.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
                 for p, limit in enumerate(one.fill.port.limits if port.unchecked else ()):
                     messages += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
-            if port.sporadic:
+            if flag is not None:
                 messages.append(f"{WHEN}[{1 + len(kept) + self.spoken.index((k, j))}] = t")
                 messages = [f"if q{k}[{flag}] != 0.0:", *(f"    {line}" for line in messages)]
-                flag += 1
             lines += messages
         return lines
 

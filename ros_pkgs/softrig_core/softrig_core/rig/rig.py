@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 from pydantic import ValidationError
 
 from ..block.block import Block
 from ..block.codec import selection
+from ..block.loop import in_order
 from ..block.params import ParameterError, build, flatten
 from ..block.port import Port, Refused, require_distinct
 from ..block.schedule import schedule_of
@@ -18,7 +20,7 @@ from ..board.entry import require_own_ports
 from ..errors import ScenarioError
 from ..judge.expectation import Expectation
 from ..judge.units import misfit
-from ..kit.newest import once
+from ..kit.newest import KEPT, once
 from ..scenario.changes import script
 from ..scenario.node_parameters import NodeParameters
 from ..scenario.places import explain
@@ -91,9 +93,8 @@ class Rig(Members):
         script(scenario.name, scenario.changes, members)
         _link(scenario, members, new)
         _check_units(scenario, new)
-        plants = [m for m in members if m.is_plant]
-        others = _sorted([m for m in members if not m.is_plant])
-        rig = replace(self, scenario=_whole_names(scenario, members), members=(*plants, *others))
+        ordered = in_order(members, lambda m: m.is_plant, lambda m: [link.source for link in m.links.values()])
+        rig = replace(self, scenario=_whole_names(scenario, members), members=tuple(ordered))
         return replace(rig, scenario=rig.scenario.model_copy(update={"expect": _expected(rig)}))
 
     @classmethod
@@ -283,17 +284,26 @@ def _expected(rig: Rig) -> dict[str, Expectation]:
 
 def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
     """Return the scenario with the signals of its figures and plots by their whole names."""
-    ports = [p for m in members for p in (*m.outputs, *m.inputs)]
-    figures, plots = _named(scenario.figures, scenario.plots, *ports)
+    known = _signals(*(p for m in members for p in (*m.outputs, *m.inputs)))
+    figures, plots = _named(scenario.figures, scenario.plots, known)
     return scenario.model_copy(update={"figures": figures, "plots": plots})
 
 
 @once
-def _named(
-    figures: Mapping[str, FigureEntry], plots: tuple[PlotEntry, ...], *ports: Port
-) -> tuple[dict[str, FigureEntry], tuple[PlotEntry, ...]]:
-    known = {f"{p.topic}/{label}" for p in ports for label in p.labels}
+def _signals(*ports: Port) -> frozenset[str]:
+    return _same(frozenset(f"{p.topic}/{label}" for p in ports for label in p.labels))
 
+
+@lru_cache(maxsize=KEPT)
+def _same(signals: frozenset[str]) -> frozenset[str]:
+    """Return one object for equal sets: a block may make its ports again for each value of its parameters."""
+    return signals
+
+
+@once
+def _named(
+    figures: Mapping[str, FigureEntry], plots: tuple[PlotEntry, ...], known: frozenset[str]
+) -> tuple[dict[str, FigureEntry], tuple[PlotEntry, ...]]:
     def whole(value: Any) -> Any:
         if isinstance(value, str) and "/" in value and "$" not in value and value not in known:
             return " - ".join(full_name(part, known) for part in value.split(" - "))
@@ -322,26 +332,3 @@ def _check_units(scenario: Scenario, members: list[Member]) -> None:
                         f"{scenario.name}: {port.topic} from {link.source.name} does not fit "
                         f"{member.name}: {label} {wrong}"
                     )
-
-
-def _sorted(members: list[Member]) -> list[Member]:
-    """Order members so that each follows its sources; a cycle without a plant has no order."""
-    done: list[Member] = []
-    path: list[Member] = []
-
-    def visit(member: Member) -> None:
-        if member in done:
-            return
-        if member in path:
-            cycle = [m.name for m in path[path.index(member) :]] + [member.name]
-            raise ScenarioError(f"cycle without a plant in it: {' -> '.join(cycle)}; no tick could ever be answered")
-        path.append(member)
-        for link in member.links.values():
-            if not link.source.is_plant:
-                visit(link.source)
-        path.pop()
-        done.append(member)
-
-    for member in members:
-        visit(member)
-    return done

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from ..block.answer import Rows
+from ..block.answer import Rows, places
 from ..block.block import Block, Observer
 from ..block.codec import encoder
 from ..block.link import Link
@@ -229,21 +229,17 @@ class _Keeper(_ToSink):
 
     def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
         """Record many; what is numbered one by one, by its encoder."""
-        flag = sum(p.width for p in self._ports)
+        where = places(self._ports)
         if all(p.sporadic for p in self._ports):
-            published = numbers[:, flag:].any(axis=1)
+            published = numbers[:, where[0][3] :].any(axis=1)
             times, numbers, stamps = times[published], numbers[published], stamps[published]
         if self._numbered:
             super().send_all(times, numbers, stamps)
             return
-        first, late = 0, 0
-        for port, (number, layout) in zip(self._ports, self._layouts.items(), strict=True):
-            part, marks, published_at = numbers[:, first : first + port.width], times, times
-            first += port.width
-            if port.delayed:
-                marks, late = stamps[:, late], late + 1
-            if port.sporadic:
-                announced, flag = numbers[:, flag] != 0.0, flag + 1
+        for (low, high, late, flag), (number, layout) in zip(where, self._layouts.items(), strict=True):
+            part, marks, published_at = numbers[:, low:high], times if late is None else stamps[:, late], times
+            if flag is not None:
+                announced = numbers[:, flag] != 0.0
                 part, marks, published_at = part[announced], marks[announced], times[announced]
             raw, n = layout.encode_block(marks, part).tobytes(), layout.length
             for k, t in enumerate(published_at.tolist()):
