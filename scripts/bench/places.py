@@ -23,20 +23,22 @@ KINDS = {
     "greatest common divisor of the periods": r"\bgcd\(",
     "which nodes are due, computed": r"(%|//|//=) \(?\w*(\.\w+)*_?every\b|%+ \{\w*(\.\w+)*every",
     "which nodes are due, asked for": r"\.(due|following|newest|own)\((\w+\.)?schedule",
-    "the end": r"\b(at_end|speaks_at_end|answers|moves)\(|schedule\.(last|end)\b|\.ticks is None",
-    "an output fills an input": r"\.(take|bring)\(|\b(taking|picked|taken|take|pick|fill)\(",
-    "which node subscribes to which": r"\.(readers|doubters|fed|sources|links|hands_to)\b|\b_(readings|links|source)\(",
+    "the end": r"\b(at_end|speaks_at_end|ticks_at_end|answers|moves)\(|schedule\.(last|end)\b|\.ticks is None",
+    "an output fills an input": r"\.(take|bring|value_of|set_value)\("
+    r"|\b(taking|value_text|picked|taken|take|pick|fill)\(",
+    "which node subscribes to which": r"\.(readers|doubters|checked_readers|fed|sources|links|hands_to)\b"
+    r"|\b_(readings|links|source)\(",
     "an answer is checked": r"\b(admit|usual|checked|sum_of_products|sumprod)\(|\.beyond\(",
-    "a port of a fault, which may be bad": r"\.unchecked\b|\.(doubt|whole)\(",
+    "a port of a fault, which may be bad": r"\.unchecked\b|\.(doubt|receive_unchecked|whole)\(",
     "rejected input, what is held": r"\.bad\b|\brefused\(",
-    "sporadic silence": r"\.sporadic\b|\.spoken\b|\.silent\b",
+    "sporadic silence": r"\.sporadic\b|\.(spoken|published_at)\b|\.silent\b",
     "delayed": r"\.delayed\b",
     "partial": r"\.partial\b|\.kept\b.*\bpartial|decode\.kept\b",
     "ages": r"\.(age|ages|held_stamp)\b|\b_ages\(",
     "ticks without an answer": r"\.unanswered\b",
     "last word": r"\bfinishes\(|\.finish\(\w|\bFinishing\b|block\.finish\b",
     "parameter changes that are due": r"\.(change_at|changes)\b",
-    "reports": r"\.(tell|drop|note|take_down|withdraw)\(",
+    "reports": r"\.(tell|store_reports|drop|note|take_down|withdraw)\(",
     "observers in batches": r"\bat_once\(|\btakes_batches\(|\bgather\(",
     "what is recorded": r"\b(send_all|add_row|record_batch|many_keeper|keeper|\w*sink)\b",
     "numbers of messages": r"\.counts\[|\bcounts\[|\bNumbering\b|\bencoder\(",
@@ -44,7 +46,7 @@ KINDS = {
     "decides, discarded ticks": r"\bdecides\(|\b_decided\(|\.given_up\b|\.discarded\b",
     "buttons": r"\.buttons\b",
     "everything that changes": r"\b(TABLES|VALUES|Kept|Moment)\b|\.(keep|go_back)\(|\.(save|load)\(",
-    "slots that other code fills": r"\.(send|respond|lacks|say|advance|moved|make_anew) = ",
+    "slots that other code fills": r"\.(send|respond|lacks|say|answer|advance|moved|make_anew) = ",
 }
 
 

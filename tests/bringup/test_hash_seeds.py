@@ -14,7 +14,7 @@ import contextlib, io, sys
 from softrig_bringup.cli import main
 from softrig_core import list_scenarios, load_scenario, rig_of
 from softrig_core.block.params import flatten
-from softrig_core.verdict.figures import told
+from softrig_core.verdict.figures import figure_parameters
 for line in (["run", "dc_motor_smc_b1", "--duration", "0.5"], ["run", "dc_motor_smc_faults", "--duration", "0.3"],
              ["run", "gupfc_short", "--duration", "0.02"]):
     with contextlib.redirect_stdout(io.StringIO()):
@@ -25,8 +25,8 @@ with contextlib.redirect_stdout(open("said.txt", "w")):
 with open("told.txt", "w") as file:
     for name in sorted(list_scenarios())[::7]:
         rig = rig_of(name)
-        print(name, told(rig), [(m.name, flatten(m.params), m.block_class.agreed(m.params)) for m in rig.members],
-              file=file)
+        agreed = [(m.name, flatten(m.params), m.block_class.agreed(m.params)) for m in rig.members]
+        print(name, figure_parameters(rig), agreed, file=file)
 """
 CLOCK = rb'"wall_s": [-\d.e+]+|wall_s: .*|[\d.]+ s</dd>|[\d.]+ \xc3\x97 real time'  # what the wall clock says
 

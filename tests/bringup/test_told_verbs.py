@@ -1259,7 +1259,7 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
             folder.clear()
         kept = run_verb._keep(options, done, folder)
         content = kept.content
-        text = f"changed {list(content['changed'])}, same {kept.same}, told {list(kept.told)}"
+        text = f"changed {list(content['changed'])}, same {kept.same}, told {list(kept.remarks)}"
         messages.append(f"{' '.join(words) or 'plain'}: {text}")
         messages.append(f"  {content['title']}, label {content['label']!r}, {content['command']}")
         if folder:

@@ -737,7 +737,7 @@ def test_a_page_beside_a_run_follows_what_the_nodes_write_until_it_is_over(
     monkeypatch.setattr(serve, "threading", SimpleNamespace(Thread=thread))
     scenario = load_scenario("dc_motor_smc_b2").model_dump(mode="json", exclude_unset=True)
     about = WATCHED | {"directory": str(tmp_path), "scenario": scenario} | more
-    serve.beside(Watched(**about), iter(lines.get, None))
+    serve.serve_run(Watched(**about), iter(lines.get, None))
     nice, every, first, going, over, last, changes = seen
     assert (nice, every) == (10, 250)
     assert first == (held, pace, "", False)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from softrig_core import Block, BlockParams, Figure, Rig, ScenarioError, evaluate, figure, param
-from softrig_core.rig.agreement import agreeing, assumptions, spoken
+from softrig_core.rig.agreement import agreed_values, agreeing, assumptions
 
 
 class MassParams(BlockParams):
@@ -66,7 +66,7 @@ def test_what_a_law_takes_for_granted_may_differ_and_is_told():
 
 
 def test_an_argument_of_a_figure_is_what_a_node_says():
-    text = spoken(Rig.from_blocks({"one": Judge(mass=3.0)}, 1.0).members)
+    text = agreed_values(Rig.from_blocks({"one": Judge(mass=3.0)}, 1.0).members)
     agreed = {"mass": "cart/mass"}
     assert agreeing(text, {"band": 0.1}, agreed) == {"band": 0.1, "mass": 3.0}
     assert agreeing(text, {"mass": 3}, agreed) == {"mass": 3}

@@ -28,7 +28,7 @@ from softrig_core import (
     vector3,
     wrench,
 )
-from softrig_core.block.answer import Heard, usual
+from softrig_core.block.answer import ReceivedMessages, usual
 from softrig_core.block.codec import Decoder, encoder, readable_stamp, selection
 from softrig_core.block.fill import picked
 from softrig_core.block.held import ByHand
@@ -258,10 +258,10 @@ def test_what_does_not_fit_is_told():
 
 def test_what_was_heard_in_one_go_is_a_row_of_messages():
     stamps, values = np.array([3, 5, 9]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
-    received, row = Heard(stamps, values), ((3, (1.0, 2.0)), (5, (3.0, 4.0)), (9, (5.0, 6.0)))
+    received, row = ReceivedMessages(stamps, values), ((3, (1.0, 2.0)), (5, (3.0, 4.0)), (9, (5.0, 6.0)))
     assert (tuple(received), len(received), repr(received)) == (row, 3, repr(row))
     assert received == row
-    assert received == Heard(stamps, values)
+    assert received == ReceivedMessages(stamps, values)
     assert received != row[:2]
     assert received != list(row)
     for k in (*range(-3, 3), slice(1, None), slice(None, None, -2), slice(0, 0)):
@@ -438,12 +438,12 @@ def test_what_is_reported_is_noted_by_who_holds_the_block():
     block.report(Level.WARN, "a", "first")
     block.report(Level.ERROR, "a", "second", anew=True)
     assert block.events == [(Level.WARN, "a", "first", False), (Level.ERROR, "a", "second", True)]
-    held.tell()
+    held.store_reports()
     assert (held.reports, held.anew, block.events) == ({"a": (Level.ERROR, "second", 2)}, {"a"}, [])
     block.withdraw("a")
     block.withdraw("none")
     assert block.events == [(None, "a", "", False), (None, "none", "", False)]
-    held.tell()
+    held.store_reports()
     assert (held.reports, block.age("any"), block.health(), block.latched(), block.markers()) == ({}, 0, {}, {}, ())
 
 

@@ -138,7 +138,7 @@ def test_a_quiet_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
     folder, _, _, steps, answers = firmware
     line, result = lockstep(firmware, QuietWire(Board(folder / "board.so", tmp_path)), steps)
     assert result == answers
-    assert line.counts.told() == ""
+    assert line.counts.remarks() == ""
 
 
 @pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 1), pytest.param(MANY, 2, marks=pytest.mark.long)])
@@ -167,7 +167,7 @@ def test_real_time_takes_an_answer_of_the_request_or_none(frames, seed, firmware
 
     def feed(data, of=board.feed):
         answer = of(data)
-        for piece in Splitter().take(answer):
+        for piece in Splitter().split_frames(answer):
             frame = read(piece, line._session)
             if frame is not None and frame.kind == Kind.ANSWER:
                 messages.setdefault((line._session, frame.number), frame.values)
@@ -297,7 +297,7 @@ def test_gains_that_view_changes_count_from_the_next_tick_on(realtime, firmware,
         assert result == wanted
         voltages.append(wanted["command"])
     assert len(set(voltages)) == len(voltages)
-    assert line.told() == ""
+    assert line.remarks() == ""
     assert board.void(x) == ""
 
 

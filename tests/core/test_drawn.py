@@ -69,14 +69,14 @@ def test_a_quantity_is_its_value_or_at_rest_and_says_so():
     volts = Quantity("v", "V", 2.5)
     assert [volts(row) for row in ({"v": 7.0}, {}, {"v": math.nan}, {"v": -math.inf})] == [7.0, 2.5, 2.5, 2.5]
     assert [
-        volts.said({"v": 1.25}),
-        volts.said({"v": -3.0}, ".2f"),
-        volts.said({"v": -0.04}),
-        volts.said({"v": -0.05 - 1e-9}),
-        volts.said({"v": -1234.5}, ",.0f", "kV"),
-        volts.said({}),
-        volts.said({"v": math.inf}, unit=""),
-        Quantity("v").said({"v": 0.0}),
+        volts.text_of({"v": 1.25}),
+        volts.text_of({"v": -3.0}, ".2f"),
+        volts.text_of({"v": -0.04}),
+        volts.text_of({"v": -0.05 - 1e-9}),
+        volts.text_of({"v": -1234.5}, ",.0f", "kV"),
+        volts.text_of({}),
+        volts.text_of({"v": math.inf}, unit=""),
+        Quantity("v").text_of({"v": 0.0}),
     ] == ["1.2 V", "−3.00 V", "0.0 V", "−0.1 V", "−1,234 kV", "– V", "–", "0.0"]
     assert [held(x, 2.0) for x in (-3.0, -2.0, 0.5, 2.0, 9.0)] == [-2.0, -2.0, 0.5, 2.0, 2.0]
 
@@ -100,7 +100,7 @@ def test_a_quantity_is_found_at_the_plant_then_at_those_linked_to_it_then_elsewh
     plant = member("plant", port("state", "plant/state", "x", "y"), links=[link(writes)], plant=True)
     reads.links = {0: link(plant)}
     drawing = object.__new__(Drawing)
-    drawing.plant, drawing._found = plant, {}
+    drawing.plant, drawing._names = plant, {}
     units = ["plant/state/x", "plant/state/y", "far/only/x", *(f"{n}/speed/x" for n in ("far", "writes", "reads"))]
     drawing._units = dict.fromkeys([*units, "reads/load/x"], "m/s^2")
 
@@ -118,7 +118,7 @@ def test_a_quantity_is_found_at_the_plant_then_at_those_linked_to_it_then_elsewh
     assert named([far, other, plant], "mass") == Quantity("", "", 3.0)
     assert named([far, plant], "state", "z") == Quantity("", "", 3.0)
     results = ["plant/state/y", "reads/speed/x", "writes/speed/x", "far/speed/x", "reads/load/x"]
-    assert list(drawing._found) == results
+    assert list(drawing._names) == results
 
 
 def shapes(draw):

@@ -271,7 +271,7 @@ def test_a_value_beyond_the_limits_of_its_port_ends_an_episode(given, last):
         ({"replace": "dc_motor_plant"}, "it is a plant or publishes nothing; expected one of"),
         ({"replace": "dc_motor_smcc"}, "it is not there.*dc_motor_smc"),
         ({"observe": ["sped"]}, "no signal 'sped'.*speed"),
-        ({"act": ["speed"]}, "does not say motor/state/shaft/velocity; it says motor/command/armature/effort"),
+        ({"act": ["speed"]}, "does not publish motor/state/shaft/velocity; it publishes motor/command/armature/effort"),
         ({"terminate": ["none"]}, "no requirement 'none'; expected one of settles"),
         ({"act": {"voltage": (1.0, 1.0)}}, "1 is not below 1"),
         ({"observe": ["voltage"]}, "cycle without a plant"),

@@ -5,7 +5,7 @@ import math
 import pytest
 from pydantic import ValidationError
 from softrig_core import ScenarioError
-from softrig_core.judge.claims import Claim, spoken
+from softrig_core.judge.claims import Claim, readable
 from softrig_core.judge.expectation import FORMS, Expectation, parse
 from softrig_core.judge.formula import Condition
 from softrig_core.judge.robustness import truth
@@ -169,7 +169,7 @@ def test_verdicts_and_words():
         "refuted": [False, True],
         "not_checkable": [True, True],
     }
-    assert [spoken(x) for x in (INF, -INF, 0.1234567, 3.0)] == ["never", "-inf", "0.123457", "3"]
+    assert [readable(x) for x in (INF, -INF, 0.1234567, 3.0)] == ["never", "-inf", "0.123457", "3"]
 
 
 @pytest.mark.parametrize(

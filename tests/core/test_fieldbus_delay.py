@@ -78,8 +78,8 @@ def test_a_long_line_is_a_sorted_list(spread):
         stamp, message = t ^ (spread > 0), (float(t),)
         line, row = line.put(due, stamp, message), row.put(due, stamp, message)
         insort(plain, (due, stamp, message))
-        line, *result = line.taken(t, t - 500, ())
-        row, *same = row.taken(t, t - 500, ())
+        line, *result = line.pop_arrived(t, t - 500, ())
+        row, *same = row.pop_arrived(t, t - 500, ())
         there = [x for x in plain if x[0] <= t]
         plain = plain[len(there) :]
         late = [[stamp, message] for _, stamp, message in there if stamp >= t - 500]
@@ -105,13 +105,13 @@ def test_messages_of_several_values_are_the_same_in_one_row():
         (25, 3, (3, ())),
         (30, 3, messages[0][1:]),
     ):
-        left, *text = line.taken(t, since, ())
-        native, *same = row.taken(t, since, ())
+        left, *text = line.pop_arrived(t, since, ())
+        native, *same = row.pop_arrived(t, since, ())
         assert text == same == [*result]
         assert native.python() == left
     assert line.numbers().tolist() == [4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 1.0, 2.0, 3.0]
-    for nothing in (Line(3), Line(3).native(), line.taken(30, 0, ())[0].native()):
-        left, *text = nothing.taken(99, 0, ())
+    for nothing in (Line(3), Line(3).native(), line.pop_arrived(30, 0, ())[0].native()):
+        left, *text = nothing.pop_arrived(99, 0, ())
         assert text == [0, ()]
         assert (left.python() if not isinstance(nothing, Line) else left) == Line(3)
         if not isinstance(nothing, Line):

@@ -56,7 +56,7 @@ def test_what_it_keeps_is_what_its_ticks_saw(seed):
         bad = chance.random() < 0.02
         for step in (gathering, plain):
             step.bad = bad
-            step.say(t)
+            step.answer(t)
         used += bad or kept(gathering) == kept(plain)
         if chance.random() < 0.02 or k == 399:
             assert gathering.status() == plain.status()
@@ -71,7 +71,7 @@ def test_what_a_hundredth_of_a_second_has_brought_is_taken_in_at_its_last_tick()
     used, accept = [], gathering.block.at_once
     gathering.block.at_once = lambda x, t, messages: used.append(t) or accept(x, t, messages)
     for k in range(65):
-        gathering.say(plain.schedule.time(k))
+        gathering.answer(plain.schedule.time(k))
     assert used == [plain.schedule.time(k) for k in (19, 39, 59)]  # of half a millisecond each
 
 

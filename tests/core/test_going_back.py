@@ -284,7 +284,7 @@ def test_nobody_branches_from_where_a_run_was_not(t):
 
 
 FIXED = (
-    "say",
+    "answer",
     "advance",
     "block",
     "_link",

@@ -18,10 +18,10 @@ import pytest
 from softrig_core import Block, BlockParams, Plant, Rig, RunError, ScenarioError, bits, guard, param, scalars
 from softrig_core.block.params import declarations
 from softrig_core.command_line import Number, Parser, named, without_ros
-from softrig_core.guard import guarded, naming, plain, quietly, say
+from softrig_core.guard import guarded, naming, plain, print_line, quietly
 from softrig_core.interrupt import Interrupt
 from softrig_core.rig import code
-from softrig_core.rig.agreement import agreeing, assumptions, require_agreement, spoken
+from softrig_core.rig.agreement import agreed_values, agreeing, assumptions, require_agreement
 from softrig_core.rig.installed import load_block, load_main
 from softrig_core.rig.members import signal_units
 from softrig_core.rig.options import InputLink, Links, RunOptions
@@ -130,8 +130,8 @@ def test_nodes_agree_but_for_the_last_digits():
     lines.append(f"not zero: {said(require_agreement, 'here', [zero[0], member('two', mass=1.2e-300)])}")
     some = [member("one", mass=3.0), member("two", Assumes), member("three", Assumes, mass=3.0)]
     lines += [f"assumed: {line}" for line in assumptions(some)]
-    reported = spoken([member("one"), member("two", mass=2.0)])
-    lines.append(f"spoken: {reported}")
+    reported = agreed_values([member("one"), member("two", mass=2.0)])
+    lines.append(f"agreed_values: {reported}")
     for arguments, agreed in (
         ({}, {"m": "mass"}),
         ({"m": 1.0}, {"m": "mass"}),
@@ -446,7 +446,7 @@ def test_streams_words_and_silence(monkeypatch, capsys, tmp_path):
     with quietly():
         print("nobody reads this")
         assert guard.is_quiet()
-        say("this somebody does")
+        print_line("this somebody does")
     assert not guard.is_quiet()
     out, err = capsys.readouterr()
     assert (out, err) == ("", "softrig: this somebody does\n")

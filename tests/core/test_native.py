@@ -107,12 +107,12 @@ def the_same(rig: Any, monkeypatch: pytest.MonkeyPatch, make: Any = plain) -> Na
     for name, step in steps.items():
         other = others[name]
         assert repr(other.x) == repr(step.x) or other.x == step.x
-        assert (other.reports, other.t, repr(other.values), repr(other.said), other.spoken) == (
+        assert (other.reports, other.t, repr(other.values), repr(other.last_answer), other.published_at) == (
             step.reports,
             step.t,
             repr(step.values),
-            repr(step.said),
-            step.spoken,
+            repr(step.last_answer),
+            step.published_at,
         )
     return native
 

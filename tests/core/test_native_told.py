@@ -968,7 +968,7 @@ assert self.on
 assert self.nothing
 return p
 
-assert self.on, "told"
+assert self.on, "reports"
 return q
 
 assert p > 0.0 and never(p)
@@ -1326,7 +1326,7 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
     tables = dict(zip(program.arrays.values(), program.tables([owner]), strict=True))
     tables |= {name: np.random.default_rng(1).random(10) for name in program.draws.values()}
     scope |= tables | {"c": program.constants([owner]), "n": [0, 0, 0], "when": [7_000_000_000, 0]}
-    scope["told"] = [0.0] * program.reports.size
+    scope["reports"] = [0.0] * program.reports.size
 
     def call(values: dict[str, Any]) -> Any:
         scope.update({k: packed(v, typed) for k, v in values.items()})
@@ -1338,8 +1338,8 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
     def reported() -> Any:
         """Give what has been reported natively, and in Python."""
         other = ByHand(Owner())
-        program.reports.take_down(scope["told"], [other])
-        mine.tell()
+        program.reports.record(scope["reports"], [other])
+        mine.store_reports()
         return other.reports, mine.reports
 
     return names, call, python, reported
@@ -1483,8 +1483,8 @@ def test_reports_are_taken_down_as_if_they_were_told_one_by_one() -> None:
                 scope["reported_"](table, at[k], row)
                 block, key, level = keys[k]
                 wanted[block].block.report(level, key, f"{k}: {row[0]} {row[1]}")
-                wanted[block].tell()
-            reports.take_down(table, natively)
+                wanted[block].store_reports()
+            reports.record(table, natively)
             assert [list(b.reports.items()) for b in natively] == [list(b.reports.items()) for b in wanted]
 
 

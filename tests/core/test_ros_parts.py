@@ -269,7 +269,7 @@ def test_frames_that_move_are_said_once_a_tick_to_who_reads_them_as_ros_has_it()
     assert (0, 0, "world", "base", 0.0, 0.0, 1.0, 1.0) in stands
     move = next(t for t in hand.timers if t.call.__name__ == "_move")
     assert move.asked == [(1_000_000_000 // 30, 0)]
-    adapter.epoch, adapter.step.t, adapter.step.said = 1_700_000_000_000_000_000, 5, ((1.0, 2.0, 3.0, 4.0),)
+    adapter.epoch, adapter.step.t, adapter.step.last_answer = 1_700_000_000_000_000_000, 5, ((1.0, 2.0, 3.0, 4.0),)
     move.call()
     adapter.state = "running"
     move.call()
@@ -279,7 +279,7 @@ def test_frames_that_move_are_said_once_a_tick_to_who_reads_them_as_ros_has_it()
         move.call()
     (data,) = node.topics["/tf"]
     assert read(data) == [(1_700_000_000, 5, "base", "tip", 1.0, 2.0, 0.0, 1.0)]
-    adapter.step.said, adapter.step.t = (), 6
+    adapter.step.last_answer, adapter.step.t = (), 6
     move.call()
     assert len(node.topics["/tf"]) == 1
     two = frames.encode(7, [Pose("a", "bc", (1.0, 2.0, 3.0), (0.1, 0.2, 0.3, 0.4))] * 2)

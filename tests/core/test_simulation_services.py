@@ -183,7 +183,7 @@ def test_bodies_are_where_the_scene_has_them_and_move_as_the_joints_do(monkeypat
         1.0 + k if name.endswith("/velocity") else v
         for k, (name, v) in enumerate(zip(port.labels, step.newest(scene.port), strict=True))
     ]
-    step.said = (*step.said[:place], tuple(fast), *step.said[place + 1 :])
+    step.last_answer = (*step.last_answer[:place], tuple(fast), *step.last_answer[place + 1 :])
     messages = dict(zip(port.labels, step.newest(scene.port), strict=True))
     q = [v for k, v in messages.items() if k.endswith("/position")]
     rates = [v for k, v in messages.items() if k.endswith("/velocity")]

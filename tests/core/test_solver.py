@@ -128,7 +128,7 @@ def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, re
         block.x = block.block.begin(block.x, k * 100_000_000, state=(0.01 * k, 0.0), reference=(1.0,))
         assert block.block.worker.wait(PATIENCE)
         block.x, values = block.block.end(block.x, k * 100_000_000)
-        block.tell()
+        block.store_reports()
         results.append(values)
     # the second work failed, the third plan comes from a new process
     assert [round(v["plan"][0], 9) for v in results] == [0.0, 0.0, 0.2, 0.3, 0.4]
@@ -282,7 +282,7 @@ def works(queue=None):
     pid = worker._process.pid
     assert worker.wait(PATIENCE)
     assert (worker.state, worker.answer) == ("done", 1.5)
-    worker.rest()
+    worker.release()
     if queue is not None:
         queue.put(pid)
     return pid

@@ -80,7 +80,7 @@ class Hands:
             self.state, self.error = ("failed" if failed else "done"), "bad"
             self.answer = f"answer to {self.job.request}"
 
-    def rest(self):
+    def release(self):
         self.log.append("rest")
 
 
@@ -122,7 +122,7 @@ def test_a_solver_ticks_as_its_account_says(latency, cancels, monkeypatch):
     assert {entry for entry in log if not isinstance(entry, str)} == {0.251}  # s: looks at the limit now and then
     assert (held.block.worker.cancelled > 0) == (cancels and latency > 0.1)
     assert held.reports == {}
-    held.block.rest()
+    held.block.release()
     assert log[-1] == "rest"
 
 
@@ -255,7 +255,7 @@ def test_what_a_worker_knows_of_its_work(hands, monkeypatch):
 
     now()
     assert (worker.elapsed(), hands) == (0.0, [])
-    worker.rest()
+    worker.release()
     worker.warm()
     worker.warm()
     (process,) = hands
@@ -268,30 +268,30 @@ def test_what_a_worker_knows_of_its_work(hands, monkeypatch):
         worker.submit("s")
     assert worker.wait(0.0) is False
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: 5.0))
-    worker.heard(process, "begun", None)
+    worker.process_message(process, "begun", None)
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: 7.5))
     assert worker.elapsed() == 2.5
-    worker.heard(process, "status", {"gap": 1.0})
-    worker.heard(process, "best", "b")
-    worker.heard(object(), "done", "of another process")
+    worker.process_message(process, "status", {"gap": 1.0})
+    worker.process_message(process, "best", "b")
+    worker.process_message(object(), "done", "of another process")
     now(state="working", job=job, status={"gap": 1.0}, best="b", has_best=True)
-    worker.heard(process, "done", "a")
+    worker.process_message(process, "done", "a")
     now(state="done", job=job, status={"gap": 1.0}, best="b", has_best=True, answer="a")
     assert worker.wait(0.0) is True
-    worker.heard(process, "failed", "its end")  # after what it was asked for
+    worker.process_message(process, "failed", "its end")  # after what it was asked for
     now(state="done", job=job, status={"gap": 1.0}, best="b", has_best=True, answer="a")
     worker.submit("s")
     now(state="working")
     assert worker.elapsed() == 0.0
-    worker.heard(process, "failed", "why")
+    worker.process_message(process, "failed", "why")
     now(state="failed", error="why")
-    worker.rest()
+    worker.release()
     assert (process.left, worker.state) == (1, "failed")
     worker.submit("u", 7)
     assert len(hands) == 2  # another one
-    worker.rest()
+    worker.release()
     assert hands[1].left == 0  # it works
-    worker.heard(hands[1], "best", "b")
+    worker.process_message(hands[1], "best", "b")
     worker.strike()
     now(state="done", answer="b", has_best=True, struck=True, job=7)
     assert hands[1].dead
@@ -424,7 +424,9 @@ def test_a_listener_hands_on_what_is_said_until_the_end(monkeypatch):
             status,
         )
         taker = type(
-            "Taker", (), {"heard": lambda self, p, kind, content, h=received: h.append((kind, content, p.busy))}
+            "Taker",
+            (),
+            {"process_message": lambda self, p, kind, content, h=received: h.append((kind, content, p.busy))},
         )()
         process.owner = lambda taker=taker: taker
         process._listen()

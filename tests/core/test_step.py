@@ -14,7 +14,7 @@ from simulated import SimulatedRig, World
 from softrig_core import Block, Recording, Rig, RunError, Signals, rig_of, run_inprocess, scalars
 from softrig_core.block import step as step_module
 from softrig_core.block.link import Link
-from softrig_core.block.loop import Loop, move, say
+from softrig_core.block.loop import Loop, answer, move
 from softrig_core.block.schedule import Schedule
 from softrig_core.block.step import Step
 from softrig_core.block.tables import Tables
@@ -62,7 +62,7 @@ def test_in_real_time_a_law_beyond_its_range_gives_its_safe_value_and_says_so():
 @pytest.mark.parametrize("text", [(0.5, 2.0), [0.5, 2.0], (0.5, 2)])
 def test_what_is_almost_a_row_of_floats_becomes_one(text):
     step, rows = _alone({"out": text})
-    step.say(0)
+    step.answer(0)
     assert rows == [((0.5, 2.0),)]
     assert step.numbers == (0.5, 2.0)
 
@@ -81,7 +81,7 @@ def test_what_is_almost_a_row_of_floats_becomes_one(text):
 def test_what_may_not_leave_a_block_is_told(text, reason):
     step, rows = _alone({"out": text} if text else {})
     with pytest.raises(RunError, match=reason) as error:
-        step.say(0)
+        step.answer(0)
     assert error.value.node == "odd"
     assert rows == []
 
@@ -100,7 +100,7 @@ def test_what_may_not_leave_a_block_is_told(text, reason):
 def test_an_output_that_a_block_does_not_have_is_refused(returned, reason):
     step, rows = _alone(returned)
     with pytest.raises(RunError, match=reason):
-        step.say(0)
+        step.answer(0)
     assert rows == []
 
 
@@ -109,13 +109,13 @@ def test_after_a_refused_input_the_row_that_was_admitted_is_held():
     row = np.array([0.5, 2.0])
     answer = {"out": row}
     step, rows = _alone(answer)
-    step.say(0)
+    step.answer(0)
     row[:] = 9.0
     answer["out"] = [7.0, 7.0]
     step.bad = True
-    step.say(10_000_000)
+    step.answer(10_000_000)
     assert rows == [((0.5, 2.0),), ((0.5, 2.0),)]
-    assert step.said == ((0.5, 2.0),)
+    assert step.last_answer == ((0.5, 2.0),)
     assert not step.bad
 
 
@@ -197,7 +197,7 @@ def test_the_ticks_whose_text_is_written_are_those_of_the_loop(rig, monkeypatch)
         return times, recording.topics, states
 
     written = ran()
-    monkeypatch.setattr(step_module, "sayer", lambda step: lambda t: say(step, t))
+    monkeypatch.setattr(step_module, "answerer", lambda step: lambda t: answer(step, t))
     monkeypatch.setattr(step_module, "mover", lambda step: lambda t: move(step, t))
     assert ran() == written
     assert written[0][-1] == rig.end

@@ -40,7 +40,7 @@ def lines(monkeypatch):
         results.append(f"{who}: {text}")
         AT_LAST.set()
 
-    monkeypatch.setattr(stuck, "tell", tell)
+    monkeypatch.setattr(stuck, "print_for", tell)
     monkeypatch.setattr(stuck, "LOOK", 0.02)
     monkeypatch.setattr(stuck, "LONG", 0.2)
     monkeypatch.setattr(stuck, "LAST", 0.2)
@@ -69,7 +69,7 @@ def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypa
     ended = []
     monkeypatch.setattr(stuck, "LONG", PATIENCE)
     monkeypatch.setattr(stuck.os, "_exit", lambda status: (ended.append(status), AT_LAST.set()))
-    monkeypatch.setattr(stuck, "tell", lambda who, text: lines.append(f"{who}: {text}"))
+    monkeypatch.setattr(stuck, "print_for", lambda who, text: lines.append(f"{who}: {text}"))
     before = signal.signal(signal.SIGTERM, lambda number, frame: None)  # of code that never sees it
     STARTED.clear()
     killer = threading.Thread(target=lambda: STARTED.wait(PATIENCE) and os.kill(os.getpid(), signal.SIGTERM))

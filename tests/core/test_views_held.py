@@ -77,7 +77,7 @@ OTHERWISE = {
     "gupfc": "numbers move, .* of them in gupfc_plant.network.ring",  # the mean of a cycle of 1024 steps
     "pwa_delay": "numbers move, .* of them in switched_delay_plant.past",
     "tcp_aqm_smc": "numbers move, .* of them in tcp_fluid.past",
-    "economic_dispatch": "dispatch/setpoints/2/effort is not said at",  # a solver's answer, now and then
+    "economic_dispatch": "dispatch/setpoints/2/effort is not published at",  # a solver's answer, now and then
     "induction_dtc": 0.1,  # hysteresis and a table switch at each tick
     "lsrm_fuzzy": 0.1,  # a phase that carries no current rests on its diode: it moves one way only
 }

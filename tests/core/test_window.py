@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 from softrig_core import joint_state, scalars
-from softrig_core.block.answer import Heard
+from softrig_core.block.answer import ReceivedMessages
 from softrig_core.block.port import Sample
 from softrig_core.verdict import watch
 from softrig_core.verdict.watch import EVER, Kept, Seen, left_behind, packed, row_of
@@ -55,7 +55,7 @@ def test_a_window_is_the_newest_of_a_list(monkeypatch, seed):
             t += rng.randint(0, 6)
             stamp = t - rng.choice([0, 0, 1, 9])
             values = tuple(rng.uniform(-1.0, 1.0) for _ in range(size))
-            kept = kept.taken(row, stamp, Sample(stamp, values) if rng.random() < 0.3 else values, t, reach)
+            kept = kept.with_message(row, stamp, Sample(stamp, values) if rng.random() < 0.3 else values, t, reach)
             listed.take(stamp, values, t, reach)
         else:
             stamps = sorted(rng.sample(range(t + 1, t + 60), rng.choice([0, 1, 3, 20])))
@@ -63,11 +63,11 @@ def test_a_window_is_the_newest_of_a_list(monkeypatch, seed):
             t += 60
             begun = kept.stamp != EVER
             given = (
-                Heard(np.array(stamps), np.array([v for _, v in messages]))
+                ReceivedMessages(np.array(stamps), np.array([v for _, v in messages]))
                 if rng.random() < 0.5 and stamps
                 else messages
             )
-            kept = kept.taken_at_once(given, t, reach)
+            kept = kept.with_messages(given, t, reach)
             for stamp, values in messages:
                 listed.take(stamp, values, t, reach)
             if begun:
@@ -77,7 +77,7 @@ def test_a_window_is_the_newest_of_a_list(monkeypatch, seed):
 
 def test_messages_as_bytes():
     assert packed([(3, (1.0, 2.0)), (5, (4.0, 8.0))]) == row_of(2).pack(3, 1.0, 2.0) + row_of(2).pack(5, 4.0, 8.0)
-    assert packed(Heard(np.array([3]), np.array([[1.0]]))) == row_of(1).pack(3, 1.0)
+    assert packed(ReceivedMessages(np.array([3]), np.array([[1.0]]))) == row_of(1).pack(3, 1.0)
 
 
 STATE = joint_state("state", "cart/state", ["x"], position=["m"], velocity=["m/s"])
@@ -87,8 +87,8 @@ FLAGS = scalars("flags", "flags", {"on": "", "off": ""})
 def test_what_is_kept_is_read_as_signals():
     one = (
         Kept()
-        .taken(row_of(2), 1_000_000_000, (0.5, -1.0), 0, 1 << 40)
-        .taken(row_of(2), 1_500_000_000, (2.0, 3.0), 0, 1 << 40)
+        .with_message(row_of(2), 1_000_000_000, (0.5, -1.0), 0, 1 << 40)
+        .with_message(row_of(2), 1_500_000_000, (2.0, 3.0), 0, 1 << 40)
     )
     seen = Seen({"state": STATE, "flags": FLAGS}, {"state": one, "flags": Kept()})
     names = ["cart/state/x/position", "cart/state/x/velocity", *(f"flags/{label}" for label in FLAGS.labels)]
@@ -109,7 +109,7 @@ def test_a_step_is_left_behind_where_all_of_it_were_before_what_is_kept():
         kept = {name: Kept() for name in ("state", "flags")}
         for name, values in rows.items():
             for k, x in enumerate(values):
-                kept[name] = kept[name].taken(row_of(2), (k + 1) * 10**9, (x, x), 0, 1 << 40)
+                kept[name] = kept[name].with_message(row_of(2), (k + 1) * 10**9, (x, x), 0, 1 << 40)
         return Seen({"state": STATE, "flags": FLAGS}, kept)
 
     x, on = "cart/state/x/position", "flags/" + FLAGS.labels[0]

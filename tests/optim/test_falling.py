@@ -18,7 +18,7 @@ def changes(curve, samples):
     """What each sample contradicts of those before it."""
     result = []
     for sample in samples:
-        change, curve = curve.take(sample)
+        change, curve = curve.with_sample(sample)
         result.append(change)
     return result
 
@@ -44,8 +44,8 @@ def test_native_code_keeps_the_same_corners(samples, n):
     rows = curve.native()
     for k, (v, share) in enumerate(samples):
         sample = (v, max(3.8 - 0.01 * math.expm1(v / 15.0), 0.0) * share, 25.0)
-        wanted, curve = curve.take(sample)
-        result, rows = rows.take(sample)
+        wanted, curve = curve.with_sample(sample)
+        result, rows = rows.with_sample(sample)
         assert (result, rows.python()) == (wanted, curve)
         rows = curve.native() if k % 7 == 6 else rows
 

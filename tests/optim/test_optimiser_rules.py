@@ -219,7 +219,7 @@ class Account:
     def breaks_off(self, k, sample):
         if self.curve is None:
             return False
-        change, self.curve = self.curve.take(sample)
+        change, self.curve = self.curve.with_sample(sample)
         gap = self.search.gap
         more = (
             self.looking is not None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from softrig_optim.pso import ParticleSwarm
 from softrig_optim.scan import Scan
-from softrig_optim.search import Search, Told, run
+from softrig_optim.search import Search, SearchHistory, run
 from softrig_optim.sweep import Workers, _own_imports, progress, sweep
 
 
@@ -42,7 +42,7 @@ def test_a_search_as_a_value_goes_on_from_any_of_its_past():
         return made[-1]
 
     rng = np.random.default_rng(4)
-    begin = Told(make, rng)
+    begin = SearchHistory(make, rng)
     assert (begin.low, begin.high, begin.watches, begin.settle, begin.gap) == ((0.0,), (1.0,), True, True, math.inf)
     assert math.isnan(begin.expected)
     line = [begin]
@@ -60,7 +60,7 @@ def test_a_search_as_a_value_goes_on_from_any_of_its_past():
     other = line[1].watch((9.0,))
     assert other.now.ask() != line[2].now.ask()
     assert [reported.now.ask() for reported in line] == candidates
-    again = Told(make, rng, [("watch", ((0.0,),)), ("tell", (5.0, ()))])
+    again = SearchHistory(make, rng, [("watch", ((0.0,),)), ("tell", (5.0, ()))])
     assert again == line[1] != line[2]
     assert again != "else"
     copied = copy.copy(line[2])
@@ -152,7 +152,7 @@ def test_cases_are_handed_over_in_chunks_of_a_quarter_of_a_second(mean, room, wo
 def test_how_long_a_case_takes_is_that_of_the_newest_chunks():
     pool, means = Workers(2), []
     for seconds in (4.0, 1.0, 6.0):
-        assert list(pool._told([(7, "a"), (9, "b")], (["x", "y"], seconds))) == [(7, "x"), (9, "y")]
+        assert list(pool._numbered([(7, "a"), (9, "b")], (["x", "y"], seconds))) == [(7, "x"), (9, "y")]
         means.append(pool._mean)
     assert means == [2.0, 1.25, 2.125]
 

@@ -34,7 +34,7 @@ class Container:
         monkeypatch.setattr(engine, "SHORT_GO", -1.0)  # no go is longer
         monkeypatch.setattr(fitted, "_texts", [])
         if make is None:
-            monkeypatch.setattr(Engine, "_compile_beside", lambda self, k: False)
+            monkeypatch.setattr(Engine, "_compile_in_thread", lambda self, k: False)
         monkeypatch.setattr(engine, "LOOK", 5)
         monkeypatch.setattr(turns, "SLICE", -1)  # a look at the others after each go
         monkeypatch.setattr(SimulatedNode, "mute", True)

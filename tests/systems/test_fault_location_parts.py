@@ -1447,14 +1447,14 @@ def test_figures_of_a_run_are_those_of_its_last_answer():
 
 def test_what_the_locator_tells_of_an_answer():
     node = FaultLocator(truth_km=50.0)
-    node._tell(Location(Status.OK, 50.012, text="fault at 50.0120 km"), None)
+    node._report_location(Location(Status.OK, 50.012, text="fault at 50.0120 km"), None)
     text = "fault at 50.0120 km; error 0.0100 % of the line (12.0 m)"
     assert node.reports == {"ok": (Level.OK, text, 1)}
     node = FaultLocator()
-    node._tell(Location(Status.NO_FAULT, text="none"), types.SimpleNamespace(warning="slow"))
+    node._report_location(Location(Status.NO_FAULT, text="none"), types.SimpleNamespace(warning="slow"))
     assert node.reports == {"no_fault": (Level.OK, "none", 1), "rate": (Level.WARN, "slow", 1)}
     node = FaultLocator(truth_km=50.0)
-    node._tell(Location(Status.AT_TERMINAL, 0.0, text="at the end"), types.SimpleNamespace(warning=""))
+    node._report_location(Location(Status.AT_TERMINAL, 0.0, text="at the end"), types.SimpleNamespace(warning=""))
     text = "at the end; error -41.6667 % of the line (-50000.0 m)"
     assert node.reports == {"at_terminal": (Level.WARN, text, 1)}
     with pytest.raises(

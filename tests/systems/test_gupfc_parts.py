@@ -622,7 +622,7 @@ def taken(command, age=0, k=1, bad=0):
     x = plant.first()
     last = Command(1.0, 0.5, 400.0, bad)
     x = x._replace(commands=tuple(last if n == k else c for n, c in enumerate(x.commands)))
-    return plant._taken(x, k, command, age), dict(plant.reports), float(x.network.v_dc[0])
+    return plant._accepted(x, k, command, age), dict(plant.reports), float(x.network.v_dc[0])
 
 
 W = NETWORK.omega

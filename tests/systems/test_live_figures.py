@@ -170,7 +170,7 @@ def test_a_window_is_a_queue(window):
             continue
         if stamp > kept.stamp:
             new.append((stamp, values))
-        kept = kept.taken(row, stamp, values, t, window)
+        kept = kept.with_message(row, stamp, values, t, window)
         if not queue or stamp > queue[-1][0]:
             queue.append((stamp, values))
         while queue and queue[0][0] < t - window:
@@ -179,20 +179,20 @@ def test_a_window_is_a_queue(window):
         assert rows(kept) == [(when, tuple(row[k] for k in SOME)) for when, row in queue]
         assert kept.forgot == forgot
         if t in (3, 100, 899, 900, 1801, 1999):
-            at_once, new = at_once.taken_at_once(new, t, window), []
+            at_once, new = at_once.with_messages(new, t, window), []
             assert at_once == kept
-    stale = kept.taken(row, 0, (0.0,) * WIDE, 10**6, window)
+    stale = kept.with_message(row, 0, (0.0,) * WIDE, 10**6, window)
     assert (rows(stale), stale.forgot) == ([], True)
 
 
 def test_what_is_kept_takes_the_room_of_its_numbers_in_the_window():
     kept, row = Kept(), row_of(2)
     for t in range(20_000):
-        kept = kept.taken(row, t, Sample(0, (1.0, 2.0)), t, 6_000)
+        kept = kept.with_message(row, t, Sample(0, (1.0, 2.0)), t, 6_000)
     room = sum(map(len, kept.blocks)) + len(kept.filling) + len(kept.newest)
     assert 6_000 * 24 <= room < 6_000 * 24 + 2 * MANY
-    assert kept.taken_at_once((), 40_000, 6_000).stamps(2).size == 0
-    longer = kept.taken(row, 20_000, (1.0, 2.0), 20_000, 15_000)  # what has left the window does not come back
+    assert kept.with_messages((), 40_000, 6_000).stamps(2).size == 0
+    longer = kept.with_message(row, 20_000, (1.0, 2.0), 20_000, 15_000)  # what has left the window does not come back
     assert longer.stamps(2)[0] == 13_999
 
 

@@ -221,7 +221,7 @@ def test_a_profile_that_nobody_can_follow_is_told(values, reported):
     assert reported in "".join(messages)
     source.reports.clear()
     source.block.go_on((), source.block.p)
-    source.tell()
+    source.store_reports()
     assert bool(source.reports) is bool(reported)
 
 

@@ -62,11 +62,11 @@ def held(scenario: Any, make: Make = plain) -> Native:
         other = others[name]
         if not isinstance(step.block, Solver):  # which remembers how long it took
             assert repr(other.x) == repr(step.x) or other.x == step.x, name
-        assert (other.reports, other.t, repr(other.values), repr(other.said)) == (
+        assert (other.reports, other.t, repr(other.values), repr(other.last_answer)) == (
             step.reports,
             step.t,
             repr(step.values),
-            repr(step.said),
+            repr(step.last_answer),
         ), name
     return native
 

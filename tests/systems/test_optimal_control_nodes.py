@@ -115,7 +115,7 @@ def answered(planner, request, t=0):
 
 def taken(planner, result):
     planner.x, values = planner.block.answer(planner.x, result.stamp, result, True)
-    planner.tell()
+    planner.store_reports()
     return values
 
 

@@ -278,7 +278,7 @@ def test_a_linear_matrix_inequality_is_solved_and_checked():
         assert triangle == near(
             [total[a, b] * (1.0 if a == b else math.sqrt(2.0)) for b in range(4) for a in range(b + 1)]
         )
-    assert p._take_apart(np.concatenate([entries["S"], entries["M"]]))["S"] == near(m["S"])
+    assert p._split(np.concatenate([entries["S"], entries["M"]]))["S"] == near(m["S"])
     assert [Eigenvalues("x", least, 1.0).positive for least in (2e-9, 1e-9, 0.0, -1.0)] == [True, False, False, False]
 
 

@@ -48,7 +48,7 @@ class Deviation:
     peak : float
         Largest ``|a|``.
     shift : float
-        By how much b comes late, s: shifted back by it, b is nearest to a. 0 where no shift brings it nearer.
+        Delay of b, s: shifted back by this time, b is nearest to a. 0 if no shift reduces the distance.
     shifted_rms : float
         What is left then.
     agrees : bool

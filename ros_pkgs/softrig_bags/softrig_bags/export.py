@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from softrig_core import SECOND
 from softrig_core.extras import need
-from softrig_core.guard import naming, say
+from softrig_core.guard import naming, print_line
 
 from .errors import BagError
 from .files.reader import BagReader
@@ -93,7 +93,7 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
             whole = [i for i in bag.chosen if columns.decoder(i) and not columns.reason(i)]
             report_left_out(path, columns)
             for line in columns.untold():
-                say(f"{path}: {line}")
+                print_line(f"{path}: {line}")
             if not whole:
                 raise BagError(f"{path}: not one topic of it can be decoded, there is nothing to export")
             written = [file(i).close() for i in whole]
@@ -120,7 +120,7 @@ def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
             name = f"{first}_{k}"
         used.add(name.casefold())
         if name != dotted:
-            say(f"topic {label} is in the file {name}")
+            print_line(f"topic {label} is in the file {name}")
         yield name
 
 
@@ -247,7 +247,9 @@ def _mat(table: Path) -> Path:
             name = f"{plain[: LONGEST - 4]}_{k}"
         variables[name] = result = _doubles(columns[heading])
         if columns[heading].null_count and np.abs(result[~np.isnan(result)]).max(initial=0.0) > 2.0**53:
-            say(f"{table.stem}: {heading} is rounded to doubles: MATLAB's integers have no mark for what is missing")
+            print_line(
+                f"{table.stem}: {heading} is rounded to doubles: MATLAB's integers have no mark for what is missing"
+            )
     file = table.with_suffix(".mat")
     part = table.with_name(f".{file.name}.part")
     try:

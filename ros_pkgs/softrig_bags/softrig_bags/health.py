@@ -38,7 +38,7 @@ def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[
         return recording
     texts = {topic: text for topic, text in texts.items() if topic not in recording.topics}
     observers = {f"{name}/metrics": s["figures"] for name, s in status.items() if s.get("figures")}
-    result = recording.beside(
+    result = recording.with_topics(
         [*((topic, STRING) for topic in texts), ("diagnostics", ARRAY), *((topic, ARRAY) for topic in observers)]
     )
     for topic, text in texts.items():

@@ -119,7 +119,7 @@ def matched(a: Ints, b: Ints, size_a: Ints, size_b: Ints) -> tuple[NDArray[np.in
     """Return the rows that belong together: of equal keys the first with the first, the second with the second.
 
     Where both have as many messages of a key they are taken by length first, for publishers of one topic that stamp
-    alike may come in another order.
+    alike may be in another order.
     """
     # Recordings of equal runs need no sorting, and this is the usual case.
     if len(a) == len(b) and (a == b).all() and (len(a) < 2 or (np.diff(a) > 0).all()):

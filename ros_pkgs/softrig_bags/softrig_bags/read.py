@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SECOND, Recording, Signals
-from softrig_core.guard import incomplete, say
+from softrig_core.guard import incomplete, print_line
 from softrig_core.wire.signals import Table
 
 from .errors import BagError
@@ -77,7 +77,7 @@ class BagSignals(Signals):
     left_out : dict of str to Left
         By topic: what has not become signals, and why.
     undecodable : list of str
-        Topics that have messages, of which not one can be decoded.
+        Topics whose messages cannot be decoded, not even one.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class BagSignals(Signals):
 
     @property
     def decodable(self) -> list[str]:
-        """Topics of which the messages can be decoded, by a definition in the bag or here."""
+        """Topics whose messages can be decoded with a definition in the bag or of this installation."""
         return [name for name in self.recording.topics if name in self._tables]
 
     def __iter__(self) -> Iterator[str]:
@@ -171,4 +171,4 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
 def report_left_out(path: Path | str, columns: Columns) -> None:
     """Report what of a bag has not become numbers."""
     for line, lost in columns.lines():
-        (incomplete if lost else say)(f"{path}: {line}")
+        (incomplete if lost else print_line)(f"{path}: {line}")

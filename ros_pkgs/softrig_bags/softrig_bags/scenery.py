@@ -39,7 +39,7 @@ def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording
     topic, scene = next(((t, s) for t, s in scenes.items() if recording.topics[t].number), ("", None))
     if scene is None:
         return recording
-    result = recording.beside([("robot_description", STRING), ("tf_static", TF), ("tf", TF), ("markers", MARKERS)])
+    result = recording.with_topics([("robot_description", STRING), ("tf_static", TF), ("tf", TF), ("markers", MARKERS)])
     ticks = recording.topics[topic].ticks()
     rows = [0]
     while (following := int(np.searchsorted(ticks, ticks[rows[-1]] + PERIOD))) < len(ticks):

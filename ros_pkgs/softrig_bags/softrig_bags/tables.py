@@ -152,7 +152,7 @@ class Columns:
                 yield f"{name}: texts are not in its table: {', '.join(fields)}"
 
     def finish(self) -> None:
-        """Find out, when all is read, of which topics not one message could be decoded."""
+        """Note the topics of which no message could be decoded, after all have been read."""
         for topic, left in self.left.items():
             if left.messages and not self._good.get(topic):
                 left.reason = left.damage
@@ -196,7 +196,7 @@ def _merged(block: Block, groups: list[tuple[NDArray[np.intp], Template, NDArray
 
 
 def lacking(n: int, kind: np.dtype[Any]) -> Column:
-    """Return a column of which no message has a value: NaN, or 0 where the type has no NaN."""
+    """Return a column for which no message has a value: NaN, or 0 if the type has no NaN."""
     return np.full(n, np.nan) if kind.kind == "f" else np.zeros(n, kind)
 
 
@@ -218,7 +218,7 @@ def stacked(pieces: list[Piece]) -> Piece:
 
 
 class Growing:
-    """The table of a topic while it is read: float columns that grow in place, so that no row is there twice."""
+    """The table of a topic while it is read: float columns that grow in place, so that no row is stored twice."""
 
     def __init__(self) -> None:
         self._rows = 0

@@ -16,7 +16,7 @@ from typing import Any
 from softrig_core import ScenarioError
 from softrig_core.bits import pin
 from softrig_core.command_line import Parser, check_text, without_ros
-from softrig_core.guard import guarded, quietly, say
+from softrig_core.guard import guarded, print_line, quietly
 from softrig_core.needs import join_prefix
 
 from .verbs import declared
@@ -173,7 +173,7 @@ def _judging(arguments: list[str]) -> list[str]:
     else:
         return arguments
     old = "results" if arguments[0] == "results" else "golden --check"
-    say(f"`{old}` is `check {now[1]}` now; the old form works until softrig 0.4")
+    print_line(f"`{old}` is `check {now[1]}` now; the old form works until softrig 0.4")
     return now
 
 

@@ -132,7 +132,7 @@ class ResultsFolder:
 
     @property
     def broke(self) -> bool:
-        """Return whether the run that is there broke."""
+        """Return whether the run in the folder ended with an error."""
         try:
             return bool(json.loads((self.path / "metrics.json").read_text())["error"])
         except (OSError, ValueError, KeyError, TypeError):

@@ -24,7 +24,7 @@ def check(
     needed : iterable of str or tuple of str
         Required names; one name of a tuple is enough.
     same : iterable of (str, str)
-        Pairs of names of which only one is permitted.
+        Pairs of names that exclude each other.
 
     Raises
     ------

@@ -32,7 +32,7 @@ class Swinging(NamedTuple):
     since: int = 0
     """Samples since the turning point was found."""
 
-    found: int = 0
+    since_turn: int = 0
     """Swings since the beginning, at most `SWINGS`."""
 
     swings: tuple[float, ...] = NONE

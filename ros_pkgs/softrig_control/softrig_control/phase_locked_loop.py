@@ -35,7 +35,7 @@ class PhaseLockedLoop:
         \omega_k = \omega_0 + K_p e_k + K_i T \sum_{i \le k} e_i, \quad \theta_{k+1} = \theta_k + T \omega_k
 
     Below the magnitude `least` the phase of u means nothing: the frequency stays. The integral is kept in rad/s, so
-    another Ki brings no jump of the frequency.
+    the frequency does not jump when Ki changes.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class PhaseLockedLoop:
     def __call__(self, x: Locked, u: complex, lost: int = 0) -> tuple[Locked, float]:
         """Process the vector; return the state, and theta, the angle of the frame at this sample, from -pi to pi.
 
-        `lost` samples before it have not come: the frame has turned on meanwhile.
+        `lost` samples before it are missing: the frame has turned in the meantime.
         """
         theta, omega, integral = x
         if lost:

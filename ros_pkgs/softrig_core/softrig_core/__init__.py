@@ -1,7 +1,7 @@
-"""Closed loops over real ROS topics that come out the same every time: blocks, scenarios, and how they run.
+"""Closed loops over real ROS topics with repeatable results: blocks, scenarios, and how they run.
 
-What a user of the suite needs is named here, ``from softrig_core import Plant, Port, param``; each name comes from its
-module when it is first asked for.
+What a user of the suite needs is named here, ``from softrig_core import Plant, Port, param``; a name is loaded from its
+module at its first use.
 """
 
 from __future__ import annotations

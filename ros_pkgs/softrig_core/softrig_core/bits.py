@@ -111,19 +111,19 @@ def math_digest() -> str:
     plane = [complex(4.0 * u - 2.0, 4.0 * v - 2.0) for u, v in pairs]
     digest = hashlib.sha256()
 
-    def take(values: Iterable[complex]) -> None:
+    def digest_values(values: Iterable[complex]) -> None:
         digest.update(b"".join(struct.pack("<2d", z.real, z.imag) for z in values))
 
     for name, (low, high) in FUNCTIONS.items():
         function: Callable[..., complex] = getattr(math, name)
-        take(function(low + (high - low) * u) for u in spread)
+        digest_values(function(low + (high - low) * u) for u in spread)
     for name in COMPLEX:
         function = getattr(cmath, name)
-        take(function(z) for z in plane)
-    take(math.pow(9.0 * u, 8.0 * v - 4.0) for u, v in pairs)
-    take(math.atan2(u - 0.5, v - 0.5) for u, v in pairs)
-    take(math.hypot(u, v) for u, v in pairs)  # Python's own
-    take(abs(z) for z in plane)  # the C library's, as numpy.hypot
-    take(z * w for z, w in zip(plane, reversed(plane), strict=True))
-    take(z / w for z, w in zip(plane, reversed(plane), strict=True))
+        digest_values(function(z) for z in plane)
+    digest_values(math.pow(9.0 * u, 8.0 * v - 4.0) for u, v in pairs)
+    digest_values(math.atan2(u - 0.5, v - 0.5) for u, v in pairs)
+    digest_values(math.hypot(u, v) for u, v in pairs)  # Python's own
+    digest_values(abs(z) for z in plane)  # the C library's, as numpy.hypot
+    digest_values(z * w for z, w in zip(plane, reversed(plane), strict=True))
+    digest_values(z / w for z, w in zip(plane, reversed(plane), strict=True))
     return digest.hexdigest()[:12]

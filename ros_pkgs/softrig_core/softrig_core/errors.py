@@ -27,7 +27,7 @@ _OURS = str(Path(__file__).parent)
 
 
 def describe(error: BaseException) -> str:
-    """Describe what an exception is and where in its author's code it came up, in one line.
+    """Describe an exception in one line, with the place in its author's code where it was raised.
 
     The place is the last one outside Python's libraries and softrig_core; of a syntax error, the line itself.
     """

@@ -63,25 +63,25 @@ def guarded(work: Callable[[], int]) -> int:
     except ScenarioError as error:
         # from another exception: code of a user's package, whose traceback tells more than a line (a bag's does not)
         ours = type(error) is not ScenarioError or error.__cause__ is None
-        say(error if ours else f"{error}; the traceback is in {keep_traceback()}")
+        print_line(error if ours else f"{error}; the traceback is in {keep_traceback()}")
         return 2
     except BrokenPipeError:  # whoever read our output has enough
         return 141
     except OSError as error:
-        say(f"{error.filename}: {error.strerror}" if error.filename is not None else error)
+        print_line(f"{error.filename}: {error.strerror}" if error.filename is not None else error)
         return 2 if isinstance(error, _NAMED) or error.errno == errno.ENAMETOOLONG else 3
     except RunError as error:
-        say(error)
+        print_line(error)
         return 3
     except KeyboardInterrupt as error:
-        say(stopped_by(error))
+        print_line(stopped_by(error))
         return 128 + int(getattr(error, "number", signal.SIGINT))
     except MemoryError:
         return _full()
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "rclpy":
             return _wrong(error)
-        say(WITHOUT_ROS)
+        print_line(WITHOUT_ROS)
         return 2
     except Exception as error:
         if isinstance(error, ImportError) and "failed to map segment" in str(error):  # a library under `ulimit -v`
@@ -97,12 +97,12 @@ def stopped_by(error: KeyboardInterrupt) -> str:
 
 
 def _full() -> int:
-    say("out of memory; a shorter run or a smaller size may fit")
+    print_line("out of memory; a shorter run or a smaller size may fit")
     return 3
 
 
 def _wrong(error: Exception) -> int:
-    say(
+    print_line(
         f"error of softrig itself: {type(error).__name__}: {error}; the traceback is in "
         f"{vars(error).get('log') or keep_traceback()}"
     )
@@ -138,15 +138,15 @@ def is_quiet() -> bool:
     return _quiet
 
 
-def say(what: object) -> None:
+def print_line(what: object) -> None:
     """Print one line about what happens, short enough to read."""
-    tell("softrig", what)
+    print_for("softrig", what)
 
 
 def _warn(other: Callable[..., None], message: Warning | str, category: type[Warning], *remaining: Any) -> None:
     """Print a warning about an old name as one line; Python shows all others."""
     if issubclass(category, FutureWarning):
-        say(message)
+        print_line(message)
     else:
         other(message, category, *remaining)
 
@@ -155,10 +155,10 @@ def incomplete(what: object) -> None:
     """Print one line about input that was not read whole: the command's result is about less, and its status not 0."""
     global _incomplete
     _incomplete = True
-    say(what)
+    print_line(what)
 
 
-def tell(who: str, what: object) -> None:
+def print_for(who: str, what: object) -> None:
     """Print one line prefixed with a name; a closed output is ignored."""
     text = plain(" ".join(str(what).split()))
     with suppress(OSError, ValueError):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from .errors import ScenarioError
-from .guard import tell
+from .guard import print_for
 from .interrupt import interrupt
 from .renamed import former, notice
 
@@ -53,11 +53,11 @@ def run_node(block_class: type[Any], args: Sequence[str] | None = None) -> NoRet
     argv = sys.argv if args is None else list(args)
     package, name = block_class.__module__.partition(".")[0], Path(argv[0]).name
     if name in former(package):
-        tell(name, notice(package, name))
+        print_for(name, notice(package, name))
     try:
         run = find_runner("node")
     except ScenarioError as error:
-        tell(name, error)
+        print_for(name, error)
         sys.exit(2)
     run(block_class, argv)
     raise AssertionError("a node ends its process")

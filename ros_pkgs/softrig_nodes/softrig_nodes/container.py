@@ -18,7 +18,7 @@ import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 from softrig_core.errors import RunError
-from softrig_core.guard import secure_streams, tell
+from softrig_core.guard import print_for, secure_streams
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.installed import load_block
 from softrig_core.rig.options import RunOptions
@@ -156,7 +156,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
         if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under them
             leave(container.nodes, 0)
         name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where
-        tell(name, error)
+        print_for(name, error)
         leave(container.nodes, 2)
     leave(container.nodes, container.run())
 

@@ -19,7 +19,7 @@ from softrig_core.block.port import require_distinct
 from softrig_core.board.clocked import ClockEntry, clocked
 from softrig_core.board.entry import LinkEntry
 from softrig_core.board.link import linked
-from softrig_core.guard import secure_streams, tell
+from softrig_core.guard import print_for, secure_streams
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.options import RunOptions
 from softrig_core.run.stuck import watched
@@ -80,7 +80,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under it
             leave([node] if node else [], 0)
         where = node.get_name() if node is not None else name
-        tell(where, error)
+        print_for(where, error)
         leave([node] if node else [], 2)
     try:
         status = spin(node, adapter)

@@ -43,7 +43,7 @@ class FallingCurve:
     below: tuple[Corner, ...] = ()
     above: tuple[Corner, ...] = ()
 
-    def take(self, sample: Point) -> tuple[float, FallingCurve]:
+    def with_sample(self, sample: Point) -> tuple[float, FallingCurve]:
         """Process a measurement (v in V, i in A, ...).
 
         Returns
@@ -104,9 +104,9 @@ class FallingRows(NamedTuple):
     last: NDArray[np.float64]
     corners: NDArray[np.float64]
 
-    def take(self, sample: Point) -> tuple[float, FallingRows]:
-        """See `FallingCurve.take`."""
-        change = _taken(self.counts, self.last, self.corners, max(sample[0], SMALL), max(sample[1], SMALL))
+    def with_sample(self, sample: Point) -> tuple[float, FallingRows]:
+        """See `FallingCurve.with_sample`."""
+        change = _apply_sample(self.counts, self.last, self.corners, max(sample[0], SMALL), max(sample[1], SMALL))
         return change * change - 1.0, self
 
     def python(self) -> FallingCurve:
@@ -118,7 +118,7 @@ class FallingRows(NamedTuple):
 
 
 @jit
-def _taken(
+def _apply_sample(
     counts: NDArray[np.int64], last: NDArray[np.float64], corners: NDArray[np.float64], v: float, i: float
 ) -> float:
     """Process a measurement; return the shares of voltage and current by which it proves a change, 1: by none."""

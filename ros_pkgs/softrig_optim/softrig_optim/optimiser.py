@@ -15,16 +15,16 @@ from typing_extensions import TypeVar
 
 from .algorithms import Algorithm, AlgorithmParams, make
 from .falling import FallingCurve
-from .search import Point, Search, Told
+from .search import Point, Search, SearchHistory
 
 # One sample may be a dip of the measurement, so a single deviation of the held objective does not start a search.
 CONSECUTIVE = 2
 # A value that still moves is no reference for changes: in a hold_time it may move by this share of the threshold.
 STEADY = 0.1
 # Duration of a look back in hold_times. No point of it need settle, as a transient lies on the characteristic too.
-LOOK_BACK = 2
-# A pass spends LOOK_BACK hold_times off the best point; this pause, in hold_times, keeps that share below a tenth.
-LOOK_AFTER = 25
+SCAN_HOLDS = 2
+# A pass spends SCAN_HOLDS hold_times off the best point; this pause, in hold_times, keeps that share below a tenth.
+SCAN_PAUSE = 25
 # The number of searches in a row that a change may break off: a plant that never rests would never get a result.
 BROKEN = 3
 # These stand for "has not been" and "will not be", so that times stay integers, as native code needs them.
@@ -77,7 +77,7 @@ class SearchParams(AlgorithmParams, BlockParams):
 class State(NamedTuple):
     """State of a search over topics; times in ns, `NEVER` if there is none."""
 
-    search: Told
+    search: SearchHistory
     phase: int
     began: int
     """When the newest search did."""
@@ -181,7 +181,7 @@ class CommandSearch(Block[P], ABC):
     - if two successive samples, `hold_time` apart, differ by that much from the value at the end of `settle_time`;
     - immediately if a look back measures a value that exceeds the search's by more than `restart_threshold`: the
       plant has changed, or the search missed that value. After a search that a change has started, the node looks back
-      repeatedly. The time to the next look is that from the search's start to the last look, at least `LOOK_AFTER`
+      repeatedly. The time to the next look is that from the search's start to the last look, at least `SCAN_PAUSE`
       times `hold_time`. A plant that changed once may change again, at commands where the held value does not show it;
     - `rescan_period` after the start of the last search.
 
@@ -305,7 +305,7 @@ class CommandSearch(Block[P], ABC):
 
     def _begin(self, x: State | None, t: int, lookback: int = LATER) -> State:
         """Start a new search; from the time `lookback` (ns) on, the node looks for another change after it."""
-        history = Told(self.p.search, self.generator() if x is None else x.search.now.rng)
+        history = SearchHistory(self.p.search, self.generator() if x is None else x.search.now.rng)
         search = history.now
         # An infinite gap means that this search proves nothing, so there is no bound to withdraw.
         void = math.isinf(search.gap)
@@ -351,7 +351,7 @@ class CommandSearch(Block[P], ABC):
             if begun:
                 return x
         if x.looking != NEVER:
-            return self._look_back(x, t, t - x.looking)
+            return self._scan(x, t, t - x.looking)
         if x.since == NEVER or t - x.since < self._wait(x):
             return x if dark or not x.search.watches else x._replace(search=x.search.watch(sample))
         # One dark sample at the end may be noise; the mean of the window must be without a signal too.
@@ -371,9 +371,9 @@ class CommandSearch(Block[P], ABC):
             x = self._keep(x, t)
         return self._note(x)
 
-    def _look_back(self, x: State, t: int, elapsed: int) -> State:
+    def _scan(self, x: State, t: int, elapsed: int) -> State:
         """Pass through the range of the command once: the search may have measured what is no more."""
-        share = elapsed / (LOOK_BACK * self._hold)
+        share = elapsed / (SCAN_HOLDS * self._hold)
         if share < 1.0:
             ends = zip(x.search.low, x.search.high, strict=True)
             return x._replace(target=tuple([low + share * (high - low) for low, high in ends]), since=NEVER)
@@ -385,7 +385,7 @@ class CommandSearch(Block[P], ABC):
             phase=Phase.HOLD,
             looking=NEVER,
             # A search that the timer began is followed by no passes: nothing has shown that this plant changes.
-            look=LATER if x.looking == NEVER or x.look == LATER else t + max(t - x.began, LOOK_AFTER * self._hold),
+            look=LATER if x.looking == NEVER or x.look == LATER else t + max(t - x.began, SCAN_PAUSE * self._hold),
             target=x.search.now.result,
             since=NEVER,
             next_sample=self._hold,
@@ -398,7 +398,7 @@ class CommandSearch(Block[P], ABC):
         """Detect from a measurement that the plant changed since the search began; return also whether one started."""
         if x.curve is None:
             return x, False
-        change, curve = x.curve.take(sample)
+        change, curve = x.curve.with_sample(sample)
         x = x._replace(curve=curve)
         gap = x.search.gap
         # A change beyond the gap refutes the proof, so it breaks the search off even where it is below the threshold.

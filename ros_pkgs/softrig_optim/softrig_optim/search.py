@@ -278,7 +278,7 @@ def points(x: Array) -> list[Point]:
     return [tuple(row) for row in x.tolist()]
 
 
-class Told:
+class SearchHistory:
     """A search as an immutable value, for the state of a block: how it was created, and the values it received since.
 
     The live search belongs to the newest value of its line. If an older value is used, as after a rig has gone back in
@@ -310,8 +310,8 @@ class Told:
         """The search in its present state, which the caller must not modify."""
         line = self._line
         # The shared live search has received more than this value knows, so this value builds its own.
-        if len(line.said) != self._n:
-            line = self._line = _Line(line.make, line.rng, line.said[: self._n])
+        if len(line.calls) != self._n:
+            line = self._line = _Line(line.make, line.rng, line.calls[: self._n])
         return line.live
 
     @property
@@ -344,39 +344,39 @@ class Told:
         """See `Search`; NaN before the first value."""
         return math.nan if self.now.best is None else float(self.now.expected)
 
-    def tell(self, value: float, sample: Sequence[float] = ()) -> Told:
+    def tell(self, value: float, sample: Sequence[float] = ()) -> SearchHistory:
         """Return the value after a call of `Search.tell`."""
         return self._after("tell", (value, sample))
 
-    def watch(self, sample: Sequence[float]) -> Told:
+    def watch(self, sample: Sequence[float]) -> SearchHistory:
         """Return the value after a call of `Search.watch`."""
         return self._after("watch", (sample,))
 
-    def _after(self, method: str, values: tuple[Any, ...]) -> Told:
+    def _after(self, method: str, values: tuple[Any, ...]) -> SearchHistory:
         getattr(self.now, method)(*values)
-        self._line.said.append((method, values))
-        history = object.__new__(Told)
+        self._line.calls.append((method, values))
+        history = object.__new__(SearchHistory)
         history._line, history._n = self._line, self._n + 1
         return history
 
-    def native(self) -> ToldNow:
+    def native(self) -> SearchHistoryView:
         """Convert it to its read-only form for native code."""
         _handed[id(self)] = self
-        return ToldNow(id(self), self.low, self.high, self.settle, self.watches, self.gap, self.expected)
+        return SearchHistoryView(id(self), self.low, self.high, self.settle, self.watches, self.gap, self.expected)
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Told):
+        if not isinstance(other, SearchHistory):
             return NotImplemented
-        return self._line.said[: self._n] == other._line.said[: other._n]
+        return self._line.calls[: self._n] == other._line.calls[: other._n]
 
     __hash__ = None  # type: ignore[assignment]
 
     def __reduce__(self) -> Any:
-        return Told, (self._line.make, self._line.rng, self._line.said[: self._n])
+        return SearchHistory, (self._line.make, self._line.rng, self._line.calls[: self._n])
 
 
-class ToldNow(NamedTuple):
-    """The view of a `Told` search that native code may read; new values are passed to the search in Python only."""
+class SearchHistoryView(NamedTuple):
+    """The view of a `SearchHistory` that native code may read; only Python passes new values to the search."""
 
     number: int
     low: Point
@@ -386,13 +386,13 @@ class ToldNow(NamedTuple):
     gap: float
     expected: float
 
-    def python(self) -> Told:
-        """Return the `Told` search of this view."""
+    def python(self) -> SearchHistory:
+        """Return the `SearchHistory` of this view."""
         return _handed[self.number]
 
 
 # Native code holds numbers only, so it names a search by the id under which Python finds it here.
-_handed: WeakValueDictionary[int, Told] = WeakValueDictionary()
+_handed: WeakValueDictionary[int, SearchHistory] = WeakValueDictionary()
 
 
 class _Line:
@@ -400,7 +400,7 @@ class _Line:
 
     def __init__(self, make: Any, rng: np.random.Generator, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
         # The generator is copied because a search draws from it, and a later line must begin from the same numbers.
-        self.make, self.rng, self.said = make, copy.deepcopy(rng), list(calls)
+        self.make, self.rng, self.calls = make, copy.deepcopy(rng), list(calls)
         self.live: Search = make(copy.deepcopy(rng))
         for method, values in calls:
             getattr(self.live, method)(*values)

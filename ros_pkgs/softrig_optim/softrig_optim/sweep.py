@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 
 from softrig_core import RunError, ScenarioError
 from softrig_core.extras import need
-from softrig_core.guard import is_quiet, say
+from softrig_core.guard import is_quiet, print_line
 
 C = TypeVar("C")
 R = TypeVar("R")
@@ -142,7 +142,7 @@ class Workers:
         for first in range(0, len(used), size or 1):
             yield used[first : first + size]
 
-    def _told(self, chunk: Chunk[C], answer: tuple[list[R], float]) -> Iterator[tuple[int, R]]:
+    def _numbered(self, chunk: Chunk[C], answer: tuple[list[R], float]) -> Iterator[tuple[int, R]]:
         """Return the results of a chunk, with the numbers of its cases."""
         result, seconds = answer
         mean = seconds / len(chunk)
@@ -165,7 +165,7 @@ class Workers:
                     return
                 for future in wait(open_, return_when=FIRST_COMPLETED).done:
                     answer = future.result()
-                    yield from self._told(open_.pop(future)[0], answer)
+                    yield from self._numbered(open_.pop(future)[0], answer)
             except BrokenProcessPool:
                 # The pool does not name the case that killed its worker, so all open ones are repeated one by one.
                 again = [([one], died + 1) for chunk, died in open_.values() for one in chunk]
@@ -206,7 +206,7 @@ class Workers:
         try:
             submit(workers * AHEAD)
             for future in done:
-                yield from self._told(open_.pop(future.key), future.result())
+                yield from self._numbered(open_.pop(future.key), future.result())
                 submit(1)
         except (CancelledError, OSError, distributed.comm.CommClosedError) as error:
             # With a running client the error comes from the case itself, not from the connection.
@@ -358,7 +358,7 @@ def _check_peers(client: Any, scheduler: str) -> None:
             f"--scheduler {scheduler}: it cannot import softrig ({why}); {how.format(kind='scheduler')}"
         ) from None
     if not client.nthreads():
-        say(f"no worker has joined {scheduler} yet: waiting; {how.format(kind='worker')}")
+        print_line(f"no worker has joined {scheduler} yet: waiting; {how.format(kind='worker')}")
         client.wait_for_workers(1)
     here = _made_of()
     for address, result in client.run(_made_of, on_error="return").items():

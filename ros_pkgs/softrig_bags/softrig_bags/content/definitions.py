@@ -37,7 +37,7 @@ class UnknownType(Exception):
 
 
 def types_of(msgtype: str, text: str, language: str) -> Types:
-    """Read the definition of a message type and of all types that it brings along.
+    """Read the definition of a message type and of all types that it contains.
 
     Parameters
     ----------

@@ -425,7 +425,7 @@ class Decoder:
     ) -> Iterator[tuple[NDArray[np.intp], Template | Undecodable, Bytes]]:
         """Return messages of one shape together: which they are, their template, and their bytes as rows.
 
-        Those of which one is no message of this type come one by one, with what is wrong in place of a template.
+        Groups with an invalid message are yielded message by message, with the error in place of a template.
         """
         for length in distinct(size):
             chosen = np.flatnonzero(size == length)

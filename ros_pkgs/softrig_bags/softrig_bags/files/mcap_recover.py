@@ -85,7 +85,7 @@ class Recovery:
             self.lost.append(f"the last {self._size - good} bytes")
 
     def _chunk(self, file: BinaryIO, present: int) -> tuple[list[McapRecord], bool]:
-        """Read a chunk of which so many bytes are there; all or nothing when its checksum speaks."""
+        """Read a chunk of which this many bytes are present. If it has a checksum, all of it or nothing is read."""
         body = file.read(present)
         head = _chunk_head(body)
         if head is None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from softrig_core.block.params import Declaration
-from softrig_core.guard import incomplete, say
+from softrig_core.guard import incomplete, print_line
 from softrig_nodes.ros.messages import message_class
 
 from ..content.topics import BagTopic, absolute
@@ -50,11 +50,11 @@ def play(options: argparse.Namespace, ros_arguments: list[str], parameters: Sequ
             if why:
                 left.setdefault(why, []).append(topic)
         for why, those in left.items():
-            say(f"not played, {why}: {', '.join(f'{t.name} ({t.msgtype})' for t in those)}")
+            print_line(f"not played, {why}: {', '.join(f'{t.name} ({t.msgtype})' for t in those)}")
         chosen = [t for t in chosen if not any(t in those for those in left.values())]
         hidden = [t.name for t in bag.topics if "/_" in t.name and t not in chosen]
         if hidden and not (selection.names or selection.regex or selection.exclude):
-            say(f"not played, hidden: {', '.join(hidden)}; --topics plays them")
+            print_line(f"not played, hidden: {', '.join(hidden)}; --topics plays them")
         if not chosen:
             raise BagError(f"none of the topics of {options.bag} is to be played")
         session = Session("player", ros_arguments, parameters)

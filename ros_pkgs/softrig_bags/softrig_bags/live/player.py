@@ -269,7 +269,7 @@ class Answers:
     data: list[bytes] = field(default_factory=list)
 
     def expect(self, tick: int, header: int) -> None:
-        """Await one more answer, of a tick and with a header stamp; RunError: it is there, with another stamp."""
+        """Await one more answer, of a tick and with a header stamp; RunError: it has arrived with another stamp."""
         self.ticks.append(tick)
         self.stamps.append(header)
         self._check(len(self.ticks) - 1)
@@ -356,7 +356,7 @@ class LockstepPlayer:
         Raises
         ------
         RunError
-            The node did not come, did not answer in time, or answered another tick; or a signal came.
+            The node did not start, did not answer in time, or answered another tick; or a signal was received.
         """
         session = self._session
         session.node.create_timer(WATCH_PERIOD, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -433,7 +433,7 @@ class LockstepPlayer:
         return absent + [f"{name} is not matched" for name in self._publishers.unheard(sorted(wanted))]
 
     def _untuned(self, name: str, namespace: str) -> list[str]:
-        """Create ready to set parameters of a node of which the bag has changes; describe what is not matched yet."""
+        """Create clients that set the parameters whose changes are in the bag; describe what is not matched yet."""
         if not any(node == name for _, node, _ in self._changes):
             return []
         full = f"{namespace.rstrip('/')}/{name}"

@@ -1,4 +1,4 @@
-"""Record topics into a bag: bytes as they come from the wire, nothing lost without being counted."""
+"""Record topics into a bag: the bytes of the wire, and a count of the messages that were lost."""
 
 from __future__ import annotations
 

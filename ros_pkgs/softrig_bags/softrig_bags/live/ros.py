@@ -105,7 +105,7 @@ class Session:
             self._stop.set_result(None)
 
     def spin(self, seconds: float) -> None:
-        """Handle events for a while; returns early when stopped. A callback's exception comes out of here."""
+        """Handle events for a while; return early when stopped. An exception of a callback is raised here."""
         while seconds >= 0 and not self.stopped:
             # Python sees a signal only between two calls, hence the slices
             self._executor.spin_until_future_complete(self._stop, min(seconds, SLICE))
@@ -180,7 +180,7 @@ def offered(profile: QoSProfile) -> Qos:
 def subscription_profile(publishers: Sequence[QoSProfile]) -> QoSProfile:
     """Return the strongest profile that all publishers satisfy.
 
-    History is keep all: with keep last, a message that comes while the reader's queue is full replaces another
+    History is keep all: with keep last, a message that arrives while the reader's queue is full replaces another
     without a trace; with keep all it is refused, the publisher repeats it, and a loss is reported.
     """
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in publishers)

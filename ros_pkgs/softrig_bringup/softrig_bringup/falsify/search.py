@@ -37,7 +37,7 @@ class SearchResult:
     runs : int
         Number of points measured.
     corners : float
-        Least margin of the corners that come first; infinite where the sampler is ``random``.
+        Least margin of the corners, which are run first; infinite if the sampler is ``random``.
     trace : list of float
         Least margin so far after each run.
     """

@@ -52,7 +52,7 @@ class Over(Span):
         return self.low + (self.high - self.low) * u
 
     def place(self, value: float) -> float:
-        """Return the number from 0 to 1 that a value of the range comes from."""
+        """Return the number from 0 to 1 that maps to a value of the range."""
         if self.low == self.high:
             return 0.0
         if self.log:

@@ -54,7 +54,7 @@ def settings(texts: Iterable[str], scenario: str = "") -> dict[str, Any]:
     Parameters
     ----------
     scenario : str
-        Whose names they are, of which none must lack its node; not looked at when empty.
+        Nodes that the names may refer to; not checked if empty.
 
     Raises
     ------

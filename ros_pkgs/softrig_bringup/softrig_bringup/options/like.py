@@ -1,4 +1,4 @@
-"""A run once more as it went: its command line, what was changed while it ran, and what came from outside."""
+"""Repeat a run: its command line, the changes that were made while it ran, and the messages from external nodes."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ def tape(rig: Rig, run: Recalled, until: float = 0.0) -> dict[str, Any]:
 
 
 def from_outside(rig: Rig, recording: Recording) -> list[Port]:
-    """Return the first port that reads each topic that came from outside, if something has come."""
+    """Return, for each topic that external nodes published, the first port that reads it."""
     results: dict[str, Port] = {}
     for member in rig.members:
         for port in member.inputs:
@@ -286,7 +286,7 @@ def _outputs(run: Run) -> Iterable[tuple[Member, Port]]:
 
 
 def digests(run: Run) -> dict[str, Digest]:
-    """Return the digest of each topic that a node of a run has spoken on."""
+    """Return the digest of each topic that a node of a run has published."""
     result = {}
     for _, port in _outputs(run):
         rows = list(_values(port, run.recording.topics[port.topic], run.epoch))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import yaml
 from softrig_core import ScenarioError
 from softrig_core.errors import closest
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.kit.file_format import FileFormat
 from softrig_core.scenario.yaml_file import read_yaml
 
@@ -112,7 +112,7 @@ def params_of(
             f"params file {file}: {', '.join(others)}: no such node{near}; the nodes are {', '.join(full.values())}"
         )
     if others:
-        say(f"params file {file}: passed over what is of no node of this rig: {', '.join(others)}")
+        print_line(f"params file {file}: passed over what is of no node of this rig: {', '.join(others)}")
     return result
 
 

@@ -50,7 +50,7 @@ _C = {("softrig_control", "c_controller"), ("softrig_control", "c_plant")}
 
 @dataclass(frozen=True)
 class Package:
-    """A package that a pack brings.
+    """A package that a pack contains.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from types import FrameType
 from typing import IO
 
 from softrig_core import ScenarioError
-from softrig_core.guard import plain, say
+from softrig_core.guard import plain, print_line
 from softrig_core.kit.compiled import cache_folder
 from softrig_core.scenario.scenario_file import scenario_folders
 
@@ -56,29 +56,29 @@ def command(options: argparse.Namespace) -> list[str] | None:
     Parameters
     ----------
     options : argparse.Namespace
-        Of the verb `run` or `study`, with `words`, the command line that they come from.
+        Command line of the verb `run` or `study` that `words` are a part of.
     """
     if (program := shutil.which("bwrap")) is None:
         return None
     asked = [f"--{name}" if name != "view" else name for name in _OUTSIDE if getattr(options, name, None)]
     if asked:
-        say(f"not in bubblewrap, for {', '.join(asked)}: the code runs with all your rights")
+        print_line(f"not in bubblewrap, for {', '.join(asked)}: the code runs with all your rights")
         return None
     out = _results(options)
     begin = [program, *_rights(out, options)]
     tried = subprocess.run([*begin, "--", sys.executable, "-c", ""], capture_output=True, text=True, check=False)
     if tried.returncode:
         why = " ".join(tried.stderr.split()) or f"status {tried.returncode}"
-        say(f"bubblewrap does not work here ({why}): the code runs with all your rights")
+        print_line(f"bubblewrap does not work here ({why}): the code runs with all your rights")
         return None
-    say("it runs in bubblewrap: no network, no home, nothing to write but its results")
+    print_line("it runs in bubblewrap: no network, no home, nothing to write but its results")
     words = list(options.words) if options.out is not None else [*options.words, "--out", str(out)]
     trust = [] if options.trust else ["--trust"]
     return [*begin, "--", sys.executable, "-P", "-m", "softrig_bringup", *words, *trust]
 
 
 def _results(options: argparse.Namespace) -> Path:
-    """Return the folder for the results, which exists from now on; another one than any that is there, unless named."""
+    """Create and return the folder for the results; a new one, unless it is named."""
     if options.out is not None:
         out: Path = options.out.absolute()
     else:

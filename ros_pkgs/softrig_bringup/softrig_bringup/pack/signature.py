@@ -16,7 +16,7 @@ SIGNERS = "SOFTRIG_SIGNERS"  # names a file of allowed signers, as in ssh-keygen
 _LONG = 60.0  # s
 
 
-def beside(path: Path) -> Path:
+def signature_path(path: Path) -> Path:
     """Return where the signature of a file is."""
     return path.with_name(f"{path.name}.sig")
 
@@ -29,11 +29,11 @@ def sign(path: Path, key: Path) -> Path:
     ScenarioError
         There is no ssh-keygen here, or it refuses the key.
     """
-    beside(path).unlink(missing_ok=True)
+    signature_path(path).unlink(missing_ok=True)
     made = _keygen(["sign", "-f", str(key), "-n", NAMESPACE, str(path)])
-    if made.returncode or not beside(path).is_file():
+    if made.returncode or not signature_path(path).is_file():
         raise ScenarioError(f"--sign {key}: {_last(made.stderr) or 'ssh-keygen wrote no signature'}")
-    return beside(path)
+    return signature_path(path)
 
 
 def signed_by(path: Path) -> str:
@@ -44,7 +44,7 @@ def signed_by(path: Path) -> str:
     ScenarioError
         Its signature does not belong to this file, or the signer is not listed in `SIGNERS`.
     """
-    signature = beside(path)
+    signature = signature_path(path)
     if not signature.is_file():
         return "unsigned"
     if shutil.which("ssh-keygen") is None:

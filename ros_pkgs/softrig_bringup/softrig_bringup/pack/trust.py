@@ -9,7 +9,7 @@ from pathlib import Path
 
 from softrig_core import ScenarioError
 from softrig_core.extras import need
-from softrig_core.guard import plain, say
+from softrig_core.guard import plain, print_line
 from softrig_core.kit.confined import STRANGE, forbidden
 
 from . import sandbox
@@ -47,10 +47,10 @@ def admitted(options: argparse.Namespace) -> int | None:
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from None
     for name in cargo.kept_out:
-        say(f"{path}: package {name} is installed here; that one runs, not the one in the pack")
+        print_line(f"{path}: package {name} is installed here; that one runs, not the one in the pack")
     if not cargo:
         if who != "unsigned":
-            say(f"{path}: no code in it, {who}")
+            print_line(f"{path}: no code in it, {who}")
         return None
     if cargo.units:
         # The package is fetched now, because a sandbox has no network.
@@ -67,11 +67,11 @@ def admitted(options: argparse.Namespace) -> int | None:
 
 def _confirm(path: Path, cargo: Cargo, who: str, trusted: bool) -> None:
     """List the code that would run, and ask the user to confirm it."""
-    say(f"{path} (sha256 {digest_of(path)[:LETTERS]}, {who}) has code that would run here:")
+    print_line(f"{path} (sha256 {digest_of(path)[:LETTERS]}, {who}) has code that would run here:")
     for line in cargo:
-        say(f"  {line}")
+        print_line(f"  {line}")
     if cargo.units and (why := forbidden()):
-        say(f"  the system allows no namespaces ({why}): an FMU runs with all your rights")
+        print_line(f"  the system allows no namespaces ({why}): an FMU runs with all your rights")
     if trusted:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):

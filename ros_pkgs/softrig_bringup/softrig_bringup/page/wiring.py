@@ -84,7 +84,7 @@ def wiring_of(rig: Rig) -> Wiring:
 def columns(wiring: Wiring) -> list[list[str]]:
     """Arrange the nodes as a control engineer draws them, by column from left to right.
 
-    Nodes that act on a plant are left of it, as near as their readers allow. Next come the plants, then the nodes that
+    Nodes that act on a plant are left of it, as near as their readers allow. The plants follow, then the nodes that
     only observe. Wires out of a plant do not affect the order, because they are the feedback. Inside a column nodes are
     near the nodes they are connected to.
     """

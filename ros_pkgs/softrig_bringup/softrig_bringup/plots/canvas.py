@@ -110,7 +110,7 @@ class Words(Artist):
 
 @dataclass(frozen=True)
 class Across:
-    """Coordinates of which one is data and the other a share of the axes."""
+    """Coordinates: one is data, the other a share of the axes."""
 
     data: Literal["x", "y"]
 
@@ -522,11 +522,11 @@ class Axes:
         self._called("set_axis_off", None)
 
     def get_xaxis_transform(self) -> Across:
-        """Return coordinates of which x is data and y a share of the axes."""
+        """Return coordinates with x as data and y as a share of the axes."""
         return Across("x")
 
     def get_yaxis_transform(self) -> Across:
-        """Return coordinates of which y is data and x a share of the axes."""
+        """Return coordinates with y as data and x as a share of the axes."""
         return Across("y")
 
     def get_legend_handles_labels(self) -> tuple[list[Artist], list[str]]:

@@ -1,4 +1,4 @@
-"""The rig of a bag by itself: of a recording of which nothing is known but its topics."""
+"""The rig of a bag without its scenario: only its topics are known."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from softrig_core import Block, BlockParams, Port, Rig
 
 
 class _Column(Port):
-    """A topic of a bag: its values have the names of the columns, whatever message they come from."""
+    """A topic of a bag: its values have the names of the columns, whatever its message type."""
 
     @property
     def labels(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -31,7 +31,7 @@ SAME = 1e-9  # of a figure that other libraries have computed from the same bag
 
 
 def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
-    """Return the rig of an unpacked pack's run and its signals; one that brings packages is shown from its bag alone.
+    """Return rig and signals of an unpacked pack's run; if the pack contains packages, only its bag is used.
 
     Raises
     ------

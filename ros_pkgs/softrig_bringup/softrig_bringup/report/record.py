@@ -27,7 +27,7 @@ class _Status(BaseModel):
 
 
 class _Changed(BaseModel):
-    """A change while the run was under way: from which tick on, of which node."""
+    """A change during the run: the node, and the tick from which it acts."""
 
     at_s: float
     node: str

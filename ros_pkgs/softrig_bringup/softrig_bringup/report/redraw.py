@@ -16,7 +16,7 @@ from softrig_bags.read import BagSignals, signals
 from softrig_core import Rig, ScenarioError, Signals, rig_of
 from softrig_core.command_line import Parser
 from softrig_core.errors import nearby
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.rig.members import other_names
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire.signals import short_name
@@ -93,7 +93,7 @@ def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
     try:
         return _as_it_ran(command) if command else rig_of(scenario), result
     except ScenarioError as error:
-        say(f"{bag}: shown without its rig, scenario {scenario} cannot be made here: {error}")
+        print_line(f"{bag}: shown without its rig, scenario {scenario} cannot be made here: {error}")
         return rig_of_bag(bag, result), result
 
 

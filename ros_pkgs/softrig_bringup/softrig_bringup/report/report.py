@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from softrig_core import ScenarioError
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.verdict.figures import Result
 
 from ..folder import MARKS
@@ -98,7 +98,7 @@ def write_report(
         if doubted and not record.doubts and (result := doubts(folder)):
             runs[-1] = folder, record.model_copy(update={"doubts": result})
         for doubt in runs[-1][1].doubts if doubted else ():
-            say(f"{directory}: {doubt}")
+            print_line(f"{directory}: {doubt}")
     if not runs:
         part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
         remaining = (

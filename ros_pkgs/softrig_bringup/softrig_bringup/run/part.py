@@ -9,7 +9,7 @@ from pathlib import Path
 
 from softrig_core import Rig, ScenarioError
 from softrig_core.errors import closest
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_nodes.processes.placement import Listener
 
 from ..options.run_options import folder_name, placement_of
@@ -49,16 +49,16 @@ def run_part(rig: Rig, options: argparse.Namespace) -> int:
         raise ScenarioError("--only: blocks in process have no other machine; expected --mode processes or container")
     out = (options.out or Path("runs") / folder_name(rig.scenario.name, options, options.only)).absolute()
     others = [name for name in names if name not in options.only]
-    say(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(others) or 'nobody'}")
+    print_line(f"{', '.join(options.only)} here, domain {options.domain}; elsewhere: {', '.join(others) or 'nobody'}")
     placement = replace(placement_of(options), wait=options.wait or 0.0)
     from softrig_nodes import run_processes
 
-    outcome = run_processes(rig, rig.scenario.seed, out / "log", placement, Listener(announce=say))
+    outcome = run_processes(rig, rig.scenario.seed, out / "log", placement, Listener(announce=print_line))
     if outcome.error:
-        say(f"the run broke: {outcome.error}")
+        print_line(f"the run broke: {outcome.error}")
         return 3
     where = os.path.relpath(out / "log")
-    say(
+    print_line(
         f"recorded in {where}; a bag of the whole rig: the .shard files of all parts in one folder, then "
         "softrig bag repair FOLDER"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import ScenarioError
-from softrig_core.guard import naming, say
+from softrig_core.guard import naming, print_line
 from softrig_optim.sweep import Workers, progress
 
 from .draw import Case
@@ -39,7 +39,7 @@ class Batch:
 
     def __enter__(self) -> Batch:
         if self.log.passed_over:
-            say(
+            print_line(
                 f"{self.log.path}: {self.log.passed_over} of its lines are no rows of this study (cut off, damaged, "
                 "doubled); they are passed over, and what is missing is run"
             )
@@ -126,7 +126,7 @@ class Log:
         return len(self._known)
 
     def knows(self, case: Case) -> bool:
-        """Return whether the row of a case is there.
+        """Return whether the row of a case exists.
 
         Raises
         ------

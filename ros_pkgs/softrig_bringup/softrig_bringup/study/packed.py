@@ -73,7 +73,7 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
     Raises
     ------
     ScenarioError
-        Another file; code that it brings is admitted before, see `softrig_bringup.pack.trust`.
+        Another file; the code in it has been admitted before, see `softrig_bringup.pack.trust`.
     """
     if not is_pack(path):
         raise ScenarioError(f"--like {path}: expected a file that `softrig pack` has written of a study")

@@ -56,7 +56,7 @@ class Difference(NamedTuple):
     group, base : str
         What is compared with what: group minus base.
     n : int
-        Pairs, of which both have a number.
+        Number of pairs in which both runs have a number.
     smaller : Estimate
         Share of the pairs in which the figure of `group` is smaller; equal ones count half.
     effect : float

@@ -28,7 +28,7 @@ class Work(NamedTuple):
     signals, samples
         See `Study`.
     runs : int
-        So many of the kind are to come, in all workers.
+        Number of tasks of this kind that all workers will get.
     scenario : Draft or Scenario, optional
         What the case names, read before; absent: read by that name.
     strict : bool
@@ -51,7 +51,7 @@ class Work(NamedTuple):
 def trial(
     scenario: Scenario, overrides: dict[str, Any], requirements: Iterable[str], number: int = -1, runs: int = 1
 ) -> Work:
-    """Return a run of which the margins of requirements are wanted, and nothing else is measured or judged."""
+    """Return the task of a run that computes only the margins of requirements."""
     case, names = Case(number, scenario.name, "", overrides, scenario.seed), tuple(requirements)
     asked = {
         kind: {name: entry for name, entry in getattr(scenario, kind).items() if name in names}

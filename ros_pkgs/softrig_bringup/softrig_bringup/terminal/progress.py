@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from softrig_core.guard import is_quiet, say
+from softrig_core.guard import is_quiet, print_line
 
 SILENT = 1.0  # s of wall-clock time that work may take without a word
 NEWS = 10.0  # s of wall-clock time between two lines
@@ -64,7 +64,7 @@ def busy(what: str) -> Iterator[None]:
     if is_quiet():
         yield
         return
-    timer = threading.Timer(SILENT, say, [what])
+    timer = threading.Timer(SILENT, print_line, [what])
     timer.daemon = True  # an error of the work ends the process without waiting for it
     timer.start()
     try:
@@ -111,6 +111,6 @@ def _lines(title: str, duration: float) -> OnTick:
         nonlocal last
         if time.monotonic() - last > NEWS:
             last = time.monotonic()
-            say(f"{title}: {t / 1e9:.3g} of {duration:g} s")
+            print_line(f"{title}: {t / 1e9:.3g} of {duration:g} s")
 
     return on_tick

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from softrig_core import Run, RunError, Scenario, ScenarioError, figures_of, load_scenario, rig_of, simulate
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.run.purity import HIDDEN
 from softrig_core.scenario.scenario_file import find, locate
 from softrig_core.verdict.figures import Result
@@ -85,11 +85,13 @@ def _expectations(options: argparse.Namespace) -> int:
         write_page(options.html, "check", checked(suites, outcomes, options.against))
     if kinds := sorted({outcome["kind"] for outcome in outcomes} - {""}):
         of = f"of {len(outcomes)} scenarios " if len(outcomes) > 1 else ""
-        say(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
+        print_line(f"{of}not judged: {', '.join(o['scenario'] for o in outcomes if o['error'])}")
         return 3 if "broke" in kinds else 2
     # a status of 0 would pass a job in which nothing was compared
     if not any(suite.cases for suite in suites):
-        say("nothing is judged; expected at least one entry of expect, requirements or claims, or --against FILE")
+        print_line(
+            "nothing is judged; expected at least one entry of expect, requirements or claims, or --against FILE"
+        )
         return 2
     return 1 if any(suite.failures for suite in suites) else 0
 

@@ -220,7 +220,7 @@ class Golden:
     def make(self, differing: bool = False) -> Comparison | None:
         """Write the golden bag again; returns the comparison of the new with the old, if there was one.
 
-        The old one is there until the new one is written.
+        The old bag is kept until the new one is written.
 
         Parameters
         ----------
@@ -230,7 +230,7 @@ class Golden:
         Raises
         ------
         ScenarioError
-            What is there was not made as a golden bag.
+            The folder contains something that is not a golden bag.
         RunError
             The new bag could not be written.
         """
@@ -274,7 +274,7 @@ def line(others: Iterable[str]) -> str:
 
 
 def _ours(bag: Path) -> None:
-    """Ensure that a folder holds a bag and nothing else, if it is there.
+    """Check that a folder, if it exists, contains a bag and nothing else.
 
     Raises
     ------
@@ -366,7 +366,7 @@ def _write(file: Path, recipe: Recipe) -> None:
 def main(options: argparse.Namespace) -> int:
     """Record golden bags again (all of the folder when none is named) and show the difference.
 
-    A duration or seed changes the recipes that are there and leaves the rest of them, which was edited by hand.
+    A duration or seed is written into existing recipes; their other entries, edited by hand, are kept.
     """
     changes = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
     folder, recipes = _chosen(options, options.names, changes, new=True)

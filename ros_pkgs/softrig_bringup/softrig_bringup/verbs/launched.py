@@ -74,7 +74,7 @@ def begin(values: Mapping[str, str]) -> Launched:
     Raises
     ------
     RunError
-        A signal came; launch itself would go on without any process, and end with status 0.
+        A signal was received; launch itself would continue without any process and end with status 0.
     """
     try:
         with stoppable():
@@ -219,7 +219,7 @@ class Launched:
         return f"judged: status {result}" if result and (self._judge or result > 1) else ""
 
     def _conclude(self, recording: Recording, status: dict[str, dict[str, Any]]) -> tuple[int, str]:
-        """Write, print and judge; returns the exit status of `softrig run` and how far a run that was stopped came."""
+        """Write, print and judge; return the exit status of `softrig run` and the time that a stopped run reached."""
         rig, options = self._rig, self._options
         epoch = int(read_status(self._log / f"{starter(rig).name}.status").get("epoch", 0))
         messages = [f"{name}: {s['error']}" for name, s in status.items() if s.get("error")]

@@ -124,7 +124,7 @@ def _plotjuggler(plots: Sequence[Plotted]) -> str:
 
 
 def _foxglove(plots: Sequence[Plotted], rig: Rig) -> str:
-    """Write a panel a plot below each other, two columns from five on; what is in three dimensions comes first."""
+    """Write one panel for each plot, one below the other; two columns from five plots on. Panels in 3D are first."""
     panels: dict[str, dict[str, Any]] = {}
     scene = next((s for m in rig.members if (s := scene_of(m.block_class, m.params)) is not None), None)
     if scene is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softrig_core.errors import ScenarioError, closest
-from softrig_core.guard import plain, say
+from softrig_core.guard import plain, print_line
 from softrig_core.scenario.index import Listed, listed
 
 if TYPE_CHECKING:
@@ -40,11 +40,11 @@ def list_scenarios_of(part: str) -> int:
     broken: list[ScenarioError] = []
     scenarios = listed(broken)
     for what in broken:
-        say(what)
+        print_line(what)
     chosen = [s for s in scenarios if part in s.name or part in s.system]
     if part and not chosen:
         near = closest(part, {word for s in scenarios for word in (s.name, s.system)})
-        say(f"nothing matches {part!r}{near}; softrig list shows all {len(scenarios)} scenarios")
+        print_line(f"nothing matches {part!r}{near}; softrig list shows all {len(scenarios)} scenarios")
         return 2 if broken else 1
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         for s in chosen:

@@ -22,7 +22,7 @@ from softrig_bags.write import retell
 from softrig_core import Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.params import flatten
 from softrig_core.board import SIMULATORS
-from softrig_core.guard import naming, say
+from softrig_core.guard import naming, print_line
 from softrig_core.judge import registry
 from softrig_core.rig.code import fingerprints, is_ours
 
@@ -51,7 +51,7 @@ from ..pack.packed import (
     placeless,
 )
 from ..pack.publication import Publication
-from ..pack.signature import beside, sign, signed_by
+from ..pack.signature import sign, signature_path, signed_by
 from ..page.citations import FILE as REFERENCES
 from ..run.run import versions
 from ..study.batch import Log
@@ -113,9 +113,11 @@ def _signed(packed: _Pack, out: Path, options: argparse.Namespace) -> int:
     """Sign the file if that is asked for, and name the packages that it lacks."""
     if options.sign is not None:
         sign(out, options.sign)
-        print(f"wrote {beside(out)}: {signed_by(out)}")
+        print(f"wrote {signature_path(out)}: {signed_by(out)}")
     for name in packed.lacks:
-        say(f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); a run needs it")
+        print_line(
+            f"not in it: package {name}, whose sources are in no workspace here (--workspace DIR); a run needs it"
+        )
     return 0
 
 
@@ -182,7 +184,9 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
     code = fingerprints(classes, (registry.find(name).__module__ for name in sorted(measures)))
     was = before.made_with.get("code", code)
     for name in sorted(name for name in code if was.get(name, code[name]) != code[name]):
-        say(f"the code of {name} is no longer that of the run ({was[name]} then, {code[name]} now): it may not repeat")
+        print_line(
+            f"the code of {name} is no longer that of the run ({was[name]} then, {code[name]} now): it may not repeat"
+        )
     packages, sources = _packages(code)
     message = About(
         scenario=scenario.name,
@@ -386,17 +390,17 @@ def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
             result["port"] = f"{kind}{colon}{placed([program, *machine])}"
         return result
 
-    def beside(value: Any) -> Any:
+    def with_files(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {k: linked(v) if k == "link" and "firmware" in v else beside(v) for k, v in value.items()}
+            return {k: linked(v) if k == "link" and "firmware" in v else with_files(v) for k, v in value.items()}
         if isinstance(value, list):
-            return [beside(v) for v in value]
+            return [with_files(v) for v in value]
         if not isinstance(value, str) or not Path(value).suffix or not isfile(value):
             return value
         path = Path(value)
         return placed([path, *(file for file in _belongs(path) if file != path)])
 
-    content = {**content, **{key: beside(content[key]) for key in ("shared", "nodes") if key in content}}
+    content = {**content, **{key: with_files(content[key]) for key in ("shared", "nodes") if key in content}}
     return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), results
 
 

@@ -20,7 +20,7 @@ from softrig_core import (
     rig_of,
     simulate,
 )
-from softrig_core.guard import is_quiet, say
+from softrig_core.guard import is_quiet, print_line
 from softrig_core.verdict.findings import Finding, findings, needed, values
 from softrig_optim.sweep import sweep
 
@@ -153,7 +153,7 @@ def gather(
     scenarios = list(scenarios)
     names = sorted(set().union(*(needed(s) for s in scenarios)))
     if not is_quiet():
-        say(f"{len(names)} scenarios are run, or taken from the last time where nothing has changed")
+        print_line(f"{len(names)} scenarios are run, or taken from the last time where nothing has changed")
     runs = sweep(measure, [(name, keep) for name in names], title="scenarios", workers=workers)
     measured = {result.name: result for result in runs}
 
@@ -242,11 +242,11 @@ def main(options: argparse.Namespace) -> int:
     status = 0
     for result in measured.values():
         if result.error or result.missed:
-            say(f"{result.name}: {result.error or 'missed: ' + ', '.join(result.missed)}")
+            print_line(f"{result.name}: {result.error or 'missed: ' + ', '.join(result.missed)}")
             status = 3 if result.error else max(status, 1)
     for row in rows:
         if not row.holds:
-            say(f"{row.scenario}: claim {row.key}: {row.false}")
+            print_line(f"{row.scenario}: claim {row.key}: {row.false}")
             status = max(status, 1)
     print(f"wrote {out / f'{name}.html'} and {out / f'{name}.md'}")
     return status

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from softrig_core import Rig, Run, ScenarioError
 from softrig_core.command_line import check_text
 from softrig_core.extras import need
-from softrig_core.guard import plain, say
+from softrig_core.guard import plain, print_line
 from softrig_core.rig.agreement import assumptions
 from softrig_core.solver.solver import UNFINISHED
 from softrig_nodes.processes.domain import free_domain
@@ -96,7 +96,7 @@ def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> in
 
 
 def _check_view(options: argparse.Namespace) -> None:
-    """Refuse what has no page; bring the library."""
+    """Refuse what has no page; import the library."""
     if options.only:
         raise ScenarioError("view shows a whole rig, which --only is not")
     need("bokeh", "view")
@@ -130,10 +130,10 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
             raise ScenarioError(f"--out {options.out}: {why}; expected another folder{forced}")
         number += 1
         beside = ResultsFolder(out.with_name(f"{out.name}-{number}"))
-        say(f"{_shown(folder.path)} stays, {why}; this run goes to {_shown(beside.path)}")
+        print_line(f"{_shown(folder.path)} stays, {why}; this run goes to {_shown(beside.path)}")
         folder = beside
     if folder.replaced:
-        say(f"replacing {folder.replaced} in {_shown(folder.path)}")
+        print_line(f"replacing {folder.replaced} in {_shown(folder.path)}")
     outside = ", ".join(m.name for m in rig.members if m.external)
     realtime = placement_of(options).clock == "realtime"
     folder.clear(f"{outside} from outside" if outside else "in real time" if realtime else "")
@@ -149,7 +149,7 @@ def _without_broken_run(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
         number += 1
     folder.path.rename(aside)
     folder.let_go()
-    say(f"the run that broke in {_shown(folder.path)} is kept as {_shown(aside)}")
+    print_line(f"the run that broke in {_shown(folder.path)} is kept as {_shown(aside)}")
     return ResultsFolder(folder.path)
 
 
@@ -195,7 +195,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
         with stoppable():
             kept = _keep(options, done, folder)
             if slow := too_slow(options, done.rig, done.status, bool(done.error)):
-                say(slow)
+                print_line(slow)
             _print_results(kept, done, folder.path if folder is not None else None)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(_lacking(options, folder))
@@ -295,15 +295,15 @@ def _contradictions(like: Path) -> list[str]:
 def _print_results(kept: _Kept, done: Run, out: Path | None) -> None:
     """Print the figures and the remarks on the run."""
     if done.error:
-        say(f"the run broke: {done.error}")
+        print_line(f"the run broke: {done.error}")
         if out is not None:
-            say(f"what was recorded up to there is in {_shown(out)}, the output of the nodes in its log/")
+            print_line(f"what was recorded up to there is in {_shown(out)}, the output of the nodes in its log/")
         return
     _print_figures(kept.content, done, out)
     for line in (*assumptions(done.rig.members), *kept.remarks):
-        say(line)
+        print_line(line)
     if done.stopped:
-        say(done.stopped_at)
+        print_line(done.stopped_at)
 
 
 def _judged(options: argparse.Namespace, kept: _Kept, done: Run) -> int:

@@ -8,7 +8,7 @@ import re
 from typing import Any
 
 from softrig_core import ScenarioError
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.scenario.yaml_file import read_yaml
 from softrig_nodes.ros.remote import set_parameters
 
@@ -20,7 +20,7 @@ def set_values(options: argparse.Namespace) -> int:
         os.environ["ROS_DOMAIN_ID"] = str(options.domain)
     refusals = set_parameters(wanted, options.wait)
     for text in refusals:
-        say(f"set: {text}")
+        print_line(f"set: {text}")
     return 1 if refusals else 0
 
 

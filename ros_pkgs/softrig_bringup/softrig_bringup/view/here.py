@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 from softrig_core import Recording, Rig, Run, RunError, ScenarioError, Session
 from softrig_core.block.params import flatten
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.run.branch import branched
 from softrig_core.run.stuck import watched
 from softrig_core.timebase import Pace, to_ns, to_s
@@ -149,7 +149,7 @@ class Here(Growing):
         return path
 
     def finish(self, outcome: str, folder: Path | None) -> None:
-        """Note that the run is over, and what it has brought."""
+        """Note that the run is over, and its outcome."""
         super().finish(outcome, folder)
         self._end_log()
         self._folder = str(folder or "")
@@ -201,7 +201,7 @@ class Here(Growing):
             except OSError as error:
                 self._full = error
                 text = f"from here on nothing is kept in case that this process is killed: {error}"
-                say(text)
+                print_line(text)
                 self.control.add_entry("the run", text, True)
 
     def _write(self, place: Callable[[], Path]) -> None:
@@ -258,7 +258,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 
     source = Here(session := Session(rig), placement.paused, placement.pace, loop.add_callback, lambda: where().path)
     pages = Pages(source, source.control, str(placement), address, new_token(), loop)
-    say(f"the page is {pages.url}")
+    print_line(f"the page is {pages.url}")
     status, ended = 0, False
     wrong: BaseException | None = None
 
@@ -278,7 +278,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
             except OSError as error:  # it is all in memory: who makes room and goes back a little has it
                 status, written = 3, None
                 outcome = f"it is not written: {error}; make room, go back a little and let it end again"
-                say(outcome)
+                print_line(outcome)
             except KeyboardInterrupt as interrupt:
                 wrong, outcome = interrupt, "stopped while it was written"
                 loop.add_callback(loop.stop)

@@ -351,7 +351,7 @@ class Page:
             self._drawn.text = f"<p class=wrong>{drawing.title}: no drawing: {html.escape(repr(error))}</p>"
 
     def _moving(self) -> float:
-        """Return the time of the drawing, s: what has come in one piece is shown in as many frames as it took."""
+        """Return the time of the drawing, s: data that arrived together is shown as slowly as it was simulated."""
         end = self._source.end
         if end != self._ahead:
             self._speed, self._ahead = max(0.0, end - self._at) * FRAME / EVERY, end

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core import Run, Scenario, rig_of
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_nodes.processes.placement import Placement
 
 from .remote import Remote, let_go
@@ -72,7 +72,7 @@ class RunPages:
             if self._ends:
                 return
             what = "it is started again" if left else "the run continues without it"
-            say(f"the page has broken (status {status}): {what}")
+            print_line(f"the page has broken (status {status}): {what}")
             if left:
                 self._process = self._start()
         if self._watched["paused"]:  # nobody could have it go on
@@ -92,10 +92,10 @@ class RunPages:
             self._process.stdin.flush()
         if run.stopped:
             return
-        say("the page stays until it is closed, or Ctrl-C")
+        print_line("the page stays until it is closed, or Ctrl-C")
         with suppress(KeyboardInterrupt):
             if status := self._process.wait():
-                say(f"the page has broken (status {status}); the results are there")
+                print_line(f"the page has broken (status {status}); the results are there")
 
     def close(self) -> None:
         """End the process."""

@@ -28,7 +28,7 @@ from bokeh.server.server import Server
 from bokeh.server.util import bind_sockets
 from pydantic import BaseModel, ConfigDict
 from softrig_core import Scenario, ScenarioError, rig_of
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.verdict.figures import Result, changed_from, evaluate
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
@@ -235,7 +235,7 @@ class Pages:
         try:
             Page(document, self._source, self._control, self._figures, who, self._how, text)
         except Exception as error:  # of somebody's plant or plots: the run can be told to go on without them
-            say(f"a page cannot be shown: {type(error).__name__}: {error}")
+            print_line(f"a page cannot be shown: {type(error).__name__}: {error}")
             document.clear()
             bare(document, self._control, who, error)
 
@@ -253,7 +253,7 @@ class Pages:
         return self._results, True
 
     def measure(self) -> None:
-        """Measure the figures of what has come, now and then, beside the pages."""
+        """Measure the figures of the data so far from time to time, in parallel with the pages."""
         source = self._source
         if self._busy or source.results or source.thinned or not source.live or time.monotonic() < self._next:
             return
@@ -282,14 +282,14 @@ def serve(source: Source, how: str, address: str) -> None:
     loop = IOLoop.current()
     control = Control(source.rig, None, lambda: source.end, lambda: source.outcome)
     pages = Pages(source, control, how, address, new_token(), loop)
-    say(f"the page is {pages.url}; Ctrl-C ends it")
+    print_line(f"the page is {pages.url}; Ctrl-C ends it")
     try:
         loop.start()
     finally:
         pages.close()
 
 
-def beside(watched: Watched, lines: Any) -> None:
+def serve_run(watched: Watched, lines: Any) -> None:
     """Show a run under way until it is over and no browser is connected, or until `lines` ends."""
     os.nice(10)  # the loop comes first
     rig = rig_of(Scenario.model_validate(watched.scenario))
@@ -302,7 +302,7 @@ def beside(watched: Watched, lines: Any) -> None:
     pace = None if watched.realtime else watched.pace
     control = Control(rig, remote.ask, lambda: source.end, lambda: source.outcome, held, pace)
     pages = Pages(source, control, watched.how, watched.address, watched.token, loop)
-    say(f"the page is {pages.url}")
+    print_line(f"the page is {pages.url}")
     told, paced = 0, (held, pace)
 
     def refresh() -> None:
@@ -344,9 +344,9 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run decides when it ends
     asyncio.set_event_loop(asyncio.new_event_loop())
     try:
-        beside(Watched.model_validate_json(Path(sys.argv[1]).read_text()), sys.stdin)
+        serve_run(Watched.model_validate_json(Path(sys.argv[1]).read_text()), sys.stdin)
     except ScenarioError as error:
-        say(str(error))
+        print_line(str(error))
         return 2
     return 0
 

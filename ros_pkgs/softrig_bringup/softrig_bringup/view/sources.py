@@ -121,7 +121,7 @@ class Growing:
         self._marks.append((time.monotonic(), self.end))
 
     def finish(self, outcome: str, folder: Path | None) -> None:
-        """Note that the run is over, and what it has brought."""
+        """Note that the run is over, and its outcome."""
         self.end = max(self._newest.values(), default=0.0)
         if folder is not None:
             content = json.loads((folder / "metrics.json").read_text())
@@ -153,7 +153,7 @@ class Live(Growing):
         self._tails = [ShardTail(directory / f"{name}.shard") for name in self._names]
 
     def read_new(self) -> None:
-        """Read what has come."""
+        """Read the data that was written since the last call."""
         if self.outcome:
             return
         self.read()
@@ -177,7 +177,7 @@ class Live(Growing):
         return any(more)
 
     def finish(self, outcome: str, folder: Path | None) -> None:
-        """Note that the run is over, and what it has brought."""
+        """Note that the run is over, and its outcome."""
         while self.read():
             pass
         self.read_new()

@@ -82,7 +82,7 @@ class Track:
         self._n = kept + remaining
 
     def table(self, first: float, last: float) -> Table:
-        """Return what came from `first` to `last` (s), and the message before it, which holds until then."""
+        """Return the messages from `first` to `last` (s), and the one before them, which holds until then."""
         t = self._t[: self._n]
         i = max(0, int(np.searchsorted(t, first, "right")) - 1)
         j = int(np.searchsorted(t, last, "right"))
@@ -107,7 +107,7 @@ class Pane(Mapping[str, Signal]):
         self.topics = {topic: SimpleNamespace(number=len(table.t)) for topic, table in tables.items()}
 
     def table(self, topic: str) -> Table:
-        """Return all columns of a topic; none where nothing has come."""
+        """Return all columns of a topic; none if no message has arrived."""
         return self._tables.get(topic, _EMPTY)
 
     def __getitem__(self, name: str) -> Signal:

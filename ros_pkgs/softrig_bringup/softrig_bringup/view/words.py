@@ -77,7 +77,7 @@ def figures(results: Iterable[Result], so_far: bool) -> str:
 
 
 def _mark(f: Result, so_far: bool) -> str:
-    """Return the verdict on a figure; without colour where what comes may change it."""
+    """Return the verdict on a figure; without colour if later data may change it."""
     if f.published_for:
         return f'<span title="published for {html.escape(f.published_for)}">not judged</span>'
     if not f.judged or (so_far and not measured_here(f)):

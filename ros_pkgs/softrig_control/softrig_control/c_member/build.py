@@ -148,7 +148,7 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
     content = library.read_bytes()
     digest = hashlib.sha256(content).hexdigest()
     methods = PLANT if plant else STEP
-    hidden, intrusive = _looked_into(library, [f"{prefix}_{name}" for name in ("init", *methods)])
+    hidden, intrusive = _inspect(library, [f"{prefix}_{name}" for name in ("init", *methods)])
     copy = kept(f"{library.stem.split('-')[0]}-{digest[:32]}.so", lambda product: _write(product, content))
     own = compiler()
     text = _ran([own, "-E", "-P", *flags, str(header)], header).decode(errors="replace")
@@ -237,7 +237,7 @@ def _without_nothing(struct: Struct) -> Struct:
     return struct._replace(leaves=() if [leaf.access for leaf in struct.leaves] == ["nothing"] else struct.leaves)
 
 
-def _looked_into(library: Path, wanted: Sequence[str]) -> tuple[Hidden | None, tuple[str, ...]]:
+def _inspect(library: Path, wanted: Sequence[str]) -> tuple[Hidden | None, tuple[str, ...]]:
     """Check that a file is a shared library of this machine with some functions; find hidden state and `INTRUSIVE`."""
     try:
         with library.open("rb") as file:
@@ -342,7 +342,7 @@ def _generated(header: Path, prefix: str, methods: Sequence[str], values: dict[s
         f"static inline double sr_take_state(const {prefix} *s, double *r)",
         "{",
         "    (void)s; (void)r;",
-        *(_take("s", leaf, k, True) for k, leaf in enumerate(state.leaves)),
+        *(_copy_out("s", leaf, k, True) for k, leaf in enumerate(state.leaves)),
         "    return 0.0;",
         "}",
         "static inline void sr_put_in(SR_IN *in, const double *v)",
@@ -353,7 +353,7 @@ def _generated(header: Path, prefix: str, methods: Sequence[str], values: dict[s
         "static inline void sr_take_out(const SR_OUT *out, double *r)",
         "{",
         "    (void)out; (void)r;",
-        *(_take("out", leaf, k, False) for k, leaf in enumerate(outs.leaves)),
+        *(_copy_out("out", leaf, k, False) for k, leaf in enumerate(outs.leaves)),
         "}",
         f"static inline int sr_same_constants(const {prefix} *a, const {prefix} *b)",
         "{",
@@ -418,7 +418,7 @@ def _put(of: str, leaf: Leaf, k: int, exact: bool) -> str:
     return f"    {there} = {value} < {low} ? {low} : {value} > {high} ? {high} : nearbyint({value});"
 
 
-def _take(of: str, leaf: Leaf, k: int, exact: bool) -> str:
+def _copy_out(of: str, leaf: Leaf, k: int, exact: bool) -> str:
     """Write the line that copies a number out of a struct."""
     there = f"{of}->{leaf.access}"
     if leaf.kind == "word":

@@ -7,7 +7,7 @@ from typing import NamedTuple
 Row = tuple[float, ...]
 
 
-class Told(NamedTuple):
+class Call(NamedTuple):
     """A call, and the numbers of the struct after it."""
 
     method: str
@@ -20,17 +20,17 @@ class History:
 
     __slots__ = ("length", "shared")
 
-    def __init__(self, rows: list[Told] | None = None, length: int = 0) -> None:
-        self.shared: list[Told] = [] if rows is None else rows
+    def __init__(self, rows: list[Call] | None = None, length: int = 0) -> None:
+        self.shared: list[Call] = [] if rows is None else rows
         self.length = length
 
-    def after(self, reported: Told) -> History:
+    def after(self, reported: Call) -> History:
         """Return the history with one call more."""
         rows = self.shared if self.length == len(self.shared) else self.shared[: self.length]
         rows.append(reported)
         return History(rows, self.length + 1)
 
-    def rows(self) -> list[Told]:
+    def rows(self) -> list[Call]:
         """Return the calls."""
         return self.shared[: self.length]
 
@@ -38,5 +38,5 @@ class History:
         """Return whether another one is this one, or a copy of the same list."""
         return other is not None and other.shared is self.shared and other.length == self.length
 
-    def __reduce__(self) -> tuple[type[History], tuple[list[Told], int]]:
+    def __reduce__(self) -> tuple[type[History], tuple[list[Call], int]]:
         return History, (self.rows(), self.length)

@@ -26,7 +26,7 @@ Row = tuple[float, ...]
 
 
 class Counts(NamedTuple):
-    """Numbers of arguments and results of a function; place, time and status come before them."""
+    """Numbers of arguments and results of a function; place, time and status precede them."""
 
     takes: int
     gives: int
@@ -63,7 +63,7 @@ class Called(Compiled):
     """One of a user's functions, in this process; native code calls it by its address."""
 
     def __init__(self, built: Built, method: str) -> None:
-        self._found = getattr(_loaded(str(built.shim), str(built.library)), f"sr_{method}")
+        self._entry = getattr(_loaded(str(built.shim), str(built.library)), f"sr_{method}")
         self.native = True
         self.n_in, self.n_out = counts(built, method)
         self.symbol = f"{built.shim.stem.replace('-', '_')}_{method}"
@@ -76,13 +76,13 @@ class Called(Compiled):
     def __call__(self, values: Sequence[float]) -> Row:
         """Call it: place of the constants, time in ns, state, inputs; status, state, outputs."""
         self._pack(self._arguments, 0, *values)
-        self._found(*self._tables, None, None, ctypes.c_longlong(0))
+        self._entry(*self._tables, None, None, ctypes.c_longlong(0))
         return self._unpack(self._results)
 
     @property
     def address(self) -> int:
         """Return the address of the function."""
-        return ctypes.cast(self._found, ctypes.c_void_p).value or 0
+        return ctypes.cast(self._entry, ctypes.c_void_p).value or 0
 
     @property
     def places(self) -> tuple[int, int, int, int]:
@@ -149,7 +149,7 @@ class Apart:
         )
         for descriptor in (ours, theirs, saying):
             os.close(descriptor)
-        self._reading, self._writing, self._said = reading, writing, printed
+        self._reading, self._writing, self._printed = reading, writing, printed
         self.end = weakref.finalize(self, _ended, self._process, reading, writing, printed)
         result = self._ask(-1, params, 1 + len(built.structs["state"].leaves))
         self.status, self.first = result[0], result[1:]
@@ -191,7 +191,7 @@ class Apart:
             code = None
         data = b""
         with suppress(BlockingIOError):  # nothing said, and something that it has started lives on
-            data = os.read(self._said, PRINTED)
+            data = os.read(self._printed, PRINTED)
         self.end()
         return _how(code, data.decode(errors="replace").strip())
 

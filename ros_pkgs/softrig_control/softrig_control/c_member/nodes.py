@@ -15,7 +15,7 @@ from softrig_core.run.purity import HIDDEN
 
 from ..channels import frames_of
 from .build import PLANT, STEP, Built, built, compiled
-from .history import History, Row, Told
+from .history import Call, History, Row
 from .law import Apart, Called, Here, wrong
 from .layout import Struct
 from .ports import Described, Side, described, fitted, table, values_of
@@ -74,7 +74,7 @@ class CParams(BlockParams):
                 f"{self.described.period:g} s; its constants follow from it"
             )
         self.constants  # noqa: B018 - checks them
-        if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.says.ports}:
+        if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.publishes.ports}:
             raise ValueError(f"{min(shared)} is both read and published")
         return self
 
@@ -125,7 +125,7 @@ class CParams(BlockParams):
         return self._side("in", self.inputs)
 
     @cached_property
-    def says(self) -> Side:
+    def publishes(self) -> Side:
         """Ports of the outputs, and the place of each member of NODE_out."""
         return self._side("out", self.outputs)
 
@@ -153,7 +153,7 @@ def _whole(flag: str) -> str:
 class Secret(NamedTuple):
     """The state of a library that hides its own state: all its calls."""
 
-    told: History
+    calls: History
 
 
 class Process:
@@ -161,7 +161,7 @@ class Process:
 
     def __init__(self) -> None:
         self.apart: Apart | None = None
-        self.told: History | None = None
+        self.calls: History | None = None
 
 
 class _C(Block[CParams]):
@@ -172,7 +172,7 @@ class _C(Block[CParams]):
     @classmethod
     def ports(cls, params: CParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Return the ports that the parameters name."""
-        return (params.reads.ports, params.says.ports) if params.named else ((), ())
+        return (params.reads.ports, params.publishes.ports) if params.named else ((), ())
 
     @classmethod
     def contents(cls, params: CParams) -> Mapping[str, str]:
@@ -207,7 +207,7 @@ class _C(Block[CParams]):
         self._wholes = tuple(leaf.whole for leaf in leaves)
         self._names = [leaf.access for leaf in leaves]
         self._reads = tuple((p.reads.ports[k].name, i) for k, i in p.reads.places)
-        self._says, self._width = _rows(p.says), 1 + len(leaves)
+        self._publishes, self._width = _rows(p.publishes), 1 + len(leaves)
         trial = tried(self._built, p.methods, tuple(p.constants.values()), p.timeout)
         if trial.wrong:
             raise ParameterError(f"{self._file}: {trial.wrong}")
@@ -262,23 +262,23 @@ class _C(Block[CParams]):
 
     def _answer(self, values: Row, at: int) -> dict[str, Row]:
         """Return the outputs in the result of a call; `at` is the start of NODE_out."""
-        return {name: tuple(values[at + k] for k in places) for name, places in self._says}
+        return {name: tuple(values[at + k] for k in places) for name, places in self._publishes}
 
     # a tick in another process ------------------------------------------------------------------------------------
 
     def _begun(self) -> Apart:
         return Apart(self._built, self.p.methods, self._params, self.p.timeout)
 
-    def _told(self, x: Any, method: str, t: int, values: Row) -> tuple[Any, Row]:
+    def _call(self, x: Any, method: str, t: int, values: Row) -> tuple[Any, Row]:
         """Call the library in its process; if it hides state, its calls are first repeated until its state is x."""
         process = self._process
-        if process.apart is None or (self._hidden and not x.told.is_same(process.told)):
-            process.apart, process.told = self._begun(), None
+        if process.apart is None or (self._hidden and not x.calls.is_same(process.calls)):
+            process.apart, process.calls = self._begun(), None
             if self._hidden:
-                for call in x.told.rows():
+                for call in x.calls.rows():
                     process.apart.call(call.method, call.values)
         try:
-            state = (x.told.rows()[-1].state if x.told.length else self._begin) if self._hidden else tuple(x)
+            state = (x.calls.rows()[-1].state if x.calls.length else self._begin) if self._hidden else tuple(x)
             row = (float(t), *state, *values)
             result = process.apart.call(method, row)
         except RunError as error:
@@ -288,8 +288,8 @@ class _C(Block[CParams]):
         if not self._hidden:
             return (x if method == "outputs" else self._next(result)), result
         after = state if method == "outputs" or result[0] else result[1 : self._width]
-        process.told = x.told.after(Told(method, row, after))
-        return Secret(process.told), result
+        process.calls = x.calls.after(Call(method, row, after))
+        return Secret(process.calls), result
 
     # what goes wrong ----------------------------------------------------------------------------------------------
 
@@ -300,7 +300,7 @@ class _C(Block[CParams]):
     def _failure(self, t: int, reason: str) -> RunError:
         return RunError(f"{self.name or self._node}: {self._file} at t = {t / 1e9:.9g} s: {reason}")
 
-    def _gave_up(self, t: int, method: str, values: Row) -> None:
+    def _report_status(self, t: int, method: str, values: Row) -> None:
         """Report that the library has answered by a status of its own, or end the run."""
         self._check(t, method, values)
         self.report(
@@ -336,13 +336,13 @@ class CController(_C, Block[CParams]):
         """Answer one tick by the C function."""
         values = self._values(inputs)
         if self._apart:
-            x, result = self._told(x, "step", t, values)
+            x, result = self._call(x, "step", t, values)
             if result[0] != 0.0:
-                self._gave_up(t, "step", result)
+                self._report_status(t, "step", result)
             return x, self._answer(result, self._width)
         result = self._step((self._place, t, *x, *values))
         if result[0] != 0.0:
-            self._gave_up(t, "step", result)
+            self._report_status(t, "step", result)
             return x, self._answer(result, self._width)
         return self._next(result), self._answer(result, self._width)
 
@@ -353,7 +353,7 @@ class CPlant(_C, Plant[CPlantParams]):
     def outputs(self, x: Any, t: int) -> Mapping[str, Row]:
         """Return the outputs."""
         if self._apart:
-            result = self._told(x, "outputs", t, ())[1]
+            result = self._call(x, "outputs", t, ())[1]
         else:
             result = self._outputs((self._place, t, *x))
         if result[0] != 0.0:
@@ -364,7 +364,7 @@ class CPlant(_C, Plant[CPlantParams]):
         """Move over one period."""
         values = self._values(inputs)
         if self._apart:
-            x, result = self._told(x, "advance", t, values)
+            x, result = self._call(x, "advance", t, values)
         else:
             result = self._advance((self._place, t, *x, *values))
         if result[0] != 0.0:

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
-from softrig_core.guard import tell
+from softrig_core.guard import print_for
 from softrig_core.kit.confined import confine, forbidden
 
 from .instance import Instance, Numbers, Plan, Refusal
@@ -159,7 +159,7 @@ def main() -> None:
 def _confine(folder: str) -> None:
     """Block the FMU's access to network and files, or report why that is not possible."""
     if why := forbidden():
-        tell("fmu", f"{folder} runs with all rights of this user: the system allows no namespaces ({why})")
+        print_for("fmu", f"{folder} runs with all rights of this user: the system allows no namespaces ({why})")
         return
     confine([folder])
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # other rights have cleared it

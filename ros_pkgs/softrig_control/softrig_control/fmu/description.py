@@ -74,7 +74,7 @@ class Variable:
     dims : tuple of int
         Size of an array.
     relative : bool
-        Whether it is a difference, of which the offset of a unit does not count.
+        Whether it is a difference: the offset of its unit is then not applied.
     constant : bool
         Whether it can never be set.
     items : tuple of (str, int)

@@ -60,39 +60,39 @@ class Instance:
         self._model: Any = read_model_description(plan.folder, validate=False)
         self._three = self._model.fmiVersion.startswith("3")
         self._fmu: Any = None
-        self._said: deque[str] = deque(maxlen=2)
+        self._log_lines: deque[str] = deque(maxlen=2)
         self._get = _grouped(plan.outputs)
         self._set = _grouped(plan.inputs)
 
     def _log(self, *arguments: Any) -> None:
-        self._said.append(arguments[-1].decode(errors="replace") if arguments[-1] else "")
+        self._log_lines.append(arguments[-1].decode(errors="replace") if arguments[-1] else "")
 
     def begin(self) -> Numbers:
         """Instantiate again, set the start values, initialise at time 0, and return the outputs."""
-        return self._told(self._begin)
+        return self._checked_call(self._begin)
 
     def advance(self, start: float, end: float, values: Numbers) -> Numbers:
         """Set the inputs, simulate from `start` to `end` (s) with the inputs held, and return the outputs."""
-        return self._told(self._advance, start, end, values)
+        return self._checked_call(self._advance, start, end, values)
 
     def tune(self, values: Sequence[tuple[str, int, tuple[Any, ...]]]) -> None:
         """Set parameters that may change while it runs, each as in `Plan.start`."""
-        self._told(self._tune, values)
+        self._checked_call(self._tune, values)
 
     def keep(self) -> bytes:
         """Return the whole state as bytes; of the same FMU in another process, too."""
-        return self._told(self._keep)
+        return self._checked_call(self._keep)
 
     def restore(self, state: bytes) -> Numbers:
         """Continue from a stored state, and return the outputs."""
-        return self._told(self._restore, state)
+        return self._checked_call(self._restore, state)
 
-    def _told(self, call: Callable[..., Any], *arguments: Any) -> Any:
+    def _checked_call(self, call: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return call(*arguments)
         except Exception as error:  # FMPy raises bare Exceptions as well
             self._fmu = None  # in which state it is nobody knows: not even that it can be freed
-            message = "".join(f"; it says: {text}" for text in self._said if text)
+            message = "".join(f"; it says: {text}" for text in self._log_lines if text)
             if isinstance(error, Refusal):
                 raise Refusal(f"{error}{message}") from None
             name, status = getattr(error, "function", ""), getattr(error, "status", 0)

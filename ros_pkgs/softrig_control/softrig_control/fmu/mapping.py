@@ -119,7 +119,7 @@ def mapped(
 
 
 def _safe(cell: tuple[str, Variable, tuple[float, float]]) -> float:
-    """Return the start value as the port has it: what an input has before anybody spoke."""
+    """Return the start value in the form of the port: the value of an input before its first message."""
     _, variable, (scale, offset) = cell
     if variable.start is None:
         return 0.0

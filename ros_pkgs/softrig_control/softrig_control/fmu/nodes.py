@@ -57,7 +57,7 @@ class FmuParams(BlockParams):
                 has = ", ".join(unit.interfaces) or "none that is known"
                 raise ValueError(f"{unit.path.name} has no interface {self.method}; it has {has}")
             start_values(unit, self.values)
-            if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.says.ports}:
+            if shared := {p.topic for p in self.reads.ports} & {p.topic for p in self.publishes.ports}:
                 raise ValueError(f"{min(shared)} is both an input and an output")
         return self
 
@@ -72,7 +72,7 @@ class FmuParams(BlockParams):
         return self._mapped(self.inputs, False)
 
     @cached_property
-    def says(self) -> Mapped:
+    def publishes(self) -> Mapped:
         """Ports and places of the outputs."""
         return self._mapped(self.outputs, True)
 
@@ -98,16 +98,16 @@ def _values(
     return tuple((v.kind, r, tuple(values)) for r, (v, values) in results.items() if only is None or r in only)
 
 
-class Told:
+class Call:
     """A call of an FMU, linked to the calls before it: an immutable chain."""
 
     __slots__ = ("arguments", "before", "name")
 
-    def __init__(self, before: Told | None, name: str, arguments: tuple[Any, ...]) -> None:
+    def __init__(self, before: Call | None, name: str, arguments: tuple[Any, ...]) -> None:
         self.before, self.name, self.arguments = before, name, arguments
 
 
-def told_before(call: Told | None) -> Iterator[Told]:
+def calls_before(call: Call | None) -> Iterator[Call]:
     """Yield the calls of a chain, the newest first."""
     while call is not None:
         yield call
@@ -121,8 +121,8 @@ class State(NamedTuple):
     """
 
     k: int
-    found: tuple[float, ...]
-    told: Told | None
+    outputs: tuple[float, ...]
+    calls: Call | None
 
 
 class Running:
@@ -158,7 +158,7 @@ class _Fmu(Block[FmuParams]):
     @classmethod
     def ports(cls, params: FmuParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Return the ports that the parameters name."""
-        return (params.reads.ports, params.says.ports) if params.fmu else ((), ())
+        return (params.reads.ports, params.publishes.ports) if params.fmu else ((), ())
 
     @classmethod
     def fixed(cls, params: FmuParams) -> Any:
@@ -182,7 +182,7 @@ class _Fmu(Block[FmuParams]):
             str(unpacked(p.unit.path)),
             p.method == "model_exchange",
             tuple(_cell(x.variable) for x in p.reads.places),
-            tuple(_cell(x.variable) for x in p.says.places),
+            tuple(_cell(x.variable) for x in p.publishes.places),
             _values(start_values(p.unit, p.values)),
             p.steps,
             p.log,
@@ -201,7 +201,7 @@ class _Fmu(Block[FmuParams]):
         for note in self.p.unit.notes:
             self.report(Level.WARN, note, note)
         result = self._asked(0, self._running.begin, self._make)
-        call = None if self.p.unit.serialises or self.realtime else Told(None, "begin", (self._make,))
+        call = None if self.p.unit.serialises or self.realtime else Call(None, "begin", (self._make,))
         return State(0, self._checked(0, result), call)
 
     def go_on(self, x: State, before: FmuParams) -> State:
@@ -217,29 +217,29 @@ class _Fmu(Block[FmuParams]):
         values = tuple(place.into(rows[place.port][place.at]) for place in self.p.reads.places)
         k = x.k + 1
         x, result = self._call(x, "advance", self._now(x.k), self._now(k), values)
-        return State(k, self._checked(k, result), x.told)
+        return State(k, self._checked(k, result), x.calls)
 
     def _call(self, x: State, name: str, *arguments: Any) -> tuple[State, Any]:
         """Call the FMU; return the state that remembers it, and the answer."""
         result = self._asked(x.k, self._running.call, name, *arguments)
-        return x if x.told is None else State(x.k, x.found, Told(x.told, name, arguments)), result
+        return x if x.calls is None else State(x.k, x.outputs, Call(x.calls, name, arguments)), result
 
     def _now(self, k: int) -> float:
         return self._time(k) / 1e9
 
     def _checked(self, k: int, values: tuple[float, ...]) -> tuple[float, ...]:
-        for place, value in zip(self.p.says.places, values, strict=True):
+        for place, value in zip(self.p.publishes.places, values, strict=True):
             if not math.isfinite(value):
                 raise RunError(
-                    f"{self._who()}: {place.variable.name} = {value} at {self._now(k):.9g} s of its time, "
+                    f"{self._label()}: {place.variable.name} = {value} at {self._now(k):.9g} s of its time, "
                     "expected a finite number"
                 )
         return values
 
-    def _said(self, x: State) -> Mapping[str, tuple[float, ...]]:
-        ports = self.p.says.ports
+    def _outputs(self, x: State) -> Mapping[str, tuple[float, ...]]:
+        ports = self.p.publishes.ports
         rows = [[0.0] * port.size for port in ports]
-        for place, value in zip(self.p.says.places, x.found, strict=True):
+        for place, value in zip(self.p.publishes.places, x.outputs, strict=True):
             rows[place.port][place.at] = place.out(value)
         return {port.name: tuple(row) for port, row in zip(ports, rows, strict=True)}
 
@@ -247,9 +247,9 @@ class _Fmu(Block[FmuParams]):
         try:
             return call(*arguments)
         except Refusal as error:
-            raise RunError(f"{self._who()} at {self._now(k):.9g} s of its time: {error}") from None
+            raise RunError(f"{self._label()} at {self._now(k):.9g} s of its time: {error}") from None
 
-    def _who(self) -> str:
+    def _label(self) -> str:
         return f"{self.name or type(self).__name__}: the FMU {self.p.unit.path.name}"
 
     def save(self, x: State) -> tuple[State, bytes | None]:
@@ -262,8 +262,8 @@ class _Fmu(Block[FmuParams]):
         """
         if self.p.unit.serialises:
             return x, self._asked(x.k, self._running.call, "keep")
-        if x.told is None:
-            raise RunError(f"{self._who()} cannot keep its state (canGetAndSetFMUstate, canSerializeFMUstate)")
+        if x.calls is None:
+            raise RunError(f"{self._label()} cannot keep its state (canGetAndSetFMUstate, canSerializeFMUstate)")
         return x, None
 
     def load(self, saved: tuple[State, bytes | None]) -> State:
@@ -272,7 +272,7 @@ class _Fmu(Block[FmuParams]):
         if kept is not None:
             self._asked(x.k, self._running.call, "restore", kept)
         else:
-            for call in reversed([*told_before(x.told)]):
+            for call in reversed([*calls_before(x.calls)]):
                 self._asked(x.k, self._running.call, call.name, *call.arguments)
         return x
 
@@ -286,7 +286,7 @@ class FmuPlant(_Fmu, Plant[FmuParams]):
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return the outputs."""
-        return self._said(x)
+        return self._outputs(x)
 
     def advance(self, x: State, t: int, **inputs: tuple[float, ...]) -> State:
         """Move over one period."""
@@ -303,4 +303,4 @@ class FmuLaw(_Fmu):
     def update(self, x: State, t: int, **inputs: tuple[float, ...]) -> tuple[State, Mapping[str, tuple[float, ...]]]:
         """Answer one tick."""
         x = self._step(x, inputs)
-        return x, self._said(x)
+        return x, self._outputs(x)

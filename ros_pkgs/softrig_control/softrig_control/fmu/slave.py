@@ -174,7 +174,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         if self._k < 0 or abs(self._k * period - self._start) > 1e-6 * period:
             raise ValueError(f"a start at {self._start!r} s, expected a whole number of periods of {period!r} s")
         if isinstance(block, Plant):
-            self._step.say(self._schedule.time(self._k))
+            self._step.answer(self._schedule.time(self._k))
 
     def _get_fmu_state(self) -> dict[str, Any]:
         """Return all that decides how it goes on, as PythonFMU keeps and writes it."""
@@ -207,7 +207,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         step = self._step
         if not self._inputs and not isinstance(step.block, Plant):  # a source has its first value before any step
             kept = step.save()
-            step.say(self._schedule.time(self._k))
+            step.answer(self._schedule.time(self._k))
             step.load(kept)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
@@ -243,9 +243,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         for _ in range(count):
             if isinstance(self._step.block, Plant):
                 self._step.advance(time(self._k))
-                self._step.say(time(self._k + 1))
+                self._step.answer(time(self._k + 1))
             else:
-                self._step.say(time(self._k))
+                self._step.answer(time(self._k))
             self._k += 1
 
 

@@ -74,7 +74,7 @@ class Line:
         parts = (block,) if len(block) <= BLOCK else (block[:BLOCK], block[BLOCK:])
         return Line(self._size, (*blocks[:k], *parts, *blocks[k + 1 :]))
 
-    def taken(self, t: int, since: int, message: Any) -> tuple[Line, int, Any]:
+    def pop_arrived(self, t: int, since: int, message: Any) -> tuple[Line, int, Any]:
         """Remove what has arrived at `t`; return the newest of those from `since` (ns) on, stamp before message.
 
         Where none of them is, that is `since` and `message`.
@@ -146,8 +146,8 @@ class LineRow(NamedTuple):
         begin, end = _insert(self.dues, self.stamps, self.values, self.begin, self.end, due, stamp, message)
         return self._replace(begin=begin, end=end)
 
-    def taken(self, t: int, since: int, message: tuple[float, ...]) -> tuple[LineRow, int, tuple[float, ...]]:
-        """See `Line.taken`."""
+    def pop_arrived(self, t: int, since: int, message: tuple[float, ...]) -> tuple[LineRow, int, tuple[float, ...]]:
+        """See `Line.pop_arrived`."""
         begin, n = self.begin, len(self.blank)
         while begin < self.end and self.dues[begin] <= t:
             if self.stamps[begin] >= since:
@@ -266,7 +266,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
     def _deliver(
         self, newest: int | None, line: Line, held: Sample, k: int, t: int
     ) -> tuple[State, Mapping[str, Sample | tuple[float, ...]]]:
-        line, stamp, data = line.taken(t, held.stamp, held.data)
+        line, stamp, data = line.pop_arrived(t, held.stamp, held.data)
         held = Sample(stamp, data)
         return State(newest, line, held, k), {"arrived": held.data if self.p.restamp else held}
 

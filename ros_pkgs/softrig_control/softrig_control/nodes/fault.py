@@ -142,10 +142,10 @@ class State(NamedTuple):
     """The message before."""
 
     line: Line = Line()
-    said: Message = ()
+    published: Message = ()
     """Handed on last."""
 
-    taken: int = -1
+    newest_acquired: int = -1
     """Stamp of the newest message, of acquisition times."""
 
     newest: int = -1
@@ -219,7 +219,7 @@ class Fault(Block[FaultParams]):
         """Return the state with the switch set by the parameters and no message under way."""
         initial = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
         message = Sample(0, initial) if self.p.delayed else initial
-        return State(self.p.active, stuck=initial, before=message, line=Line(len(initial)), said=message)
+        return State(self.p.active, stuck=initial, before=message, line=Line(len(initial)), published=message)
 
     def params(self, x: State) -> FaultParams:
         """The button moves `active`."""
@@ -269,7 +269,7 @@ class Fault(Block[FaultParams]):
             before = sent
         if kind == "delay":
             last = newest
-            line, newest, late = line.taken(t, newest, sample.data if isinstance(sample, Sample) else sample)
+            line, newest, late = line.pop_arrived(t, newest, sample.data if isinstance(sample, Sample) else sample)
             if newest > last:
                 received, sample = True, Sample(newest, late) if isinstance(sample, Sample) else late
         x = State(on, down, burst, since, stuck, before, line, sample, used, newest, last_due, k)
@@ -278,13 +278,13 @@ class Fault(Block[FaultParams]):
         return x, {"arrived": sample}
 
     def _there(self, t: int) -> bool:
-        """Return whether it is one of the times at which it is there."""
+        """Return whether the fault is active at a time."""
         first, last = self._window
         every, lasts = self._cycle
         return first <= t < last and (not every or (t - first) % every < lasts)
 
     def _lost(self, burst: bool, draws: Sequence[float]) -> bool:
-        """Return whether a message is lost while the fault is there."""
+        """Return whether a message is lost while the fault is active."""
         kind, p = self.p.kind, self.p
         chance = p.probability if not p.burst_begins else p.lost_in_burst if burst else 0.0
         return kind == "silence" or (kind == "loss" and draws[0] < chance)

@@ -118,7 +118,7 @@ class PolicyParams(BlockParams):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        for what, signals, ports in (("observe", self.observe, self.come), ("act", self.act, self.go)):
+        for what, signals, ports in (("observe", self.observe, self.input_ports), ("act", self.act, self.output_ports)):
             known = {f"{p.topic}/{label}" for p in ports for label in p.labels}
             for signal in signals:
                 if signal not in known:
@@ -136,18 +136,20 @@ class PolicyParams(BlockParams):
         return self
 
     @cached_property
-    def come(self) -> tuple[Port, ...]:
+    def input_ports(self) -> tuple[Port, ...]:
         """The inputs that the text describes."""
         return ports_of(self.inputs)
 
     @cached_property
-    def go(self) -> tuple[Port, ...]:
+    def output_ports(self) -> tuple[Port, ...]:
         """The outputs that the text describes."""
         return ports_of(self.outputs)
 
     def bounds(self) -> list[tuple[float, float]]:
         """Least and largest value of each action, within the limits of its port."""
-        limits = {f"{p.topic}/{label}": m for p in self.go for label, m in zip(p.labels, p.limits, strict=True)}
+        limits = {
+            f"{p.topic}/{label}": m for p in self.output_ports for label, m in zip(p.labels, p.limits, strict=True)
+        }
         most = [limits[a] for a in self.act]
         low = self.low or [-m for m in most]
         high = self.high or most
@@ -169,15 +171,15 @@ class Policy(Block[PolicyParams]):
     @classmethod
     def ports(cls, params: PolicyParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """Return the ports of the controller that it replaces."""
-        return params.come, params.go
+        return params.input_ports, params.output_ports
 
     def setup(self) -> None:
         """Find where each signal is, and the policy."""
         p = self.p
-        places = {f"{port.topic}/{label}": (port, k) for port in p.come for k, label in enumerate(port.labels)}
+        places = {f"{port.topic}/{label}": (port, k) for port in p.input_ports for k, label in enumerate(port.labels)}
         self.observed = [places[signal] for signal in p.observe]
         at = {signal: k for k, signal in enumerate(p.act)}
-        self._acted = [(port, [at.get(f"{port.topic}/{label}") for label in port.labels]) for port in p.go]
+        self._acted = [(port, [at.get(f"{port.topic}/{label}") for label in port.labels]) for port in p.output_ports]
         self._bounds = p.bounds()
         self._make = find(p.policy)
         self._policy()

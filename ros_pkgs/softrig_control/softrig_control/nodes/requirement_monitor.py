@@ -143,11 +143,11 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
             lower, upper = self._live.bounds(opened)
             decided = self._live.decided(opened)
             if upper < 0.0 and not violated:
-                self._tell(t, upper)
+                self._report_violation(t, upper)
         outputs = (max(-ENDLESS, min(ENDLESS, lower)), max(-ENDLESS, min(ENDLESS, upper)), float(decided))
         return State(opened, before, lower, upper, decided), {"margin": outputs}
 
-    def _tell(self, t: int, margin: float) -> None:
+    def _report_violation(self, t: int, margin: float) -> None:
         """Report that the requirement is violated, or end the run with that."""
         least = f"{margin:.6g} {self._unit}".rstrip()
         text = f"{self.p.formula} is violated, its margin is at most {least}, known at t = {t / 1e9:.9g} s"

@@ -32,7 +32,7 @@ def signal_port(
     held: bool = False,
     safe: tuple[float, ...] = (),
 ) -> Port:
-    """Create a port of one channel of a JointState; it comes first.
+    """Create a port of one channel of a JointState, the first channel.
 
     Parameters
     ----------

@@ -117,7 +117,7 @@ class UnitDelay(Plant[LinkParams]):
         return State(self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size)
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Return what came in a tick ago."""
+        """Return the input of one tick ago."""
         return {"arrived": x.held}
 
     def advance(self, x: State, t: int, *, sent: tuple[float, ...]) -> State:

@@ -46,13 +46,13 @@ class _Watched(Link):
 
     def __init__(self, step: Step, published: dict[str, Any]) -> None:
         super().__init__(step)
-        self._said, self._topics = published, [p.topic for p in step.outputs]
+        self._published, self._topics = published, [p.topic for p in step.outputs]
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Store an answer."""
         for topic, row in zip(self._topics, rows, strict=True):
             if row is not None:
-                self._said[topic] = row
+                self._published[topic] = row
         super().send(t, rows, numbers)
 
 
@@ -74,7 +74,7 @@ class Now(Mapping[str, float]):
     def __init__(self, rig: Rig) -> None:
         self._known = {f"{t}/{label}": (t, k) for t, p in rig.topics.items() for k, label in enumerate(p.labels)}
         self._shared = names_of(rig, signal_units(rig))
-        self.said: dict[str, Any] = {}
+        self.published: dict[str, Any] = {}
 
     def whole(self, name: str) -> str:
         """Return the whole name of a signal, called by its own or a shared name.
@@ -94,12 +94,12 @@ class Now(Mapping[str, float]):
         if name in self._shared[0]:
             return self._shared[0][name]
         topic, k = self._known[self.whole(name)]
-        row = self.said[topic]
+        row = self.published[topic]
         return float((row.data if isinstance(row, Sample) else row)[k])
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the signals that have a value."""
-        return (name for name, (topic, _) in self._known.items() if topic in self.said)
+        return (name for name, (topic, _) in self._known.items() if topic in self.published)
 
     def __len__(self) -> int:
         """Count them."""
@@ -225,7 +225,7 @@ class RigEnv(gym.Env[Array, Array]):
         self._number = number
         self.steps = steps = wired(self.rig, self.blocks)
         self._agent, self.clock = steps[self._law.name], steps[self.rig.clock.name]
-        self._agent.x = self._agent.x._replace(act=self._take)
+        self._agent.x = self._agent.x._replace(act=self._current_action)
         self.now = Now(self.rig)
         self.run = None
         if self._record:
@@ -233,7 +233,7 @@ class RigEnv(gym.Env[Array, Array]):
             record(self.rig, steps, recording)
             self.run = Run(self.rig, number, recording, blocks=dict(steps))
         for step in steps.values():
-            _Watched(step, self.now.said)
+            _Watched(step, self.now.published)
         _Acts(self._agent, lambda: self._action is None)
         self._action, self._started = None, time.perf_counter()
         self.begin()
@@ -338,7 +338,7 @@ class RigEnv(gym.Env[Array, Array]):
         classes = {m.name: m.block_class for m in self._whole.members if m.name != self._law.name}
         return rig_of(Scenario.model_validate(data), classes=classes)
 
-    def _take(self, _: Sequence[float]) -> list[float]:
+    def _current_action(self, _: Sequence[float]) -> list[float]:
         """Act as the policy of the agent's node: return the action of the current step, once."""
         action, self._action = self._action, None
         assert action is not None
@@ -401,9 +401,8 @@ def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) 
     acted = [now.whole(name) for name in act] if act is not None else list(_limits(law.outputs))
     for signal in acted:
         if signal not in _limits(law.outputs):
-            raise ScenarioError(
-                f"{rig.scenario.name}: act: {law.name} does not say {signal}; it says {', '.join(_limits(law.outputs))}"
-            )
+            known = ", ".join(_limits(law.outputs))
+            raise ScenarioError(f"{rig.scenario.name}: act: {law.name} does not publish {signal}; it publishes {known}")
     parameters: dict[str, Any] = {
         "period": flatten(law.params)["period"],
         "policy": "linear",

@@ -158,7 +158,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             late[j], _, terminated[j], truncated[j], info = self.envs[j].step(given[j])
             if terminated[j]:
                 errors[j] = info["error"]
-            self._told(j)
+            self._store_outputs(j)
 
         begun = self._ended
         for j in np.flatnonzero(begun).tolist():
@@ -199,7 +199,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
             self.now.rows = np.full((ends[-1], self.num_envs), np.nan)
         self.now.rows[:, j] = np.nan
         env.over = lambda: self._after(j)
-        self._told(j)
+        self._store_outputs(j)
         return observation
 
     def _after(self, j: int) -> None:
@@ -207,10 +207,10 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         steps = list(self.envs[j].steps.values())
         self._before[j] = None if self.reason else [(s.x, s.numbers) for s in steps]
 
-    def _told(self, j: int) -> None:
+    def _store_outputs(self, j: int) -> None:
         """Store the outputs of an instance."""
         now = self.envs[j].now
-        for topic, row in now.said.items():
+        for topic, row in now.published.items():
             values = row.data if isinstance(row, Sample) else row
             self.now.rows[self.now.first[topic] : self.now.first[topic] + len(values), j] = values
         self._t[j] = self.envs[j].clock.t / SECOND

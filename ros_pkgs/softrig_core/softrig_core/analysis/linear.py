@@ -165,7 +165,7 @@ def equilibrium(
     ValueError
         As many unknowns as conditions are needed.
     RunError
-        Newton's method did not converge; the error contains how far it came.
+        Newton's method did not converge; the error contains the remaining distance.
     """
     at, inputs = np.array(x, dtype=float), np.array(u, dtype=float)
     evaluate, jacobian = _derivatives(model, at.size, inputs.size)

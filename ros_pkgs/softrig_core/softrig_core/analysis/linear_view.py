@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # of the size of what is moved
 AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
 CHECKED = 10  # periods of the whole over which the linear rig is compared with the rig
-HEARD_FOR = 40  # periods over which each output is compared
+COMPARED_PERIODS = 40  # periods over which each output is compared
 LEFT_OUT = 1e-3  # of its largest value: how far an output may be off, or a hundred times as far as the states are
 LATER = 3  # periods after which an output is looked at again: whether it is another function of the states at each tick
 FOLLOWED = 200  # periods that can be run from where the view is
@@ -412,14 +412,14 @@ def linear_view(
     observed = named
     if opened and outputs is None:
         whole = upstream(place_of(rig, opened).member)
-        observed = [s for s in plants_say(rig) if place_of(rig, s).member.name in whole]
+        observed = [s for s in plant_outputs(rig) if place_of(rig, s).member.name in whole]
     elif outputs is None:
-        observed = plants_say(rig)
+        observed = plant_outputs(rig)
     messages = list(dict.fromkeys([*observed, *([opened] if opened else [])]))
     if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed
-    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, messages)
+    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
     result = StateMap(rig, at, number, messages, [*given, *([opened] if opened else [])], FOLLOWED)
     if opened:
         _check_link(result, opened)
@@ -491,7 +491,7 @@ class LinearAlong(NamedTuple):
 
 def linear_along(
     what: str | Scenario | Rig,
-    periods: int = HEARD_FOR,
+    periods: int = COMPARED_PERIODS,
     *,
     at: float | None = None,
     inputs: Sequence[str] | None = None,
@@ -523,10 +523,10 @@ def linear_along(
     at = max(0.0, rig.scenario.duration) if at is None else at
     if not (math.isfinite(at) and at >= 0.0):
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
-    messages = [signal_of(rig, name) for name in outputs] if outputs is not None else plants_say(rig)
+    messages = [signal_of(rig, name) for name in outputs] if outputs is not None else plant_outputs(rig)
     if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
-    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _sources_say(rig, messages)
+    given = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
     number = rig.scenario.seed if seed is None else seed
     result = StateMap(rig, at, number, messages, given, max(FOLLOWED, periods))
     return Differences(result, messages, given, "").along(periods)
@@ -545,12 +545,12 @@ def _command(rig: Rig) -> str:
     return next(iter(commands)) if len(commands) == 1 else ""
 
 
-def plants_say(rig: Rig) -> list[str]:
+def plant_outputs(rig: Rig) -> list[str]:
     """Return the signals that plants publish at each of their ticks."""
     return [f"{p.topic}/{x}" for m in rig.members if m.is_plant for p in m.outputs if not p.sporadic for x in p.labels]
 
 
-def _sources_say(rig: Rig, texts: Sequence[str]) -> list[str]:
+def _source_inputs(rig: Rig, texts: Sequence[str]) -> list[str]:
     """Return what sources publish to the nodes that count, at least as often as those are due."""
     whole: dict[str, Any] = {}
     for name in texts:
@@ -593,8 +593,8 @@ class Differences:
 
     def __init__(self, state_map: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
         self.map, self.outputs, self.inputs, self.link = state_map, list(outputs), list(inputs), link
-        self.said = self._begin()
-        self.fixed = {link: self.said[link]} if link else {}
+        self.published = self._begin()
+        self.fixed = {link: self.published[link]} if link else {}
         self.heard = [*outputs, *([link] if link else [])]
         # A limit that is not set is infinite, and infinity cannot be moved.
         self.finite = np.isfinite(state_map.start)
@@ -710,7 +710,7 @@ class Differences:
         used: list[int | str] = [*kept, *self.inputs, *([self.link] if self.link else [])]
         worst = max(used, key=lambda key: self.errors[key], default="")
         units = signal_units(m.rig)
-        values = dict(zip(names, m.start[kept].tolist(), strict=True)) | self.said
+        values = dict(zip(names, m.start[kept].tolist(), strict=True)) | self.published
         return LinearView(
             m.rig.scenario.name, m.t, m.period, tuple(names), tuple(self.inputs), tuple(self.outputs[k] for k in on),
             {s: units.get(s, "") for s in m.places}, values, A, B, C[on], D[on], self.link, a, b, c, d,
@@ -730,7 +730,7 @@ class Differences:
         }
         if not readers:
             return f"{member.name} hears nothing of what {link} does: no loop"
-        size = _power(abs(self.said[link]) or 1.0)
+        size = _power(abs(self.published[link]) or 1.0)
 
         def back(height: float) -> list[float]:
             return [outputs[link] for _, outputs in m.go_on(m.start, CHECKED, {link: height}, self.fixed)]
@@ -748,9 +748,11 @@ class Differences:
         return f"no change of {link} comes back there {after}: on the way something rests on a limit, or waits"
 
     def _signal(self, name: str) -> None:
-        if math.isnan(self.said[name]):
-            raise RunError(f"{self.map.rig.scenario.name}: {name} is not said at {self.map.t:g} s: nothing to add to")
-        size = _power(abs(self.said[name]) or 1.0)
+        if math.isnan(self.published[name]):
+            raise RunError(
+                f"{self.map.rig.scenario.name}: {name} is not published at {self.map.t:g} s, so no offset can be added"
+            )
+        size = _power(abs(self.published[name]) or 1.0)
 
         def at(height: float) -> tuple[Array, Array, float, str]:
             given = {name: height}
@@ -848,7 +850,7 @@ class Differences:
         off, sizes = self._off(kept), self._sizes(kept)
         worst = largest = 0.0
         simulated, predicted = [], []
-        for k, (seen, received) in enumerate(self._apart(kept, HEARD_FOR)):
+        for k, (seen, received) in enumerate(self._apart(kept, COMPARED_PERIODS)):
             simulated.append(received)
             predicted.append(C @ off)
             off = A @ off
@@ -877,7 +879,7 @@ class Differences:
             result = {self.outputs[k]: why for k in quiet if late[k]}
         if not far:
             return result
-        seen = np.array([y for _, y in self._apart(kept, HEARD_FOR)])
+        seen = np.array([y for _, y in self._apart(kept, COMPARED_PERIODS)])
         own, off = [], self._off(kept)
         t, start = self.map.t, self.map
         for _ in range(LATER + 1):
@@ -895,7 +897,9 @@ class Differences:
                 why = "follows from no small move at that tick: it belongs to other ticks, counts or goes in steps"
             else:
                 why = "is not smooth: it goes in steps, or belongs to other ticks too"
-            result[self.outputs[k]] = f"{why}; off by {100.0 * error:.3g} % within {HEARD_FOR} periods from {t:.6g} s"
+            result[self.outputs[k]] = (
+                f"{why}; off by {100.0 * error:.3g} % within {COMPARED_PERIODS} periods from {t:.6g} s"
+            )
         return result
 
     def rows(self, kept: list[int]) -> tuple[Array, Array]:

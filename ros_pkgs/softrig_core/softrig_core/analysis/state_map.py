@@ -97,7 +97,7 @@ class _Known(NamedTuple):
 class _Probe(Link):
     """Listens to a value of an output from a tick on, and changes what others get of it."""
 
-    said: float = math.nan
+    value: float = math.nan
     fixed: float | None = None
     added: float = 0.0
 
@@ -119,8 +119,8 @@ class _Probe(Link):
             return value
         data = tuple(row.data if isinstance(row, Sample) else row)
         # The first message of a period is what the linear view is about; NaN marks that it has not come.
-        if math.isnan(self.said):
-            self.said = data[k]
+        if math.isnan(self.value):
+            self.value = data[k]
         new = (data[k] if self.fixed is None else self.fixed) + self.added
         if new == data[k]:
             return value
@@ -192,7 +192,7 @@ class StateMap:
         self._wire(seed, [m.name for m in rig.members if m.name in whole])
         self._every = every // self._loop.plan.stride
         self._first = first * self._every
-        self._come()
+        self._run_to_start()
         self._check()
 
     def _wire(self, seed: int, names: Sequence[str]) -> None:
@@ -201,7 +201,7 @@ class StateMap:
         self._loop, self._tables = Loop(list(self._steps.values())), Tables(self._steps.values())
         self.probes = {name: _Probe(self._steps[place.member.name], place) for name, place in self.places.items()}
 
-    def _come(self) -> None:
+    def _run_to_start(self) -> None:
         """Run to where it begins, and see on the way what changes."""
         # A state's size and whether it moves are seen only along the run, since it may pass zero or rest where the view
         # is.
@@ -350,11 +350,11 @@ class StateMap:
         self._write(numbers, self._kept)
         added, fixed = added or {}, fixed or {}
         for name, probe in self.probes.items():
-            probe.said, probe.added, probe.fixed = math.nan, added.get(name, 0.0), fixed.get(name)
+            probe.value, probe.added, probe.fixed = math.nan, added.get(name, 0.0), fixed.get(name)
         ticks = self._loop.run(self._first)
         for _ in range(periods):
             for probe in self.probes.values():
-                probe.said = math.nan
+                probe.value = math.nan
             for _ in range(self._every):
                 if next(ticks, None) is None:
                     raise RunError(f"{self.rig.scenario.name}: the run ends before {periods} periods of the whole")
@@ -364,7 +364,7 @@ class StateMap:
                     f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "
                     "choose a later time"
                 )
-            yield result, {name: probe.said for name, probe in self.probes.items()}
+            yield result, {name: probe.value for name, probe in self.probes.items()}
 
     def advance(self) -> None:
         """Begin one period of the whole later: where the run that is not moved is then."""

@@ -19,7 +19,7 @@ from ..rig.members import Member, signal_units
 from ..rig.rig import Rig
 from ..run.expand import rig_of
 from ..scenario.scenario import Scenario
-from .linear_view import Array, Differences, plants_say
+from .linear_view import Array, Differences, plant_outputs
 from .state_map import StateMap, is_source, place_of, signal_of, upstream
 
 STEPS = 25
@@ -108,7 +108,7 @@ def steady(
     at = rig.scenario.duration if at is None else at
     if not (math.isfinite(at) and at >= 0.0):
         raise ScenarioError(f"at = {at:g} s: expected 0 or more")
-    observed = plants_say(rig) if outputs is None else [signal_of(rig, name) for name in outputs]
+    observed = plant_outputs(rig) if outputs is None else [signal_of(rig, name) for name in outputs]
     if not observed:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     number = rig.scenario.seed if seed is None else seed

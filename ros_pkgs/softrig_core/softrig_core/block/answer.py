@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Row = tuple[float, ...] | Sample  # what an output says at a tick
 Rows = tuple[Row | None, ...]  # of each output: what it publishes; None for the silence of a sporadic one
-MAPPINGS = (dict, Mapping)  # the first is told at once
+MAPPINGS = (dict, Mapping)  # the first is recognised fastest
 
 
 def answers(value: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
@@ -144,8 +144,8 @@ def parted(outputs: Sequence[Port], numbers: Sequence[float], stamps: Sequence[i
 Messages = Sequence[tuple[int, tuple[float, ...]]]  # (stamp in ns, values) of each, the oldest first
 
 
-class Heard(Messages):
-    """Messages that came in one go, (stamp in ns, values) each; made when they are looked at.
+class ReceivedMessages(Messages):
+    """Messages that arrived together, each (stamp in ns, values); converted when they are accessed.
 
     Parameters
     ----------
@@ -161,14 +161,14 @@ class Heard(Messages):
 
     def __getitem__(self, k: Any) -> Any:
         if isinstance(k, slice):
-            return Heard(self.stamps[k], self.values[k])
+            return ReceivedMessages(self.stamps[k], self.values[k])
         return int(self.stamps[k]), tuple(self.values[k].tolist())
 
     def __iter__(self) -> Iterator[tuple[int, tuple[float, ...]]]:
         return zip(self.stamps.tolist(), map(tuple, self.values.tolist()), strict=True)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, tuple | Heard) and tuple(self) == tuple(other)
+        return isinstance(other, tuple | ReceivedMessages) and tuple(self) == tuple(other)
 
     __hash__ = None  # type: ignore[assignment]
 

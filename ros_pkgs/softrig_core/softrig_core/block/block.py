@@ -206,7 +206,7 @@ class Block(Generic[P]):
         """
         return ()
 
-    def take_first(self) -> Any:
+    def pop_first(self) -> Any:
         """Return the state before the first tick, as `first` does, for the code that holds the block from now on."""
         result, self.__first = self.__first, None
         if result is None:
@@ -301,12 +301,12 @@ class Block(Generic[P]):
     def age(self, name: str) -> int | None:
         """Return the age of an input in ns at the tick under way: how long ago its newest message was stamped.
 
-        None when none has come yet. Outside of a run every input is new.
+        None before the first message. Outside of a run every input is new.
         """
         return 0 if self.ages is None else self.ages(name)
 
     @classmethod
-    def speaks_at_end(cls) -> bool:
+    def ticks_at_end(cls) -> bool:
         """Return whether the block has a tick at the end time of a run: plants, observers, and blocks with `finish`."""
         return cls.FINISHES or issubclass(cls, Plant | Observer)
 

@@ -14,15 +14,15 @@ from types import CodeType
 from typing import TYPE_CHECKING, Any
 
 from .answer import sum_of_products
-from .fill import taking
+from .fill import value_text
 from .link import Link
 from .port import Port, Sample
 
 if TYPE_CHECKING:
     from .step import Step
 
-SAY = """
-def say(t):
+ANSWER = """
+def answer(t):
     step.t = t
     try:
         if step.bad or t >= step.change_at:
@@ -30,11 +30,11 @@ def say(t):
         else:
             {answer} = respond(step.x, t{inputs})
 {checked}
-        step.said = rows
+        step.last_answer = rows
 {failed}
 {kept}
     if events:
-        step.tell()
+        step.store_reports()
 {handed}
 """
 
@@ -45,7 +45,7 @@ def advance(t, values=values):
         step.x = move(step.x, t{inputs})
 {failed}
     if events:
-        step.tell()
+        step.store_reports()
 {over}
 """
 
@@ -61,7 +61,7 @@ PLAIN = """
             step.numbers = numbers = {numbers}
             fits = len(found) == {count} and {sizes}
             fits = fits and type(size := sum_of_products(numbers, numbers)) is float and size <= bound
-        except (KeyError, TypeError, OverflowError):  # told by `checked`
+        except (KeyError, TypeError, OverflowError):  # reported by `checked`
             fits = False
         if not fits:
             {rows} = rows = step.checked(found)
@@ -69,16 +69,16 @@ PLAIN = """
 """
 
 
-def sayer(step: Step) -> Callable[[int], None]:
-    """Create the function that answers a tick (ns) of a step with its present wiring; see `Step.say`."""
+def answerer(step: Step) -> Callable[[int], None]:
+    """Create the function that answers a tick (ns) of a step with its present wiring; see `Step.answer`."""
     fills = step.readers
     known: dict[str, Any] = {"respond": step.respond, "bound": min([port.bound for port in step.outputs], default=0.0)}
     for number, fill in enumerate(fills):
         reader = fill.reader
         known |= {f"values{number}": reader.values, f"reader{number}": reader, f"port{number}": fill.port}
-    wires = tuple([(f.output, f.port.name, taking(f"row{f.output}", f.pick, f.stamp)) for f in fills])
-    text = _say_text(step.plain, step.plant, step.outputs, step.asked_for, wires, _ends(step, known))
-    return _made("say", text, step, known)
+    wires = tuple([(f.output, f.port.name, value_text(f"row{f.output}", f.pick, f.stamp)) for f in fills])
+    text = _answer_text(step.plain, step.plant, step.outputs, step.asked_for, wires, _ends(step, known))
+    return _made("answer", text, step, known)
 
 
 def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
@@ -102,7 +102,7 @@ def _overriding(step: Step, method: str) -> Link | None:
 
 
 @lru_cache(maxsize=256)
-def _say_text(
+def _answer_text(
     plain: bool,
     plant: bool,
     outputs: tuple[Port, ...],
@@ -125,16 +125,16 @@ def _say_text(
     elif outputs:
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
         published = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(outputs)]
-        handed += ["    before = step.spoken", f"    step.spoken = [{', '.join(published)}]"]
+        handed += ["    before = step.published_at", f"    step.published_at = [{', '.join(published)}]"]
     for number, (output, name, used) in enumerate(wires):
         silent = "" if plain else f"if {rows[output]} is not None: "
         if outputs[output].unchecked:
-            handed.append(f"    {silent}reader{number}.doubt(t, port{number}, {used})")
+            handed.append(f"    {silent}reader{number}.receive_unchecked(t, port{number}, {used})")
         else:
             handed.append(f"    {silent}values{number}[{name!r}] = {used}")
     handed += ends
     answer, kept = ("found", "") if plant else ("x, found", "    step.x = x")
-    return SAY.format(
+    return ANSWER.format(
         asked="_, found" if plant else answer,
         answer=answer,
         inputs=_inputs(asked_for),

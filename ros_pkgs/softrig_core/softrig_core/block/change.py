@@ -80,7 +80,7 @@ def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
     return revised  # type: ignore[no-any-return]
 
 
-def _told(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
+def _known_to_others(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
     """Return what others know of ports: a held one gives nothing before its first message, whatever it calls safe."""
     return [[replace(p, safe=()) if p.held and not p.partial else p for p in side] for side in ports]
 
@@ -111,7 +111,7 @@ def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, A
     revised = revise(params, values)
     block_class(revised, name)
     what = ", ".join(values)
-    if _told(block_class.ports(revised)) != _told(block_class.ports(params)):
+    if _known_to_others(block_class.ports(revised)) != _known_to_others(block_class.ports(params)):
         raise ParameterError(f"{what}: the ports would be others, which may not change while running")
     if issubclass(block_class, Fixing) and block_class.fixed(revised) != block_class.fixed(params):
         raise ParameterError(f"{what}: that part of it may not change while running")

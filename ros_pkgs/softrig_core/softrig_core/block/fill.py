@@ -19,8 +19,8 @@ def picked(pick: Pick | None, values: tuple[float, ...]) -> tuple[float, ...]:
     return values if pick is None else tuple([values[p] if type(p) is int else p for p in pick])
 
 
-def taking(row: str, pick: Pick | None, stamp: Stamp) -> str:
-    """Return what `Fill.take` does with a row of that name, as Python text with `t` for the tick of the source."""
+def value_text(row: str, pick: Pick | None, stamp: Stamp) -> str:
+    """Return what `Fill.value_of` does with a row of that name, as Python text with `t` for the tick of the source."""
     if pick is None and stamp != "tick":
         return row
     data = f"{row}.data" if stamp == "own" else row
@@ -64,27 +64,27 @@ class Fill(NamedTuple):
 
     @property
     def silent(self) -> bool:
-        """Return whether it may bring nothing at a tick of its source, or something with another stamp."""
+        """Return whether its source may publish nothing at a tick, or a message with another stamp."""
         port = self.source.outputs[self.output]
         return port.sporadic or port.delayed
 
     @property
-    def doubted(self) -> bool:
+    def checked(self) -> bool:
         """Return whether the input checks what it receives, because a fault may publish bad values."""
         return self.source.outputs[self.output].unchecked
 
-    def take(self, row: Row) -> Row:
+    def value_of(self, row: Row) -> Row:
         """Return what the input gets of the row that the output publishes at the tick of its source."""
         if isinstance(row, Sample):
             return row if self.pick is None else Sample(row.stamp, picked(self.pick, row.data))
         data = picked(self.pick, row)
         return Sample(self.source.t, data) if self.stamp == "tick" else data
 
-    def bring(self, row: Row) -> None:
+    def set_value(self, row: Row) -> None:
         """Copy the numbers of a row that the input reads into the subscriber's values."""
-        self.reader.values[self.port.name] = self.take(row)
+        self.reader.values[self.port.name] = self.value_of(row)
 
-    def told(self) -> int | None:
+    def last_published(self) -> int | None:
         """Return when the output has published last, ns; None: never."""
         source = self.source
-        return source.t if source.plain else source.spoken[self.output]
+        return source.t if source.plain else source.published_at[self.output]

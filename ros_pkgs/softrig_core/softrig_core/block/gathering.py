@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from ..timebase import SECOND
-from .answer import Heard, Messages
+from .answer import Messages, ReceivedMessages
 from .block import Block
 from .link import Link
 from .port import Port, Sample
@@ -47,7 +47,7 @@ class Batched(Protocol):
             The newest tick, ns.
         messages : mapping of str to sequence of (int, tuple of float)
             By input: stamp in ns and values of each message that its ticks have received, the oldest first. Inputs
-            without a publisher are missing. A tuple, or `Heard`.
+            without a publisher are missing. A tuple, or `ReceivedMessages`.
         """
 
 
@@ -64,11 +64,11 @@ class _Seen:
         self.newest = EVER
         self.stamps, self.values = array("q"), array("d")
 
-    def messages(self) -> Heard:
+    def messages(self) -> ReceivedMessages:
         """Return what was collected, and start again."""
         stamps, values = np.frombuffer(self.stamps, np.int64), np.frombuffer(self.values)
         self.stamps, self.values = array("q"), array("d")
-        return Heard(stamps, values.reshape(len(stamps), self._size))
+        return ReceivedMessages(stamps, values.reshape(len(stamps), self._size))
 
 
 class Gathering(Link):
@@ -98,7 +98,7 @@ class Gathering(Link):
             value = values[name]
             if value is None:
                 continue
-            stamp = stamps[name]()  # None: nobody has said anything, it holds what it began with
+            stamp = stamps[name]()  # None: nothing was published, so it holds its initial value
             if type(value) is Sample:
                 stamp, value = value.stamp, value.data
             if stamp is None or stamp > t:
@@ -108,9 +108,9 @@ class Gathering(Link):
                 seen.stamps.append(stamp)
                 seen.values.extend(value)
         self._count, self._t = self._count + 1, t
-        return (x if self._count < self._most else self._taken(x)), NOTHING
+        return (x if self._count < self._most else self._processed(x)), NOTHING
 
-    def _taken(self, x: Any) -> Any:
+    def _processed(self, x: Any) -> Any:
         """Let the block process the collected ticks."""
         if not self._count:
             return x
@@ -120,7 +120,7 @@ class Gathering(Link):
 
     def settle(self) -> None:
         """Process the ticks collected so far."""
-        self.step.x = self._taken(self.step.x)
+        self.step.x = self._processed(self.step.x)
         super().settle()
 
 

@@ -58,15 +58,15 @@ class Held:
     def __init__(self, block: Block) -> None:
         self.reports: Reports = {}
         self.anew: set[str] = set()
-        self.block, self.x = block, block.take_first()
-        self.tell()
+        self.block, self.x = block, block.pop_first()
+        self.store_reports()
 
     @property
     def params(self) -> BlockParams:
         """The block's present parameters."""
         return self.block.params(self.x) if isinstance(self.block, Steered) else self.block.p
 
-    def tell(self) -> None:
+    def store_reports(self) -> None:
         """Store the block's reports of a tick that counts."""
         for event in self.block.events:
             self.note(*event)
@@ -143,7 +143,7 @@ class ByHand(Held):
         self.block.reset(seed)
         self.reports.clear()
         self.anew.clear()
-        self.x = self.block.take_first()
+        self.x = self.block.pop_first()
 
     def update(self, t: int, /, **inputs: Any) -> Any:
         """Answer a tick; return the values."""
@@ -154,21 +154,21 @@ class ByHand(Held):
         return self._keep(self.block.finish(self.x, t, **inputs))  # type: ignore[attr-defined]
 
     def refused(self, t: int) -> Any:
-        """Answer a tick of which something was refused."""
+        """Answer a tick at which an input was rejected."""
         return self._keep(self.block.refused(self.x, t))
 
     def outputs(self, t: int) -> Any:
         """Return what a plant shows."""
         result = self.block.outputs(self.x, t)  # type: ignore[attr-defined]
-        self.tell()
+        self.store_reports()
         return result
 
     def advance(self, t: int, /, **inputs: Any) -> None:
         """Move a plant one period on."""
         self.x = self.block.advance(self.x, t, **inputs)  # type: ignore[attr-defined]
-        self.tell()
+        self.store_reports()
 
     def _keep(self, answer: tuple[Any, Any]) -> Any:
         self.x, result = answer
-        self.tell()
+        self.store_reports()
         return result

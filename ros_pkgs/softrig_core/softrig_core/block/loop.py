@@ -1,6 +1,6 @@
 """Definition of a tick in all placements: `doc/tick.md` shows the source of these functions.
 
-`say` and `move` answer a node's first tick. For all later ticks `bound.py` generates the same code with the node's
+`answer` and `move` answer a node's first tick. For all later ticks `bound.py` generates the same code with the node's
 names in it, which runs in half the time.
 """
 
@@ -21,7 +21,7 @@ KNOWN = 10_000  # ticks of which it is kept who is due
 YOUNG = 200_000  # new objects between two searches for reference cycles: what a tick makes dies with it
 
 
-def say(step: Step, t: int) -> None:
+def answer(step: Step, t: int) -> None:
     """Answer a tick: a plant publishes its outputs, any other block reads its inputs and answers.
 
     Raises
@@ -33,10 +33,10 @@ def say(step: Step, t: int) -> None:
     try:
         x, result = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
         rows = step.checked(result)  # size, finite, within Port.limits
-        step.x, step.said = x, rows
+        step.x, step.last_answer = x, rows
     except Exception as error:
         step.fail(error)
-    step.tell()  # only now counts what the block has reported
+    step.store_reports()  # only now counts what the block has reported
     step.hand_on(t, rows)  # to the inputs that they fill in this process, then to the link
     if not step.plant and step.link is not None:
         step.link.over(t)
@@ -48,14 +48,14 @@ def move(step: Step, t: int, values: Mapping[str, Any] | None = None) -> None:
     Raises
     ------
     RunError
-        See `say`.
+        See `answer`.
     """
     step.t = t
     try:
         step.x = step.move(step.x, t, **(step.values if values is None else values))
     except Exception as error:
         step.fail(error)
-    step.tell()
+    step.store_reports()
     if step.link is not None:
         step.link.over(t)
 
@@ -137,11 +137,11 @@ class Loop:
             t = plan.clock.time(k)
             plants, others = self._known.get(k % self._again) or self._due(k)
             for plant in plants:
-                plant.say(t)
+                plant.answer(t)
             # At the end only plants, observers and blocks with a last word answer (`Schedule.at_end`). Before it that
             # is not asked: a question for each member and tick costs as much as a quick law.
             lacking = _answer(others if k < ends else [s for s in others if plan.answers(s.schedule, k)], t)
-            while lacking:  # what it waits for may need what another one here has to say
+            while lacking:  # what it waits for may need what another one here has to answer
                 yield None
                 lacking = _answer(lacking, t)
             for plant in plants:
@@ -168,5 +168,5 @@ def _answer(steps: Sequence[Step], t: int) -> list[Step]:
         if behind or (step.waits and step.waits.lacks(t)):
             lacking.append(step)
         else:
-            step.say(t)
+            step.answer(t)
     return lacking

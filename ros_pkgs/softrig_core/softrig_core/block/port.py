@@ -34,7 +34,7 @@ class Sample(NamedTuple):
 
 
 def twice(names: Iterable[str]) -> str | None:
-    """Return the first name that comes a second time; None when each is there once."""
+    """Return the first name that occurs twice; None if there is none."""
     seen: set[str] = set()
     for name in names:
         if name in seen:

@@ -170,7 +170,7 @@ class Schedule:
         return held if self.last is None or held <= self.last else self.last
 
     def count(self) -> int:
-        """Return the number of ticks at which the block speaks in the run."""
+        """Return the number of ticks at which the block publishes in the run."""
         if self.last is None:
             raise ValueError("the run has no end")
         return self.tick(self.last) + 1

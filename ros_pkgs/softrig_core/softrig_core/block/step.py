@@ -12,12 +12,12 @@ from typing import Any, NoReturn
 from ..errors import RunError, describe
 from .answer import Row, Rows, answers, flat
 from .block import Block, Level, Plant
-from .bound import mover, sayer
+from .bound import answerer, mover
 from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
 from .held import Held
 from .link import Link
-from .loop import move, say
+from .loop import answer, move
 from .params import flatten
 from .port import Port, Sample
 from .schedule import Schedule
@@ -56,7 +56,7 @@ class Step(Held):
         Whether every output publishes at each tick, with the stamp of the tick.
     numbers : tuple of float
         For a plain step: all numbers of the newest answer.
-    say : callable
+    answer : callable
         Called with t, ns: answers that tick, passes the answer to the readers in this process, and publishes it. A
         RunError whose `node` is the name of this step means that the block failed or returned an invalid value. The
         function is generated at the first tick (`bound.py`), so all inputs and outputs must be wired by then. It is
@@ -77,11 +77,11 @@ class Step(Held):
     """
 
     TABLES = (*Held.TABLES, "values", "counts")
-    VALUES = ("said", "numbers", "spoken", "t", "bad", "changes", "change_at", "unanswered", "begun")
+    VALUES = ("last_answer", "numbers", "published_at", "t", "bad", "changes", "change_at", "unanswered", "begun")
 
     native: tuple[int, str] = (0, "")
 
-    say: Callable[[int], None]
+    answer: Callable[[int], None]
     advance: Callable[..., None]
 
     def __init__(
@@ -104,9 +104,10 @@ class Step(Held):
         self.begun: int | None = None
         self.counts = {p.name: 0 for p in outputs}
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
-        self.spoken: list[int | None] = [None] * len(outputs)  # if it is not plain: when each output published last
+        # if it is not plain: when each output published last
+        self.published_at: list[int | None] = [None] * len(outputs)
         self.numbers: tuple[float, ...] = ()
-        self.said: Rows = ()  # the newest answer that was admitted; it is held when an input is rejected
+        self.last_answer: Rows = ()  # the newest answer that was admitted; it is held when an input is rejected
         self.readers: list[Fill] = []
         self.plant = isinstance(block, Plant)
         block.ages = self.age
@@ -124,8 +125,8 @@ class Step(Held):
         self._asking = None if link is None else link.overriding("respond")
         self.waits = None if link is None else link.overriding("lacks")
         # The text of a turn names what is wired, and more may be wired up to the first tick; that tick goes through the
-        # loop's own functions (`loop.say`), so that each run holds both forms against each other once.
-        self.say, self.advance = self._first_say, self._first_advance
+        # loop's own functions (`loop.answer`), so that each run holds both forms against each other once.
+        self.answer, self.advance = self._first_answer, self._first_advance
 
     @property
     def unanswered(self) -> int:
@@ -164,14 +165,14 @@ class Step(Held):
     # what a tick is -----------------------------------------------------------------------------------------------
 
     def make(self) -> None:
-        """Generate `say` and `advance` once all is wired, because in real time the first tick has no time for it."""
-        self.say = sayer(self)
+        """Generate `answer` and `advance` once all is wired, because in real time the first tick has no time for it."""
+        self.answer = answerer(self)
         if self.plant:
             self.advance = mover(self)
 
-    def _first_say(self, t: int) -> None:
-        say(self, t)
-        self.say = sayer(self)
+    def _first_answer(self, t: int) -> None:
+        answer(self, t)
+        self.answer = answerer(self)
 
     def _first_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
         move(self, t, values)
@@ -190,21 +191,22 @@ class Step(Held):
 
     def hand_on(self, t: int, rows: Rows) -> None:
         """Forward what is not an answer of the block to subscribers in this and other processes."""
-        # This comes before any reader is filled: the age of what it gets counts from these times (`Fill.told`).
+        # This comes before any reader is filled: the age of what it gets counts from these times
+        # (`Fill.last_published`).
         if not self.plain:
             self.mark(t, rows)
         for fill in self.readers:
             row = rows[fill.output]
-            if row is not None and fill.doubted:
-                fill.reader.doubt(t, fill.port, fill.take(row))
+            if row is not None and fill.checked:
+                fill.reader.receive_unchecked(t, fill.port, fill.value_of(row))
             elif row is not None:
-                fill.bring(row)
+                fill.set_value(row)
         if self.link is not None:
             self.link.send(t, rows, self.numbers)
 
     def mark(self, t: int, rows: Rows) -> None:
         """Store when each output has published last; a plain step needs no such list."""
-        self.spoken = [s if row is None else t for s, row in zip(self.spoken, rows, strict=True)]
+        self.published_at = [s if row is None else t for s, row in zip(self.published_at, rows, strict=True)]
 
     def status(self) -> Mapping[str, tuple[float, str]]:
         """Return the figures of an observer after it has processed all its messages; see `Observer.status`."""
@@ -213,7 +215,7 @@ class Step(Held):
         return super().status()
 
     def age(self, name: str) -> int | None:
-        """Answer `Block.age`: from the stamp of what an input holds to the tick under way, ns; None: nothing came."""
+        """Answer `Block.age`: from the stamp of an input to the current tick, ns; None before a message."""
         newest = self.stamps.get(name)
         if newest is None or (stamp := newest()) is None:
             return None
@@ -224,7 +226,7 @@ class Step(Held):
 
     def held(self) -> Mapping[str, Any]:
         """Return the newest outputs, initially the safe values; sporadic ports are left out."""
-        values = self.said or (None,) * len(self.outputs)
+        values = self.last_answer or (None,) * len(self.outputs)
         return {
             p.name: row or (Sample(self.t, p.safe) if p.delayed else p.safe)
             for p, row in zip(self.outputs, values, strict=True)
@@ -233,7 +235,7 @@ class Step(Held):
 
     def newest(self, name: str) -> Any:
         """Return what an output published at the newest tick; None: nothing."""
-        return next((row for p, row in zip(self.outputs, self.said, strict=False) if p.name == name), None)
+        return next((row for p, row in zip(self.outputs, self.last_answer, strict=False) if p.name == name), None)
 
     def refused(self, t: int) -> Any:
         """Answer a tick for which a message was rejected."""
@@ -305,10 +307,10 @@ class Step(Held):
         stamp: Stamp = "own" if self.outputs[k].delayed else "tick" if port.delayed else "none"
         fill = reader.fed[name] = Fill(self, k, reader, port, pick, stamp)
         # A plant that rejects a value ends the run; by then all other inputs are filled.
-        self.readers = sorted([*self.readers, fill], key=lambda one: one.doubted)
-        reader.stamps[name] = fill.told
+        self.readers = sorted([*self.readers, fill], key=lambda one: one.checked)
+        reader.stamps[name] = fill.last_published
 
-    def doubt(self, t: int, port: Port, values: Row) -> None:
+    def receive_unchecked(self, t: int, port: Port, values: Row) -> None:
         """Accept a message that may be bad, such as one from a wire; what an input rejects never reaches the block.
 
         Raises
@@ -329,7 +331,7 @@ class Step(Held):
     def fail(self, error: Exception) -> NoReturn:
         """Raise what the block has raised as an error that names the step and the time; what it reported counts."""
         # What the block reported before it failed may explain the failure.
-        self.tell()
+        self.store_reports()
         if isinstance(error, RunError):
             error.node = self.name
             raise error

@@ -84,7 +84,7 @@ class AdsLine(RemoteLine):
         self._first, self.joined = True, False
         self._missing.clear()
         self._seen = b""  # the answer that was read last
-        self._heard = self._clock()
+        self._answered_at = self._clock()
 
     def ask(self, kind: Kind, values: bytes) -> bytes:
         """Write a request until it is answered, and return the answer.
@@ -122,7 +122,7 @@ class AdsLine(RemoteLine):
         self._next()
         answer = self._answer(values, end)
         if answer is None:
-            self._lose(self._number, self._heard)
+            self._lose(self._number, self._answered_at)
         return answer
 
     def _shut(self, connection: Plc) -> None:
@@ -144,7 +144,7 @@ class AdsLine(RemoteLine):
             return None
         while True:
             result = self._done(self._read, end)
-            if result is None or (answer := self._taken(result)) is not None:
+            if result is None or (answer := self._awaited_values(result)) is not None:
                 return answer if result is not None else None
             if self._clock() >= end:
                 return None
@@ -153,7 +153,7 @@ class AdsLine(RemoteLine):
     def _read(self, plc: Plc) -> bytes:
         return plc.read(HEAD.size + self.build.layout.answer.size + TAIL.size)
 
-    def _taken(self, data: bytes) -> bytes | None:
+    def _awaited_values(self, data: bytes) -> bytes | None:
         """Return the values of an answer if it is the one that is awaited."""
         number, session = HEAD.unpack_from(data)
         fresh, self._seen = data != self._seen, data
@@ -170,7 +170,7 @@ class AdsLine(RemoteLine):
         if not all(map(math.isfinite, self.build.layout.answer.unpack(answer))):
             self.counts.damaged += fresh
             return None
-        self._first, self._heard = False, self._clock()
+        self._first, self._answered_at = False, self._clock()
         return answer
 
     # the connection -------------------------------------------------------------------------------------------------
@@ -188,7 +188,7 @@ class AdsLine(RemoteLine):
                 f"the program at {self.port} has build {build!r}, expected {self.build.digest!r}; "
                 "load the program that the scenario names, or name that of the PLC"
             )
-        self._heard, self.joined = self._clock(), True
+        self._answered_at, self.joined = self._clock(), True
         return True
 
     def _there(self, wait: float) -> bool:
@@ -287,7 +287,7 @@ class Connected:
         try:
             self.wait(wait)
             with _unreachable(pyads.ADSError):
-                self._request, self._reply, self._said = (
+                self._request, self._reply, self._build = (
                     self._connection.get_handle(f"{program}.{name}") for name in ("request", "answer", "build")
                 )
         except OSError:
@@ -296,7 +296,7 @@ class Connected:
 
     def build(self) -> str:
         """See `Plc.build`."""
-        return self._bytes(self._said, BUILD).split(b"\0")[0].decode("ascii", "replace")
+        return self._bytes(self._build, BUILD).split(b"\0")[0].decode("ascii", "replace")
 
     def write(self, data: bytes) -> None:
         """See `Plc.write`."""

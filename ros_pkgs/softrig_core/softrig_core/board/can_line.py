@@ -70,16 +70,16 @@ class CanLine(RemoteLine):
         self._run = (self._run + 1) % RUNS
         self._tick = -1
         self._parts: Parts = {}  # of the answer that is awaited or was taken last
-        self._heard: dict[Key, float] = {}
+        self._received_at: dict[Key, float] = {}
         self._missing.clear()
         self._ready: int | None = None  # the build that the node has said
         self._asked = -math.inf  # when the node was asked for its build
         self.joined = self._messages.ready is None
 
-    def told(self) -> str:
+    def remarks(self) -> str:
         """Return what was unusual, in words; empty when nothing was."""
         limited = f"limited to the range in the DBC: {', '.join(self._limited)}" if self._limited else ""
-        return "; ".join(filter(None, (self.counts.told(), limited)))
+        return "; ".join(filter(None, (self.counts.remarks(), limited)))
 
     def ask(self, kind: Kind, values: bytes) -> bytes:
         """Send the inputs of the next tick until they are answered, and return the answer.
@@ -122,13 +122,13 @@ class CanLine(RemoteLine):
         self._send(self._row(values))
         if self._messages.ready is None:
             self._pump()
-            oldest = min(self._heard.get(key, -math.inf) for key in self._back)
+            oldest = min(self._received_at.get(key, -math.inf) for key in self._back)
             if self._clock() - oldest <= self.timeout:
                 return self._answer()
         elif self._await(self._complete, end):
             return self._answer()
         else:
-            self._lose(self._tick, max(self._heard.values(), default=-math.inf))
+            self._lose(self._tick, max(self._received_at.values(), default=-math.inf))
             return None
         self.counts.lost += 1
         return None
@@ -168,7 +168,7 @@ class CanLine(RemoteLine):
         if self._ready != int(self.build.digest, 16):
             raise RunError(f"the node at {self.port} has build {self._ready:08x}, expected {self.build.digest}")
         self.joined = True
-        self._heard = {(0, False): self._clock()}
+        self._received_at = {(0, False): self._clock()}
         return True
 
     # frames -------------------------------------------------------------------------------------------------------
@@ -201,13 +201,13 @@ class CanLine(RemoteLine):
             if not self._there():
                 self._sleep(min(left, REOPEN / 4))
             elif (message := self._received(left)) is not None:
-                self._take(message)
+                self._process(message)
         return True
 
     def _pump(self) -> None:
         """Process the frames that have arrived."""
         while self._there() and (message := self._received(0.0)) is not None:
-            self._take(message)
+            self._process(message)
 
     def _received(self, wait: float) -> Any:
         """Return the next frame if one arrives; an adapter's line that python-can cannot read counts as damaged."""
@@ -222,7 +222,7 @@ class CanLine(RemoteLine):
             self._sleep(PAUSE)
         return None
 
-    def _take(self, message: Any) -> None:
+    def _process(self, message: Any) -> None:
         if message.is_error_frame or message.is_remote_frame:
             return
         key, data = (message.arbitration_id, message.is_extended_id), bytes(message.data)
@@ -242,7 +242,7 @@ class CanLine(RemoteLine):
         elif tick is None or tick == self._tick:
             self._same(key, values if tick is not None else None)
             self._parts[key] = values
-            self._heard[key] = self._clock()
+            self._received_at[key] = self._clock()
         elif not self._missing.late(tick):
             self.counts.strays += 1
 

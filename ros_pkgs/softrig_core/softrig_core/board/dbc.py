@@ -138,7 +138,7 @@ def printed(node: str, inputs: Sequence[Port], outputs: Sequence[Port], first_id
 
 
 def _parts(values: Sequence[Value]) -> list[list[Value]]:
-    """Return the values by message, each of which begins with the number of the tick and of the run."""
+    """Return the values by message; each message begins with the number of the tick and of the run."""
     parts: list[list[Value]] = [[]]
     used = HEAD
     for value in values:
@@ -209,7 +209,7 @@ def messages_of(file: Path, node: str, inputs: Sequence[Port], outputs: Sequence
     where = f"link: {file}"
     database = _loaded(file, where)
     to, back = values_of(inputs, "held"), values_of(outputs, "sporadic")
-    read = {way: _found(database, f"{node}_{way}", values, where) for way, values in (("to", to), ("from", back))}
+    read = {way: _frames_of(database, f"{node}_{way}", values, where) for way, values in (("to", to), ("from", back))}
     (hello, requests), (ready, answers) = read["to"], read["from"]
     if ready is not None and hello is None:
         raise ScenarioError(f"{where}: {node}_from_0 needs {node}_to_0; export the DBC again")
@@ -246,7 +246,7 @@ def _parsed(text: str) -> Any:
     return cantools.database.load_string(text, database_format="dbc")
 
 
-def _found(database: Any, prefix: str, values: Sequence[Value], where: str) -> tuple[Frame | None, list[Frame]]:
+def _frames_of(database: Any, prefix: str, values: Sequence[Value], where: str) -> tuple[Frame | None, list[Frame]]:
     """Return the message that begins a run, and those with values."""
     greeting, frames, places = None, [], {value.name: k for k, value in enumerate(values)}
     seen: set[str] = set()

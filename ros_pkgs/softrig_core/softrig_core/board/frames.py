@@ -87,10 +87,10 @@ class Splitter:
     """Cuts a stream of bytes at its zeros."""
 
     def __init__(self) -> None:
-        self._rest = b""
+        self._partial = b""
 
-    def take(self, data: bytes) -> list[bytes]:
+    def split_frames(self, data: bytes) -> list[bytes]:
         """Return the complete pieces between two zeros; empty ones are left out."""
-        *whole, self._rest = (self._rest + data).split(b"\0")
-        self._rest = self._rest[-LONGEST:]
+        *whole, self._partial = (self._partial + data).split(b"\0")
+        self._partial = self._partial[-LONGEST:]
         return [piece for piece in whole if piece]

@@ -61,7 +61,7 @@ class Counts:
     reopened: int = 0
     rejoined: int = 0
 
-    def told(self) -> str:
+    def remarks(self) -> str:
         """Return what was unusual, in words; empty when nothing was."""
         return ", ".join(f"{n} {name}" for name, n in asdict(self).items() if n and name != "sent")
 
@@ -149,7 +149,7 @@ class Line:
         self._session = 0
         self._tried = clock() - REOPEN
         self._newest: Frame | None = None  # the answer that was taken last
-        self._heard = 0.0
+        self._received_at = 0.0
         self.counts = Counts()
         self._missing = Missing(self.counts)
         self.joined = False
@@ -167,9 +167,9 @@ class Line:
         self._params = params
         self.joined = False
 
-    def told(self) -> str:
+    def remarks(self) -> str:
         """Return what was unusual, in words; empty when nothing was."""
-        return self.counts.told()
+        return self.counts.remarks()
 
     def close(self) -> None:
         """Close the port."""
@@ -230,7 +230,7 @@ class Line:
         return f"no board answers at {self.port}" + (f" ({strays} frames are answers to others)" if strays else "")
 
     def _restarted(self) -> str:
-        """Report that the board is there and has restarted, when it is."""
+        """Report, if it is so, that the board answers and has restarted."""
         self.begin(self._params)
         while self._there():
             self._join(self._clock() + self.timeout)
@@ -254,15 +254,15 @@ class Line:
                 return None
             self.counts.rejoined += self._known
             self._known = True
-            self._heard = self._clock()
+            self._received_at = self._clock()
         number = self._next()
         self._send(number, kind, values)
         frame = self._await(number, end)
         if frame is not None:
-            self._heard = self._clock()
+            self._received_at = self._clock()
             return frame.values
         self._missing.add(number)
-        if self._clock() - self._heard > self.timeout:  # it may have restarted
+        if self._clock() - self._received_at > self.timeout:  # it may have restarted
             self.begin(self._params)
         return None
 
@@ -420,7 +420,7 @@ class Line:
         except OSError:
             self._gone()
             return
-        for piece in self._splitter.take(data):
+        for piece in self._splitter.split_frames(data):
             frame = read(piece, self._session)
             if frame is None or frame.kind not in (Kind.HELLO, Kind.ANSWER):
                 self.counts.damaged += 1

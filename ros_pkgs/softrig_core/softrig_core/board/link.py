@@ -93,7 +93,7 @@ class Linked(Elsewhere):
         if not self._lines:
             return {"board": "not connected yet"}
         line = self._lines[0]
-        return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.told() or 'all answered'}"}
+        return {"board": f"{self.ENTRY.port}, {line.counts.sent} frames; {line.remarks() or 'all answered'}"}
 
     def void(self, x: LinkState) -> str:
         """Return why a run in real time is not judged: no answer arrived, or none in the timeout before its end."""
@@ -120,7 +120,7 @@ class Linked(Elsewhere):
             Lockstep: the board does not answer, or its code has given the tick up.
         """
         line = self._connected(x)
-        remarks = line.told()
+        remarks = line.remarks()
         values = _packed(self._layout.step, row)
         answer = self._live(line, x.k, values) if self.realtime else self._paired(line, x.k, values)
         if answer is not None and len(answer) != self._layout.answer.size:
@@ -132,8 +132,8 @@ class Linked(Elsewhere):
         )
         if status and not self.realtime:
             raise RunError(f"{status}: an error in the block, or a number beyond the limit of its port")
-        if line.told() != remarks:
-            self.report(Level.WARN, "link", line.told())
+        if line.remarks() != remarks:
+            self.report(Level.WARN, "link", line.remarks())
         if status or result is None:
             self.report(Level.ERROR, "board", f"{status}: the safe values are published")
             return {name: Sample(t, row) if name in self._delayed else row for name, row in self._safe.items()}
@@ -184,7 +184,7 @@ class LinkedLaw(Linked):
 
 
 class LinkedPlant(Linked):
-    """A plant on a board: a frame moves it on and brings its next outputs."""
+    """A plant on a board: a frame advances it and returns its next outputs."""
 
     def outputs(self, x: LinkState, t: int) -> Mapping[str, Any]:
         """Return what the board answers."""

@@ -45,9 +45,9 @@ class RemoteLine(ABC):
     def begin(self, params: bytes) -> None:
         """Begin a session with the next request; the other side has its own parameters, so `params` is empty."""
 
-    def told(self) -> str:
+    def remarks(self) -> str:
         """Return what was unusual, in words; empty when nothing was."""
-        return self.counts.told()
+        return self.counts.remarks()
 
     def close(self) -> None:
         """Close the connection."""

@@ -90,20 +90,20 @@ class Simulated(FileWire):
         here, there = socket.socketpair()
         with there:
             end = there.fileno()
-            self._said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the port
+            self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the port
             # Ctrl-C in a terminal is for the run: a board that ended before it would be taken for one that has failed.
             self._process = subprocess.Popen(
-                command, stdin=end, stdout=end, stderr=self._said, preexec_fn=_end_with_parent, process_group=0
+                command, stdin=end, stdout=end, stderr=self._output, preexec_fn=_end_with_parent, process_group=0
             )
         super().__init__(here, here.fileno())
 
-    def told(self) -> dict[str, int]:
+    def end_and_count(self) -> dict[str, int]:
         """End the simulator and return what it counted; empty of one that counts nothing."""
         self._port.shutdown(socket.SHUT_WR)
         try:
             self._process.wait(END)
-            self._said.seek(0)
-            counted = next(line for line in self._said if line.startswith(b"{"))  # libsimavr has lines of its own
+            self._output.seek(0)
+            counted = next(line for line in self._output if line.startswith(b"{"))  # libsimavr has lines of its own
             return dict(json.loads(counted))
         except (ValueError, RecursionError, StopIteration, subprocess.TimeoutExpired):
             return {}
@@ -117,7 +117,7 @@ class Simulated(FileWire):
         except subprocess.TimeoutExpired:  # a program that does not want to end
             self._process.kill()
             self._process.wait()
-        self._said.close()
+        self._output.close()
 
 
 _LIBC = ctypes.CDLL(None)

@@ -41,7 +41,7 @@ class Quantity:
         value = row.get(self.name, math.nan)
         return value if math.isfinite(value) else self.rest
 
-    def said(self, row: Row, form: str = ".1f", unit: str | None = None) -> str:
+    def text_of(self, row: Row, form: str = ".1f", unit: str | None = None) -> str:
         """Write the value with its unit.
 
         Parameters
@@ -82,9 +82,9 @@ class Drawing:
         self.rig, self.plant = rig, plant
         self.p: Any = plant.params
         self._units = signal_units(rig)
-        self._found: dict[str, None] = {}
+        self._names: dict[str, None] = {}
         self.setup()
-        self.signals = tuple(self._found)
+        self.signals = tuple(self._names)
 
     def setup(self) -> None:
         """Name the quantities and take what is needed of the parameters."""
@@ -100,7 +100,7 @@ class Drawing:
         Parameters
         ----------
         row : mapping of str to float
-            The newest value of each signal; what is missing or not finite rests, and its label says so.
+            The newest value of each signal; one that is missing or not finite is drawn at rest and labelled so.
         past : sequence of mappings
             Earlier rows of the last `trail` s, oldest first.
 
@@ -137,7 +137,7 @@ class Drawing:
         name = f"{topic}/{label}"
         if name not in self._units:
             return Quantity("", rest=at_rest)
-        self._found[name] = None
+        self._names[name] = None
         return Quantity(name, pretty_unit(self._units[name]), at_rest)
 
     def _port(self, name: str, label: str) -> Port | None:

@@ -49,7 +49,7 @@ class Robot(Drawing):
         self.base = scene.base
         robot = ElementTree.fromstring(scene.description)
         self.title = f"{robot.get('name', 'robot').replace('_', ' ').capitalize()} from its URDF and joint positions"
-        self.camera, self.ground = self._look()
+        self.camera, self.ground = self._view()
 
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
         """Ground, shadow, path, links; then the values."""
@@ -67,8 +67,8 @@ class Robot(Drawing):
         self._force(pen, row, tip)
         rows = []
         for name, joint, torque in zip(self.names, self.joints, self.torques, strict=True):
-            rows += [(re.sub(r"_|(?<=\D)(?=\d)", " ", name).capitalize(), joint.said(row, ".3f"), "line")]
-            rows += [("torque", torque.said(row), "muted")] if torque.name else []
+            rows += [(re.sub(r"_|(?<=\D)(?=\d)", " ", name).capitalize(), joint.text_of(row, ".3f"), "line")]
+            rows += [("torque", torque.text_of(row), "muted")] if torque.name else []
         if self.push:
             size = math.hypot(*(f(row) for f in self.push))
             rows += [("Force", f"{size:.1f} {self.push[0].unit}", "alarm")]
@@ -90,7 +90,7 @@ class Robot(Drawing):
             left = [pose for pose in left if pose.child not in where]
         return {name: place for name, (place, _) in where.items()}
 
-    def _look(self) -> tuple[Camera, float]:
+    def _view(self) -> tuple[Camera, float]:
         """Return the camera that sees the robot's work widest, and the half side of the ground that is drawn."""
         limits = _limits(self.scene.description)
         draw = Random(0)

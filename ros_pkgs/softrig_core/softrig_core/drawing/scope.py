@@ -44,7 +44,7 @@ def scope(
 
 
 def _newest(past: Sequence[Row], row: Row, points: int) -> list[Row]:
-    """Pick rows evenly; the first stands for what was before it."""
+    """Pick rows evenly; the first represents those before it."""
     rows = [*past, row]
     step = max((len(rows) - 1) / (points - 1), 1.0)
     return [rows[max(0, len(rows) - 1 - round(step * (points - 1 - k)))] for k in range(points)]
@@ -60,7 +60,7 @@ def plane(
     full: tuple[float, float, float, float],
     points: int = 60,
 ) -> None:
-    """Draw where a pair of values has come from and where it is.
+    """Draw the path of a pair of values and its present point.
 
     Parameters
     ----------

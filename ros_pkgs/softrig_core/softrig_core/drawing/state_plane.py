@@ -42,7 +42,7 @@ class StatePlane(Drawing):
 
     def values(self, pen: Pen, row: Row) -> None:
         """Write states, cell and delay."""
-        rows = [(n, q.said(row, ".4f"), "accent") for n, q in zip(self.names, self.states, strict=True)]
-        rows += [("Cell", self.cell.said(row, ".0f"), "line")] if self.cell.name else []
-        rows += [("Delay", self.delay.said(row, ".4f"), "line")] if self.delay.name else []
+        rows = [(n, q.text_of(row, ".4f"), "accent") for n, q in zip(self.names, self.states, strict=True)]
+        rows += [("Cell", self.cell.text_of(row, ".0f"), "line")] if self.cell.name else []
+        rows += [("Delay", self.delay.text_of(row, ".4f"), "line")] if self.delay.name else []
         readings(pen, (410.0, 120.0), rows, 200.0)

@@ -240,7 +240,7 @@ class _Files:
         kinds: list[Kind] = [ABSENT, ABSENT]
         handed: list[Any] = ["", ""]
         for name in self.law.arrays[form]:
-            if name == "told" or name in self.law.program.scratches.values() or name in self.draws:
+            if name == "reports" or name in self.law.program.scratches.values() or name in self.draws:
                 kinds.append(ABSENT)
                 handed.append(name if name in self.draws else "")
                 continue
@@ -567,7 +567,7 @@ class _Files:
             inner += self._published(*(Value(root.result.items[i], f"r.f{i}") for i in (k, k + 1)))
         lines += ["    if (!s->discarded) {", *(f"        {line}" for line in inner), "    }"]
         if state is not None:
-            lines += ["    if (!s->discarded) {", *(f"        {line}" for line in self._taken(state)), "    }"]
+            lines += ["    if (!s->discarded) {", *(f"        {line}" for line in self._store_state(state)), "    }"]
         lines.append("}")
         return lines
 
@@ -595,7 +595,7 @@ class _Files:
             lines += [f"if (!({' && '.join(checks)})) {{", "    s->discarded = true;", "}"]
         return lines
 
-    def _taken(self, state: Value) -> list[str]:
+    def _store_state(self, state: Value) -> list[str]:
         """Write the function that stores the state in its present form."""
         if state.kind in self.forms:
             k = self.forms.index(state.kind)
@@ -660,7 +660,7 @@ class _Files:
                 lines.append("init")
             for call in calls:
                 if isinstance(call, Changed):
-                    lines.append(" ".join(["set", *(_told(call.values[name]) for name in self.settable)]))
+                    lines.append(" ".join(["set", *(_setting_text(call.values[name]) for name in self.settable)]))
                     continue
                 number = self.methods.index(call.method)
                 status = 1 if isinstance(call, Raised) else 2 if isinstance(call, Beyond) else 0
@@ -1023,7 +1023,7 @@ def _arrays(value: Any, path: str = "") -> list[tuple[str, Any]]:
     return [one for n, v in zip(names, value, strict=True) for one in _arrays(v, f"{path}.{identifier(n)}")]
 
 
-def _told(value: Any) -> str:
+def _setting_text(value: Any) -> str:
     return value.hex() if isinstance(value, float) else str(int(value))
 
 

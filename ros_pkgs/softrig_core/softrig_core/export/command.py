@@ -137,12 +137,12 @@ def main(arguments: Sequence[str]) -> int:
         for board in [""] * options.check + [options.board] * bool(options.board):
             result = replayed(folder, done.name, board)
             where = f" on {board}, {result.flash} bytes of flash" if board else ""
-            print(f"{node}{where}: {_told(done, result, single)}")
+            print(f"{node}{where}: {_summary(done, result, single)}")
             status = status or int(not (single or result.same))
     return status
 
 
-def _told(done: Exported, result: Replayed, single: bool) -> str:
+def _summary(done: Exported, result: Replayed, single: bool) -> str:
     if not single:
         differ = f"{result.differing} numbers and {result.wrong_status} statuses differ"
         return f"{result.rows} calls, " + ("the bits of Python" if result.same else differ)

@@ -185,7 +185,7 @@ class Expressions(Base):
             if not -len(parts) <= fixed < len(parts):
                 raise self.unknown(f"no item {fixed} of {len(parts)}", node)
             return parts[fixed]
-        return self._looked_up(base, parts, index, node)
+        return self._element_at(base, parts, index, node)
 
     def _table_of(self, base: Value, parts: Sequence[Value], item: Number) -> Value:
         """Return the numbers of a tuple as an array: a constant one where they are known."""
@@ -196,7 +196,7 @@ class Expressions(Base):
             self.emit(f"{table.c}[{k}] = {self.coerced(part, item).c};")
         return table
 
-    def _looked_up(self, base: Value, parts: Sequence[Value], index: Value, node: ast.AST) -> Value:
+    def _element_at(self, base: Value, parts: Sequence[Value], index: Value, node: ast.AST) -> Value:
         """Return the part of a tuple that an integer index selects."""
         first = parts[0].kind if parts else None
         for part in parts:
@@ -408,7 +408,7 @@ class Expressions(Base):
         return f"({self.coerced(left, both).c} {ORDER[type(op)]} {self.coerced(right, both).c})"
 
     def _same(self, left: Value, right: Value, node: ast.AST) -> str:
-        """Return whether two values are equal of which one may be absent."""
+        """Return whether two values, one of which may be absent, are equal."""
         if isinstance(right.kind, Maybe) and not isinstance(left.kind, Maybe):
             left, right = right, left
         if not isinstance(left.kind, Maybe):

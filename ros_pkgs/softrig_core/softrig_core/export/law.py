@@ -276,7 +276,7 @@ def _scope(block: Block, law: Law) -> tuple[dict[str, Any], dict[str, Any]]:
             scope[name] = thing.straight() if thing.direct is thing else thing.direct
         elif isinstance(thing, Compiled):
             scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)
-    handed: dict[str, Any] = {"told": defaultdict(float)}
+    handed: dict[str, Any] = {"reports": defaultdict(float)}
     handed |= dict.fromkeys(program.scratches.values())
     handed |= {name: _Row(follow(path, roots)) for path, name in program.draws.items()}
     handed |= {name: np.ascontiguousarray(follow(path, roots)) for path, name in program.arrays.items()}

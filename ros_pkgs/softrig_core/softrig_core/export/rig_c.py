@@ -110,7 +110,7 @@ def _run(rig: Rig, most: int) -> Ticks:
 
 
 def _published(step: Step) -> dict[str, Any]:
-    return {p.name: row for p, row in zip(step.outputs, step.said, strict=True) if row is not None}
+    return {p.name: row for p, row in zip(step.outputs, step.last_answer, strict=True) if row is not None}
 
 
 def _member(rig: Rig, member: Member, calls: Sequence[Call | Changed], single: bool) -> Exported:

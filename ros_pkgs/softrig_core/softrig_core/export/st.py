@@ -127,7 +127,7 @@ class _Printer:
         self.functions: dict[str, tuple[Any, list[tuple[str, Any, bool]]]] = {}
         self.tables: dict[str, tuple[Any, str]] = {}
         self.known: dict[str, str] = {}
-        self.taken: set[str] = set(KEYWORDS)
+        self.used_names: set[str] = set(KEYWORDS)
         self.done: list[Unit] = []
         self.lines: list[str] = []
         self.vars: dict[str, Any] = {}
@@ -145,9 +145,9 @@ class _Printer:
         if c not in self.known:
             plain = re.sub(r"_+", "_", c).strip("_") or "x"
             text, k = plain, 2
-            while text.lower() in self.taken:
+            while text.lower() in self.used_names:
                 text, k = f"{plain}_{k}", k + 1
-            self.taken.add(text.lower())
+            self.used_names.add(text.lower())
             self.known[c] = text
         return self.known[c]
 

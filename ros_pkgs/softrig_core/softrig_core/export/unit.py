@@ -270,7 +270,7 @@ def literal(value: Any) -> str:
 
 
 def bare(test: str) -> str:
-    """Return a condition without the parentheses around the whole of it, of which clang warns."""
+    """Return a condition without outer parentheses, since clang warns about them."""
     depth = 0
     for k, sign in enumerate(test):
         depth += (sign == "(") - (sign == ")")

@@ -68,7 +68,7 @@ def _source(
     assert messages.hello is not None
     assert messages.ready is not None
     given, back = _places(inputs, "in", "held"), _places(outputs, "out", "sporadic")
-    parts = [line for k, frame in enumerate(messages.to) for line in _taken(k, frame, given)]
+    parts = [line for k, frame in enumerate(messages.to) for line in _unpacking(k, frame, given)]
     answers = [line for k, frame in enumerate(messages.back) for line in _packed(k, frame, back)]
     num, den = period
     time = f"k * INT64_C({num})" if den == 1 else f"(k * INT64_C({num})) / INT64_C({den})"
@@ -107,7 +107,7 @@ def _places(ports: Sequence[Port], struct: str, flag: str) -> list[str]:
     return result
 
 
-def _taken(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
+def _unpacking(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
     """Write what unpacks a message to the node."""
     yield f"if (id == {frame.message.frame_id:#x}u) {{"
     yield f"    part = {1 << k:#x}u;"

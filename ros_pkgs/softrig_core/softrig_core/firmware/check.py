@@ -120,7 +120,7 @@ def _longest(line: Line, board: str) -> int:
     """Return the longest step: simavr's program counts it, a Cortex-M reports it in its next hello message."""
     if board == "arduino":
         assert isinstance(line.wire, Simulated)
-        return int(line.wire.told().get("cycles", 0))
+        return int(line.wire.end_and_count().get("cycles", 0))
     line.begin(b"")
     line.ask(Kind.RESET, b"")
     return round(line.longest * PER_TICK_NS / INSTRUCTION_NS)

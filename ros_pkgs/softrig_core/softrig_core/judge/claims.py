@@ -26,7 +26,7 @@ TOLERANCE = 0.05
 _PERCENT = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*%\s*")
 
 
-def spoken(value: float) -> str:
+def readable(value: float) -> str:
     """Write a measured number for people: infinity is what never happens."""
     return NEVER if value == math.inf else f"{value:.6g}"
 
@@ -142,7 +142,7 @@ class Claim(Entry):
         parts = [near(self.published)] if self.published is not None else []
         for kind, reference in self.compared().items():
             value = others.get(kind)
-            text = "?" if value is None else spoken(value) if kind != "equals" else near(value)
+            text = "?" if value is None else readable(value) if kind != "equals" else near(value)
             parts.append(f"{kind} {reference} = {text} here" if isinstance(reference, str) else f"{kind} {text}")
         return ", ".join(parts)
 

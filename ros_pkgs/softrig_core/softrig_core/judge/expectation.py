@@ -45,7 +45,7 @@ class Expectation(Entry):
 
     @property
     def follows(self) -> bool:
-        """Return whether the numbers come from nodes, or none of them except zero belongs to a machine."""
+        """Return whether the numbers follow the nodes' values: none except zero is a fixed number of one machine."""
         return bool(self.text) or not any((self.expected, self.tolerance, self.at_most, self.at_least))
 
     def resolved(self, value: Callable[[str], Any]) -> Expectation:

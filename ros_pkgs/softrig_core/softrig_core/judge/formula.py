@@ -85,10 +85,10 @@ def bounded_by_numbers(given: str, known: Mapping[str, float | None], units: Map
     if any(part != "inf" and float(part) for part in plain):
         return True
     tree = _parsed(given, known)[0]
-    return any(_number_beside(kind, body, units) for kind, body in nodes(tree))
+    return any(_compares_number(kind, body, units) for kind, body in nodes(tree))
 
 
-def _number_beside(kind: str, body: Any, units: Mapping[str, str]) -> bool:
+def _compares_number(kind: str, body: Any, units: Mapping[str, str]) -> bool:
     if kind == "Predicate":
         sides = [body["lhs"], body["rhs"]]
     elif kind == "Binary" and body[0] in ("Add", "Sub"):

@@ -76,12 +76,12 @@ class Live:
         return tuple(part.push(one, t, samples, truths, late) for part, one in zip(self._parts, x, strict=True))
 
     def bounds(self, x: tuple[Opened, ...]) -> tuple[float, float]:
-        """Return the least and greatest that the margin may come to."""
+        """Return the least and greatest values that the margin may still reach."""
         result = self._now(self._tree, x)
         return float(result[0, 0]), float(result[1, 1])
 
     def decided(self, x: tuple[Opened, ...]) -> bool:
-        """Return whether nothing that comes can change the bounds."""
+        """Return whether no later message can change the bounds."""
         result = self._now(self._tree, x)
         return all(one.over for one in x) or bool((result[0] == result[1]).all())
 

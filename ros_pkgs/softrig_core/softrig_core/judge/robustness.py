@@ -116,11 +116,11 @@ class Record:
     truths : mapping of str to array, shape (n,), optional
         Of conditions, as returned by `truth`.
     late : mapping of str to array of bool, shape (n,), optional
-        Where a variable has not come yet: what compares it is false there.
+        Where a variable has no value yet: comparisons with it are false there.
     after : float
         The first instant that is not recorded, ns; any after the last time when absent.
     ended : bool
-        Whether nothing will come: operators without end ask as far as the record goes.
+        Whether the record is complete: unbounded operators then end with it.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class Record:
         self.after = float(np.nextafter(times[-1], INF)) if after is None else after
         self.ended = ended
         self._samples, self._truths, self._late = samples, truths or {}, late or {}
-        self._found: dict[int, tuple[Tree, Array]] = {}
+        self._measured_trees: dict[int, tuple[Tree, Array]] = {}
 
     def margin(self, tree: Tree) -> Margin:
         """Evaluate a formula at the first instant.
@@ -168,13 +168,13 @@ class Record:
         Returns
         -------
         array, shape (2, 2, n)
-            By least and greatest over what may come after the record, and over what is undefined.
+            By least and greatest value over all continuations of the record, and over undefined values.
         """
-        if id(tree) not in self._found:
+        if id(tree) not in self._measured_trees:
             ((kind, body),) = tree.items()
             # The tree is stored too: while it lives, no other tree can have its id.
-            self._found[id(tree)] = tree, self._measured(kind, body)
-        return self._found[id(tree)][1]
+            self._measured_trees[id(tree)] = tree, self._measured(kind, body)
+        return self._measured_trees[id(tree)][1]
 
     def _measured(self, kind: str, body: Any) -> Array:
         if kind == "Predicate":
@@ -198,7 +198,7 @@ class Record:
             return opposite(self._at(body, k))
         if kind in ("And", "Or", "Implies"):
             return _joined(kind, self._at(body[0], k), self._at(body[1], k))
-        if kind in (*FUTURE, *PAST) and id(tree) not in self._found:
+        if kind in (*FUTURE, *PAST) and id(tree) not in self._measured_trees:
             return self._over_time(kind, body, self.times[k : k + 1])[..., 0]
         return self.bounds(tree)[..., k]
 

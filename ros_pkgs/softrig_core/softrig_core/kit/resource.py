@@ -1,4 +1,4 @@
-"""Files that come with packages: tables, robots."""
+"""Files that packages install: tables, robots."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..block.answer import Heard, Messages, Where, part, parted, places
+from ..block.answer import Messages, ReceivedMessages, Where, part, parted, places
 from ..block.block import Observer
 from ..block.fill import Fill, picked
 from ..block.gathering import takes_batches
@@ -49,14 +49,14 @@ def answered(
     step.t = step.schedule.time(number)
     answers = parted(step.outputs, numbers, stamps)
     if step.outputs:
-        step.said, step.numbers = answers, numbers if step.plain else ()
+        step.last_answer, step.numbers = answers, numbers if step.plain else ()
     if not step.plain:
         newest = [(published or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
-        step.spoken = [None if t == NEVER else t for t in newest]
+        step.published_at = [None if t == NEVER else t for t in newest]
     for fill in step.readers:
         # A silent tick must not overwrite what the reader holds; `Fitted.take` fills it where something was published.
-        if not (fill.doubted or step.outputs[fill.output].sporadic):
-            fill.bring(answers[fill.output])  # type: ignore[arg-type]
+        if not (fill.checked or step.outputs[fill.output].sporadic):
+            fill.set_value(answers[fill.output])  # type: ignore[arg-type]
 
 
 class Answers(NamedTuple):
@@ -85,7 +85,7 @@ def numbers_of(step: Step) -> tuple[float, ...]:
     if step.plain:
         # The text is compiled for floats, and a block may answer with whole numbers.
         return tuple(map(float, step.numbers))
-    rows: Sequence[Any] = step.said or [None] * len(step.outputs)
+    rows: Sequence[Any] = step.last_answer or [None] * len(step.outputs)
     results = [
         (0.0,) * p.width if row is None or not p.width else row.data if isinstance(row, Sample) else row
         for p, row in zip(step.outputs, rows, strict=True)
@@ -96,7 +96,7 @@ def numbers_of(step: Step) -> tuple[float, ...]:
 
 def stamps_of(step: Step) -> tuple[int, ...]:
     """Return the stamps of the delayed outputs of a step, in its newest answer, ns; 0 where it is silent."""
-    rows = step.said or [None] * len(step.outputs)
+    rows = step.last_answer or [None] * len(step.outputs)
     return tuple(getattr(row, "stamp", 0) for p, row in zip(step.outputs, rows, strict=True) if p.delayed)
 
 
@@ -168,10 +168,10 @@ class Audience:
                     for fill, where in readers:
                         row = part(numbers[at], stamps[at], where)
                         if row is not None:
-                            fill.bring(row)
+                            fill.set_value(row)
             for w, every in watchers:
                 if k % every == 0:
-                    w.say(t)
+                    w.answer(t)
 
     def _at_once(
         self, watcher: Step, recorded: Sequence[Step], first: int, last: int, values: Mapping[int, Answers]
@@ -220,5 +220,5 @@ class Audience:
             if flag is not None:
                 stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
             values = [table[:, low + p] if type(p) is int else np.full(len(table), p) for p in fill.places]
-            result[fill.port.name] = Heard(stamps, np.array(values).T)
+            result[fill.port.name] = ReceivedMessages(stamps, np.array(values).T)
         return result

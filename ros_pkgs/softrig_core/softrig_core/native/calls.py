@@ -299,8 +299,8 @@ class Calls(Expressions):
         numbers = numbers or ["0.0"]
         at = reports.add(self.program.number(own.value), level, key, text, len(numbers))
         self.program.words.add("reported_")
-        self.arrays.add("told")
-        self.emit(f"reported_(told, {at}, ({''.join(f'{x}, ' for x in numbers)}))")
+        self.arrays.add("reports")
+        self.emit(f"reported_(reports, {at}, ({''.join(f'{x}, ' for x in numbers)}))")
         return NONE
 
     def _counted(self, own: Static, node: ast.Call) -> Value:
@@ -313,8 +313,8 @@ class Calls(Expressions):
         known = key.value if isinstance(key, Static) and not is_made_text(key) else self.function.__name__.strip("_")
         at = reports.add(self.program.number(own.value), self.program.guard(level), str(known), lambda row: "", 1)
         self.program.words.add("reported_")
-        self.arrays.add("told")
-        self.emit(f"reported_(told, {at}, (0.0, ))")
+        self.arrays.add("reports")
+        self.emit(f"reported_(reports, {at}, (0.0, ))")
         return NONE
 
     def _shown(self, value: Value, numbers: list[str], node: ast.AST) -> Callable[[Sequence[float]], Any]:
@@ -538,8 +538,8 @@ class Calls(Expressions):
     def _got(self, table: Static, given: Sequence[Value], node: ast.AST) -> Dynamic:
         """Look up a key that may be missing."""
         if not self.program.inferred:
-            return self._looked_up(table, given[0], node)
-        return self._looked_up(table, given[0], node, given[1] if len(given) > 1 else NONE)
+            return self._table_value(table, given[0], node)
+        return self._table_value(table, given[0], node, given[1] if len(given) > 1 else NONE)
 
     def _of_object(
         self,

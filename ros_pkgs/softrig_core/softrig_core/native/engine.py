@@ -118,11 +118,11 @@ class Engine:
         try:
             yield from self._run(first)
         finally:
-            self.tell()
+            self.report_to_steps()
             if self._fit is not None:
                 self._fit.drop()
 
-    def tell(self) -> None:
+    def report_to_steps(self) -> None:
         """Report to the steps which of them ran natively, and how far."""
         result = self.native
         ticks = {"were given up": result.given_up, "decided something": result.decided}
@@ -151,7 +151,7 @@ class Engine:
             if k and fresh:
                 fits, fresh = self._fit_text(), False
                 failures += not fits
-                if fits and self._compile_beside(k):
+                if fits and self._compile_in_thread(k):
                     fresh = True
                     continue
             # A state may change its type in the first ticks, as None until a message has come; later it is taken to
@@ -221,7 +221,7 @@ class Engine:
             if number % LOOK == 0 and t is not None and self._free():
                 return
 
-    def _compile_beside(self, k: int) -> bool:
+    def _compile_in_thread(self, k: int) -> bool:
         """Compile the text in a thread if messages must be served in the meantime; return whether that is under way."""
         fit = self._fit
         if fit is None or self._alone is None or fit.kept.made or not self._typed:
@@ -306,9 +306,9 @@ class Engine:
             return self._on(first, reached, last, after, rows)
         # An observer may fail at a tick at which the members have long been further. Nothing of the members is put into
         # their steps before all observers have seen it, so it is enough to take the observers back.
-        answers = fit.said_by(rows, first, reached)
+        answers = fit.answers_of(rows, first, reached)
         begun = self._watching.keep()
-        published = [s.spoken for s in self._core.steps]
+        published = [s.published_at for s in self._core.steps]
         try:
             self._audience.watch(fit.recorded, first, reached, answers)
         # An observer has failed: the ticks before that one are computed again, and Python answers the tick itself.
@@ -316,13 +316,13 @@ class Engine:
             reached = self._plan.clock.tick(max(w.t for w in self._watchers if w.name in self._audience.tick_by_tick))
             self._watching.go_back(begun)
             for s, before in zip(self._core.steps, published, strict=True):
-                s.spoken = before
+                s.published_at = before
             if reached > first:
                 answers = fit.places(first, reached)
                 _, after = fit.call(first, first, reached, answers)
                 self._audience.watch(fit.recorded, first, reached, answers)
         if reached > first:
-            self._take(fit, first, reached, after)
+            self._apply(fit, first, reached, after)
             self._audience.hand_out(self._core.steps, first, reached, answers)
             one_clock = self._core.loop.plan.clock.clock == self._plan.clock.clock
             self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
@@ -334,7 +334,7 @@ class Engine:
         assert fit is not None
 
         def hand_out() -> None:
-            whole = fit.said_by(rows, first, reached)
+            whole = fit.answers_of(rows, first, reached)
             try:
                 self._audience.watch(fit.recorded, first, reached, whole)
             finally:
@@ -343,7 +343,7 @@ class Engine:
         # A search stops native code every few ticks. Recording after each of these stretches would cost more than the
         # stretch itself, so answers of the ticks in Python go into the same tables and all are published in one batch.
         while True:
-            self._take(fit, at, reached, after)
+            self._apply(fit, at, reached, after)
             if reached == last or not self._decided(reached):
                 break
             for link in self._later:
@@ -372,9 +372,9 @@ class Engine:
         hand_out()
         return reached
 
-    def _take(self, fit: Fitted, first: int, last: int, after: Any) -> None:
+    def _apply(self, fit: Fitted, first: int, last: int, after: Any) -> None:
         self.native.ticks += last - first
-        fit.take(first, last, after)
+        fit.apply(first, last, after)
 
 
 class _Later(Link):
@@ -384,11 +384,11 @@ class _Later(Link):
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Send an answer, or keep it."""
-        self._take(Link.send, t, rows, numbers)
+        self._store(Link.send, t, rows, numbers)
 
     def over(self, t: int) -> None:
         """Apply it, or store it."""
-        self._take(Link.over, t)
+        self._store(Link.over, t)
 
     def send_all(self, times: Any, numbers: Any, stamps: Any) -> None:
         """Send them."""
@@ -400,7 +400,7 @@ class _Later(Link):
         for call, *arguments in self.kept or ():
             call(self, *arguments)
 
-    def _take(self, call: Any, *arguments: Any) -> None:
+    def _store(self, call: Any, *arguments: Any) -> None:
         if self.kept is None:
             call(self, *arguments)
         else:

@@ -152,7 +152,7 @@ class Expressions(Ways):
         if isinstance(index, Static) and (result := self._fixed_item(base, index, node)) is not None:
             return result
         if isinstance(base, Static) and isinstance(base.value, Mapping):
-            return self._looked_up(base, index, node)
+            return self._table_value(base, index, node)
         keys = None
         if isinstance(base, Static) and isinstance(base.value, (list, tuple)):
             kinds = {tuple(sorted(v)) if isinstance(v, Mapping) else None for v in base.value}
@@ -202,7 +202,7 @@ class Expressions(Ways):
             return self._part(simple, key % len(base.sample))
         return None
 
-    def _looked_up(self, table: Static, key: Value, node: ast.AST, other: Value | None = None) -> Dynamic:
+    def _table_value(self, table: Static, key: Value, node: ast.AST, other: Value | None = None) -> Dynamic:
         """Look up a computed key in a fixed mapping; if it is missing, use the `other` value or discard the tick."""
         entries = list(table.value.items())
         if len(entries) > LONGEST:
@@ -307,7 +307,7 @@ class Expressions(Ways):
         raise self.unknown("arithmetic of tuples", node)
 
     def test(self, node: ast.expr) -> bool | str:
-        """Read an expression of which only the truth is needed; see `truth`."""
+        """Read an expression whose truth value alone is needed; see `truth`."""
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             result = self.test(node.operand)
             if isinstance(result, bool):

@@ -146,7 +146,7 @@ def known(kinds: Sequence[type], make: Make) -> bool:
     return any(tuple(kinds) == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is make)
 
 
-def _told(error: Exception) -> str:
+def _with_line(error: Exception) -> str:
     """Return an error of a text with the line of the text."""
     frames = traceback.extract_tb(error.__traceback__)
     return f"{type(error).__name__}: {error} (`{frames[-1].line}`)"
@@ -197,7 +197,7 @@ class Fitted:
         self._written = [(core.steps.index(s), s, len(numbers_of(s)), len(stamps_of(s))) for s in recorded]
         self._n: Any  # tick under way, random numbers that are missing, tick with which the places begin
         self._when: Any
-        self._told: Any
+        self._reported: Any
         self._arrays: tuple[Any, ...] = ()  # what the function gets after its state, as `RigText.arrays`
 
     @property
@@ -235,20 +235,24 @@ class Fitted:
         reports = self.kept.text.program.reports
         sizes = 1 + len(self._core.holdings) + len(self._core.speakers), reports.size if reports else 0
         if self._typed:
-            self._n, self._when, self._told = np.zeros(3, np.int64), np.zeros(sizes[0], np.int64), np.zeros(sizes[1])
+            self._n, self._when, self._reported = (
+                np.zeros(3, np.int64),
+                np.zeros(sizes[0], np.int64),
+                np.zeros(sizes[1]),
+            )
         else:
-            self._n, self._when, self._told = [0] * 3, [0] * sizes[0], [0.0] * sizes[1]
+            self._n, self._when, self._reported = [0] * 3, [0] * sizes[0], [0.0] * sizes[1]
         self._name(rows)
         return rows
 
     def _name(self, rows: dict[int, Answers]) -> None:
         """Order the arguments of native code."""
-        named = self._tables | {WHEN: self._when, "told": self._told}
+        named = self._tables | {WHEN: self._when, "reports": self._reported}
         for k, s, _, _ in self._written:
             named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
         self._arrays = tuple(named[name] for name in self.kept.text.arrays)
 
-    def said_by(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
+    def answers_of(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
         """Return the answers of ticks from `first`, where their places begin, up to `last`."""
         counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self.recorded}
         return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
@@ -262,14 +266,14 @@ class Fitted:
             *(stamps_of(self._steps[k]) for k in kept.text.stamped),
             *(packed(one.value) for one in self._core.holdings),
         )
-        published = [self._steps[k].spoken[j] for k, j in self._core.speakers]
+        published = [self._steps[k].published_at[j] for k, j in self._core.speakers]
         self._n[:] = 0, 0, begin
         self._when[:] = [
             0,
             *(one.stamp for one in self._core.holdings),
             *(NEVER if t is None else t for t in published),
         ]
-        self._told[:] = [0.0] * len(self._told)
+        self._reported[:] = [0.0] * len(self._reported)
         return self._n, self._constants, before, *self._arrays
 
     def call(self, begin: int, first: int, last: int, rows: dict[int, Answers]) -> tuple[int, Any]:
@@ -289,11 +293,11 @@ class Fitted:
             try:
                 after = kept.function(first, last, *handed)
             except NATIVE as error:
-                self.odd = _told(error) if isinstance(error, TypeError) else ""
+                self.odd = _with_line(error) if isinstance(error, TypeError) else ""
                 # The text stops at its tick: tables of numpy have no row of it, lists have grown by those of the ticks
                 # before. All is computed again up to that tick, as states are handed back at the end only.
                 if not self._typed:
-                    rows |= self.said_by(rows, begin, first)
+                    rows |= self.answers_of(rows, begin, first)
                     self._name(rows)
                 # The random numbers that were drawn in advance have run out.
                 if n[1]:
@@ -308,7 +312,7 @@ class Fitted:
                 continue
             # An UnboundLocalError is a NameError, too; it has been caught above, because a block's values can cause it.
             except NameError as error:
-                raise RunError(f"{_told(error)}: {DEFECT}; until then run with SOFTRIG_JIT=0") from error
+                raise RunError(f"{_with_line(error)}: {DEFECT}; until then run with SOFTRIG_JIT=0") from error
             except Exception as error:
                 # numba compiles at the first call, so what it does not know is raised here.
                 if type(error).__module__.partition(".")[0] != "numba":
@@ -329,10 +333,10 @@ class Fitted:
 
         return compile_
 
-    def take(self, first: int, last: int, after: Any) -> None:
+    def apply(self, first: int, last: int, after: Any) -> None:
         """Create what native code has found that of the steps."""
-        if (reports := self.kept.text.program.reports) is not None and self._told[0]:
-            reports.take_down(self._told, self._steps)
+        if (reports := self.kept.text.program.reports) is not None and self._reported[0]:
+            reports.record(self._reported, self._steps)
         count = len(self._steps)
         self._unpack = self._unpack or [unpacker(value) for value in after[:count]]
         stamps = dict(zip(self.kept.text.stamped, after[2 * count :], strict=False))

@@ -16,7 +16,7 @@ HEAD = 3  # of a place: how often, the number of the first one and of the newest
 
 @dataclass(frozen=True)
 class Place:
-    """A line that reports: of which block, what, and where its row begins in the table."""
+    """A line that reports: its block, its text, and the start of its row in the table."""
 
     block: int
     level: Level
@@ -47,7 +47,7 @@ class Reports:
         self.size += HEAD + count
         return self.places[-1].at
 
-    def take_down(self, table: Sequence[float], held: Sequence[Held]) -> None:
+    def record(self, table: Sequence[float], held: Sequence[Held]) -> None:
         """Record the reports of each block that a table holds, as if they had been reported one by one."""
         received = [p for p in self.places if table[p.at]]
         newest: dict[tuple[int, str], Place] = {}

@@ -73,7 +73,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
         ]
     )
     written = [k for s in recorded for k, one in enumerate(steps) if one is s]
-    arrays = turns.arrays | ({WHEN} if kept or turns.spoken else set())
+    arrays = turns.arrays | ({WHEN} if kept or turns.sporadic else set())
     turns.check_times()
     decided = turns.decided(state)
     handed = [*sorted(arrays), *(f"o{k}" for k in written), *(f"p{k}" for k in written if k in stamped)]

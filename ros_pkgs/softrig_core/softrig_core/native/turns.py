@@ -47,19 +47,19 @@ class Holding:
     @property
     def stamp(self) -> int:
         """Return the stamp of the value that the reader holds, ns; its age counts from there."""
-        return self.value.stamp if isinstance(self.value, Sample) else self.fill.told() or 0
+        return self.value.stamp if isinstance(self.value, Sample) else self.fill.last_published() or 0
 
     @property
     def form(self) -> Any:
         """Return the part of a text's key for this link: whether a message has arrived, and its types."""
-        return form(self.value), self.fill.told() is None
+        return form(self.value), self.fill.last_published() is None
 
 
 def holdings(steps: Sequence[Step]) -> list[Holding]:
     """Return links between native nodes that are sporadic, delayed or checked, and links from other nodes."""
     result: list[Holding] = []
     for k, s in enumerate(steps):
-        result += [Holding(k, fill) for fill in s.readers if fill.silent or fill.doubted]
+        result += [Holding(k, fill) for fill in s.readers if fill.silent or fill.checked]
     for s in steps:
         result += [Holding(None, fill) for fill in s.fed.values() if fill.source not in steps]
     return result
@@ -71,7 +71,7 @@ def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
 
 
 def wiring(steps: Sequence[Step]) -> Any:
-    """Return what a text contains of links and ports: it fits only rigs of which this is equal."""
+    """Return the links and ports that a text depends on: it fits only rigs with the same ones."""
     number = {id(s): k for k, s in enumerate(steps)}
 
     def link(step: Step, port: Port) -> Any:
@@ -124,15 +124,15 @@ class Turns:
     arrays : set of str
         Arguments of the text besides states.
     kept : list of Holding
-    spoken : list of (int, int)
+    sporadic : list of (int, int)
         Sporadic outputs, each by the number of its member and its own number.
     """
 
     def __init__(self, steps: Sequence[Step], recorded: Sequence[Step] = (), typed: bool = True) -> None:
         self.steps, self.recorded, self.typed = steps, recorded, typed
         self.plan = Plan(s.schedule for s in steps)
-        self.kept, self.spoken = holdings(steps), speakers(steps)
-        silent = [(k, steps[k].outputs[j]) for k, j in self.spoken]
+        self.kept, self.sporadic = holdings(steps), speakers(steps)
+        silent = [(k, steps[k].outputs[j]) for k, j in self.sporadic]
         self.program = Program([s.block for s in steps], Writer, self._ages(), silent, typed)
         self.arrays: set[str] = set()
         self._ns = (self.plan.clock.period * 10**9).as_integer_ratio()
@@ -213,7 +213,7 @@ class Turns:
             for port in step.inputs:
                 fill = step.fed.get(port.name)
                 held = self._holding(fill)
-                if fill is None or (held is not None and fill.told() is None):
+                if fill is None or (held is not None and fill.last_published() is None):
                     result[k, port.name] = None
                 elif held is not None:
                     result[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{held + 1}]), 0)"
@@ -327,7 +327,7 @@ class Turns:
                     continue
                 # The first message changes the type of what the reader holds, so this tick is Python's and then another
                 # text fits.
-                if one.value is None or one.fill.told() is None or not port.width:
+                if one.value is None or one.fill.last_published() is None or not port.width:
                     messages.append(GIVEN_UP)
                     continue
                 value = self._read(one.fill, f"q{k}", f"z{k}", "t", one.value)
@@ -337,7 +337,7 @@ class Turns:
                 for p, limit in enumerate(one.fill.port.limits if port.unchecked else ()):
                     messages += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
             if flag is not None:
-                messages.append(f"{WHEN}[{1 + len(kept) + self.spoken.index((k, j))}] = t")
+                messages.append(f"{WHEN}[{1 + len(kept) + self.sporadic.index((k, j))}] = t")
                 messages = [f"if q{k}[{flag}] != 0.0:", *(f"    {line}" for line in messages)]
             lines += messages
         return lines

@@ -275,7 +275,7 @@ class Ways:
         return {k: self._held(v) for k, v in value.items.items()}
 
     def has_one_name(self, name: str) -> bool:
-        """Return whether no other name of this function stands for the object of a name, as far as can be read."""
+        """Return whether no other name of this function refers to the same object, as far as can be read."""
         tree = parsed(self.function)
         if name in {a.arg for a in ast.walk(tree) if isinstance(a, ast.arg)}:
             return False
@@ -404,7 +404,7 @@ class Ways:
     def _chosen(
         self, test: str, used: Any, one: Callable[[], Value], other: Callable[[], Value], node: ast.AST
     ) -> Value:
-        """Write a choice of two values, of which only the one that is wanted is computed."""
+        """Write a choice of two values; only the selected one is computed."""
         at, before = len(self.lines), dict(self.env)
         try:
             a: Value | None = one()

@@ -68,9 +68,9 @@ TEXTS: dict[str, str] = {
     "bisect_left": "def bisect_left(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
     "        middle = (low + high) // 2\n        if a[middle] < x:\n            low = middle + 1\n"
     "        else:\n            high = middle\n    return low\n",
-    "reported_": "def reported_(told, at, numbers):\n    told[0] += 1.0\n    if told[at] == 0.0:\n"
-    "        told[at + 1] = told[0]\n    told[at] += 1.0\n    told[at + 2] = told[0]\n"
-    "    for k in range(len(numbers)):\n        told[at + 3 + k] = numbers[k]\n",
+    "reported_": "def reported_(reports, at, numbers):\n    reports[0] += 1.0\n    if reports[at] == 0.0:\n"
+    "        reports[at + 1] = reports[0]\n    reports[at] += 1.0\n    reports[at + 2] = reports[0]\n"
+    "    for k in range(len(numbers)):\n        reports[at + 3 + k] = numbers[k]\n",
     "abs_": "def abs_(z):\n    r = abs(z)\n    if r - r != 0.0:\n        raise OverflowError\n    return r\n",
     "phase": "def phase(z):\n    a = math.atan2(z.imag, z.real)\n    if z - z != 0.0 or (a == 0.0 and z.imag != 0.0):\n"
     "        raise ValueError\n    return a\n",

@@ -41,7 +41,7 @@ def require_agreement(where: str, members: Iterable[Named]) -> None:
         Two nodes have different values of a quantity; the error names it, both nodes and both values.
     """
     members = list(members)
-    quantities = spoken(members)
+    quantities = agreed_values(members)
     for member in members:
         for quantity, value in agreed(member.block_class, member.params).items():
             node, known = quantities[quantity]
@@ -67,7 +67,7 @@ class Assuming(Protocol):
 def assumptions(members: Iterable[Named]) -> list[str]:
     """Describe which nodes have wrong assumptions about others, by `Assuming.assumed`, in one line each."""
     members = list(members)
-    stated = spoken(members)
+    stated = agreed_values(members)
     return [
         f"{member.name} takes {quantity} to be {shown(value)}, {stated[quantity][0]} has {shown(stated[quantity][1])}"
         for member in members
@@ -77,7 +77,7 @@ def assumptions(members: Iterable[Named]) -> list[str]:
     ]
 
 
-def spoken(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
+def agreed_values(members: Iterable[Named]) -> dict[str, tuple[str, Any]]:
     """Return the values of `Block.agreed`: each quantity with the first node that declares it, and its value."""
     messages: dict[str, tuple[str, Any]] = {}
     for member in members:
@@ -94,7 +94,7 @@ def agreeing(
     Parameters
     ----------
     values : mapping of quantity to (node, value)
-        See `spoken`.
+        See `agreed_values`.
     arguments : mapping
         Arguments from the scenario.
     agreed : mapping of argument to quantity

@@ -65,7 +65,7 @@ def _outside(of: type) -> Iterator[tuple[str, Any]]:
             yield from outside(value)
 
 
-class Look:
+class StartContents:
     """The contents of blocks at the start, to be compared with their contents later.
 
     Parameters

@@ -56,11 +56,11 @@ def load_block(package: str, executable: str) -> type[Block]:
     ScenarioError
         The package or executable is not installed, cannot be imported, or is not a softrig node.
     """
-    return _found(package, executable, tuple(sys.path))
+    return _block_class(package, executable, tuple(sys.path))
 
 
 @lru_cache(maxsize=1024)
-def _found(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
+def _block_class(package: str, executable: str, _: tuple[str, ...]) -> type[Block]:
     try:
         point = executable_of(package, executable)
     except importlib.metadata.PackageNotFoundError:

@@ -151,7 +151,7 @@ def signal_units(rig: Members) -> dict[str, str]:
 def other_names(rig: Members) -> dict[str, dict[str, str]]:
     """Return, by topic, how outside nodes may call what a port of the rig reads, to the port's own names.
 
-    Channels by `Port.also`, and the elements of an array that comes without its shape, as a held port takes it.
+    Channels by `Port.also`, and the elements of an array without a shape, which a held port accepts.
     """
     result: dict[str, dict[str, str]] = {}
     for port in (p for m in rig.members for p in m.inputs):

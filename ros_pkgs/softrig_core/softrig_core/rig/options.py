@@ -75,7 +75,7 @@ class InputLink(BaseModel):
         Whether that port may be silent; the sender's acknowledgements then report whether it was.
     delayed : bool
         Whether its messages are stamped with another time than that of their tick.
-    told : bool
+    reports_silence : bool
         Realtime: whether a controller also receives these acknowledgements and waits for them.
     """
 
@@ -86,7 +86,7 @@ class InputLink(BaseModel):
     port: str = ""
     sporadic: bool = False
     delayed: bool = False
-    told: bool = False
+    reports_silence: bool = False
 
 
 class OverheardLink(InputLink):
@@ -137,7 +137,7 @@ class Links(BaseModel):
         Topics of external nodes: the subscriptions of the nodes that publish them must be matched too.
     clock : InputLink, optional
         The node that publishes /clock, when this node paces itself by it.
-    hears_clock : bool
+    follows_clock : bool
         Subscribes to /clock without using it: an external plant may publish it and wait for its subscribers.
     owns_clock : bool
         Publishes /clock.
@@ -146,7 +146,7 @@ class Links(BaseModel):
         lists the sporadic ports that published at that tick.
     tick_readers : list of str
         Nodes that read these acknowledgements.
-    tells : list of str
+    silence_readers : list of str
         Realtime: nodes that read which sporadic ports published at each tick.
     acks : by node name
         Nodes whose ticks the owner of the clock waits for, with their period in s. An external plant waits only for
@@ -163,7 +163,7 @@ class Links(BaseModel):
     starts : list of str
         All nodes of the rig that are ours: in real time it waits for them.
     grid : str
-        Longest period of the rig in s, of which t = 0 in real time is a multiple.
+        Longest period of the rig, s; in real time t = 0 is a multiple of it.
     public : bool
         The ROS domain may be shared with others: recorders that ask for it are awaited.
     recorders : list of str
@@ -182,11 +182,11 @@ class Links(BaseModel):
     guests: bool = False
     outside: list[str] = []
     clock: InputLink | None = None
-    hears_clock: bool = False
+    follows_clock: bool = False
     owns_clock: bool = False
     acknowledges: bool = False
     tick_readers: list[str] = []
-    tells: list[str] = []
+    silence_readers: list[str] = []
     acks: dict[str, str] = {}
     followers: list[str] = []
     clock_readers: list[str] = []

@@ -73,12 +73,12 @@ class Rig(Members):
         return self.having(scenario, members, list(new.values()))
 
     def having(self, scenario: Scenario, members: list[Member], new: list[Member]) -> Rig:
-        """Return the rig of all these members, of which the new ones are to be linked."""
+        """Return the rig of all these members; the new ones are still to be linked."""
         clock = self.clock
         for m in new:
             try:
                 m.schedule = schedule_of(
-                    m.params.period, clock.params.period, scenario.duration, m.block_class.speaks_at_end()
+                    m.params.period, clock.params.period, scenario.duration, m.block_class.ticks_at_end()
                 )
             except ValueError as error:
                 raise ScenarioError(f"{scenario.name}: node {m.name}: {error}, {clock.name}") from None

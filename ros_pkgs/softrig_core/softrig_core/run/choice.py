@@ -51,12 +51,12 @@ def ticks_of(
     -------
     ticks : iterator
         As `Loop.run`; a run without end is run tick by tick.
-    tell : callable
+    report : callable
         Updates the steps with what was native so far.
     """
     loop = Loop(steps)
     if loop.plan.ticks is None:
-        _say_why(steps, "a run without an end")
+        _report_reason(steps, "a run without an end")
         return loop.run(), bool
     ticks = loop.plan.ticks
     engines: list[Engine] = []
@@ -77,21 +77,21 @@ def ticks_of(
             yield from loop.run(first)
             return
         engines.append(Engine(steps, plain if reason else compiled, alone))
-        _say_why(steps, reason)
+        _report_reason(steps, reason)
         yield from engines[0].run(first)
         # No member could be translated, so the time spent must never lead to another attempt.
         if not engines[0].native.members:
             _spent[_classes(steps)] = -math.inf
 
-    def tell() -> None:
+    def report() -> None:
         for engine in engines:
-            engine.tell()
+            engine.report_to_steps()
 
-    _say_why(steps, forbidden() or SHORT)
-    return run(), tell
+    _report_reason(steps, forbidden() or SHORT)
+    return run(), report
 
 
-def _say_why(steps: Sequence[Step], reason: str) -> None:
+def _report_reason(steps: Sequence[Step], reason: str) -> None:
     for step in steps:
         step.native = 0, reason
 

@@ -17,7 +17,7 @@ from ..rig.members import signal_units
 from ..rig.rig import Rig, members_of
 from ..scenario.faults import insert
 from ..scenario.scenario import Draft, NodeEntry, Scenario, read_draft
-from ..verdict.figures import told
+from ..verdict.figures import figure_parameters
 from ..verdict.requirements import watched
 
 FIGURES = ("softrig_core", "figures")  # package and executable of what measures the figures of its rig
@@ -62,28 +62,28 @@ def rig_of(
     return _expanded(what, classes or {}, live)
 
 
-def _expanded(scenario: Scenario, classes: Classes, told_what: bool) -> Rig:
+def _expanded(scenario: Scenario, classes: Classes, with_figures: bool) -> Rig:
     live = {
         n: e
         for n, e in scenario.nodes.items()
         if (e.package, e.executable) == FIGURES and not {"figures", "scenario"} & e.parameters.keys()
     }
-    bare = _telling(scenario, live, {"figures": "[]", "ports": "[]"})
+    bare = _with_parameters(scenario, live, {"figures": "[]", "ports": "[]"})
     rig = _watched(Rig.from_scenario(_faulty(bare, classes), classes))
     if not live:
         return rig
     # Live nodes read what the figures name from its source, even where a fault changes it for all other readers.
-    if told_what:
-        full = _telling(rig.scenario, live, {"period": rig.clock.params.period, **told(rig)})
+    if with_figures:
+        full = _with_parameters(rig.scenario, live, {"period": rig.clock.params.period, **figure_parameters(rig)})
         rig = rig.listened(full, live)
     # The scenario keeps the live nodes as they were written, because what they receive may change with the rig.
     nodes = {**rig.scenario.nodes, **live}
     return replace(rig, scenario=rig.scenario.model_copy(update={"nodes": nodes}))
 
 
-def _telling(scenario: Scenario, live: Mapping[str, NodeEntry], told: Mapping[str, Any]) -> Scenario:
+def _with_parameters(scenario: Scenario, live: Mapping[str, NodeEntry], values: Mapping[str, Any]) -> Scenario:
     """Return the scenario with parameters filled in for live nodes that do not set them."""
-    nodes = {n: e.model_copy(update={"parameters": {**told, **e.parameters}}) for n, e in live.items()}
+    nodes = {n: e.model_copy(update={"parameters": {**values, **e.parameters}}) for n, e in live.items()}
     return scenario.model_copy(update={"nodes": {**scenario.nodes, **nodes}}) if live else scenario
 
 

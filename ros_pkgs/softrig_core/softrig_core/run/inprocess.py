@@ -17,7 +17,7 @@ from ..block.loop import YOUNG
 from ..block.port import CLOCK, Port, Sample
 from ..block.step import Step
 from ..errors import ScenarioError
-from ..rig.contents import Look
+from ..rig.contents import StartContents
 from ..rig.members import Member
 from ..rig.rig import Rig
 from ..solver.solver import Solver
@@ -83,7 +83,7 @@ def run_inprocess(
         record(
             rig, {n: s for n, s in steps.items() if topics is None or any(p.topic in topics for p in s.outputs)}, sink
         )
-    purity = Look(steps, thorough, runs > 1)
+    purity = StartContents(steps, thorough, runs > 1)
     due, end = 0, rig.clock.schedule.end or 0
     try:
         with _searched_seldom():
@@ -103,7 +103,7 @@ def run_inprocess(
             step.link = None
             # Its process can serve the next run, which saves a second of imports.
             if isinstance(step.block, Solver):
-                step.block.rest()
+                step.block.release()
     return steps
 
 

@@ -12,7 +12,7 @@ from ..block.params import param
 from ..block.port import Port
 from ..errors import ScenarioError
 from ..scenario.port_text import ports_of
-from ..verdict.figures import Figure, figures_in, told
+from ..verdict.figures import Figure, figure_parameters, figures_in
 from ..verdict.watch import Watch, WatchParams
 from .expand import rig_of
 
@@ -73,4 +73,4 @@ class Figures(Watch[FiguresParams]):
 
 @cache
 def _of(scenario: str) -> dict[str, str]:
-    return told(rig_of(scenario))
+    return figure_parameters(rig_of(scenario))

@@ -10,7 +10,7 @@ from ..block.loop import Loop
 from ..block.params import ParameterError
 from ..block.tables import Moment, Tables
 from ..errors import RunError, ScenarioError, closest
-from ..rig.contents import Look
+from ..rig.contents import StartContents
 from ..rig.rig import Rig
 from ..scenario.scenario import Scenario
 from ..solver.solver import Solver
@@ -88,7 +88,7 @@ class Session:
             {m.name: m.block(self.seed) for m in self.rig.members},
             Recording((topic, port.msgtype) for topic, port in self.rig.topics.items()),
         )
-        self._look = Look(self.steps)
+        self._contents = StartContents(self.steps)
         self._every = max(1, self.ticks // KEPT)
         self._keep()
 
@@ -144,8 +144,8 @@ class Session:
             while self._k < until and not self.error:
                 t = next(self._answered)
                 self._k += 1
-                if t is not None and t >= self._look.due:
-                    self._look.check(t)
+                if t is not None and t >= self._contents.due:
+                    self._contents.check(t)
                 if self._k % self._every == 0:
                     self._keep()
         except RunError as error:
@@ -153,12 +153,12 @@ class Session:
             raise
         finally:
             if self.over:
-                self._rest()
+                self._release_solvers()
 
-    def _rest(self) -> None:
+    def _release_solvers(self) -> None:
         for step in self.steps.values():
             if isinstance(step.block, Solver):
-                step.block.rest()
+                step.block.release()
 
     def set(self, values: Mapping[str, Any]) -> None:
         """Change parameters from the next tick on, all or none of each node.
@@ -223,8 +223,8 @@ class Session:
         k, undone = self._past(t), self.undone(t)
         self._turned = [turned for turned in self._turned if turned.k < k]
         self._kept = {at: moment for at, moment in self._kept.items() if at <= k}
-        self._rest()
-        self._come({name: step.block for name, step in self.steps.items()}, k)
+        self._release_solvers()
+        self._restore({name: step.block for name, step in self.steps.items()}, k)
         return undone
 
     def branch(self, t: float | None = None) -> Session:
@@ -241,10 +241,10 @@ class Session:
         other._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
         other._kept = {at: moment for at, moment in self._kept.items() if at <= k}
         # The blocks are of classes that this run has checked already.
-        other._look = Look({})
-        # `_come` takes the messages before the branch from this recording and replaces it.
+        other._contents = StartContents({})
+        # `_restore` takes the messages before the branch from this recording and replaces it.
         other.recording, other._loop = self.recording, self._loop
-        other._come({m.name: m.block(self.seed) for m in self.rig.members}, k)
+        other._restore({m.name: m.block(self.seed) for m in self.rig.members}, k)
         return other
 
     def _past(self, t: float) -> int:
@@ -262,7 +262,7 @@ class Session:
         k = schedule.tick(at)
         return min(k + (schedule.time(k) < at), self.ticks + 1)
 
-    def _come(self, blocks: dict[str, Block], k: int) -> None:
+    def _restore(self, blocks: dict[str, Block], k: int) -> None:
         """Restore the blocks before tick k: from the newest stored state, and by ticks from there."""
         begin = max(self._kept, default=None)
         if begin is None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import CodeType, FrameType
 
 from ..block.block import Block
-from ..guard import tell
+from ..guard import print_for
 from ..timebase import SECOND
 
 LOOK = 1.0  # s between two looks
@@ -79,12 +79,12 @@ class Watch(threading.Thread):
             }
             for call, since in seen.values():
                 if now - since >= LONG > now - since - wait:
-                    tell(*report(call, f"for {LONG:g} s; Ctrl-C ends the run"))
+                    print_for(*report(call, f"for {LONG:g} s; Ctrl-C ends the run"))
             if ends[0] and here.get(self._main) is not ends[2]:
                 ends = 0, 0.0, None
             elif ends[2] is not None and now >= ends[1]:
                 who, text = report(ends[2], f"{LAST:g} s after {signal.Signals(ends[0]).name}")
-                tell(who, f"{text}: the process is ended, and what it has not written is lost")
+                print_for(who, f"{text}: the process is ended, and what it has not written is lost")
                 os._exit(128 + ends[0])
 
     def stop(self) -> None:

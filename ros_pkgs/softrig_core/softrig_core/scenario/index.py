@@ -25,7 +25,7 @@ class Listed(NamedTuple):
 
 
 def listed(broken: list[ScenarioError]) -> list[Listed]:
-    """Return all scenarios by name; without loading them while no file that they come from has changed.
+    """Return all scenarios by name; they are loaded only if one of their files has changed.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def _loaded(broken: list[ScenarioError]) -> list[Listed]:
 
 
 def _candidates() -> list[Path]:
-    """Return the files that scenarios come from, those that they extend as well, and the modules that check them."""
+    """Return the files of scenarios, those that they extend, and the modules that check them."""
     here = Path(__file__).parent
     files = (file for folder in scenario_folders() for file in folder.glob("*.yaml"))
     return [*files, *here.glob("*.py"), *here.with_name("judge").glob("*.py")]

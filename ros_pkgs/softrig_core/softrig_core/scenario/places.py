@@ -39,7 +39,7 @@ def place(name: str, path: Path, keys: Sequence[Any]) -> str:
 
 
 def _levels(name: str, path: Path, seen: tuple[str, ...] = ()) -> Iterator[tuple[Path, list[str]]]:
-    """Yield where a key may come from, the strongest first: file, and the keys above it."""
+    """Yield where a key may be defined, the strongest place first: file, and the keys above it."""
     if name != path.stem:
         yield path, ["variants", name.removeprefix(f"{path.stem}_")]
     yield path, []
@@ -50,7 +50,7 @@ def _levels(name: str, path: Path, seen: tuple[str, ...] = ()) -> Iterator[tuple
 
 
 def _line(file: Path, keys: Sequence[Any]) -> tuple[int, int]:
-    """Follow keys into a file as far as they go: how many are there, and the line of the last."""
+    """Follow keys into a file as far as they exist; return how many do, and the line of the last."""
     node, line = compose(file.read_text(encoding="utf-8")), 1
     for depth, key in enumerate(keys):
         below: list[tuple[Any, Any]] = []
@@ -95,7 +95,7 @@ def _keys(model: type[BaseModel] | None, above: Sequence[Any]) -> list[str]:
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models that an annotation speaks of."""
+    """Yield the models that an annotation names."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in typing.get_args(annotation):

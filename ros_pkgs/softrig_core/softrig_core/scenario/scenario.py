@@ -50,7 +50,7 @@ class NodeEntry(Entry):
     parameters: dict[str, Any] = {}
     remap: dict[str, TopicName] = {}
     external: bool | ClockEntry = Field(
-        False, description="somebody else starts it; our executable only tells its ports"
+        False, description="started by another program; our executable only declares its ports"
     )
     link: LinkEntry | None = Field(None, description="a board with its exported firmware answers its ticks")
 
@@ -215,7 +215,7 @@ class Scenario(Entry):
         return self
 
     @model_validator(mode="after")
-    def _who_trips_is_there(self) -> Scenario:
+    def _check_tripping_node(self) -> Scenario:
         if strange := [name for name in self.trips if name not in self.nodes]:
             raise ValueError(f"trips: no node {strange[0]!r}; the nodes are {', '.join(self.nodes)}")
         return self
@@ -256,7 +256,7 @@ class Scenario(Entry):
             raise ScenarioError(f"{self.name}: {explain(error, Scenario)}") from None
 
     def claimed(self) -> list[str]:
-        """Names of its own figures that its claims speak of."""
+        """Names of its own figures that its claims refer to."""
         published = [c.figure or key for key, c in self.claims.items() if c.verdict != "not_checkable" or c.figure]
         published += [r for c in self.claims.values() for r in c.references()]
         return [name for name in published if "." not in name]

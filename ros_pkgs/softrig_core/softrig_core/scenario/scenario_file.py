@@ -87,7 +87,7 @@ def locate(name: str) -> tuple[str, Path]:
 
 
 def ends(name: str, known: Iterable[str]) -> str:
-    """Suggest the scenarios of which a name is the last part."""
+    """Suggest the scenarios whose names end with a name."""
     result = [one for one in known if one.endswith(f"_{name}")][:3]
     return f" (did you mean {' or '.join(map(repr, result))}?)" if result else ""
 
@@ -139,7 +139,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
         )
     if name in seen:
         raise ScenarioError(f"{path.name}: extends itself: {' -> '.join((*seen, name))}")
-    raw = _beside(path, read(path))
+    raw = _with_whole_paths(path, read(path))
     variants = _variants(path, raw)
     raw.pop("variants", None)
     parent = raw.pop("extends", None)
@@ -150,7 +150,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
     return raw
 
 
-def _beside(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
+def _with_whole_paths(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
     """Return the whole path of a file that a node's parameter or link, or a shared value, names beside this one.
 
     What is found from the current directory is left as it is written.

@@ -178,9 +178,9 @@ class Solver(Block[S]):
         self.worker = Worker(type(self).solve)
         super().reset(seed)
 
-    def rest(self) -> None:
+    def release(self) -> None:
         """Release the worker process if it is idle, since the run is over."""
-        self.worker.rest()
+        self.worker.release()
 
     def working(self, x: Any) -> bool:
         """Return whether a request is under way or waits."""

@@ -140,13 +140,13 @@ class Worker:
         self.answer, self.has_best, self.job = best if result else None, result, job
         self.state, self.struck = "done", True
 
-    def rest(self) -> None:
+    def release(self) -> None:
         """Release an idle process until there is work again."""
         if self._process is not None and self.state != "working":
             self._end()
             self._process = None
 
-    def heard(self, process: _Process, kind: str, content: Any) -> None:
+    def process_message(self, process: _Process, kind: str, content: Any) -> None:
         """Process a message of the worker process."""
         with self._changed:
             # A process that was killed may have sent this before.
@@ -246,9 +246,9 @@ class _Process:
     def _listen(self) -> None:
         """Forward the process's messages until its end; hold no reference to the worker, so that its end is noticed."""
 
-        def tell(kind: str, content: Any) -> None:
+        def send(kind: str, content: Any) -> None:
             if (worker := self.owner()) is not None:
-                worker.heard(self, kind, content)
+                worker.process_message(self, kind, content)
 
         assert self._process.stdout is not None
         while True:
@@ -258,7 +258,7 @@ class _Process:
             except (EOFError, OSError, ValueError):
                 code = self._process.wait()
                 how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
-                tell("failed", f"the process that works {how}")
+                send("failed", f"the process that works {how}")
                 return
             try:
                 kind, content = pickle.loads(data)
@@ -267,7 +267,7 @@ class _Process:
                 kind, content = "failed", f"its answer cannot be read: {type(error).__name__}: {error}"
             if kind in ("done", "failed"):
                 self.busy = False
-            tell(kind, content)
+            send(kind, content)
 
 
 def _directory() -> str:

@@ -34,7 +34,7 @@ from ..judge.measures import (
 )
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
-from ..rig.agreement import agreeing, shown, spoken
+from ..rig.agreement import agreed_values, agreeing, shown
 from ..rig.members import Members, signal_units
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters, pick
@@ -162,14 +162,14 @@ class Figure:
         if not self.since:
             return replace(self, arguments=given)
         t, value = newest_step(signals, self.since)
-        told: dict[str, Any] = {"start": t + (given.get("start") or 0.0)}
+        values: dict[str, Any] = {"start": t + (given.get("start") or 0.0)}
         if given.get("end") is not None:
-            told["end"] = t + given["end"]
+            values["end"] = t + given["end"]
         if given.get("reference") in self.since.split(", "):
-            told["reference"] = newest_step(signals, given["reference"])[1]  # one number since then
+            values["reference"] = newest_step(signals, given["reference"])[1]  # one number since then
         if "final" in _model(self.function)[0].model_fields and given.get("final") is None:
-            told |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
-        return replace(self, arguments=given | told, since="")
+            values |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
+        return replace(self, arguments=given | values, since="")
 
 
 def figures_of(rig: Members) -> list[Figure]:
@@ -180,7 +180,7 @@ def figures_of(rig: Members) -> list[Figure]:
     ScenarioError
         Names the figure: an unknown function, argument, signal or parameter, a wrong type, a unit that does not fit.
     """
-    units, agreed = signal_units(rig), spoken(rig.members)
+    units, agreed = signal_units(rig), agreed_values(rig.members)
     result = []
     for name, entry in rig.scenario.figures.items():
         try:
@@ -233,7 +233,7 @@ def _called(name: str, units: Mapping[str, str]) -> Iterable[str]:
     return (name,) if name in units else filter_names(units, name)
 
 
-def told(rig: Members) -> dict[str, str]:
+def figure_parameters(rig: Members) -> dict[str, str]:
     """Write the figures of a rig's scenario, and the topics that they are on, as parameters of the node `figures`.
 
     Requirements have nodes of their own.
@@ -252,7 +252,7 @@ def told(rig: Members) -> dict[str, str]:
 
 
 def figures_in(text: str) -> list[Figure]:
-    """Read the figures that `told` has encoded.
+    """Read the figures that `figure_parameters` has encoded.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pydantic import BaseModel, ConfigDict
 
 from ..errors import ScenarioError
-from ..judge.claims import Claim, Verdict, spoken
+from ..judge.claims import Claim, Verdict, readable
 from ..scenario.scenario import Scenario
 from ..scenario.scenario_file import list_scenarios
 from .figures import Result
@@ -122,7 +122,7 @@ def _finding(
         unit=units.get(figure, ""),
         published=claim.published,
         measured=value if value is not None and math.isfinite(value) else None,
-        measured_text=("?" if value is None else spoken(value)) if speaks else "",
+        measured_text=("?" if value is None else readable(value)) if speaks else "",
         asked=claim.asks(others),
         verdict=claim.verdict,
         reason=claim.reason,

@@ -148,7 +148,7 @@ def _grid(clock: Schedule, end: float) -> Array:
 
 
 def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return for each tick the newest of the values that came at these times, 0 before the first, and where that is."""
+    """Return for each tick the newest of the values with these times (0 before the first), and its index."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
         return values[: len(grid)], np.zeros(len(grid), dtype=bool)
     at = newest(times, grid)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..block.answer import Heard, Messages
+from ..block.answer import Messages, ReceivedMessages
 from ..block.block import Observer
 from ..block.gathering import EVER
 from ..block.params import BlockParams, param
@@ -93,7 +93,7 @@ class Kept(NamedTuple):
         oldest = self.blocks[0] if self.blocks else self.filling or self.newest
         return self.dropped or (oldest != b"" and STAMP.unpack_from(oldest)[0] < self.since)
 
-    def taken(self, row: struct.Struct, stamp: int, values: Any, t: int, reach: int) -> Kept:
+    def with_message(self, row: struct.Struct, stamp: int, values: Any, t: int, reach: int) -> Kept:
         """Add a message at tick t, if it is new; messages older than `reach` before t leave the window (ns).
 
         `row` packs it (`row_of`).
@@ -112,8 +112,8 @@ class Kept(NamedTuple):
                 dropped = dropped or len(blocks) <= len(self.blocks)
         return _new(Kept, (blocks, filling, newest, stamp, since, dropped))
 
-    def taken_at_once(self, messages: Messages, t: int, reach: int) -> Kept:
-        """Add new messages, oldest first; equal to calling `taken` for one after the other up to a tick t."""
+    def with_messages(self, messages: Messages, t: int, reach: int) -> Kept:
+        """Add new messages, oldest first; equal to calling `with_message` for one after the other up to a tick t."""
         since = max(self.since, t - reach)
         if not messages:
             return self if self.stamp == EVER else self._replace(since=since)
@@ -133,7 +133,9 @@ class Kept(NamedTuple):
 
 def packed(messages: Messages) -> bytes:
     """Return messages as they are kept."""
-    stamps, values = (messages.stamps, messages.values) if isinstance(messages, Heard) else zip(*messages, strict=True)
+    stamps, values = (
+        (messages.stamps, messages.values) if isinstance(messages, ReceivedMessages) else zip(*messages, strict=True)
+    )
     rows = np.empty(len(messages), _rows(len(values[0])))
     rows["stamp"], rows["values"] = stamps, values
     return rows.tobytes()
@@ -186,13 +188,13 @@ class Watch(Observer[W]):
         reach, age, results = self._reach, self.ages or self.age, []  # a call less for each input
         for (name, row), kept in zip(self._rows.items(), seen, strict=True):
             values = inputs.get(name)
-            results.append(kept if values is None else kept.taken(row, t - (age(name) or 0), values, t, reach))
+            results.append(kept if values is None else kept.with_message(row, t - (age(name) or 0), values, t, reach))
         return tuple(results)
 
     def at_once(self, x: Any, t: int, messages: Mapping[str, Messages]) -> Any:
         """See `softrig_core.block.gathering.Batched`."""
         seen = zip(self._ports, x.seen, strict=True)
-        return Window(tuple(kept.taken_at_once(messages.get(name, ()), t, self._reach) for name, kept in seen))
+        return Window(tuple(kept.with_messages(messages.get(name, ()), t, self._reach) for name, kept in seen))
 
     def figure(self, name: str, function: Function, arguments: Mapping[str, Any] = NONE) -> Figure:
         """Create a figure, in the unit of its function and its signal."""

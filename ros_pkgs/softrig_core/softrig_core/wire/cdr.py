@@ -338,22 +338,22 @@ def parse(msgtype: str, data: bytes) -> Message:
             if (count := reader.one("I")) != 1:
                 raise CdrError(f"{msgtype}: {count} points, expected exactly one")
         elif kind == "sequence":
-            fields[name] = reader.take("d", reader.count(f"values of {name}", 8))
+            fields[name] = reader.read("d", reader.count(f"values of {name}", 8))
         elif kind == "numbers":
-            fields[name] = reader.take("d", size)
+            fields[name] = reader.read("d", size)
         elif kind == "dims":
             shape = []
             for i in range(reader.count("dimensions", 13)):
                 label = reader.text()
                 if i == 0 and (match := _NUMBERED.fullmatch(label)):
                     label, number = match[1], int(match[2])
-                shape.append((label, reader.take("I", 2)[0]))  # without the stride
+                shape.append((label, reader.read("I", 2)[0]))  # without the stride
             dims = tuple(shape)
             reader.one("I")
         elif kind == "flag":
-            fields[name] = reader.take("B")
+            fields[name] = reader.read("B")
         elif kind == "duration":
-            reader.take("I", 2)
+            reader.read("I", 2)
     if dims and math.prod(size for _, size in dims) != len(fields["data"]):
         raise CdrError(f"{msgtype}: {len(fields['data'])} values for the shape {dict(dims)}")
     return Message(stamp, frame_id, names, fields, dims, number)

@@ -74,7 +74,7 @@ class Rows:
         self._ends = list(accumulate(count for _, count in places))
         self.number = self._ends[-1] if places else 0
         self._even: tuple[int, int] | None = None
-        self._looked = False
+        self._checked = False
 
     def read(self, first: int, last: int) -> NDArray[Any]:
         """Return the rows from `first` up to `last` as a structured array.
@@ -109,8 +109,8 @@ class Rows:
     @property
     def even(self) -> tuple[int, int] | None:
         """First time and period in ns if all times are evenly spaced, else None."""
-        if not self._looked:
-            self._looked, self._even = True, self._spacing()
+        if not self._checked:
+            self._checked, self._even = True, self._spacing()
         return self._even
 
     def _spacing(self) -> tuple[int, int] | None:

@@ -102,6 +102,6 @@ def _read(reader: Reader) -> tuple[str, Any]:
     values: dict[int, Any] = {k: reader.one(code) for k, code in _ONE.items()}
     values[_STRING] = reader.text()
     for many, code in ((5, "B"), *_MANY):
-        values[many] = list(reader.take(code, reader.one("I")))
+        values[many] = list(reader.read(code, reader.one("I")))
     values[_STRINGS] = [reader.text() for _ in range(reader.one("I"))]
     return name, values.get(kind)

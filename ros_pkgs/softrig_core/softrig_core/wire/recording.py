@@ -318,7 +318,7 @@ class Recording:
         topic.times.insert(k, t)
         topic.data.insert(k, data)
 
-    def beside(self, topics: Iterable[tuple[str, str]]) -> Recording:
+    def with_topics(self, topics: Iterable[tuple[str, str]]) -> Recording:
         """Return a recording with these messages, not copied, and other topics after them.
 
         A topic that is there already is copied, so that what is added to it does not change this recording.
@@ -337,7 +337,7 @@ class Recording:
         while any(clock.left for clock in clocks):
             # Earlier times than the last one that each clock has seen cannot come any more.
             limit = min((clock.seen for clock in clocks if clock.more), default=None)
-            ticks = [clock.take(limit) for clock in clocks]
+            ticks = [clock.pop_until(limit) for clock in clocks]
             ranks = np.repeat(np.arange(len(ticks)), [len(times) for times in ticks])
             yield ranks[np.argsort(np.concatenate(ticks), kind="stable")]
 
@@ -370,11 +370,11 @@ class Recording:
                 return size
             file.seek(at)
             if size <= HELD:
-                return size - at - self.take(head, memoryview(file.readall()), namespace)
+                return size - at - self.add_part(head, memoryview(file.readall()), namespace)
             places, length = list[tuple[int, int]](), _LOOK
             # Rows stay in the file; only their places and what is not a row are kept in memory.
             while content := file.read(length):
-                used = self.take(head, memoryview(content), namespace, partial(_note_rows, places, at))
+                used = self.add_part(head, memoryview(content), namespace, partial(_note_rows, places, at))
                 # A message may be longer than what was read.
                 length = _LOOK if used else 2 * length
                 if not used and at + len(content) == size:
@@ -395,7 +395,7 @@ class Recording:
                 self.topics[name.removeprefix(namespace)].add_columns(Stored(rows, first, layout))
             first += layout.size
 
-    def take(
+    def add_part(
         self,
         head: Mapping[str, Any],
         content: memoryview,
@@ -486,7 +486,7 @@ class ShardTail:
             self._head, start = _read_head(content)
         if self._head is not None:
             # Only whole messages advance the place, so that a record still being written is read again.
-            self._at += start + recording.take(self._head, content[start:])
+            self._at += start + recording.add_part(self._head, content[start:])
         return len(content) == self.LIMIT
 
 
@@ -554,7 +554,7 @@ class _Clock:
             self._held, self._read, self._newest = np.concatenate([self._held, part]), last, part[-1]
         return int(self._newest)
 
-    def take(self, limit: int | None) -> NDArray[np.int64]:
+    def pop_until(self, limit: int | None) -> NDArray[np.int64]:
         """Return the times before a limit that were not taken yet; all if there is none."""
         n = len(self._held) if limit is None else int(np.searchsorted(self._held, limit))
         used, self._held = self._held[:n], self._held[n:]

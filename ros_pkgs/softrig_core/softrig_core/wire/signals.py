@@ -205,12 +205,12 @@ class Signals(Mapping[str, Signal]):
     def __getitem__(self, name: str) -> Signal:
         if name in self._known:
             return self._known[name]
-        result, lasts = self._found(name)
+        result, lasts = self._lookup(name)
         if lasts:
             self._known[name] = result
         return result
 
-    def _found(self, name: str) -> tuple[Signal, bool]:
+    def _lookup(self, name: str) -> tuple[Signal, bool]:
         """Return a signal, and whether its column is in memory anyway."""
         topic = topic_of(name, self.recording.topics)
         if not topic:

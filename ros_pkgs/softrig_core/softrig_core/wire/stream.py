@@ -67,7 +67,7 @@ class Reader:
         # The second byte of the encapsulation holds the byte order, which is that of the writer.
         self._order = ">" if len(data) > 1 and data[1] == 0 else "<"
 
-    def take(self, code: str, n: int = 1) -> tuple[Any, ...]:
+    def read(self, code: str, n: int = 1) -> tuple[Any, ...]:
         """Read `n` values of a struct's code.
 
         Raises
@@ -86,7 +86,7 @@ class Reader:
 
     def one(self, code: str) -> Any:
         """Read one value of a struct's code."""
-        return self.take(code)[0]
+        return self.read(code)[0]
 
     def count(self, what: str, size: int) -> int:
         """Read how many items follow, of at least so many bytes each.

@@ -41,7 +41,7 @@ class DcAxis(Drawing):
         level = held(self.voltage(row) / self.limit, 1.0)
         pen.box(36.0, y - 48.0, 58.0, 9.0, "muted", "", 1.0)
         pen.box(65.0, y - 48.0, 29.0 * level, 9.0, "second", "second", 0)
-        pen.text((65.0, y - 56.0), self.voltage.said(row, ".2f"), "second", anchor="middle")
+        pen.text((65.0, y - 56.0), self.voltage.text_of(row, ".2f"), "second", anchor="middle")
         pen.line([(100.0, y - 4.0), (self.RIGHT, y - 4.0)], "muted", 7.0)
         turn = 2 * math.pi * self.position(row) / self.per_turn
         for k in range(24):  # the thread runs along the spindle as it turns
@@ -62,11 +62,14 @@ class DcAxis(Drawing):
             if quantity.name:
                 place = self.at(quantity(row))
                 pen.line([(place, y + 24.0), (place, y - height)], role, 1.6, dashed=True)
-        rows = [("Position", self.position.said(row, ".2f"), "accent"), ("Speed", self.speed.said(row, ".2f"), "line")]
-        rows += [("Fed back (outline)", self.fed.said(row, ".2f"), "line")] if self.fed.name else []
+        rows = [
+            ("Position", self.position.text_of(row, ".2f"), "accent"),
+            ("Speed", self.speed.text_of(row, ".2f"), "line"),
+        ]
+        rows += [("Fed back (outline)", self.fed.text_of(row, ".2f"), "line")] if self.fed.name else []
         readings(pen, (40.0, 292.0), rows, 230.0)
-        rows = [("Set point (dashed)", self.target.said(row, ".1f"), "alarm")] if self.target.name else []
-        rows += [("Set position", self.wanted.said(row, ".2f"), "reference")] if self.wanted.name else []
+        rows = [("Set point (dashed)", self.target.text_of(row, ".1f"), "alarm")] if self.target.name else []
+        rows += [("Set position", self.wanted.text_of(row, ".2f"), "reference")] if self.wanted.name else []
         readings(pen, (360.0, 292.0), rows, 240.0)
 
     def at(self, position: float) -> float:

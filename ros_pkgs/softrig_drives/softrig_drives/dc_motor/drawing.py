@@ -25,7 +25,7 @@ class DcMotor(Drawing):
         self.angle = self.quantity(port, "shaft/position")
         self.speed = self.quantity(port, "shaft/velocity")
         self.torque = self.quantity(port, "shaft/effort")
-        self.told = self.quantity("state", "shaft/velocity") if true else None
+        self.encoder = self.quantity("state", "shaft/velocity") if true else None
         self.voltage = self.quantity("applied" if true else "command", "armature/effort")
         self.current = self.quantity("sensors", "current_a/position")
         self.reference = self.quantity("reference", "shaft/velocity")
@@ -46,21 +46,21 @@ class DcMotor(Drawing):
         pen.text((310, 156), "M", "line", 18.0, "middle")
         share = held(self.current(row) / 2.0, 1.0)
         pen.arrow((185 - 22 * share, 45), (185 + 22 * share, 45), "accent", 2.5)
-        pen.text((185, 32), self.current.said(row, ".3f"), "accent", anchor="middle")
+        pen.text((185, 32), self.current.text_of(row, ".3f"), "accent", anchor="middle")
         pen.text((140, 98), "R", "muted", anchor="middle")
         pen.text((235, 98), "L", "muted", anchor="middle")
-        pen.text((104, 155), self.voltage.said(row, ".2f"), "second")
+        pen.text((104, 155), self.voltage.text_of(row, ".2f"), "second")
         level = held(self.voltage(row) / self.full, 1.0)
         pen.box(10, 110, 10, 80, "muted", "", 1.0)
         pen.box(10, 150, 10, -40 * level, "second", "second", 0)
         pen.line([(344, 150), CENTRE], "line", 5.0)
         turning_disc(pen, CENTRE, DISC, self.angle(row))
         speed_arc(pen, CENTRE, DISC + 14, held(self.speed(row) / 60.0, 1.0))
-        rows = [("Speed", self.speed.said(row, ".2f"), "line")]
-        if self.told is not None:
-            rows += [("as the encoder tells it", self.told.said(row, ".2f"), "muted")]
-        rows += [("Reference", self.reference.said(row, ".2f"), "reference")] if self.reference.name else []
-        rows += [("Angle", self.angle.said(row, ".2f"), "line"), ("Torque", self.torque.said(row, ".4f"), "line")]
+        rows = [("Speed", self.speed.text_of(row, ".2f"), "line")]
+        if self.encoder is not None:
+            rows += [("measured by the encoder", self.encoder.text_of(row, ".2f"), "muted")]
+        rows += [("Reference", self.reference.text_of(row, ".2f"), "reference")] if self.reference.name else []
+        rows += [("Angle", self.angle.text_of(row, ".2f"), "line"), ("Torque", self.torque.text_of(row, ".4f"), "line")]
         readings(pen, (40.0, 264.0), rows, 250.0, 21.0)
 
 

@@ -39,13 +39,13 @@ class InductionMotor(Drawing):
         self._machine(pen, row)
         self._flux(pen, row, past)
         self._inverter(pen, row)
-        i = [q.said(row, "+.1f") for q in self.currents]
+        i = [q.text_of(row, "+.1f") for q in self.currents]
         psi = math.hypot(*(q(row) for q in self.flux))
         known = self.flux[0].name in row
-        rows = [("Speed", self.speed.said(row), "line")]
-        rows += [("Reference", self.reference.said(row), "reference")] if self.reference.name else []
-        rows += [("Torque", self.torque.said(row), "line")]
-        rows += [("Stator flux", f"{psi:.3f} {self.flux[0].unit}" if known else self.flux[0].said({}), "line")]
+        rows = [("Speed", self.speed.text_of(row), "line")]
+        rows += [("Reference", self.reference.text_of(row), "reference")] if self.reference.name else []
+        rows += [("Torque", self.torque.text_of(row), "line")]
+        rows += [("Stator flux", f"{psi:.3f} {self.flux[0].unit}" if known else self.flux[0].text_of({}), "line")]
         rows += [(f"Current {name}", text, role) for (name, role), text in zip(PHASES, i, strict=True)]
         readings(pen, (400.0, 196.0), rows, 210.0)
 

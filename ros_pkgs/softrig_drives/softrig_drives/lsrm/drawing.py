@@ -40,10 +40,13 @@ class ReluctanceMotor(Drawing):
         self._stator(pen, x)
         self._translator(pen, row)
         self._currents(pen, row)
-        rows = [("Position", self.position.said(row, ".4f"), "line"), ("Speed", self.speed.said(row, ".3f"), "line")]
-        rows += [("Reference", self.reference.said(row, ".3f"), "reference")] if self.reference.name else []
-        rows += [("Force", self.force.said(row), "line")]
-        rows += [("Load", self.mass.said(row), "line")] if self.mass.name else []
+        rows = [
+            ("Position", self.position.text_of(row, ".4f"), "line"),
+            ("Speed", self.speed.text_of(row, ".3f"), "line"),
+        ]
+        rows += [("Reference", self.reference.text_of(row, ".3f"), "reference")] if self.reference.name else []
+        rows += [("Force", self.force.text_of(row), "line")]
+        rows += [("Load", self.mass.text_of(row), "line")] if self.mass.name else []
         readings(pen, (400.0, 290.0), rows, 210.0)
 
     def _stator(self, pen: Pen, x: float) -> None:
@@ -101,4 +104,4 @@ class ReluctanceMotor(Drawing):
             pen.text((30.0, y), name, role)
             pen.box(50.0, y - 11.0, 200.0, 12.0, "muted", "paper", 1.0)
             pen.box(50.0, y - 11.0, 200.0 * held(abs(current(row)) / self.full, 1.0), 12.0, role, role, 0)
-            pen.text((330.0, y), current.said(row, ".2f"), role, anchor="end")
+            pen.text((330.0, y), current.text_of(row, ".2f"), role, anchor="end")

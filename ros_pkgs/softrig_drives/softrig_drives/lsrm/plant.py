@@ -94,7 +94,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
         """Hold the voltages and the load for one period."""
         p, on, fault = self.p, x.load, x.fault
         if load is not None and load != on.values:
-            on = self._taken(load) or on
+            on = self._checked_load(load) or on
         if not fault and (max(phase_voltage) > p.U_dc or min(phase_voltage) < -p.U_dc):
             self.report(Level.WARN, "clipped", f"voltages {phase_voltage} V clipped to the supply, {p.U_dc:g} V")
         result = step(x[:STATES], phase_voltage, on.values, fault, self._geometry, self._constants)
@@ -109,7 +109,7 @@ class LsrmPlant(Plant[LsrmPlantParams]):
                 )
         return State(*result, on, fault)
 
-    def _taken(self, load: tuple[float, ...]) -> Load | None:
+    def _checked_load(self, load: tuple[float, ...]) -> Load | None:
         added, friction = load
         if added >= 0.0 and friction >= 0.0:
             return Load((added, friction))

@@ -40,10 +40,10 @@ class MachineDrawing(Drawing):
         tip = (CENTRE[0] + ROTOR * (2 * a - b - c) / 3, CENTRE[1] - ROTOR * (b - c) / math.sqrt(3.0))
         pen.arrow(CENTRE, tip, "alarm", 3.5, 14.0)
         self._inverter(pen, row)
-        rows = [("Speed", self.speed.said(row, ".1f"), "line"), ("Torque", self.torque.said(row, ".2f"), "line")]
-        rows += [("DC voltage", self.voltage.said(row, ".0f"), "line")]
+        rows = [("Speed", self.speed.text_of(row, ".1f"), "line"), ("Torque", self.torque.text_of(row, ".2f"), "line")]
+        rows += [("DC voltage", self.voltage.text_of(row, ".0f"), "line")]
         rows += [
-            (f"Current {name}", q.said(row, "+.1f"), role)
+            (f"Current {name}", q.text_of(row, "+.1f"), role)
             for (name, role), q in zip(PHASES, self.currents, strict=True)
         ]
         readings(pen, (400.0, 196.0), rows, 210.0)

@@ -104,7 +104,7 @@ class Adapter:
         self.block = block
         self.options = options
         self.links = Links.model_validate_json(options.links) if options.links else _by_hand(block, options)
-        self.schedule = Schedule(block.p.period, self.links.base or None, options.duration, block.speaks_at_end())
+        self.schedule = Schedule(block.p.period, self.links.base or None, options.duration, block.ticks_at_end())
         inputs, outputs = block.ports(block.p)
         self.step = Step(middleware.name, block, self.schedule, inputs, outputs, loads(options.changes))
         self.values = self.step.values

@@ -57,7 +57,7 @@ class Outgoing:
     def begin(self) -> None:
         """Offer the topics."""
         node, middleware, links = self._node, self._node.middleware, self._node.links
-        if links.acknowledges if node.options.mode == "lockstep" else links.tells:
+        if links.acknowledges if node.options.mode == "lockstep" else links.silence_readers:
             self.acknowledge = self._acknowledging()
         for output in self.outputs:
             topic, layout, matched = output.port.topic, output.layout, self._noting(output)

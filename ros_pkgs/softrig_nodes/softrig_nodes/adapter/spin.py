@@ -9,7 +9,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
 from softrig_core.errors import RunError, describe
-from softrig_core.guard import tell
+from softrig_core.guard import print_for
 from softrig_core.run.stuck import watched
 from softrig_core.timebase import SECOND
 
@@ -66,7 +66,7 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
         except OSError as error:
             adapter.error, adapter.state = error, "failed"
     if stopped and adapter.state == "starting" and adapter.absent:
-        tell(adapter.middleware.name, f"stopped before it could begin: {'; '.join(adapter.absent)}")
+        print_for(adapter.middleware.name, f"stopped before it could begin: {'; '.join(adapter.absent)}")
     if stopped and adapter.state not in ("done", "failed"):
         adapter.left_early = True
         # A node that a person has stopped has not failed.
@@ -76,5 +76,5 @@ def conclude(adapter: Adapter, stopped: bool) -> int:
     except OSError as error:
         adapter.error, adapter.state = adapter.error or error, "failed"
     if adapter.error is not None:
-        tell(adapter.middleware.name, adapter.error)
+        print_for(adapter.middleware.name, adapter.error)
     return 3 if adapter.state == "failed" else 0

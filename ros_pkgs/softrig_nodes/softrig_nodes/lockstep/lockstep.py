@@ -85,7 +85,7 @@ class Lockstep(Link):
         senders.without(local)
         if links.clock is not None and links.clock.node not in local:
             senders.follow_clock(links.clock)
-        if links.hears_clock:
+        if links.follows_clock:
             # An outside plant may publish /clock and wait for its subscribers, although this node does not need it.
             node.middleware.subscribe("/clock", "rosgraph_msgs/msg/Clock", Reader())
         if links.guests:

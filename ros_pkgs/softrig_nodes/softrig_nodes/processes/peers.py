@@ -21,7 +21,7 @@ def links(rig: Rig, member: Member) -> Links:
             port=link.port.name,
             sporadic=link.port.sporadic,
             delayed=link.port.delayed,
-            told=_told(member, link),
+            reports_silence=_waits_for_silence(member, link),
         )
         for port, link in member.links.items()
         if not (link.source.external and link.port.sporadic)
@@ -43,11 +43,11 @@ def links(rig: Rig, member: Member) -> Links:
         guests=any(m.external for m in rig.members),
         outside=[p.topic for m in rig.members if m.external for p in m.outputs if ours(rig.readers(m, p))],
         clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if clocked and not by_readers else None,
-        hears_clock=clocked and by_readers,
+        follows_clock=clocked and by_readers,
         owns_clock=member is rig.clock,
         acknowledges=bool(tick_readers) or unheard,
         tick_readers=tick_readers,
-        tells=_tells(rig, member),
+        silence_readers=_silence_readers(rig, member),
         acks={m.name: _seconds(m) for m in [*acknowledging, *pacers]},
         followers=_followers(rig),
         clock_readers=[m.name for m in _clocked(rig) if not m.external] if member is rig.clock else [],
@@ -110,7 +110,7 @@ def _tick_readers(rig: Rig, member: Member) -> list[str]:
     return list(dict.fromkeys(m.name for m in results if not m.external))
 
 
-def _told(reader: Member, link: Link) -> bool:
+def _waits_for_silence(reader: Member, link: Link) -> bool:
     """Return whether a controller in real time waits for the acknowledgements of a sender that may be silent.
 
     A plant does not wait for messages. A message that is paired by its order belongs to the tick at which it arrives.
@@ -119,9 +119,9 @@ def _told(reader: Member, link: Link) -> bool:
     return port.sporadic and port.stamped and not port.delayed and not reader.is_plant and not reader.external
 
 
-def _tells(rig: Rig, member: Member) -> list[str]:
+def _silence_readers(rig: Rig, member: Member) -> list[str]:
     """Name the nodes that receive the silent ticks of a node in real time."""
-    results = [m.name for m in rig.members for k in m.links.values() if k.source is member and _told(m, k)]
+    results = [m.name for m in rig.members for k in m.links.values() if k.source is member and _waits_for_silence(m, k)]
     return [] if member.external else list(dict.fromkeys(results))
 
 

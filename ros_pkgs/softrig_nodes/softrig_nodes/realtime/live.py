@@ -149,8 +149,8 @@ class Live(Sender):
         super().__init__(node, port, link.node if link else "another node")
         self.table = table
         self.schedule = node.peer(link) if link else None
-        untold = link is None or not link.told
-        silent = untold and (port.sporadic or (link is not None and link.sporadic) or port.name in node.links.free)
+        unreported = link is None or not link.reports_silence
+        silent = unreported and (port.sporadic or (link is not None and link.sporadic) or port.name in node.links.free)
         self.awaited = not port.held and not silent
         at_tick = link is not None and not link.delayed
         self.by_arrival = not port.stamped or (port.delayed and not at_tick)
@@ -166,7 +166,7 @@ class Live(Sender):
         self._interval = 0 if self.schedule is None else self.schedule.time(1)
         self._rivals = Rivals()
         # Only a publisher that should publish at each tick shows by its silence that it is gone.
-        if self.awaited and untold:
+        if self.awaited and unreported:
             self.numbered = self._numbered
 
     # what has come -------------------------------------------------------------------------------------------------

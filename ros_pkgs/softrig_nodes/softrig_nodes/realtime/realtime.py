@@ -126,7 +126,7 @@ class Realtime(Link):
             wanted = [(o, list(readers.get(o.name, []))) for o in node.outgoing.outputs]
             awaited = [(i, inputs[i.name].node) for i in node.inputs if i.name in inputs]
             awaited += [(i, i.who) for i in acknowledgements]
-            wanted.append((node.outgoing.tick_output, node.links.tells))
+            wanted.append((node.outgoing.tick_output, node.links.silence_readers))
             shake = Handshake(node, awaited, wanted, local)
             self.departure = Departure(node, shake, local, self._begin_at, self._stand.receive)
         else:
@@ -219,7 +219,7 @@ class Realtime(Link):
     def row(self, port: Port) -> Live:
         """Create the row of an input: it keeps the good values by stamp; what is due makes a block answer."""
         link = self.node.links.inputs.get(port.name)
-        return self.senders.row(port, Sporadic if link is not None and link.told else Live)
+        return self.senders.row(port, Sporadic if link is not None and link.reports_silence else Live)
 
     def on_matched(self, item: Input) -> None:
         """Reject both of two publishers on one input until one of them has left or has been silent for long."""
@@ -327,7 +327,7 @@ class Realtime(Link):
                 # Staleness is judged at the time of the tick: a plant that is late itself must not take its controllers
                 # for silent.
                 node.step.advance(t, self._fresh_inputs(node.epoch + node.schedule.time(k + 1)))
-            node.step.say(due)
+            node.step.answer(due)
         except RunError as error:
             node.broke(error)
             return
@@ -359,7 +359,7 @@ class Realtime(Link):
             return
         self._use(t)
         try:
-            step.say(t)
+            step.answer(t)
         except RunError as error:
             # Arithmetic errors and rejected values may pass as the loop moves on; anything else is a mistake in the
             # block's code.
@@ -369,7 +369,7 @@ class Realtime(Link):
             text = str(error).removeprefix(f"{step.name}: ")
             node.step.note(Level.ERROR, "failed", f"{text}; safe output")
             # Without an answer before it, `held` returns the safe values.
-            step.said = ()
+            step.last_answer = ()
             step.hand_on(t, step.checked(step.held()))
         self._ticked(t)
 

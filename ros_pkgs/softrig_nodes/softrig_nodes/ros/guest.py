@@ -29,7 +29,7 @@ from softrig_core.block.codec import Decoder
 from softrig_core.block.port import CLOCK, Port, Refused
 from softrig_core.board.clocked import WAITS, ClockEntry
 from softrig_core.errors import RunError
-from softrig_core.guard import tell
+from softrig_core.guard import print_for
 
 from ..processes.shared_memory import domain_id
 from .messages import message_class
@@ -167,7 +167,7 @@ class Guest:
                 before, since = lacking, now
             if lacking != messages and now - since > REPORT_AFTER:
                 messages = lacking
-                tell(self._name, f"{WAITS}: {self._lacks(lacking, wanted)}")
+                print_for(self._name, f"{WAITS}: {self._lacks(lacking, wanted)}")
             if now - begin > limit:
                 raise RunError(f"{self._lacks(lacking, wanted)}; waited for {limit:g} s")
         self._wait(lambda: "UNKNOWN" not in self._named(), 0)  # the graph has endpoints before the names of their nodes

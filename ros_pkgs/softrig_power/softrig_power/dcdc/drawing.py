@@ -60,8 +60,11 @@ class Converter(Drawing):
         middle = 0.5 * (coil[0] + coil[1])
         pen.arrow((middle - 22 * size, TOP - 26), (middle + 22 * size, TOP - 26), "accent", 2.5)
         rows = [
-            ("Output", self.v_out.said(row, ".2f"), "line"),
-            ("Current, mean", self.current.said(row, ".2f"), "accent"),
+            ("Output", self.v_out.text_of(row, ".2f"), "line"),
+            ("Current, mean", self.current.text_of(row, ".2f"), "accent"),
         ]
-        rows += [("Input", self.v_in.said(row, ".1f"), "muted"), ("Duty ratio", self.duty.said(row, ".3f"), "second")]
+        rows += [
+            ("Input", self.v_in.text_of(row, ".1f"), "muted"),
+            ("Duty ratio", self.duty.text_of(row, ".3f"), "second"),
+        ]
         readings(pen, (70.0, 280.0), rows, 260.0, 21.0)

@@ -52,7 +52,7 @@ class Fleet(Drawing):
         pen.box(self.LEFT, 276.0, self.WIDTH * held(self.total(row) / full, 1.0), 14.0, "accent", "accent", 0)
         x = self.LEFT + self.WIDTH * min(max(self.demand(row) / full, 0.0), 1.0)
         pen.line([(x, 270.0), (x, 296.0)], "alarm", 3.0)
-        rows = [("Output of all units", self.total.said(row, ",.2f"), "accent")]
-        rows += [("Demand", self.demand.said(row, ",.2f"), "alarm")] if self.demand.name else []
+        rows = [("Output of all units", self.total.text_of(row, ",.2f"), "accent")]
+        rows += [("Demand", self.demand.text_of(row, ",.2f"), "alarm")] if self.demand.name else []
         readings(pen, (self.LEFT, 322.0), rows, 260.0)
-        readings(pen, (350.0, 322.0), [("Cost", self.cost.said(row, ",.2f"), "line")], 260.0)
+        readings(pen, (350.0, 322.0), [("Cost", self.cost.text_of(row, ",.2f"), "line")], 260.0)

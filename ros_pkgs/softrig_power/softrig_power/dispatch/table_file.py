@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
-from softrig_core.guard import say
+from softrig_core.guard import print_line
 from softrig_core.kit.file_format import FileFormat, number_of, text_of
 
 UNITS = FileFormat(
@@ -81,9 +81,9 @@ class Row:
 
 
 @lru_cache(maxsize=64)
-def _told(text: str) -> None:
+def _log_once(text: str) -> None:
     # A note is written once, however often the table is read.
-    say(text)
+    print_line(text)
 
 
 def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
@@ -121,7 +121,7 @@ def read_rows(path: Path) -> tuple[tuple[str, ...], list[Row]]:
     # A comma within a field is a decimal comma here, because the table has no decimal points anywhere.
     decimal_comma = separator != "," and any("," in f for f in fields) and not any("." in f for f in fields)
     if decimal_comma:
-        _told(f"{path.name}: read with decimal commas")
+        _log_once(f"{path.name}: read with decimal commas")
     rows = [Row(f"{path.name}, line {k}", dict(zip(columns, row, strict=True)), decimal_comma) for k, row in body]
     return tuple(columns), rows
 

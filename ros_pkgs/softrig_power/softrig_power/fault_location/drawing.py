@@ -62,7 +62,7 @@ class FaultedLine(Drawing):
             "third",
             0,
         )
-        pen.text((320, 28), f"located at {self.place.said(row, '.3f')}" if result else "", "third", 14.0, "middle")
+        pen.text((320, 28), f"located at {self.place.text_of(row, '.3f')}" if result else "", "third", 14.0, "middle")
         for left, end in ((30.0, "s"), (340.0, "r")):
             for top, which, name, full in ((196.0, 0, "Voltages", self.volts), (286.0, 1, "Currents", 8000.0)):
                 values = self.ends[end][which]

@@ -90,16 +90,16 @@ class FaultLocator(Block[FaultLocatorParams]):
         """Process a sample or a record; publish a result when the button is pressed."""
         pressed = locate is not None and locate[0] != 0.0
         down = pressed and not x.pressed
-        x = self._take(x, t, inputs, pressed)
+        x = self._with_sample(x, t, inputs, pressed)
         return self._answer(x) if down else (x, {})
 
     def finish(
         self, x: State, t: int, *, locate: tuple[float, ...] | None, **inputs: tuple[float, ...]
     ) -> tuple[State, Answer]:
         """Process the last sample and answer."""
-        return self._answer(self._take(x, t, inputs, x.pressed))
+        return self._answer(self._with_sample(x, t, inputs, x.pressed))
 
-    def _take(self, x: State, t: int, inputs: Mapping[str, tuple[float, ...]], pressed: bool) -> State:
+    def _with_sample(self, x: State, t: int, inputs: Mapping[str, tuple[float, ...]], pressed: bool) -> State:
         rows, record = x.rows, x.record
         if self.p.form == "record":
             if self.age("record") == 0:
@@ -128,7 +128,7 @@ class FaultLocator(Block[FaultLocatorParams]):
         except RecordError as error:
             location = Location(error.status, text=str(error))
         x = x._replace(answers=x.answers + 1, result=location)
-        self._tell(location, work)
+        self._report_location(location, work)
         verdict = (float(location.status), float(location.mode), 0.0 if work is None else location.f_max)
         if work is None or location.x_km is None:
             return x, {"verdict": verdict}
@@ -145,7 +145,7 @@ class FaultLocator(Block[FaultLocatorParams]):
         place = tuple(values[name] for name in LOCATION)
         return x, {"verdict": verdict, "location": place, "objective": objective}
 
-    def _tell(self, location: Location, work: Locator | None) -> None:
+    def _report_location(self, location: Location, work: Locator | None) -> None:
         good = location.status in (Status.OK, Status.NO_FAULT)
         text = location.text
         if location.x_km is not None and self.p.truth_km is not None:

@@ -49,12 +49,12 @@ class Gupfc(Drawing):
         for y in (upper, lower):
             converter(pen, (330, y), 24.0)
         s = self.s
-        pen.text((342, middle + 5), f"DC link {self.dc.said(row, '.0f')}", "second")
-        pen.text((342, middle + 22), s["v_dc"].said(row, ".4f"), "second", 11.0)
-        pen.text((262, upper + 50), s["v1"].said(row, ".4f"), "accent", anchor="end")
+        pen.text((342, middle + 5), f"DC link {self.dc.text_of(row, '.0f')}", "second")
+        pen.text((342, middle + 22), s["v_dc"].text_of(row, ".4f"), "second", 11.0)
+        pen.text((262, upper + 50), s["v1"].text_of(row, ".4f"), "accent", anchor="end")
         for y, k, voltage in ((upper, 1, "v12"), (lower, 2, "v34")):
             below = -32 if y == upper else 42
-            pen.text((330, y + below), s[voltage].said(row, ".3f"), "muted", 11.0, "middle")
+            pen.text((330, y + below), s[voltage].text_of(row, ".3f"), "muted", 11.0, "middle")
             p, q = s[f"p{k}"], s[f"q{k}"]
             side = -1 if y == upper else 1
             share = held(p(row) / 1.5, 1.0) * 62.0
@@ -63,13 +63,13 @@ class Gupfc(Drawing):
             pen.arrow((424, y + 30 * side), (424 + share, y + 30 * side), "third", 3.0, 11.0)
         share = held(s["p_sh"](row) / 0.5, 1.0) * 26.0
         pen.arrow((236, middle), (236, middle - share), "second", 3.0, 11.0)
-        pen.text((228, middle + 5), s["p_sh"].said(row, ".3f"), "second", anchor="end")
+        pen.text((228, middle + 5), s["p_sh"].text_of(row, ".3f"), "second", anchor="end")
         for y, name in ((upper + 60, "p12"), (lower - 48, "p34")):
-            pen.text((338, y), s[name].said(row, ".3f"), "second", 11.0)
+            pen.text((338, y), s[name].text_of(row, ".3f"), "second", 11.0)
         for x, k in ((60, 1), (390, 2)):
             rows = []
             for name, role, text in (("p", "accent", "P"), ("q", "third", "Q")):
                 wanted = self.wanted[f"{name}{k}"]
-                shall = f" of {wanted.said(row, '.2f', unit='')}" if wanted.name else ""
-                rows.append((f"{text} of circuit {k}", f"{s[f'{name}{k}'].said(row, '.3f')}{shall}", role))
+                shall = f" of {wanted.text_of(row, '.2f', unit='')}" if wanted.name else ""
+                rows.append((f"{text} of circuit {k}", f"{s[f'{name}{k}'].text_of(row, '.3f')}{shall}", role))
             readings(pen, (float(x), 350.0), rows, 250.0)

@@ -153,9 +153,9 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         """Move by one control period."""
         p, tripped = self.p, x.tripped
         commands = (
-            self._taken(x, 0, shunt, self.age("shunt")),
-            self._taken(x, 1, series_1, self.age("series_1")),
-            self._taken(x, 2, series_2, self.age("series_2")),
+            self._accepted(x, 0, shunt, self.age("shunt")),
+            self._accepted(x, 1, series_1, self.age("series_1")),
+            self._accepted(x, 2, series_2, self.age("series_2")),
         )
         a, b, c = commands
         turning = Turning(
@@ -174,7 +174,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
             network.i[I_SH] = 0.0
         return State(network, commands, Seen(rows, power), x.steps + p.substeps, tripped)
 
-    def _taken(self, x: State, k: int, command: tuple[float, ...], age: int | None) -> Command:
+    def _accepted(self, x: State, k: int, command: tuple[float, ...], age: int | None) -> Command:
         """Return the command of converter k, which is `age` ns old, or its replacement."""
         p, last = self.p, x.commands[k]
         amplitude, angle, omega = command

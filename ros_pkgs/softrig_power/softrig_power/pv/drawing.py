@@ -58,14 +58,14 @@ class PvString(Drawing):
                 pen.line(
                     [polar(middle, radius + 2, angle), polar(middle, radius + 2 + 5 * share, angle)], "second", 1.5
                 )
-            pen.text((36.0, y + high - 4), sun.said(row, ".0f"), "muted", 10.0, "middle")
+            pen.text((36.0, y + high - 4), sun.text_of(row, ".0f"), "muted", 10.0, "middle")
         pen.box(300, 80, 90, 190, "line", "faint", 2.0)
         pen.text((345, 130), "buck-", "line", 14.0, "middle")
         pen.text((345, 148), "boost", "line", 14.0, "middle")
         pen.text((345, 190), "duty", "muted", anchor="middle")
         pen.box(310, 200, 70, 10, "muted", "paper", 1.0)
         pen.box(310, 200, 70 * held(self.duty(row), 1.0), 10, "third", "third", 0)
-        pen.text((345, 232), self.duty.said(row, ".4f"), "third", 13.0, "middle")
+        pen.text((345, 232), self.duty.text_of(row, ".4f"), "third", 13.0, "middle")
         pen.line([(300, 30), (320, 30), (320, 80)], "line", 2.0)
         pen.line([(300, 322), (320, 322), (320, 270)], "line", 2.0)
         pen.line([(370, 80), (370, 30), (420, 30), (420, 130)], "line", 2.0)
@@ -73,13 +73,13 @@ class PvString(Drawing):
         resistor(pen, (420, 130), (420, 220), half=11.0)
         share = held(self.current(row) / 4.0, 1.0) * 26.0
         pen.arrow((240 - share, 20), (240 + share, 20), "second", 2.5)
-        pen.text((240, 50), self.current.said(row, ".3f"), "second", anchor="middle")
-        pen.text((230, 180), self.v.said(row, ".2f"), "accent", 15.0, "middle")
+        pen.text((240, 50), self.current.text_of(row, ".3f"), "second", anchor="middle")
+        pen.text((230, 180), self.v.text_of(row, ".2f"), "accent", 15.0, "middle")
         pen.text((446, 60), "Power over voltage", "muted")
         plane(pen, (446, 68, 174, 116), past, row, self.v, self.power, (0.0, self.v_full, 0.0, self.p_full))
         pen.text((446, 198), f"0 V … {self.v_full:.0f} V", "muted", 11.0)
         pen.text((620, 198), f"0 W … {self.p_full:.0f} W", "muted", 11.0, "end")
-        rows = [("Power", self.power.said(row), "line"), ("Voltage", self.v.said(row, ".2f"), "accent")]
-        rows += [("Current", self.current.said(row, ".3f"), "second")]
-        rows += [("Inductor", self.i_l.said(row, ".2f"), "line"), ("Output", self.v_out.said(row, ".2f"), "line")]
+        rows = [("Power", self.power.text_of(row), "line"), ("Voltage", self.v.text_of(row, ".2f"), "accent")]
+        rows += [("Current", self.current.text_of(row, ".3f"), "second")]
+        rows += [("Inductor", self.i_l.text_of(row, ".2f"), "line"), ("Output", self.v_out.text_of(row, ".2f"), "line")]
         readings(pen, (446.0, 230.0), rows, 174.0)

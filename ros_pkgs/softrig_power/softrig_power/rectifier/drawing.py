@@ -52,10 +52,10 @@ class Rectifier(Drawing):
         resistor(pen, (560, 70), (560, 126))
         pen.line([(560, 62), (560, 70)])
         pen.line([(560, 126), (560, 134)])
-        pen.text((578, 102), self.load.said(row) if self.load.name in row else f"{self.load.rest:.1f} Ω", "line")
+        pen.text((578, 102), self.load.text_of(row) if self.load.name in row else f"{self.load.rest:.1f} Ω", "line")
         share = held(self.i_dc(row) / (2.2 * self.v_ref / self.p.R_L), 1.0) * 24.0
         pen.arrow((500 - share, 48), (500 + share, 48), "fourth", 2.0)
-        pen.text((500, 36), self.i_dc.said(row), "fourth", anchor="middle")
+        pen.text((500, 36), self.i_dc.text_of(row), "fourth", anchor="middle")
         scale = 80.0 / (1.5 * self.v_ref)
         meter(pen, (366, 138), (12.0, 80.0), held(self.v_dc(row) / (1.5 * self.v_ref), 1.0), "alarm")
         pen.line([(360, 138 - scale * self.v_ref), (384, 138 - scale * self.v_ref)], "reference", 1.5, dashed=True)
@@ -63,8 +63,8 @@ class Rectifier(Drawing):
         scope(pen, (30, 200, 280, 66), past, row, list(zip(self.currents, [r for *_, r in PHASES])), self.i_full)
         pen.text((30, 284), "Grid voltages", "muted")
         scope(pen, (30, 290, 280, 56), past, row, list(zip(self.voltages, [r for *_, r in PHASES])), 1.2 * self.v_g)
-        rows = [("DC voltage", self.v_dc.said(row), "alarm")]
+        rows = [("DC voltage", self.v_dc.text_of(row), "alarm")]
         rows.append(("Operating point", f"{self.v_ref:.1f} {self.v_dc.unit}", "reference"))
-        rows += [("Command", self.command.said(row, ".2f"), "line")] if self.command else []
-        rows += [(f"Current {name}", q.said(row, "+.1f"), role) for (name, _, role), q in zip(PHASES, self.currents)]
+        rows += [("Command", self.command.text_of(row, ".2f"), "line")] if self.command else []
+        rows += [(f"Current {name}", q.text_of(row, "+.1f"), role) for (name, _, role), q in zip(PHASES, self.currents)]
         readings(pen, (350.0, 208.0), rows, 250.0)

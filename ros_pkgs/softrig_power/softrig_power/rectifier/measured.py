@@ -88,7 +88,7 @@ class SumsRows(NamedTuple):
 
     sums: Array
     complete: Array
-    found: Array
+    values: Array
     # It has no rows. It is a field because native code treats a global array as read only.
     trace: Array
 
@@ -101,10 +101,10 @@ class SumsRows(NamedTuple):
         """See `Sums.moved`."""
         moving = np.array(x)
         for k, value in enumerate(figures):
-            self.found[k] = value
-        move(moving, how, circuit, period, self.sums, self.complete, self.found, self.trace)
+            self.values[k] = value
+        move(moving, how, circuit, period, self.sums, self.complete, self.values, self.trace)
         row = tuple([moving[k] for k, _ in enumerate(x)])
-        return row, self, tuple([self.found[k] for k, _ in enumerate(figures)])
+        return row, self, tuple([self.values[k] for k, _ in enumerate(figures)])
 
     def python(self) -> Sums:
         """Return them as Python has them."""

@@ -225,7 +225,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
     def advance(self, x: State, t: int, *, command: tuple[float, ...], events: tuple[float, ...] | None) -> State:
         """Hold the command over one period."""
         p, collapsed = self.p, x.collapsed
-        held = x.events if events is None else self._taken(events, x.events)
+        held = x.events if events is None else self._accepted(events, x.events)
         if (self.age("command") or 0) > self._late:
             self.report(Level.WARN, "late", f"command older than {self.LATE_PERIODS} periods is held")
         wanted = 0.0 if collapsed else command[0]
@@ -266,7 +266,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
 
         return np.empty((self.p.steps, len(ports.WAVEFORM_CHANNELS)))
 
-    def _taken(self, events: tuple[float, ...], before: Events) -> Events:
+    def _accepted(self, events: tuple[float, ...], before: Events) -> Events:
         load, amplitude, fifth = events
         if load > 0.0 and amplitude > 0.0:
             return Events(load, amplitude, fifth)

@@ -67,7 +67,7 @@ class ArmController(Block[ArmControllerParams]):
         self._n, self._law = len(p.joints), p.law
         self._kp, self._kd = p.each("kp"), p.each("kd")
         self._model = (*p.each("armature"), p.payload)
-        self._rest = (0.0,) * self._n
+        self._zeros = (0.0,) * self._n
 
     def update(self, x: Any, t: int, *, joint_states: Vector, reference: Vector) -> tuple[Any, Mapping[str, Vector]]:
         """Compute the torques."""
@@ -77,7 +77,7 @@ class ArmController(Block[ArmControllerParams]):
         if self._law == "computed_torque":
             a = [self._kp[k] * (q_d[k] - q[k]) + self._kd[k] * (v_d[k] - v[k]) + a_d[k] for k in range(n)]
             return x, {"joint_torques": tuple(self._inverse((*q, *v, *a, *self._model)))}
-        gravity = self._inverse((*q, *self._rest, *self._rest, *self._model))
+        gravity = self._inverse((*q, *self._zeros, *self._zeros, *self._model))
         if self._law == "pd_gravity":
             return x, {
                 "joint_torques": tuple(
@@ -101,4 +101,4 @@ class ArmController(Block[ArmControllerParams]):
 
     def refused(self, x: Any, t: int) -> tuple[Any, Mapping[str, Vector]]:
         """Return no torque: what a stale state would make may move the robot anywhere."""
-        return x, {"joint_torques": self._rest}
+        return x, {"joint_torques": self._zeros}

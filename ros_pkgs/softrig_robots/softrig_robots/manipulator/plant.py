@@ -144,24 +144,24 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
 
     def friction(self) -> Friction:
         """Return the friction of the URDF."""
-        if not self._found:
+        if not self._joints:
             return super().friction()
-        coulomb = tuple(joint.friction for joint in self._found)
-        return Friction(coulomb, coulomb, tuple(joint.damping for joint in self._found), 1.0, self.p.edge_speed)
+        coulomb = tuple(joint.friction for joint in self._joints)
+        return Friction(coulomb, coulomb, tuple(joint.damping for joint in self._joints), 1.0, self.p.edge_speed)
 
     def stops(self) -> bool:
         """Return whether the limits of the URDF act."""
-        return bool(self._found) and self.p.limits == "act"
+        return bool(self._joints) and self.p.limits == "act"
 
     def setup(self) -> None:
         """Read the URDF, and prepare the disturbance."""
-        self._found: tuple[Joint, ...] = ()
+        self._joints: tuple[Joint, ...] = ()
         self._notes: tuple[str, ...] = ()
         if self.p.urdf:
             from ..urdf_file import read_robot
 
             robot = read_robot(read_urdf(self.p.urdf), self.p.urdf)
-            self._found, self._notes = tuple(robot.joints[name] for name in self.p.joints), robot.notes
+            self._joints, self._notes = tuple(robot.joints[name] for name in self.p.joints), robot.notes
         super().setup()
         none = (0.0,) * self.n
         self._before = (none, none)
@@ -178,7 +178,7 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
         if not self.stops():
             return result
         n, states = self.n, result["joint_states"]
-        efforts = (min(max(f, -j.effort), j.effort) for f, j in zip(states[2 * n :], self._found, strict=True))
+        efforts = (min(max(f, -j.effort), j.effort) for f, j in zip(states[2 * n :], self._joints, strict=True))
         return {"joint_states": (*states[: 2 * n], *efforts), "motor_states": result["motor_states"]}
 
     def first(self) -> Any:
@@ -190,14 +190,14 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
     def advance(self, x: Any, t: int, *, motor_command: Vector) -> Any:
         """Move, and report limits of the URDF that are passed."""
         x = super().advance(x, t, motor_command=motor_command)
-        if self._found:
+        if self._joints:
             self._watch(x)
         return x
 
     def _watch(self, x: Any) -> None:
         """Report each limit that is passed, once a joint and kind."""
         for name, joint, q, v, i, k in zip(
-            self.p.joints, self._found, x.q, x.v, x.i, self.torque_per_ampere, strict=True
+            self.p.joints, self._joints, x.q, x.v, x.i, self.torque_per_ampere, strict=True
         ):
             if not joint.lower <= q <= joint.upper:
                 self._passed(name, "position", q, joint.lower, joint.upper)

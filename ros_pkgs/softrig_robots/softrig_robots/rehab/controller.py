@@ -190,12 +190,12 @@ class VoltageController(Block[VoltageControllerParams]):
         if lost or still or dead:
             blind = [n for n, is_so in (("joint_states", still), ("motor_states", dead)) if is_so]
             self.report(Level.ERROR, "SAFE", f"SAFE: {self._lost(*blind or ['reference'])}: 0 V")
-            return self._say(x.laws, NOTHING, (r1 - q1, r2 - q2))
+            return self._answer(x.laws, NOTHING, (r1 - q1, r2 - q2))
         V1, V2 = x.sent if applied_voltage is None else applied_voltage
         first, second = self._laws
         x1, u1 = first(x.laws[0], q1, v1, motor_states[0], r1, rv1, ra1, V1)
         x2, u2 = second(x.laws[1], q2, v2, motor_states[1], r2, rv2, ra2, V2)
-        return self._say((x1, x2), (u1, u2), (r1 - q1, r2 - q2))
+        return self._answer((x1, x2), (u1, u2), (r1 - q1, r2 - q2))
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Vector] | None]:
         """Return the last voltages, after `stale_after` ticks 0 V."""
@@ -205,12 +205,12 @@ class VoltageController(Block[VoltageControllerParams]):
         self.report(Level.ERROR, "SAFE", f"SAFE: {self.p.stale_after} ticks of which something was refused: 0 V")
         if x.errors is None:
             return x._replace(refusals=refusals), None
-        return self._say(x.laws, NOTHING, x.errors, refusals)
+        return self._answer(x.laws, NOTHING, x.errors, refusals)
 
     def _lost(self, *names: str) -> str:
         return f"no new {' and '.join(names)} for more than {self.p.stale_after} periods"
 
-    def _say(self, laws: tuple[Any, Any], sent: Vector, errors: Vector, refusals: int = 0) -> Answer:
+    def _answer(self, laws: tuple[Any, Any], sent: Vector, errors: Vector, refusals: int = 0) -> Answer:
         first, second = laws
         shown = [v for k in range(self._shown) for v in (first[k], second[k])]
         return State(laws, sent, errors, refusals), {"motor_command": sent, "controller_state": (*errors, *shown)}

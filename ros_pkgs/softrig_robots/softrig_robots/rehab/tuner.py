@@ -24,7 +24,7 @@ from softrig_core import (
     to_ns,
 )
 from softrig_optim.genetic import Genetic
-from softrig_optim.search import Evaluation, Point, Told, run
+from softrig_optim.search import Evaluation, Point, SearchHistory, run
 
 from .controller import VoltageController
 from .impedance import Impedance
@@ -202,7 +202,7 @@ class State(NamedTuple):
     pressed: bool = False
     """Whether the trigger is."""
 
-    search: Told | None = None
+    search: SearchHistory | None = None
     candidate: Point | None = None
     """The one that is tried."""
 
@@ -223,10 +223,10 @@ class Tuner(Solver[TunerParams]):
         """Wait for the trigger."""
         return State(search=self._begin(None) if self.p.autostart else None)
 
-    def _begin(self, before: Told | None) -> Told:
+    def _begin(self, before: SearchHistory | None) -> SearchHistory:
         p = self.p
         make = partial(search, guarded=p.guarded, lower=p.lower, upper=p.upper, n_pop=p.n_pop, n_iter=p.n_iter)
-        return Told(make, self.generator() if before is None else before.now.rng)
+        return SearchHistory(make, self.generator() if before is None else before.now.rng)
 
     def request(
         self, x: State, t: int, *, start: tuple[float, ...] | None

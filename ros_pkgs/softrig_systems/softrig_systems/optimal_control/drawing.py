@@ -31,8 +31,10 @@ class OptimalControl(StatePlane):
 
     def values(self, pen: Pen, row: Row) -> None:
         """Write states and controls."""
-        rows = [(n, q.said(row, ".4f"), "accent") for n, q in zip(self.names, self.states, strict=True)]
-        rows += [(n, q.said(row, ".4f"), "second") for n, q in zip(self.problem.controls, self.controls, strict=True)]
+        rows = [(n, q.text_of(row, ".4f"), "accent") for n, q in zip(self.names, self.states, strict=True)]
+        rows += [
+            (n, q.text_of(row, ".4f"), "second") for n, q in zip(self.problem.controls, self.controls, strict=True)
+        ]
         readings(pen, (410.0, 120.0), rows, 200.0)
         for k, control in enumerate(self.controls):
             x = 500.0 + 26.0 * k
@@ -76,9 +78,9 @@ class Spacecraft(Drawing):
             pen.text((end[0] + 6, end[1] - 4), name, role)
         pen.line([camera(self._place(r)) for r in tail(past, row, 80)], "alarm", 1.4)
         pen.arrow(camera((0.0, 0.0, 0.0)), camera(self._place(row)), "alarm", 4.0, 14.0)
-        rows = [(f"Rate {n}", q.said(row, "+.5f"), role) for (n, role), q in zip(self.AXES, self.rates, strict=True)]
+        rows = [(f"Rate {n}", q.text_of(row, "+.5f"), role) for (n, role), q in zip(self.AXES, self.rates, strict=True)]
         rows += [
-            (f"Torque {n}", q.said(row, "+.4f"), role) for (n, role), q in zip(self.AXES, self.torques, strict=True)
+            (f"Torque {n}", q.text_of(row, "+.4f"), role) for (n, role), q in zip(self.AXES, self.torques, strict=True)
         ]
         readings(pen, (410.0, 130.0), rows, 200.0)
         pen.text((410.0, 280.0), "Arrow: angular momentum", "alarm")

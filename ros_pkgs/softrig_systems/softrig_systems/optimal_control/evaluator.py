@@ -124,7 +124,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
                 figures = figures._replace(J_exact=least_cost(self._problem.changed(x0=tuple(at))))
         together = self.age("plan") == self.age("summary")
         if plan is not None and summary is not None and together and summary != newest.summary:
-            figures, newest = self._take(figures, newest, plan, summary)
+            figures, newest = self._updated(figures, newest, plan, summary)
         J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible = figures
         if newest.states is not None and now <= newest.start + newest.horizon + 1e-9:
             distance = max(distance, float(np.max(np.abs(at - self._planned(newest, now)))))
@@ -138,7 +138,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         figures = Figures(J_plant, J_exact, J_series, end_error, end_error_max, distance, residual, infeasible)
         return State(figures, begin, newest), {"evaluation": tuple(figures)}
 
-    def _take(
+    def _updated(
         self, figures: Figures, before: Plan, plan: tuple[float, ...], summary: tuple[float, ...]
     ) -> tuple[Figures, Plan]:
         about = dict(zip(SUMMARY, summary, strict=True))

@@ -74,19 +74,19 @@ class OcpPlant(Plant[P]):
         problem = self.p.statement()
         made = self.__dict__.get("_step")
         self._step = step_function("ocp_step", problem, self.p.substeps) if made is None else made
-        self._n, self._rest, self._x0 = len(problem.states), (0.0,) * len(problem.controls), problem.x0
-        self._says_applied = problem.carrier == "velocity"
-        self._state = state_type(("", (*problem.states, *(("applied",) if self._says_applied else ()))))
-        self._bias = self.p.bias or self._rest
+        self._n, self._zero_control, self._x0 = len(problem.states), (0.0,) * len(problem.controls), problem.x0
+        self._reports_applied = problem.carrier == "velocity"
+        self._state = state_type(("", (*problem.states, *(("applied",) if self._reports_applied else ()))))
+        self._bias = self.p.bias or self._zero_control
         self._limit = math.inf if self.p.torque_limit is None else self.p.torque_limit
 
     def first(self) -> Any:
         """The problem's start."""
-        return self._state(*self._x0, *((self._rest,) if self._says_applied else ()))
+        return self._state(*self._x0, *((self._zero_control,) if self._reports_applied else ()))
 
     def outputs(self, x: Any, t: int) -> Mapping[str, tuple[float, ...]]:
         """Return the state; with velocities the command that was applied until now."""
-        return {"state": (*x[: self._n], *x.applied) if self._says_applied else tuple(x)}
+        return {"state": (*x[: self._n], *x.applied) if self._reports_applied else tuple(x)}
 
     def advance(self, x: Any, t: int, **inputs: Any) -> Any:
         """Move on by a period."""
@@ -95,7 +95,7 @@ class OcpPlant(Plant[P]):
             self.report(Level.WARN, "limited", f"command beyond {self._limit:g}: limited")
             u = tuple(min(max(v, -self._limit), self._limit) for v in u)
         *now, _ = self._step((*x[: self._n], *(v + b for v, b in zip(u, self._bias, strict=True)), self.p.period))
-        return self._state(*now, tuple(u)) if self._says_applied else self._state(*now)
+        return self._state(*now, tuple(u)) if self._reports_applied else self._state(*now)
 
 
 class ScalarPlantParams(OcpPlantParams):

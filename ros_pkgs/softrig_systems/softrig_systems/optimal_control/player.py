@@ -96,14 +96,14 @@ class OcpPlayer(Block[PlayerParams]):
         age = self.age("summary")
         # in real time a plan may come ticks after its stamp; its two messages belong together when they are of one age
         if age is not None and age == self.age("plan") and summary != x.plan.seen:
-            x = State(self._take(replace(x.plan, seen=summary), t, state, plan))
+            x = State(self._with_plan(replace(x.plan, seen=summary), t, state, plan))
         return x, self._play(x.plan, t)
 
     def refused(self, x: State, t: int) -> Answer:
         """Continue with the plan."""
         return x, self._play(x.plan, t)
 
-    def _take(self, before: Plan, t: int, state: tuple[float, ...], values: tuple[float, ...]) -> Plan:
+    def _with_plan(self, before: Plan, t: int, state: tuple[float, ...], values: tuple[float, ...]) -> Plan:
         about = dict(zip(SUMMARY, before.seen, strict=True))
         start, horizon = about["start"], about["horizon"]
         shape = (self.p.stages, -1, self.p.columns) if self.p.form == "power" else (-1, self.p.columns)

@@ -36,7 +36,7 @@ class Tank(Drawing):
             pen.box(31.0 + wide * k, 75.0, wide - 1.0, -24.0 * max(share, 0.0), "accent", "accent", 0)
             pen.box(31.0 + wide * k, 51.0, wide - 1.0, 24.0 * max(-share, 0.0), "alarm", "alarm", 0)  # taken away
         out = max(held(self.inflow(rows[0]) / self.flow, 1.0), 0.0)
-        pen.text((30.0, 40.0), f"pipe, {self.delay.said(row, '.2f')} long", "muted")
+        pen.text((30.0, 40.0), f"pipe, {self.delay.text_of(row, '.2f')} long", "muted")
         filled = min(max(self.level(row) / self.full, 0.0), 1.05)
         pen.box(360.0, 63.0, 10.0 * out, 255.0 - 200.0 * filled, "accent", "accent", 0)
         pen.box(240.0, 318.0, 170.0, -200.0 * filled, "accent", "accent", 0)
@@ -46,8 +46,8 @@ class Tank(Drawing):
         pen.text((226.0, y + 4), f"{self.switch:g}", "muted", anchor="end")
         pen.line([(410.0, 312.0), (440.0, 312.0)], "line", 6.0)
         pen.box(440.0, 312.0, 8.0, 26.0 * math.sqrt(filled), "accent", "accent", 0)
-        values = [("Level", self.level.said(row, ".4f"), "accent"), ("Inflow", self.inflow.said(row), "line")]
-        values += [("Delay", self.delay.said(row, ".2f"), "line"), ("Cell", self.cell.said(row, ".0f"), "line")]
+        values = [("Level", self.level.text_of(row, ".4f"), "accent"), ("Inflow", self.inflow.text_of(row), "line")]
+        values += [("Delay", self.delay.text_of(row, ".2f"), "line"), ("Cell", self.cell.text_of(row, ".0f"), "line")]
         readings(pen, (450.0, 130.0), values, 165.0)
 
 
@@ -80,9 +80,12 @@ class Pendulum(Drawing):
         share = held(self.torque(row) / 1.0, 1.0)
         pen.arc(self.JOINT, 34.0, -math.pi / 2, -math.pi / 2 + share * 0.8 * math.pi, "alarm", 4.0)
         pen.circle(self.JOINT, 7.0, "line", "paper", 2.0)
-        rows_ = [("Angle", self.angle.said(row, ".4f"), "accent")]
-        rows_ += [("as the controller sees it", self.late.said(row, ".4f"), "reference")] if self.late.name else []
-        rows_ += [("Speed", self.speed.said(row, ".4f"), "line"), ("Torque", self.torque.said(row, ".4f"), "alarm")]
+        rows_ = [("Angle", self.angle.text_of(row, ".4f"), "accent")]
+        rows_ += [("as the controller sees it", self.late.text_of(row, ".4f"), "reference")] if self.late.name else []
+        rows_ += [
+            ("Speed", self.speed.text_of(row, ".4f"), "line"),
+            ("Torque", self.torque.text_of(row, ".4f"), "alarm"),
+        ]
         readings(pen, (370.0, 130.0), rows_, 245.0)
 
     def _tip(self, angle: float) -> Point:

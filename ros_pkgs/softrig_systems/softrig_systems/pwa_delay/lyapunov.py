@@ -146,7 +146,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         if matrices is None or verdict is None or verdict[1] != 1.0:
             return x, {}
         if self.age("matrices") == 0:
-            x = self._taken(matrices, verdict[0])
+            x = self._begun(matrices, verdict[0])
             self.report(Level.OK, "certificate", f"the functional of the certificate for {verdict[0]:g} s is watched")
         if x.watch is None:
             return x, {}
@@ -161,7 +161,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
         """Return no output; the record begins again."""
         return State(None if x.watch is None else x.watch.begun()), {}
 
-    def _taken(self, matrices: tuple[float, ...], h: float) -> State:
+    def _begun(self, matrices: tuple[float, ...], h: float) -> State:
         m = round(h / self.p.period)
         if m < SAMPLES:
             self.report(

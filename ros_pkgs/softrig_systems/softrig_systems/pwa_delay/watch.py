@@ -12,7 +12,9 @@ from softrig_core import jit
 from .system import PwaSystem
 
 Array = NDArray[np.float64]
-Found = tuple[float, float, float, float]  # whether there is a value; V, its rate (1/s), its relative rise over a delay
+Evaluation = tuple[
+    float, float, float, float
+]  # whether there is a value; V, its rate (1/s), its relative rise over a delay
 REACH = (
     4  # delays that the record covers: the slope of its oldest sample needs the state one delay of the plant earlier
 )
@@ -71,7 +73,7 @@ class Watch:
         self.fixed, self.rows, self.slopes = fixed, np.zeros((size, n)), np.zeros((size, n))
         self.values, self.counts = np.zeros(fixed.m + 1), np.zeros(2, np.int64)
 
-    def seen(self, state: tuple[float, ...], delay: float) -> tuple[Watch, Found]:
+    def seen(self, state: tuple[float, ...], delay: float) -> tuple[Watch, Evaluation]:
         """Return the record with a sample more, and what the functional is then.
 
         Raises
@@ -80,7 +82,7 @@ class Watch:
             No cell holds the state.
         """
         new = self._copy()
-        return new, look(new.fixed, new.rows, new.slopes, new.values, new.counts, np.array(state), delay)
+        return new, evaluate(new.fixed, new.rows, new.slopes, new.values, new.counts, np.array(state), delay)
 
     def begun(self) -> Watch:
         """Return an empty record of the same certificate."""
@@ -115,9 +117,9 @@ class WatchRows(NamedTuple):
     values: Array
     counts: NDArray[np.int64]
 
-    def seen(self, state: tuple[float, ...], delay: float) -> tuple[WatchRows, Found]:
+    def seen(self, state: tuple[float, ...], delay: float) -> tuple[WatchRows, Evaluation]:
         """See `Watch.seen`."""
-        return self, look(self.fixed, self.rows, self.slopes, self.values, self.counts, np.array(state), delay)
+        return self, evaluate(self.fixed, self.rows, self.slopes, self.values, self.counts, np.array(state), delay)
 
     def python(self) -> Watch:
         """Return it as Python has it."""
@@ -128,9 +130,9 @@ class WatchRows(NamedTuple):
 
 
 @jit
-def look(
+def evaluate(
     p: Fixed, rows: Array, slopes: Array, values: Array, counts: NDArray[np.int64], now: Array, delay: float
-) -> Found:
+) -> Evaluation:
     """Add a sample to the rings in place, and evaluate the functional once they are long enough.
 
     Parameters

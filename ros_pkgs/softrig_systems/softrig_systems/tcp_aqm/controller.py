@@ -44,7 +44,7 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
 
 
 @dataclass(frozen=True)
-class Said:
+class LastAnswer:
     """The last answer, which a state that cannot be used repeats; no numbers of a linear view."""
 
     command: tuple[float, ...] = (0.0,)
@@ -55,7 +55,7 @@ class Said:
         return {"command": self.command, "health": self.health}
 
 
-SILENCE = Said()
+SILENCE = LastAnswer()
 
 
 class State(NamedTuple):
@@ -69,7 +69,7 @@ class State(NamedTuple):
     e: float | None = None
     past: History | None = None
     silent: int = 0
-    said: Said = SILENCE
+    last: LastAnswer = SILENCE
 
 
 Answer = tuple[State, Mapping[str, tuple[float, ...]]]
@@ -136,7 +136,7 @@ class AqmController(Block[AqmControllerParams]):
             q_d, e_before = self._aim(q_d, e_before, reference[0])
         p = self.p
         past = History(p.period, p.history, (w, R)) if past is None else past.put((w, R))
-        w_R, R_R = self._look_back(past, R)
+        w_R, R_R = self._one_trip_ago(past, R)
         e = q - q_d
         m = Measured(
             e,
@@ -150,7 +150,7 @@ class AqmController(Block[AqmControllerParams]):
         drop = min(max(u, 0.0), 1.0)
         if not (self._freezes and ((u > 1.0 and e > 0.0) or (u < 0.0 and e < 0.0))):
             integral += e * p.period
-        last = Said((drop,), (s, integral, float(drop != u)))
+        last = LastAnswer((drop,), (s, integral, float(drop != u)))
         return State(integral, q_d, e, past, 0, last), last.values()
 
     def refused(self, x: State, t: int) -> Answer:
@@ -164,7 +164,7 @@ class AqmController(Block[AqmControllerParams]):
             past = past.again()  # the record has one entry a tick
         if silent >= HOLD:
             self.report(Level.ERROR, "no_state", f"no valid state for {HOLD} ticks: nothing is dropped")
-            last = Said(health=last.health)
+            last = LastAnswer(health=last.health)
         return State(integral, q_d, e, past, silent, last), last.values()
 
     def _aim(self, q_d: float, e: float | None, wanted: float) -> tuple[float, float | None]:
@@ -178,7 +178,7 @@ class AqmController(Block[AqmControllerParams]):
         )
         return q_d, e
 
-    def _look_back(self, past: History, R: float) -> tuple[float, ...]:
+    def _one_trip_ago(self, past: History, R: float) -> tuple[float, ...]:
         """Return window and round trip time of one round trip ago."""
         back = R
         if back > self.p.history:

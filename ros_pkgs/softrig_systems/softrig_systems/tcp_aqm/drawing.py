@@ -44,7 +44,7 @@ class Bottleneck(Drawing):
         pen.arrow((self.LEFT - 46, middle), (self.LEFT - 4, middle), "line", 2.0)
         # half of a full arrow stands for a drop probability of 5 %
         pen.arrow((self.LEFT - 30, middle), (self.LEFT - 30, middle + 70.0 * drop / (drop + 0.05)), "alarm", 3.0)
-        pen.text((self.LEFT - 22, middle + 64), f"dropped {self.dropped.said(row, '.4f')}", "alarm")
+        pen.text((self.LEFT - 22, middle + 64), f"dropped {self.dropped.text_of(row, '.4f')}", "alarm")
         pen.box(self.LEFT, self.Y, self.WIDTH, self.HEIGHT, "line", "paper", 2.0)
         filled = held(self.queue(row) / self.full, 1.0)
         cell = self.WIDTH / CELLS
@@ -60,12 +60,12 @@ class Bottleneck(Drawing):
             (614, middle - 14), f"{self.capacity(row):.0f} {self.capacity.unit or 'packet/s'}", "muted", anchor="end"
         )
         pen.text((self.LEFT, self.Y - 18), "Queue", "muted")
-        pen.text((self.LEFT + self.WIDTH, self.Y - 18), self.queue.said(row), "accent", 15.0, "end")
+        pen.text((self.LEFT + self.WIDTH, self.Y - 18), self.queue.text_of(row), "accent", 15.0, "end")
         pen.text((30, 246), f"Queue of the last {self.trail:g} s, 0 to {self.full:.0f} {self.queue.unit}", "muted")
         half = self.full / 2
         curves = [(lambda r: self.wanted(r) - half, "reference")] if self.wanted.name else []
         scope(pen, (30, 254, 340, 90), past, row, [*curves, (lambda r: self.queue(r) - half, "accent")], half, 120)
-        rows = [("Window of each", self.window.said(row, ".2f"), "third")]
-        rows += [("Round trip", self.rtt.said(row, ".3f"), "line")]
-        rows += [("Set point", self.wanted.said(row), "reference")] if self.wanted.name else []
+        rows = [("Window of each", self.window.text_of(row, ".2f"), "third")]
+        rows += [("Round trip", self.rtt.text_of(row, ".3f"), "line")]
+        rows += [("Set point", self.wanted.text_of(row), "reference")] if self.wanted.name else []
         readings(pen, (400.0, 276.0), rows, 210.0)

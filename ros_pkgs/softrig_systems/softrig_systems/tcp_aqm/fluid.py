@@ -99,6 +99,6 @@ def stepped(
 
 
 @jit
-def look_back(past: Trajectory, then: float) -> tuple[float, float]:
+def past_values(past: Trajectory, then: float) -> tuple[float, float]:
     """Return window and queue at a time, s."""
     return delayed(past, then, WINDOW), delayed(past, then, QUEUE)

@@ -8,7 +8,7 @@ from pydantic import model_validator
 from softrig_core import Level, check_steps, param
 from softrig_core.kit.dde import Track, trajectory
 
-from .fluid import look_back, stepped
+from .fluid import past_values, stepped
 from .network import Net, Network, NetworkParams, Seen
 
 
@@ -68,7 +68,7 @@ class TcpFluid(Network[TcpFluidParams]):
         k = k if 0 <= k < self._steps else self._steps
         now = (step - k) * self._h + k * self._h  # rounded as `stepped` has come there
         then = now - q / net.capacity - net.propagation
-        return Seen(w, q, served, *look_back(past.open(), then))
+        return Seen(w, q, served, *past_values(past.open(), then))
 
     def moved(self, x: State, steps: int, p: float) -> State:
         """Integrate."""

@@ -149,12 +149,12 @@ def read_settings(text: str) -> Settings:
     form = lines.fields("form of the data", (1,))[0].upper()
     if form not in FORMS:
         raise lines.wrong(f"ft is {form!r}{closest(form, FORMS)}, expected one of {', '.join(FORMS)}")
-    multiplier = lines.number((lines.rest(1) or ["1"])[0] or "1", "timemult") if not old else 1.0
+    multiplier = lines.number((lines.optional(1) or ["1"])[0] or "1", "timemult") if not old else 1.0
     zone = clock = None
     ignored = ["Dn, ch_id, ph, ccbm, y"] if switches else []
     if revision == "2013":
-        code, local = (*(lines.rest(2) or ["", ""]), "")[:2]
-        quality, leap = (*(lines.rest(2) or ["", "0"]), "0")[:2]
+        code, local = (*(lines.optional(2) or ["", ""]), "")[:2]
+        quality, leap = (*(lines.optional(2) or ["", "0"]), "0")[:2]
         zone = _zone(lines, code)
         clock = _clock(lines, quality)
         ignored += ["local_code"] if local not in ("", code, "x", "X") else []
@@ -191,7 +191,7 @@ class _Lines:
             raise self.wrong(f"{len(result)} fields, expected {expected} ({what})")
         return result
 
-    def rest(self, size: int) -> list[str]:
+    def optional(self, size: int) -> list[str]:
         """Return the fields of a line that may be missing at the end."""
         return self.fields("the end", range(1, size + 1)) if self.at < len(self.rows) else []
 

@@ -138,9 +138,9 @@ class Record:
             if abs(apart.mean()) <= EXACT and np.abs(apart).max() <= SYNC:
                 return _checked(t_s[keep_s], np.hstack([s[keep_s], r[keep_r]]))
         if rate_s <= rate_r:
-            t, keep, moved = _beside("R", t_r, r, rate_r, t_s, rate_s)
+            t, keep, moved = _aligned("R", t_r, r, rate_r, t_s, rate_s)
             return _checked(t, np.hstack([s[keep], moved]), _off("R", t_r, rate_r, t, rate_s))
-        t, keep, moved = _beside("S", t_s, s, rate_s, t_r, rate_r)
+        t, keep, moved = _aligned("S", t_s, s, rate_s, t_r, rate_r)
         return _checked(t, np.hstack([moved, r[keep]]), _off("S", t_s, rate_s, t, rate_r))
 
     @classmethod
@@ -174,7 +174,7 @@ class Record:
         return cls.from_ends(times["u_s"] - late[0], ends[0], times["u_r"] - late[1], ends[1])
 
 
-def _beside(
+def _aligned(
     end: str, t_x: Array, x: Array, rate: float, t: Array, to_rate: float
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return one end at the times of the other, those times, and which they are."""

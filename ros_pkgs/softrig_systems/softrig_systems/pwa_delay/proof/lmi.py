@@ -160,7 +160,7 @@ class Problem:
         return Solution(
             str(solution.status),
             float(x[-1]),
-            self._take_apart(x),
+            self._split(x),
             time.perf_counter() - begin,
             int(solution.iterations),
         )
@@ -184,7 +184,7 @@ class Problem:
             result[name] = result[name] + part if name in result else part
         return result
 
-    def _take_apart(self, x: Array) -> dict[str, Array]:
+    def _split(self, x: Array) -> dict[str, Array]:
         result = {}
         for name, u in self.unknowns.items():
             values = x[u.start : u.start + u.count]
