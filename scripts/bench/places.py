@@ -1,4 +1,4 @@
-"""Where the parts of a tick are defined: the functions that name each part, counted in the syntax trees of the code."""
+"""Where the parts of a tick are stated: functions that read or compute each part, counted in the syntax trees."""
 
 from __future__ import annotations
 
@@ -17,35 +17,33 @@ ROOMS = (
     *(f"softrig_core/softrig_core/{room}" for room in ("block", "native", "run", "rig/rig.py", "solver", "node")),
     *(f"softrig_nodes/softrig_nodes/{room}" for room in ("adapter", "lockstep", "realtime", "seam", "group.py")),
 )
-# A function names a part if this pattern is found in its code; names of both versions where they differ.
+# A function states a part if its code computes it or reads what declares it: these patterns are looked for in its code.
+# A call of the function that owns the part does not count (`plan.due(...)`, `step.note(...)`, `fill.bring(...)`), else
+# the count would grow with every function that was taken apart. Names of both versions stand where they differ.
 KINDS = {
-    "order: plants publish, others answer, plants move": r"if (not )?\w+(\.\w+)*\.(is_)?plant\b|\bplants\b",
+    "order: plants publish, others answer, plants move": r"\bplants\b|for \w+ in \w+ if (not )?\w+\.(is_)?plant\b",
     "greatest common divisor of the periods": r"\bgcd\(",
-    "which nodes are due, computed": r"(%|//|//=) \(?\w*(\.\w+)*_?every\b|%+ \{\w*(\.\w+)*every",
-    "which nodes are due, asked for": r"\.(due|following|newest|own)\((\w+\.)?schedule",
-    "the end": r"\b(at_end|speaks_at_end|ticks_at_end|answers|moves)\(|schedule\.(last|end)\b|\.ticks is None",
-    "an output fills an input": r"\.(take|bring|value_of|set_value)\("
-    r"|\b(taking|value_text|picked|taken|take|pick|fill)\(",
-    "which node subscribes to which": r"\.(readers|doubters|checked_readers|fed|sources|links|hands_to)\b"
-    r"|\b_(readings|links|source)\(",
-    "an answer is checked": r"\b(admit|usual|checked|sum_of_products|sumprod)\(|\.beyond\(",
-    "a port of a fault, which may be bad": r"\.unchecked\b|\.(doubt|receive_unchecked|whole)\(",
-    "rejected input, what is held": r"\.bad\b|\brefused\(",
-    "sporadic silence": r"\.sporadic\b|\.(spoken|published_at)\b|\.silent\b",
+    "which nodes are due": r"(%|//|//=) \(?\w*(\.\w+)*_?every\b|%+ \{\w*(\.\w+)*every",
+    "the end": r"\bat_end\b|(schedule|self|clock)\.(last|end)\b|\.ticks is None",
+    "an output fills an input": r"\.pick\b|\bpick(ed)?\b|\b(taking|taken|value_text)\(",
+    "which node subscribes to which": r"\.(readers|doubters|fed|sources)\b(?! <)|\b(_readings|links|_source|fed)\(",
+    "an answer is checked": r"\.bound\b|\.limits\b|\b(sum_of_products|sumprod)\(",
+    "a port of a fault, which may be bad": r"\.unchecked\b",
+    "rejected input, what is held": r"\.bad\b",
+    "sporadic silence": r"\bp(ort)?\.sporadic\b|self\.sporadic and|\.(spoken|published_at)\b",
     "delayed": r"\.delayed\b",
     "partial": r"\.partial\b|\.kept\b.*\bpartial|decode\.kept\b",
-    "ages": r"\.(age|ages|held_stamp)\b|\b_ages\(",
+    "ages": r"\.(ages|held_stamp)\b|\b_ages?\(|def age",
     "ticks without an answer": r"\.unanswered\b",
-    "last word": r"\bfinishes\(|\.finish\(\w|\bFinishing\b|block\.finish\b",
+    "last word": r"\.finish\(\w|\bFinishing\b|\bblock\.finish\b|\bFINISHES\b|\bfinishes\(",
     "parameter changes that are due": r"\.(change_at|changes)\b",
-    "reports": r"\.(tell|store_reports|drop|note|take_down|withdraw)\(",
-    "observers in batches": r"\bat_once\(|\btakes_batches\(|\bgather\(",
-    "what is recorded": r"\b(send_all|add_row|record_batch|many_keeper|keeper|\w*sink)\b",
-    "numbers of messages": r"\.counts\[|\bcounts\[|\bNumbering\b|\bencoder\(",
-    "solver in two halves": r"\.begun\b|\.begin\(|\.end\(x|\bSolving\b",
-    "decides, discarded ticks": r"\bdecides\(|\b_decided\(|\.given_up\b|\.discarded\b",
+    "reports": r"\.events\b|\breports\[|\.anew\b",
+    "observers in batches": r"\bat_once\(",
+    "what is recorded": r"\b(sink|shard)\.(add|row)|\b_?add_rows?\(|\badd\(number|\brecord_batch\b",
+    "numbers of messages": r"\b_?counts\[[\w.]*name\]|\.said \+= 1|\bnext\([\w.]*numbers\)",
+    "solver in two halves": r"\.begun\b|\.begin\((step\.)?x|\.end\(x",
+    "decides, discarded ticks": r"\.decides\b|\.given_up\b|\.discarded\b|\"decides\"",
     "buttons": r"\.buttons\b",
-    "everything that changes": r"\b(TABLES|VALUES|Kept|Moment)\b|\.(keep|go_back)\(|\.(save|load)\(",
     "slots that other code fills": r"\.(send|respond|lacks|say|answer|advance|moved|make_anew) = ",
 }
 
@@ -67,7 +65,7 @@ def _functions(file: Path) -> Iterator[tuple[str, str]]:
 
 
 def places(packages: Path = ROOT) -> dict[str, list[str]]:
-    """Return the functions that name each part of a tick, as ``module.function``, in the packages of a checkout."""
+    """Return the functions that state each part of a tick, as ``module.function``, in the packages of a checkout."""
     results = [packages / room for room in ROOMS]
     files = [file for room in results for file in (sorted(room.rglob("*.py")) if room.is_dir() else [room])]
     code = [one for file in files if file.exists() for one in _functions(file)]
@@ -75,7 +73,7 @@ def places(packages: Path = ROOT) -> dict[str, list[str]]:
 
 
 def print_table() -> None:
-    """Count the functions that name each part of a tick (who is due, silence, ages, ...)."""
+    """Count the functions that state each part of a tick (who is due, silence, ages, ...)."""
     table = Table("part of a tick", "functions", "modules", "in")
     for kind, names in places().items():
         modules = list(dict.fromkeys(name.partition(".")[0] for name in names))

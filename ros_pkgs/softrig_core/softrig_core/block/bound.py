@@ -76,7 +76,7 @@ def answerer(step: Step) -> Callable[[int], None]:
     for number, fill in enumerate(fills):
         reader = fill.reader
         known |= {f"values{number}": reader.values, f"reader{number}": reader, f"port{number}": fill.port}
-    wires = tuple([(f.output, f.port.name, value_text(f"row{f.output}", f.pick, f.stamp)) for f in fills])
+    wires = tuple([(f.output, f.port.name, value_text(f"row{f.output}", f.pick, f.stamp), f.checked) for f in fills])
     text = _answer_text(step.plain, step.plant, step.outputs, step.asked_for, wires, _ends(step, known))
     return _made("answer", text, step, known)
 
@@ -107,7 +107,7 @@ def _answer_text(
     plant: bool,
     outputs: tuple[Port, ...],
     asked_for: tuple[str, ...],
-    wires: tuple[tuple[int, str, str], ...],
+    wires: tuple[tuple[int, str, str, bool], ...],
     ends: tuple[str, ...],
 ) -> str:
     rows = [f"row{k}" for k, _ in enumerate(outputs)]
@@ -126,9 +126,9 @@ def _answer_text(
         checked = f"        {all_rows} = rows = step.checked(found)\n        numbers = ()"
         published = [f"before[{k}] if row{k} is None else t" if p.sporadic else "t" for k, p in enumerate(outputs)]
         handed += ["    before = step.published_at", f"    step.published_at = [{', '.join(published)}]"]
-    for number, (output, name, used) in enumerate(wires):
+    for number, (output, name, used, checks) in enumerate(wires):
         silent = "" if plain else f"if {rows[output]} is not None: "
-        if outputs[output].unchecked:
+        if checks:
             handed.append(f"    {silent}reader{number}.receive_unchecked(t, port{number}, {used})")
         else:
             handed.append(f"    {silent}values{number}[{name!r}] = {used}")

@@ -138,10 +138,15 @@ def encoder(layout: Layout, counts: dict[str, int], name: str) -> Callable[[int,
         return layout.encode
 
     def encode(stamp: int, values: Sequence[float]) -> bytes:
-        counts[name] += 1
-        return layout.encode(counts[name] - 1, values)
+        return layout.encode(next_number(counts, name), values)
 
     return encode
+
+
+def next_number(counts: dict[str, int], name: str) -> int:
+    """Count one more message of an output (see `Step.counts`); return how many were before it."""
+    counts[name] += 1
+    return counts[name] - 1
 
 
 def selection(source: Port, sink: Port) -> Pick | None:

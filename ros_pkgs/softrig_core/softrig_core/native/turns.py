@@ -334,7 +334,7 @@ class Turns:
                 row = isinstance(value, Group)
                 messages.append(f"h{i} = {self._writer(k).code(value)}")
                 messages.append(f"{WHEN}[{i + 1}] = {'t' if row else f'h{i}.stamp'}")
-                for p, limit in enumerate(one.fill.port.limits if port.unchecked else ()):
+                for p, limit in enumerate(one.fill.port.limits if one.fill.checked else ()):
                     messages += [f"if not abs(h{i}{'' if row else '.data'}[{p}]) <= {limit!r}:", f"    {GIVEN_UP}"]
             if flag is not None:
                 messages.append(f"{WHEN}[{1 + len(kept) + self.sporadic.index((k, j))}] = t")

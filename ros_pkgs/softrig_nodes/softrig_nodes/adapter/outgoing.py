@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from softrig_core.block.answer import Rows
+from softrig_core.block.codec import next_number
 from softrig_core.block.port import CLOCK, Port, Sample
 from softrig_core.wire.cdr import Layout
 
@@ -132,8 +133,7 @@ class Outgoing:
                 continue
             mark, values = (row.stamp + self._node.epoch, row.data) if isinstance(row, Sample) else (stamp, row)
             if output.numbered:
-                mark = self._step.counts[output.name]
-                self._step.counts[output.name] += 1
+                mark = next_number(self._step.counts, output.name)
             output.send(mark, values)
             messages.append((output, mark, values))
         return messages

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
+from softrig_core.block.codec import next_number
 from softrig_core.wire.cdr import Layout
 
 _NUMBER = struct.Struct("<Q")
@@ -35,9 +36,7 @@ class Numbering:
 
     def __call__(self, mark: int, values: tuple[float, ...]) -> None:
         """Publish the next message: its stamp in ns and all numbers."""
-        number = self._counts[self._name]
-        self._counts[self._name] = number + 1
-        self.publish(numbered(number, self._encode(mark, values)))
+        self.publish(numbered(next_number(self._counts, self._name), self._encode(mark, values)))
 
 
 def numbered(number: int, data: bytes) -> bytes:

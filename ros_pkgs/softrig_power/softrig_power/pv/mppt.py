@@ -17,6 +17,8 @@ from .converter import BuckBoostMatching
 from .ports import array_port
 
 Tracker = Literal["certified", "certified_transients", "ramp"]
+INPUTS = array_port("measurement"), *buttons("mppt")
+STATUS = state_port("mppt/status", {"duty": ""})
 
 
 class MpptParams(SearchParams):
@@ -68,8 +70,7 @@ class MpptOptimiser(CommandSearch[MpptParams]):
     @classmethod
     def ports(cls, params: MpptParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
         """The duty; near open circuit without a measurement."""
-        duty = command("command", "converter/duty", ("duty",), "1", safe=(params.d_min,))
-        return (array_port("measurement"), *buttons("mppt")), (duty, state_port("mppt/status", {"duty": ""}))
+        return INPUTS, (command("command", "converter/duty", ("duty",), "1", safe=(params.d_min,)), STATUS)
 
     def objective(self, sample: Point) -> float:
         """The power in W."""
