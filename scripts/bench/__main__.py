@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy, as the command line does
@@ -39,7 +40,8 @@ from .falsification import table as falsification_table
 PARTS: dict[str, Callable[[], None]] = {
     "loop": loop.loop, "tick": loop.tick, "recording": loop.recording, "inprocess": rigs.inprocess,
     "processes": loop.processes, "bags": recorder.recorder_rate, "rigs": rigs.rigs, "native": native.print_table,
-    "exported": exported.print_table,
+    "exported_law": exported.print_law, "exported_rigs": exported.print_rigs,
+    "exported_plant": exported.print_plant, "exported_fmus": exported.print_fmus,
     "containers": rigs.containers, "reading": reading.reading,
     "realtime": realtime.realtime, "view": view.view,
     "systems": systems.print_table, "induction": induction.print_table, "machines": machines.print_table,
@@ -69,14 +71,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog=f"parts:\n{lines}\n\nagainst COMMIT: {about_against}; `bench against --help`",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("parts", nargs="*", metavar="PART", help="which of those below (default: all)")
-    parts = parser.parse_args(words).parts
+    parser.add_argument("parts", nargs="*", metavar="PART", help="which of those below; exported: each exported_...")
+    named = parser.parse_args(words).parts
+    parts = [part for word in named for part in ([p for p in PARTS if p.startswith(f"{word}_")] or [word])]
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
     for part in parts or PARTS:
         console.print(f"\n[bold]{part}[/]: {about(part)}")
+        begin = time.monotonic()
         PARTS[part]()
+        console.print(f"{part} took {time.monotonic() - begin:.0f} s")
     return 0
 
 

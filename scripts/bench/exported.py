@@ -205,19 +205,31 @@ def fmu_rates(node: str) -> tuple[float, float]:
     return results[0], results[1]
 
 
-def print_table() -> None:
-    """Exported C beside C by hand and native code, ns of CPU a tick; FMUs with and without Python, ns a step."""
+def print_law() -> None:
+    """Exported controller beside C by hand, ns of CPU a tick."""
+    _row("law of dc_motor_smc", *law_rates())
 
-    def row(name: str, by_hand: float, own: float, native: float | None = None) -> None:
-        known = "" if native is None else f", native {native:.1f}"
-        console.print(f"{name}: C by hand {by_hand:.1f}, exported {own:.1f} ({own / by_hand:.2f} of it){known}")
 
-    row("law of dc_motor_smc", *law_rates())
+def print_rigs() -> None:
+    """Exported rigs beside C by hand and native code, ns of CPU a tick."""
     for name in native.LOOPS:
         known = native.rates(name)
-        row(f"rig {name}", known["C by hand"], rig_rate(name), known["native"])
+        _row(f"rig {name}", known["C by hand"], rig_rate(name), known["native"])
+
+
+def print_plant() -> None:
+    """Exported plant of the linear motor beside C by hand and native code, ns of CPU a period."""
     core = native.core_rates()
-    row("plant of lsrm_fuzzy", core["C by hand, 1 a loop"], plant_rate(), core["native"])
+    _row("plant of lsrm_fuzzy", core["C by hand, 1 a loop"], plant_rate(), core["native"])
+
+
+def print_fmus() -> None:
+    """FMUs with and without Python, ns of CPU a step."""
     for node in ("dc_motor_plant", "dc_motor_smc"):
         python, plain = fmu_rates(node)
         console.print(f"FMU of {node}: with Python {python:,.0f}, without {plain:,.0f} ({python / plain:,.0f} times)")
+
+
+def _row(name: str, by_hand: float, own: float, native: float | None = None) -> None:
+    known = "" if native is None else f", native {native:.1f}"
+    console.print(f"{name}: C by hand {by_hand:.1f}, exported {own:.1f} ({own / by_hand:.2f} of it){known}")

@@ -196,7 +196,7 @@ class Base:
     def _check(self, wrong: str) -> None:
         """Discard the tick where a condition holds."""
         self.discards = True
-        self.emit(f"if ({wrong}) {{")
+        self.emit(f"if (SR_RARELY({wrong})) {{")
         self.emit("    s->discarded = true;")
         self.emit("    return @ZERO@;")
         self.emit("}")

@@ -513,7 +513,7 @@ class _Files:
         for form, root in self.roots.items():
             if form.method == method:
                 lines += [f"    {line}" for line in self._way(form, root)]
-        lines.append("    if (!known || s->discarded) {")
+        lines.append("    if (SR_RARELY(!known || s->discarded)) {")
         if with_out:
             for port in self.outputs:
                 name = identifier(port.name)
@@ -526,7 +526,7 @@ class _Files:
             lines.append(f"        {self.name}_reported(s, 0u);")
         lines += ["        return SR_GAVE_UP;", "    }"]
         if self.law.reports.places:
-            lines += ["    if (s->reported) {", f"        {self.name}_reported(s, 1u);", "    }"]
+            lines += ["    if (SR_RARELY(s->reported)) {", f"        {self.name}_reported(s, 1u);", "    }"]
         return "\n".join([*lines, "    return SR_DONE;", "}", ""])
 
     def _reported(self) -> str:
@@ -565,9 +565,13 @@ class _Files:
         if form.method not in ("advance", "go_on"):
             k = 1 if form.method == "update" else 0
             inner += self._published(*(Value(root.result.items[i], f"r.f{i}") for i in (k, k + 1)))
-        lines += ["    if (!s->discarded) {", *(f"        {line}" for line in inner), "    }"]
+        lines += ["    if (SR_MOSTLY(!s->discarded)) {", *(f"        {line}" for line in inner), "    }"]
         if state is not None:
-            lines += ["    if (!s->discarded) {", *(f"        {line}" for line in self._store_state(state)), "    }"]
+            lines += [
+                "    if (SR_MOSTLY(!s->discarded)) {",
+                *(f"        {line}" for line in self._store_state(state)),
+                "    }",
+            ]
         lines.append("}")
         return lines
 
@@ -592,7 +596,7 @@ class _Files:
                     inside = f"SR_MATH(fabs)({c}) <= {literal(limit)}"
                     checks.append(f"(({at} == SR_REAL(0)) || ({inside}))" if at else f"({inside})")
         if checks:
-            lines += [f"if (!({' && '.join(checks)})) {{", "    s->discarded = true;", "}"]
+            lines += [f"if (SR_RARELY(!({' && '.join(checks)}))) {{", "    s->discarded = true;", "}"]
         return lines
 
     def _store_state(self, state: Value) -> list[str]:

@@ -185,7 +185,7 @@ class Calls(Expressions):
             result = self.fresh(done.result, c)
         if done.discards:
             self.discards = True
-            self.emit("if (s->discarded) {")
+            self.emit("if (SR_RARELY(s->discarded)) {")
             self.emit("    return @ZERO@;")
             self.emit("}")
         return result

@@ -405,7 +405,12 @@ class Expressions(Base):
         known = [WHOLE.fullmatch(v.c) for v in (left, right)]
         if all(known):
             return str(bool(COMPARE[type(op)][1](*(int(one[1]) for one in known if one)))).lower()
-        return f"({self.coerced(left, both).c} {ORDER[type(op)]} {self.coerced(right, both).c})"
+        test = f"({self.coerced(left, both).c} {ORDER[type(op)]} {self.coerced(right, both).c})"
+        numbers = [self.unit.number(v.c) for v in (left, right)]
+        if both == REAL and isinstance(op, (ast.Eq, ast.NotEq)) and all(map(math.isnan, numbers)):
+            # Two numbers that vary are compared for equality to notice a change, which most ticks do not have.
+            return f"{'SR_MOSTLY' if isinstance(op, ast.Eq) else 'SR_RARELY'}{test}"
+        return test
 
     def _same(self, left: Value, right: Value, node: ast.AST) -> str:
         """Return whether two values, one of which may be absent, are equal."""

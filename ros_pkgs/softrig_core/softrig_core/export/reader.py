@@ -227,7 +227,8 @@ class Reader(Calls):
         else:
             env = self._joined(env_then, then, env_else, orelse)
         self.lines, self.env, self.ended = lines, env, over_then and over_else
-        self.emit(f"if ({bare(test)}) {{")
+        hint = _hint(test, then, orelse)
+        self.emit(f"if ({f'{hint}({bare(test)})' if hint else bare(test)}) {{")
         self.lines += [f"    {line}" for line in then]
         if orelse:
             self.emit("} else {")
@@ -357,3 +358,9 @@ class Reader(Calls):
         self._turn_over()
         self.emit("continue;")
         self.ended = True
+
+
+def _hint(test: str, then: Sequence[str], orelse: Sequence[str]) -> str:
+    """Return C's hint for a test that has none: a way that itself reports or discards is rarely taken."""
+    rare = ["s->reported = true;" in way or "s->discarded = true;" in way for way in (then, orelse)]
+    return "" if test.startswith("SR_") or rare[0] is rare[1] else "SR_RARELY" if rare[0] else "SR_MOSTLY"

@@ -269,7 +269,7 @@ class _RigFiles:
             "step": f"&s->{own}_in, &s->{own}_out",
             "advance": f"&s->{own}_in",
         }[what]
-        lines = [f"if ({own}_{what}(&s->{own}, {given}, t) != SR_DONE) {{", "    status = SR_GAVE_UP;", "}"]
+        lines = [f"if (SR_RARELY({own}_{what}(&s->{own}, {given}, t) != SR_DONE)) {{", "    status = SR_GAVE_UP;", "}"]
         if what != "advance":
             for reader in self.members:
                 for name, link in reader.links.items():
@@ -294,7 +294,7 @@ class _RigFiles:
             lines.append(f"{target}.has_{here} = true;")
         if port.unchecked:  # a fault may publish what its reader refuses
             tests = [f"SR_MATH(fabs)({target}.{here}[{i}]) <= {literal(limit)}" for i, limit in enumerate(own.limits)]
-            lines += [f"if (!({' && '.join(f'({t})' for t in tests)})) {{", "    status = SR_GAVE_UP;", "}"]
+            lines += [f"if (SR_RARELY(!({' && '.join(f'({t})' for t in tests)}))) {{", "    status = SR_GAVE_UP;", "}"]
         if port.sporadic:
             lines = [f"if ({source}.has_{there}) {{", *(f"    {line}" for line in lines), "}"]
         return lines

@@ -32,6 +32,15 @@ typedef double real_t;
 #endif
 #endif
 
+/* Conditions that are rarely and mostly true: the processor need not jump in the usual course of a tick. */
+#ifdef __GNUC__
+#define SR_RARELY(x) __builtin_expect((x), 0)
+#define SR_MOSTLY(x) __builtin_expect((x), 1)
+#else
+#define SR_RARELY(x) (x)
+#define SR_MOSTLY(x) (x)
+#endif
+
 static inline bool sr_isfinite(real_t x) { return (x - x) == SR_REAL(0); }
 static inline bool sr_isnan(real_t x) { return x != x; }
 static inline bool sr_isinf(real_t x) { return !sr_isnan(x) && !sr_isfinite(x); }
@@ -58,7 +67,7 @@ static inline real_t sr_mod_real(real_t x, real_t y)
             m += y;
         }
     } else {
-        m = SR_MATH(copysign)(SR_REAL(0), y);
+        m = (y < SR_REAL(0)) ? -SR_REAL(0) : SR_REAL(0);
     }
     return m;
 }

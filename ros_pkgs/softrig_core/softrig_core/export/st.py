@@ -116,6 +116,7 @@ def _plain(text: str) -> str:
     text = re.sub(r"#ifdef __cplusplus.*?#endif", "", text, flags=re.DOTALL)
     text = re.sub(r"^#.*$", "", text, flags=re.MULTILINE)
     text = text.replace("static SR_TABLE", "static const")
+    text = re.sub(r"\bSR_(?:RARELY|MOSTLY)\(", "(", text)  # hints for a compiler of C
     text = re.sub(r"(?<![\w.])(\d+)(?=e[+-]?\d)", r"\1.0", text)  # 1e-09 is no number of IEC 61131-3
     return re.sub(r"\bNULL\b", "0", text)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -83,6 +84,12 @@ def executed(text: str, done: Exported, member: Member) -> Executed:
     program, count, differing, wrong = Program(text), 0, 0, 0
     block = program.block()
     places = {**{f.lower(): f for f in vars(block)}}
+    angles = {
+        _plain(f"{identifier(port.name)}_{identifier(label)}")
+        for port in member.outputs
+        for label, unit in zip(port.labels, port.units, strict=True)
+        if unit == "rad"
+    }
     for line in done.files[f"{done.name}_rows.txt"].splitlines():
         words = iter(line.split())
         if (first := next(words)) == "init":
@@ -103,9 +110,15 @@ def executed(text: str, done: Exported, member: Member) -> Executed:
             result = getattr(block, places[name.lower()])
             silent = isinstance(value, float) and not getattr(block, _flag(name, member.outputs), True)
             same = result == value or (result != result and value != value)
-            near = isinstance(value, float) and done.libm and abs(result - value) <= NEAR * max(1.0, abs(value))
+            near = isinstance(value, float) and done.libm and _is_near(result, value, name in angles)
             differing += not (silent or same or near)
     return Executed(count, differing, wrong)
+
+
+def _is_near(result: float, value: float, is_angle: bool) -> bool:
+    """Return whether numbers differ by the last bits of a library, by which an angle may also wrap at half a turn."""
+    turns = (0.0, 2 * math.pi) if is_angle else (0.0,)
+    return any(abs(abs(result - value) - turn) <= NEAR * max(1.0, abs(value)) for turn in turns)
 
 
 def _flag(name: str, ports: Sequence[Port]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import math
 import re
+import struct
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -51,7 +52,9 @@ def copied(value: Any) -> Any:
 
 
 def pointer(value: Any) -> Pointer:
-    """Return where an array is."""
+    """Return where an array is, or the bits of a number."""
+    if isinstance(value, float):
+        return Pointer(list(struct.unpack("q", struct.pack("d", value))))
     return value if isinstance(value, Pointer) else Pointer(value)
 
 

@@ -130,7 +130,8 @@ class Unit:
             if isinstance(kind, Maybe):
                 fields, title = [("bool", "some"), (self.c(kind.item), "item")], "maybe"
             else:
-                fields = [(self.c(k), identifier(n)) for k, n in zip(kind.items, kind.names, strict=True)]
+                pairs = zip(kind.items, kind.names, strict=True)
+                fields = [(self.c(k), identifier(n)) for k, n in pairs if not isinstance(k, Absent)]
                 title = kind.title.strip("_").lower() or "tuple"
             name = f"{self.prefix}_{title}{len(self.structs)}_t"
             inner = "".join(f"    {c} {n};\n" for c, n in fields) or "    uint8_t nothing;\n"
