@@ -4,6 +4,7 @@ A node outside may change the form of its messages while it runs: order of the c
 the other names that a port knows, the byte order. The measure is `Decoder`, by which the port took them.
 """
 
+import json
 import math
 import random
 import struct
@@ -16,8 +17,11 @@ from softrig_bags.compare import compare
 from softrig_bags.read import signals
 from softrig_bags.write import write_bag
 from softrig_bringup.plots.curves import Source
+from softrig_bringup.report import several
+from softrig_bringup.report.record import read_run
+from softrig_bringup.run.run import summary
 from softrig_bringup.view.sources import Growing
-from softrig_core import Block, BlockParams, Port, Recording, Rig
+from softrig_core import Block, BlockParams, Port, Recording, Rig, Run
 from softrig_core.block.codec import Decoder
 from softrig_core.rig.members import other_names
 from softrig_core.wire.cdr import Layout
@@ -115,7 +119,7 @@ def plan(chance, t):
 def taken(request):
     """A recording in which forms change, and what the port took of each message."""
     chance = random.Random(request.param)
-    recording = Recording((port.topic, port.msgtype) for port in PORTS)
+    recording = Recording([*((port.topic, port.msgtype) for port in PORTS), ("/clock", "rosgraph_msgs/msg/Clock")])
     values = {}
     for number, (port, make) in enumerate(zip(PORTS, (command, gains, push, plan), strict=True)):
         decode, results = Decoder(port), []
@@ -180,6 +184,44 @@ def test_a_bag_has_what_its_port_took(taken, rig, tmp_path, capsys):
         assert np.array_equal(
             np.where(np.isnan(columns[0]), columns[1], columns[0]), values[COMMAND.topic][f"{own}/effort"]
         )
+
+
+def test_joints_in_another_order_are_compared_by_name(tmp_path, capsys):
+    names = ("a", "b", "c")
+    for bag, change in (("one", 0.0), ("other", 0.0), ("wrong", 1e-9)):
+        recording, chance = Recording([("u", STATE)]), random.Random(bag)
+        for k in range(20):
+            order = list(names) if bag == "one" else chance.sample(names, 3)
+            values = [math.sin(k + names.index(name)) + change * (name == "b") for name in order]
+            layout = Layout(STATE, "", order, {"effort": 3})
+            recording.add(0, k, big_endian(k, order, values) if k % 3 == 1 else layout.encode(k, tuple(values)))
+        write_bag(tmp_path / bag, recording)
+    one, other, wrong = (str(tmp_path / bag) for bag in ("one", "other", "wrong"))
+    assert main_compare([one, other]) == 0
+    assert main_compare([one, other, "--bitwise"]) == 1
+    capsys.readouterr()
+    assert main_compare([one, wrong]) == 1
+    assert "u b/effort: " in capsys.readouterr().out
+
+
+def test_a_report_of_several_runs_has_what_their_ports_took(taken, rig, tmp_path, monkeypatch):
+    recording, values = taken
+    labels, drawn = values[COMMAND.topic], []
+    plots = [{"title": "u", "signals": {f"{COMMAND.topic}/{label}": label for label in labels}}]
+    law = rig.scenario.nodes["law"].model_copy(update={"external": True})
+    scenario = rig.scenario.having(plots=plots, nodes={**rig.scenario.nodes, "law": law})
+    outside = Rig.from_scenario(scenario, {"plant": Plant, "law": Law})
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        content = summary(Run(outside, 0, recording, mode="processes"), [], f"softrig run {name}")
+        (tmp_path / name / "metrics.json").write_text(json.dumps(content))
+        write_bag(tmp_path / name / "bag", recording)
+    monkeypatch.setattr(several, "draw_overlay", lambda runs, note: drawn.extend(runs) or ())
+    list(several.overlaid([(tmp_path / n, read_run(tmp_path / n)) for n in ("one", "other")], ("one", "other")))
+    assert len(drawn) == 2
+    for run in drawn:
+        for label, x in labels.items():
+            assert np.array_equal(run.signals[f"{COMMAND.topic}/{label}"].x, x)
 
 
 def test_texts_that_a_table_does_not_show_are_named(tmp_path, capsys):

@@ -674,7 +674,8 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monke
     before = signal.getsignal(signal.SIGTERM)
     assert run("lag", "--mode", "inprocess", "--out", "a") == 143
     assert signal.getsignal(signal.SIGTERM) is before
-    text = "figures and bag are in a, pictures and report are not; `softrig report a` makes them"
+    command = "softrig report a --out a/report.html"
+    text = f"figures and bag are in a, pictures and report are not; `{command}` makes a report with them"
     assert capsys.readouterr().err == f"softrig: stopped by SIGTERM: {text}\n"
     monkeypatch.setattr("softrig_bringup.run.run.write_bag", write_bag)
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0

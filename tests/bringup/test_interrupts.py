@@ -23,11 +23,14 @@ from test_launch import SCENARIO
 from tornado.ioloop import IOLoop
 
 RUN, VERB = "softrig_bringup.run.run", "softrig_bringup.verbs.run_verb"
+PICTURES = (
+    "figures and bag are in r, pictures and report are not; `softrig report r --out r/report.html` makes a report"
+)
 PHASES = {  # of the end: what is called in it, what the line says
-    "figures": (f"{VERB}.summary", "figures and bag are in r, pictures and report are not; `softrig report r`"),
-    "bag": (f"{RUN}.write_bag", "figures and bag are in r, pictures and report are not; `softrig report r`"),
-    "pictures": (f"{RUN}.plot_run", "figures and bag are in r, pictures and report are not; `softrig report r`"),
-    "report": (f"{RUN}.write_report", "figures and bag are in r, pictures and report are not; `softrig report r`"),
+    "figures": (f"{VERB}.summary", PICTURES),
+    "bag": (f"{RUN}.write_bag", PICTURES),
+    "pictures": (f"{RUN}.plot_run", PICTURES),
+    "report": (f"{RUN}.write_report", PICTURES),
     "table": (f"{VERB}.print_judged", "the table was not printed; it is in r"),
 }
 BEFORE = {
@@ -151,8 +154,8 @@ def test_what_the_line_says_makes_what_is_missing(monkeypatch, tmp_path):
     with monkeypatch.context() as patched:
         strike(patched, f"{RUN}.plot_run", signal.SIGINT, False)
         assert in_a_run() == 130
-    assert main(["report", "r"]) == 0
-    page = (tmp_path / "report.html").read_text()
+    assert main(["report", "r", "--out", "r/report.html"]) == 0
+    page = (tmp_path / "r/report.html").read_text()
     assert "This run has no pictures" not in page
     assert page.count("<figure>") >= 2
     assert in_a_run() == 1  # what was left there is in nobody's way
@@ -229,7 +232,7 @@ def test_work_that_takes_long_says_what_it_does(monkeypatch, capsys):
 def test_a_signal_without_a_note_is_stopped():
     with pytest.raises(KeyboardInterrupt) as caught, stoppable():
         signal.raise_signal(signal.SIGTERM)
-    assert stopped_by(caught.value) == "stopped"
+    assert stopped_by(caught.value) == "stopped by SIGTERM"
     caught.value.add_note("a")
     caught.value.add_note("b")
     assert stopped_by(caught.value) == "stopped by SIGTERM: a; b"

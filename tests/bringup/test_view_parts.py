@@ -2,16 +2,19 @@
 
 import json
 import math
+import os
 import queue
 import random
+import select
 import subprocess
+import sys
 import threading
 from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import few
+from conftest import PATIENCE, few
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.view import here as here_module, remote, run_pages as run_pages_module, serve, sources
 from softrig_bringup.view.control import Control
@@ -844,6 +847,8 @@ class Piped:
         if Piped.stays and patience is not None:
             raise subprocess.TimeoutExpired("x", patience)
 
+    pid = 1 << 30  # of nobody
+
     def kill(self):
         self.ended.append("killed")
 
@@ -872,7 +877,7 @@ def test_answers_of_nodes_go_to_whoever_asked(piped, tmp_path):
     asks, process, (listen, daemon) = piped()
     assert process.command[1:] == ["-P", "-m", "softrig_nodes.ros.remote"]
     assert process.asked["env"] == {"D": "3", "F": str(tmp_path)}
-    assert (process.asked["text"], process.asked["process_group"], daemon) == (True, 0, True)
+    assert (process.asked["text"], process.asked.get("process_group"), daemon) == (True, None, True)
     results = []
     for k in range(3):
         asks.ask({"node": f"n{k}"}, lambda ok, why, k=k: results.append((k, ok, why)))
@@ -903,6 +908,20 @@ def test_a_process_that_is_let_go_ends_by_itself_or_by_force(piped):
     assert process.ended == ["closed", 2.0, "killed", None]
 
 
+def test_what_a_page_has_started_ends_with_it_by_force():
+    code = "import subprocess, time; print(subprocess.Popen(['sleep', '60']).pid, flush=True); time.sleep(60)"
+    page = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, process_group=0
+    )
+    child = os.pidfd_open(int(page.stdout.readline()))
+    try:
+        remote.let_go(page, 0.0)
+        assert select.select([child], [], [], PATIENCE)[0] == [child]
+    finally:
+        os.close(child)
+        page.stdout.close()
+
+
 def test_the_process_of_a_page_reads_what_it_must_know_and_ignores_ctrl_c(tmp_path, monkeypatch, capsys):
     messages, asked = [], []
     (tmp_path / "view.json").write_text(json.dumps(WATCHED | {"directory": str(tmp_path), "scenario": {}}))
@@ -910,7 +929,7 @@ def test_the_process_of_a_page_reads_what_it_must_know_and_ignores_ctrl_c(tmp_pa
     monkeypatch.setattr(serve.signal, "signal", lambda *what: messages.append(what))
     monkeypatch.setattr(serve.asyncio, "set_event_loop", lambda loop: loop.close())
     monkeypatch.setattr(
-        serve, "beside", lambda watched, lines: asked.append((watched.domain, lines is serve.sys.stdin))
+        serve, "serve_run", lambda watched, lines: asked.append((watched.domain, lines is serve.sys.stdin))
     )
     assert serve.main() == 0
     assert (messages, asked) == ([(serve.signal.SIGINT, serve.signal.SIG_IGN)], [(3, True)])
@@ -918,7 +937,7 @@ def test_the_process_of_a_page_reads_what_it_must_know_and_ignores_ctrl_c(tmp_pa
     def refused(watched, lines):
         raise ScenarioError("no such address")
 
-    monkeypatch.setattr(serve, "beside", refused)
+    monkeypatch.setattr(serve, "serve_run", refused)
     assert serve.main() == 2
     assert capsys.readouterr().err == "softrig: no such address\n"
     with pytest.raises(ValueError, match="extra_forbidden"):

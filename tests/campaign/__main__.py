@@ -14,7 +14,7 @@ from pathlib import Path
 from driver import campaign
 
 AREAS = ("bags", "packs", "messages", "parameters", "scenarios", "environments", "kills", "nodes", "starts", "clocks")
-AREAS += ("doors", "links", "services", "floods")
+AREAS += ("doors", "links", "services", "floods", "ends")
 
 
 def main() -> int:

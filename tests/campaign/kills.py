@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -81,8 +82,8 @@ def strike_and_judge(
     assert (files := left_in_memory(before, domain)) == [], f"left in shared memory: {files[:3]}"
 
 
-def fork(command: list[str], path: Path) -> int:
-    """Run the command line in a process of its own without importing everything again."""
+def fork(command: list[str], path: Path, begin: Callable[[], None] = lambda: None) -> int:
+    """Run the command line in a process of its own without importing everything again; `begin` is called in it."""
     runner = os.fork()
     if runner:
         return runner
@@ -94,6 +95,7 @@ def fork(command: list[str], path: Path) -> int:
         os.dup2(output, 1)
         os.dup2(output, 2)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w", buffering=1)
+        begin()
         status = main(command)
         sys.stdout.flush()
     except BaseException:

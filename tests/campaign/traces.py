@@ -9,7 +9,7 @@ from pathlib import Path
 
 from softrig_core import RunError
 from softrig_nodes.processes.domain import free_domain
-from softrig_nodes.processes.shared_memory import AGE, _taken, remove_leftovers
+from softrig_nodes.processes.shared_memory import AGE, _is_abandoned, remove_leftovers
 
 SHARED = Path("/dev/shm")
 
@@ -64,7 +64,7 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
             time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
             remove_leftovers(domain)
             with ExitStack() as held:
-                left &= {n for n in segments() if _judged(n, ours) and _taken(SHARED / n, held)}
+                left &= {n for n in segments() if _judged(n, ours) and _is_abandoned(SHARED / n, held)}
             if not left:
                 break
     return sorted(left)

@@ -82,6 +82,18 @@ def test_nothing_else_in_the_packages_goes_below():
     assert results == [("softrig_nodes/softrig_nodes/preloaded.py", "rclpy.experimental.events_executor")]
 
 
+def test_nothing_else_calls_what_rclpy_keeps_behind_a_handle():
+    """`handle` of a publisher, subscription or node is rclpy's C object, whose methods are of no public interface."""
+    results = []
+    for file in PACKAGES.glob("softrig_*/**/*.py"):
+        if "below" not in file.parts and ".handle." in (text := file.read_text()):
+            calls = [c.func for c in ast.walk(ast.parse(text)) if isinstance(c, ast.Call)]
+            of = [f.value for f in calls if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Attribute)]
+            results += [(file.name, ast.unparse(v)) for v in of if v.attr == "handle"]
+    # a goal's handle is what rclpy gives to the callbacks of an action
+    assert results == [("following.py", "active.handle")]
+
+
 def test_the_public_way_gives_the_same(node, public):
     ways = []
     publisher, received = node.create_publisher(Float64, "/b", 10), []

@@ -322,6 +322,13 @@ def _listed(path: Path) -> set[str]:
     return {n for n in names if isinstance(n, str) and not Path(n).is_absolute() and ".." not in Path(n).parts}
 
 
+def list_too(file: Path) -> None:
+    """List a file that was written into the folder of a finished run, so that a later run there may replace it."""
+    names = _listed(file.parent)
+    if names and RUN.fullmatch(file.name) and not any(name.startswith(UNDER_WAY) for name in names):
+        replace(file.parent / MANIFEST, json.dumps(sorted({*names, file.name}), indent=1) + "\n")
+
+
 def _inside(path: Path, place: Path) -> bool:
     """Return whether the folder of a file is really below `path`, no link in between."""
     return place.parent.resolve().is_relative_to(path.resolve())

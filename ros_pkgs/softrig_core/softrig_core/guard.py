@@ -93,7 +93,7 @@ def stopped_by(error: KeyboardInterrupt) -> str:
     """Return one line with the signal received and its notes: what is missing because of it, and how to create it."""
     notes = getattr(error, "__notes__", ())
     number = int(getattr(error, "number", signal.SIGINT))
-    return f"stopped by {signal.Signals(number).name}: {'; '.join(notes)}" if notes else "stopped"
+    return ": ".join((f"stopped by {signal.Signals(number).name}", *(["; ".join(notes)] if notes else [])))
 
 
 def _full() -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,14 +83,19 @@ def _fields(msgtype: str, made: Template, data: Bytes) -> Iterator[tuple[str, An
             blocks[leaf.at] = result if leaf.kind in ("i8", "u8") else result.astype(np.float64)
         yield label, blocks[leaf.at][:, k]
     texts: dict[str, list[str]] = {}
-    names = JOINTS.get(msgtype)
+    joints: list[list[str]] = []
     for leaf in made.leaves:
-        if leaf.text:
-            _add_text(msgtype, names, texts, leaf.path, made.texts(data, leaf))
+        if leaf.text and leaf.path.startswith(JOINTS.get(msgtype, "/")):
+            joints.append(made.texts(data, leaf))
+            texts["name"] = []
+        elif leaf.text:
+            _add_text(msgtype, texts, leaf.path, made.texts(data, leaf))
         elif leaf.n and leaf.at not in columned and leaf.at not in (made.stamp_at, made.stamp_at + 4):
             if msgtype in JOINTS and leaf.path.startswith(DURATION):
                 continue
             yield leaf.path, made.values(data, leaf).astype(np.float64)
+    if joints:
+        texts["name"] = [_in_order(row) for row in zip(*joints, strict=True)]
     yield from texts.items()
     if msgtype == "trajectory_msgs/msg/JointTrajectory" and not any(x.startswith(DURATION) for x, _, _ in made.labels):
         ends = {leaf.path: made.values(data, leaf)[:, 0] for leaf in made.leaves if leaf.path.startswith(DURATION)}
@@ -98,12 +103,14 @@ def _fields(msgtype: str, made: Template, data: Bytes) -> Iterator[tuple[str, An
             yield "time_from_start", ends[f"{DURATION}sec"] + ends[f"{DURATION}nanosec"] / SECOND
 
 
-def _add_text(msgtype: str, names: str | None, texts: dict[str, list[str]], path: str, result: list[str]) -> None:
+def _in_order(names: Sequence[str]) -> str:
+    """Return the joints of a message in one order: their values are compared by name, unless a name occurs twice."""
+    return ", ".join(sorted(names) if len(set(names)) == len(names) else names)
+
+
+def _add_text(msgtype: str, texts: dict[str, list[str]], path: str, result: list[str]) -> None:
     """Name texts of the suite's own types as it does; the number of an array is no part of its label."""
-    if names is not None and path.startswith(names):
-        known = texts.get("name")
-        texts["name"] = result if known is None else [f"{a}, {b}" for a, b in zip(known, result, strict=True)]
-    elif path == "header/frame_id" and msgtype in FRAMED:
+    if path == "header/frame_id" and msgtype in FRAMED:
         texts["frame_id"] = result
     elif msgtype == "std_msgs/msg/Float64MultiArray":
         texts[path] = [text.partition(NUMBER)[0] for text in result]

@@ -16,6 +16,7 @@ from softrig_bags.tape import written
 from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.port import CLOCK, XYZ
 from softrig_core.rig.code import is_ours
+from softrig_core.rig.members import other_names
 from softrig_core.rig.rig import members_of
 from softrig_core.scenario.scenario import NodeEntry
 from softrig_core.verdict.figures import Result
@@ -46,8 +47,10 @@ def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
     result = signals(folder / BAG)
     if names := brings(folder, stated):
         ours = {n: e for n, e in scenario.nodes.items() if is_ours(e.package) and n not in names}
-        return _shown(scenario, folder, result, ours), result
-    return rig_of(scenario), result
+        rig = _shown(scenario, folder, result, ours)
+    else:
+        rig = rig_of(scenario)
+    return rig, result.known_as(other_names(rig))
 
 
 def record_of_pack(folder: Path) -> RunRecord:

@@ -73,6 +73,7 @@ class RunRecord(BaseModel):
     citations: tuple[Citation, ...] = ()
     wiring: Wiring = Wiring()
     signals: dict[str, Shown] = {}
+    also: dict[str, dict[str, str]] = {}  # `other_names` of the rig
     origin: Origin | None = Field(default=None, alias="from")
     doubts: tuple[str, ...] = ()
 

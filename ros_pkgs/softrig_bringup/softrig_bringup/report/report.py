@@ -12,7 +12,7 @@ from softrig_core import ScenarioError
 from softrig_core.guard import print_line
 from softrig_core.verdict.figures import Result
 
-from ..folder import MARKS
+from ..folder import MARKS, list_too
 from ..pack.packed import is_pack, opened
 from ..page.html import e, write_page
 from ..page.paper_table import Column, write_paper_table
@@ -29,6 +29,7 @@ MARK = "metrics.json"  # of the folder of a run
 def main(options: argparse.Namespace) -> int:
     """Write the page that is asked for."""
     runs, named = write_report(options.runs, options.out, options.label, doubted=True)
+    list_too(options.out)
     print(f"wrote {options.out}")
     if options.table is not None:
         measures = dict.fromkeys((m.name, m.unit) for run in runs for m in run.metrics)

@@ -159,7 +159,7 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
     same = groups(records, named)
     for system in dict.fromkeys(run.system for run in records):
         mine = [k for k, run in enumerate(records) if run.system == system]
-        results = {k: opened for k in mine if (opened := _signals(runs[k][0] / "bag")) is not None}
+        results = {k: opened for k in mine if (opened := _signals(*runs[k])) is not None}
         drawn: list[tuple[str, str]] = []
         alone: list[str] = []
         for part in _lengths({k: records[k].simulated_s for k in results}):
@@ -192,8 +192,9 @@ def _lengths(ends: dict[int, float]) -> list[list[int]]:
     return [sorted(part) for part in parts]
 
 
-def _signals(bag: Path) -> Signals | None:
+def _signals(directory: Path, run: RunRecord) -> Signals | None:
+    bag = directory / "bag"
     try:
-        return signals(bag) if bag.is_dir() else None
+        return signals(bag).known_as(run.also) if bag.is_dir() else None
     except BagError:
         return None

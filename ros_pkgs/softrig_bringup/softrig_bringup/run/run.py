@@ -40,6 +40,7 @@ from softrig_core.block.scene import scene_of
 from softrig_core.block.step import Step
 from softrig_core.guard import naming
 from softrig_core.rig.code import fingerprints
+from softrig_core.rig.members import other_names
 from softrig_core.timebase import SECOND
 from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
@@ -197,6 +198,7 @@ def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") 
         "nodes": run.status,
         "plots": [p.model_dump() for p in scenario.plots],
         "signals": {name: s.model_dump() for name, s in shown(run.rig).items()},
+        **({"also": other_names(run.rig)} if len(own) < len(run.rig.members) else {}),
         "wiring": wiring_of(run.rig).model_dump(),
         "citations": [c.model_dump() for c in cited(scenario.cites)],
     }

@@ -216,13 +216,13 @@ def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
     place = _shown(folder.path)
     if not (folder.path / METRICS).exists():
         shards = any((folder.path / "log").glob("*.shard"))
-        made = (
-            f"; `softrig bag repair {_shown(folder.path / 'log')}` makes a bag of what was recorded" if shards else ""
-        )
+        log = shlex.quote(_shown(folder.path / "log"))
+        made = f"; `softrig bag repair {log}` makes a bag of what was recorded" if shards else ""
         return f"no bag, no figures and no pictures are in {place}{made or '; run it again'}"
     if options.no_plots or (folder.path / "report.html").exists():
         return f"the table was not printed; it is in {place}"
-    return f"figures and bag are in {place}, pictures and report are not; `softrig report {place}` makes them"
+    command = shlex.join(("softrig", "report", place, "--out", f"{place}/report.html"))
+    return f"figures and bag are in {place}, pictures and report are not; `{command}` makes a report with them"
 
 
 def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) -> _Kept:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -36,8 +38,7 @@ class Remote:
             env=environment(domain, directory),
             text=True,
             stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,
+            stdout=subprocess.PIPE,  # in the group of the page, which is ended as a whole if need be
         )
         self._asked: dict[int, Answer] = {}
         self._numbers = count()
@@ -69,12 +70,17 @@ class Remote:
 
 
 def let_go(process: subprocess.Popen[str], patience: float) -> None:
-    """End a process that reads its standard input until it ends: by that, or after `patience` (s) by force."""
+    """End a process that reads its standard input until it ends: by that, or after `patience` (s) by force.
+
+    By force its group ends, too, if it leads one: a page that is still starting has a process of its own.
+    """
     assert process.stdin is not None
     with suppress(OSError):
         process.stdin.close()
     try:
         process.wait(patience)
     except subprocess.TimeoutExpired:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
         process.kill()
         process.wait()

@@ -92,8 +92,8 @@ class RunPages:
             self._process.stdin.flush()
         if run.stopped:
             return
-        print_line("the page stays until it is closed, or Ctrl-C")
         with suppress(KeyboardInterrupt):
+            print_line("the page stays until it is closed, or Ctrl-C")
             if status := self._process.wait():
                 print_line(f"the page has broken (status {status}); the results are there")
 

@@ -31,6 +31,7 @@ from softrig_core.board.clocked import WAITS, ClockEntry
 from softrig_core.errors import RunError
 from softrig_core.guard import print_for
 
+from ..below.uses import taken, works
 from ..processes.shared_memory import domain_id
 from .messages import message_class
 from .profile import RANGE, joining, watch_ports
@@ -200,9 +201,10 @@ class Guest:
         for _ in range(2):  # the first answer may be earlier than a callback, see above
             self._asked("use_sim_time", t)
         for name, subscription in self._subscriptions.items():
-            with subscription.handle:
-                while (result := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    self._received[name].append(result[0])
+            self._received[name] += taken(subscription)
+        # Where messages cannot be taken directly, each turn of the executor takes one.
+        for _ in range(0 if works("take_message") else QOS.depth):
+            self._executor.spin_once(0.0)
 
     def _asked(self, parameter: str, t: int) -> Any:
         future = self._parameters.call_async(GetParameters.Request(names=[parameter]))

@@ -1,0 +1,189 @@
+"""Each phase of `run` and `view` is interrupted by signals of another process: what it says is true, nothing stays."""
+
+import json
+import os
+import random
+import re
+import shlex
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from kills import drawn, ended, fork, judge_record
+from softrig_bringup.cli import main
+from softrig_core import load_scenario, rig_of
+from softrig_core.timebase import SECOND
+from traces import left_in_memory, of_run, orphans, segments
+
+VERB, RUN = "softrig_bringup.verbs.run_verb", "softrig_bringup.run.run"
+NOTHING, AGAIN = "nothing was run or written", "no bag, no figures and no pictures are in "
+MIDWAY = "stopped by {} at t = "
+PICTURES, TABLE = "pictures and report are not; `softrig report ", "the table was not printed; it is in "
+PHASES = {  # what is called in it, what is said of it
+    "start": (f"{VERB}.checked", NOTHING),
+    "folder": (f"{VERB}.execute", AGAIN),
+    "nodes": ("", MIDWAY),
+    "loop": ("", MIDWAY),
+    "figures": (f"{VERB}.summary", PICTURES),
+    "bag": (f"{RUN}.write_bag", PICTURES),
+    "pictures": (f"{RUN}.plot_run", PICTURES),
+    "report": (f"{RUN}.write_report", PICTURES),
+    "table": (f"{VERB}.print_judged", TABLE),
+    "page": ("", ""),
+    "any": ("", ""),
+}
+DOORS = [(door, mode) for door in ("run", "view") for mode in ("inprocess", "processes", "container")]
+CASES = [
+    (door, mode, phase)
+    for phase in PHASES
+    for door, mode in DOORS
+    if (phase != "page" or door == "view")
+    and (phase not in ("folder", "nodes") or (door, mode) != ("view", "inprocess"))
+]
+SIGNALS = [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT,) * 2, (signal.SIGTERM,) * 2,
+           (signal.SIGINT, signal.SIGTERM), (signal.SIGHUP,), (signal.SIGQUIT,) * 2]  # fmt: skip
+TICKS = 400
+LATEST = 6.0  # s
+
+
+def attack(seed: int, directory: Path) -> None:
+    """Interrupt one run in one phase, and compare what it says with what there is."""
+    chance = random.Random(seed)
+    door, mode, phase = CASES[seed % len(CASES)]
+    signals = SIGNALS[(seed // len(CASES)) % len(SIGNALS)]
+    name, out, text = drawn(chance), directory / "out", directory / "said"
+    rig = rig_of(name)
+    duration = rig.clock.schedule.time(min(TICKS, rig.ticks - 1)) / SECOND
+    command = [door, name, "--mode", mode, "--duration", repr(duration), "--seed", str(seed), "--out", str(out)]
+    command += ["--running", "--pace", "full"] if door == "view" else []
+    words = " ".join(s.name for s in signals)
+    (directory / "case").write_text(f"{words} in {phase}: {' '.join(command)}\n")
+    before = segments()
+    (heard, marks), (held, go) = os.pipe(), os.pipe()
+    runner = fork(command, text, lambda: marked(phase, duration, marks, held, go))
+    for end in (marks, held):
+        os.close(end)
+    try:
+        strike(chance, runner, phase, signals, heard)
+        os.close(go)
+        status = ended(runner)
+        domain = next((int(v["ROS_DOMAIN_ID"]) for _, v in of_run(directory) if "ROS_DOMAIN_ID" in v), None)
+        said = text.read_text(errors="replace")
+        assert "Traceback" not in said, said[-2000:]
+        assert (left := orphans(directory)) == [], f"{len(left)} processes of the run live on"
+        judge(status, phase, signals, said, out)
+        scenario = load_scenario(name).having(duration=duration)
+        judge_record(scenario, seed, out, directory)
+        assert (files := left_in_memory(before, domain)) == [], f"left in shared memory: {files[:3]}"
+    finally:
+        os.close(heard)
+        with suppress(ProcessLookupError, ChildProcessError):
+            os.kill(runner, signal.SIGKILL)
+            os.waitpid(runner, 0)
+
+
+def marked(phase: str, duration: float, marks: int, held: int, go: int) -> None:
+    """Have the run report that a phase begins, and wait there until it has been interrupted."""
+    os.close(go)  # else the end of the wait below would not be seen
+    if phase == "any":
+        os.write(marks, b"x")
+        return
+
+    def mark() -> None:
+        nonlocal phase
+        if phase:
+            phase = ""
+            os.write(marks, b"x")
+            os.read(held, 1)
+
+    def before(where: str, when: Callable[..., bool] = lambda *_: True) -> None:
+        owner, _, name = where.rpartition(".")
+        try:
+            place: Any = import_module(owner)
+        except ModuleNotFoundError:
+            module, _, inner = owner.rpartition(".")
+            place = getattr(import_module(module), inner)
+        real = getattr(place, name)
+
+        def called(*arguments: Any, **options: Any) -> Any:
+            if when(*arguments):
+                mark()
+            return real(*arguments, **options)
+
+        setattr(place, name, called)
+
+    if phase == "nodes":
+        before(f"{RUN}.run_inprocess")
+        before("softrig_nodes.processes.processes.supervise")
+    elif phase == "loop":
+        half = duration / 2 * SECOND
+        before("softrig_bringup.view.here.Here.turn", lambda here: here.session.t > duration / 2)
+        verb: Any = import_module(VERB)
+        progress = verb.progress
+
+        @contextmanager
+        def watched(*arguments: Any) -> Iterator[Callable[[int], None]]:
+            with progress(*arguments) as tell:
+
+                def reached(t: int) -> None:
+                    if t > half:
+                        mark()
+                    tell(t)
+
+                yield reached
+
+        verb.progress = watched
+    elif phase == "page":
+        before("softrig_bringup.view.here.Pages.left", lambda pages: pages._source.outcome)
+        before("softrig_bringup.view.run_pages.print_line", lambda text: text.startswith("the page stays"))
+    else:
+        before(PHASES[phase][0])
+
+
+def strike(chance: random.Random, runner: int, phase: str, signals: tuple[signal.Signals, ...], heard: int) -> None:
+    """Send the signals when the run has reported its phase."""
+    assert os.read(heard, 1), "the run ended before that phase"
+    if phase == "any":
+        time.sleep(chance.uniform(0.0, LATEST))
+    for number in signals:
+        with suppress(ProcessLookupError):
+            os.kill(runner, number)
+        time.sleep(chance.choice((0.0, 0.01, 0.3)))
+
+
+def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], said: str, out: Path) -> None:
+    """Hold status and line against what there is."""
+    lines = [line for line in said.splitlines() if line.startswith("softrig: stopped")]
+    written = (out / "metrics.json").exists() and (out / "report.html").exists()
+    if phase == "page" or (phase == "any" and status in (0, 1)):  # it was over before
+        assert status in (0, 1), f"status {status}: {said[-500:]}"
+        assert written, "judged, but not all is written"
+        assert not lines, lines
+        return
+    if phase == "any" and not out.exists() and status < 0:  # before the command line was read
+        return
+    number = signals[0]
+    assert status == 128 + number, f"status {status}: {said[-500:]}"
+    assert len(lines) == 1, lines or said[-500:]
+    assert f"stopped by {number.name}" in lines[0], lines
+    if phase != "any":
+        assert PHASES[phase][1].format(number.name) in lines[0], lines
+    keep(lines[0], out)
+
+
+def keep(line: str, out: Path) -> None:
+    """Do what the line says makes what is missing."""
+    if NOTHING in line:
+        assert not out.exists() or not [p for p in out.iterdir() if p.name not in ("log", ".softrig")], [*out.iterdir()]
+        return
+    for made in re.findall(r"`softrig ([^`]*)`", line):
+        assert main(shlex.split(made)) == 0, made
+    metrics = json.loads((out / "metrics.json").read_text()) if (out / "metrics.json").exists() else None
+    if metrics is not None:
+        assert (out / "bag").is_dir(), "figures without a bag"
+        assert (out / "report.html").exists(), f"no report after: {line}"
+        assert ("at t = " in line) == bool(metrics["stopped"]), (line, metrics["stopped"])
