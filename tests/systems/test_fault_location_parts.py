@@ -15,13 +15,14 @@ from softrig_bags.write import write_bag
 from softrig_core import Level, ParameterError, Recording, RunError, ScenarioError, load_scenario, simulate
 from softrig_core.block.params import build
 from softrig_core.kit.file_format import text_of
+from softrig_core.kit.jit import Jit
 from softrig_power.fault_location import figures, locate_tool, pictures, study, study_tool
 from softrig_power.fault_location.cases import Case
 from softrig_power.fault_location.line import measurement, simulation
 from softrig_power.fault_location.line.line_file import line_data
 from softrig_power.fault_location.line.network import LEAST_RESISTANCE, network, steady
 from softrig_power.fault_location.line.parameters import RATES, RigParams, grounded, phases
-from softrig_power.fault_location.line.simulation import FaultedLine
+from softrig_power.fault_location.line.simulation import FaultedLine, advance
 from softrig_power.fault_location.locator import FaultLocator
 from softrig_power.fault_location.marker import LocationMarker
 from softrig_power.fault_location.method import confidence as trust, ends, equations, location, transient
@@ -1140,9 +1141,12 @@ def plain_steps(monkeypatch):
     """The compiled step as a plain one; what it makes room for holds nothing that could be used by mistake."""
     room = types.SimpleNamespace(**vars(np) | {"empty": lambda shape: np.full(shape, np.nan)})
     monkeypatch.setattr(simulation, "np", room)
-    for name in ("histories", "store", "filter_step", "_fault"):
+    step = simulation.advance.py_func
+    compiled = [name for name, value in vars(simulation).items() if isinstance(value, Jit)]
+    assert {"histories", "store", "together", "filter_steps", "_fault"} < set(compiled)
+    for name in compiled:
         monkeypatch.setattr(simulation, name, getattr(simulation, name).py_func)
-    return simulation.advance.py_func
+    return step
 
 
 @pytest.mark.parametrize("phase", [(0, 0, 0), (1, 2, 2), (1, 1, 2), (1, 1, 1)])
@@ -1159,8 +1163,9 @@ def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, ph
     state.source_current[:], state.source_voltage[:] = chance.normal(0.0, 9.0, (2, 2, 3))
     state.fault_current[:], state.peak[:] = float(any(phase)), [0.0, 1e9, 0.0]
     ring, i0, u0 = state.ring.copy(), state.source_current.copy(), state.source_voltage.copy()
-    h = np.empty((6, 2))
-    bergeron.histories.py_func(net.lines, ring, n, h)
+    history = np.empty((6, 2, 1))
+    bergeron.histories.py_func(net.lines, ring, n, history)
+    h = history[:, :, 0]
     plain_steps(monkeypatch)(net, line.chain, CLARKE, state, n - 1, 1)
     g, C = net.lines.conductance, CLARKE
     closed = [k for k in range(3) if phase[k] == 1]
@@ -1204,7 +1209,7 @@ def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, ph
     voltage = np.array(
         [[x[k % 3 + 6 * 0] if k < 3 else x[3 + k % 3], x[3 + k % 3] if k < 3 else x[6 + k % 3]] for k in range(6)]
     )
-    bergeron.store.py_func(net.lines, ring, n, voltage, h, np.empty((6, 2)))
+    bergeron.store.py_func(net.lines, ring, n, voltage[:, :, None], history, np.empty((6, 2, 1)))
     np.testing.assert_allclose(state.ring, ring, rtol=1e-8, atol=1e-8)
 
 
@@ -1216,7 +1221,9 @@ def test_when_phases_close_and_open(monkeypatch):
     state = line.state
 
     def step(n, volts):
-        simulation._fault.py_func(net, state, np.array(volts), n)
+        block = np.array(volts).reshape(3, 1)
+        simulation._fault.py_func(net, state, n, block)
+        assert block[:, 0].tolist() == state.fault_current.tolist()
         return state.phase.tolist(), state.fault_current.tolist()
 
     before = step(99, [1e4, 2e4, 3e4])
@@ -1240,6 +1247,24 @@ def test_when_phases_close_and_open(monkeypatch):
     assert state.opened.tolist() == pytest.approx([201e-6, 202e-6, 0.0])
     assert state.peak.tolist() == pytest.approx(largest)
     assert step(203, [9e9, 9e9, 9e9])[1] == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("profile", ["m20k", "raw1m"])
+def test_steps_computed_together_are_those_computed_one_by_one(profile):
+    """Blocks of any length: a fault that closes and opens within one, a ring that begins again, a late clock."""
+    given = {"fault.type": "ABG", "fault.x_km": 12.0, "fault.t_on": 2.13e-4, "fault.t_off": 4.01e-4,
+             "measurement.profile": profile, "measurement.shift_us_r": 90.0}  # fmt: skip
+    one, several, whole = (FaultedLine(build(RigParams, given)) for _ in range(3))
+    for k in range(12_000):
+        advance(one.net, one.chain, CLARKE, one.state, k, 1)
+    whole.advance(12_000)
+    for steps in itertools.cycle((1, 7, 64, 65, 300)):
+        several.advance(min(steps, 12_000 - several.k))
+        if several.k == 12_000:
+            break
+    assert one.state.phase.tolist() == [2, 2, 2]
+    for a, b, c in zip(one.state, several.state, whole.state, strict=True):
+        assert a.tobytes() == b.tobytes() == c.tobytes()
 
 
 def test_a_record_has_a_row_every_so_many_steps(monkeypatch):
@@ -1308,14 +1333,13 @@ def test_the_filter_is_that_of_scipy_from_its_steady_state_on():
     waves = (phasors[:, None] * np.exp(1j * omega * t)).real
     wanted = sosfilt(other, waves, axis=1)[:, 4000:]  # long settled
     assert filtered.real.tolist() == pytest.approx(wanted[:, 0].tolist(), rel=1e-9)
-    for k in range(1, 40):
-        x = waves[:, 4000 + k].copy()
-        measurement.filter_step.py_func(sos, state, x)
-        assert x.tolist() == pytest.approx(wanted[:, k].tolist(), abs=1e-9)
-    none = np.empty((0, 5))
-    x = np.array([1.0, 2.0])
-    measurement.filter_step.py_func(none, np.empty((2, 0, 2)), x)
-    assert x.tolist() == [1.0, 2.0]
+    x = waves[:, 4001:].T.copy()
+    for block in (x[:1], x[1:20], x[20:]):
+        measurement.filter_steps.py_func(sos, state, block)
+    np.testing.assert_allclose(x.T, wanted[:, 1:], rtol=0.0, atol=1e-9)
+    none, x = np.empty((0, 5)), np.array([[1.0, 2.0]])
+    measurement.filter_steps.py_func(none, np.empty((2, 0, 2)), x)
+    assert x.tolist() == [[1.0, 2.0]]
 
 
 @pytest.mark.parametrize("profile", list(RATES))

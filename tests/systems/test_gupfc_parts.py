@@ -344,7 +344,8 @@ def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
     ]
     scale = np.array([1.0 / pulses.fundamental(NETWORK.shunt_sigma), 0.25 * math.pi / 2.0, 0.25 * math.pi / 2.0])
     total = np.zeros(3)
-    out = np.empty((4, 2), dtype=complex)
+    arriving = np.empty((4, 2, 1), dtype=complex)
+    out = arriving[:, :, 0]
     for k in range(n):
         step = 7 + k + 1
         v = np.array(
@@ -355,7 +356,7 @@ def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
                 for s, a, w, sigma in zip(scale, turning.angle, turning.omega, turning.sigma, strict=True)
             ]
         )
-        bergeron.histories.py_func(lines, ring, step, out)
+        bergeron.histories.py_func(lines, ring, step, arriving)
         now, before = (cmath.exp(1j * NETWORK.omega * h * m) for m in (step, step - 1))
         e = NETWORK.sources
         forced = [0.5 * e[0] * (now + before), 0.5 * e[1] * (now + before), v[1], v[2], v[0]]
@@ -384,7 +385,7 @@ def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
         if not tripped:
             v_dc = math.sqrt(v_dc**2 - h / NETWORK.dc_time * delivered.sum())
         ends = np.array([[u[m] for m in pair] for pair in ENDS])
-        bergeron.store.py_func(lines, ring, step, ends, out, np.empty_like(out))
+        bergeron.store.py_func(lines, ring, step, ends[:, :, None], arriving, np.empty_like(arriving))
         assert rows.bus[k + 1] == pytest.approx(u)
         assert rows.current[k + 1] == pytest.approx(i)
         assert rows.converter[k + 1] == pytest.approx(v)

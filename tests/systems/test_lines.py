@@ -19,6 +19,7 @@ from softrig_power.lines.bergeron import (
     lines,
     steady_history,
     store,
+    together,
 )
 from softrig_power.lines.modal import (
     AERIAL,
@@ -88,8 +89,9 @@ def test_section_too_short_for_the_step():
         lines([POSITIVE.part(1.0)], 1e-6)
 
 
+@pytest.mark.parametrize("most", [1, 1000])
 @pytest.mark.parametrize("kind", ["phase", "space_vector"])
-def test_steps_hold_the_sinusoidal_steady_state(kind):
+def test_steps_hold_the_sinusoidal_steady_state(kind, most):
     """Both ends forced with sinusoids: the stepped currents are those of the two-port, from the first step on."""
     step, omega = 1.0 / 46080.0, 2.0 * math.pi * 60.0
     sections = [GUPFC_HALF, GUPFC_HALF.part(150.0)]
@@ -100,12 +102,18 @@ def test_steps_hold_the_sinusoidal_steady_state(kind):
     accept = np.real if kind == "phase" else np.asarray
     ring = np.ascontiguousarray(accept(ring))
     assert ring.shape == (2, 2, history_length(prepared))
-    history, result = np.empty((2, 2), ring.dtype), np.empty((2, 2), ring.dtype)
-    for k in range(1, 3 * ring.shape[2]):
-        turn = cmath.exp(1j * omega * step * k)
+    k, end, counts = 1, 3 * ring.shape[2], set()
+    while k < end:
+        count = min(together(prepared, ring, k), end - k, most)
+        turn = np.exp(1j * omega * step * np.arange(k, k + count))
+        history, result = np.empty((2, 2, count), ring.dtype), np.empty((2, 2, count), ring.dtype)
         histories(prepared, ring, k, history)
-        store(prepared, ring, k, np.ascontiguousarray(accept(voltages * turn)), history, result)
-        np.testing.assert_allclose(result, accept(currents * turn), atol=1e-13)
+        store(prepared, ring, k, np.ascontiguousarray(accept(voltages[:, :, None] * turn)), history, result)
+        np.testing.assert_allclose(result, accept(currents[:, :, None] * turn), atol=1e-13)
+        counts.add(count)
+        k += count
+    # a block ends where the first wave of a section arrives, and where the ring begins anew
+    assert counts == {1} if most == 1 else len(counts) > 1 and max(counts) == int(prepared.newest.min())
 
 
 def test_step_response_of_a_matched_lossless_line():
@@ -113,15 +121,15 @@ def test_step_response_of_a_matched_lossless_line():
     section, step = Section(0.0, 1e-3, 1e-8, 100.0), 1e-6
     prepared = lines([section], step)
     ring = np.zeros((1, 2, history_length(prepared)))
-    history, current, u = np.empty((1, 2)), np.empty((1, 2)), np.empty((1, 2))
+    history, current, u = (np.empty((1, 2, 1)) for _ in range(3))
     sent, arrived = [], []
     for k in range(1, 1000):
         histories(prepared, ring, k, history)
         u[0, 0] = 1.0
         u[0, 1] = -history[0, 1] / (2.0 * prepared.conductance[0])  # u = -Z i
         store(prepared, ring, k, u, history, current)
-        sent.append(current[0, 0])
-        arrived.append(u[0, 1])
+        sent.append(current[0, 0, 0])
+        arrived.append(u[0, 1, 0])
     np.testing.assert_allclose(sent, 1.0 / section.z, rtol=1e-12)
     arrival = math.floor(section.tau / step)
     assert np.abs(arrived[: arrival - 3]).max() == 0.0
@@ -246,16 +254,18 @@ def test_what_arrives_and_what_is_stored_in_loops():
     step = 5e-6
     prepared, chance = lines([PLAIN, PLAIN.part(40.0)], step), np.random.default_rng(1)
     size, messages = history_length(prepared), []
-    ring, out, current = np.zeros((2, 2, size), complex), np.empty((2, 2), complex), np.empty((2, 2), complex)
+    ring = np.zeros((2, 2, size), complex)
+    arrived, currents = np.empty((2, 2, 1), complex), np.empty((2, 2, 1), complex)
+    out, current = arrived[:, :, 0], currents[:, :, 0]
     for k in range(1, 3 * size):
-        histories.py_func(prepared, ring, k, out)
+        histories.py_func(prepared, ring, k, arrived)
         u = chance.normal(size=(2, 2)) + 1j * chance.normal(size=(2, 2))
         for n in range(2):
             for end in range(2):
                 ages = [prepared.newest[n] + m for m in range(4)]
                 seen = [messages[k - 1 - age][n][end] if age < k else 0.0 for age in ages]
                 assert out[n, end] == pytest.approx(sum(w * x for w, x in zip(prepared.weights[n], seen, strict=True)))
-        store.py_func(prepared, ring, k, u, out, current)
+        store.py_func(prepared, ring, k, u[:, :, None], arrived, currents)
         arriving = np.empty((2, 2), complex)
         for n in range(2):
             i = u[n] * prepared.conductance[n] + out[n]

@@ -42,7 +42,7 @@ def waves(function, chance):
     prepared = bergeron.lines([Section(0.03, 1e-3, 1.2e-8, length) for length in (40.0, 60.0)], 5e-6)
     ring = chance.normal(size=(2, 2, bergeron.history_length(prepared)))
     for k in (1, 7, 90):
-        out = np.empty((2, 2))
+        out = np.empty((2, 2, 1 + k % 6))
         function(prepared, ring, k, out)
         yield out
 
@@ -50,9 +50,9 @@ def waves(function, chance):
 def stored(function, chance):
     """What leaves the ends of two sections."""
     prepared = bergeron.lines([Section(0.03, 1e-3, 1.2e-8, length) for length in (40.0, 60.0)], 5e-6)
-    ring, current = np.zeros((2, 2, bergeron.history_length(prepared))), np.empty((2, 2))
+    ring, current = np.zeros((2, 2, bergeron.history_length(prepared))), np.empty((2, 2, 3))
     for k in (1, 7, 90):
-        function(prepared, ring, k, chance.normal(size=(2, 2)), chance.normal(size=(2, 2)), current)
+        function(prepared, ring, k, chance.normal(size=(2, 2, 3)), chance.normal(size=(2, 2, 3)), current)
         yield from (ring.copy(), current.copy())
 
 

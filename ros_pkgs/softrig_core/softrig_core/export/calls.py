@@ -273,11 +273,12 @@ class Calls(Expressions):
             results = [WHOLE.fullmatch(one.c) for one in sizes]
             if not all(results):
                 raise self.unknown("an array of no fixed length", node)
-            whole = len(given) > 1 and called is not np.full and given[1].thing in (int, np.int64)
-            kind = Table(INT if whole else REAL, tuple(int(one[1]) for one in results if one))
+            dtype = given[1].thing if len(given) > 1 and called is not np.full else None
+            item = INT if dtype in (int, np.int64) else COMPLEX if dtype is np.complex128 else REAL
+            kind = Table(item, tuple(int(one[1]) for one in results if one))
         table = self.room(kind)
         if called is np.copy:
             return self.filled(table, f"{given[0].c}[i]")
         fill = given[1].c if called is np.full else "1" if called in (np.ones, np.ones_like) else "0"
-        item = f"({self.unit.c(kind.item)}){{ 0 }}" if kind.item == COMPLEX else f"({kind.item.c})({fill})"
-        return self.filled(table, item)
+        begin = f"({self.unit.c(kind.item)}){{ 0 }}" if kind.item == COMPLEX else f"({kind.item.c})({fill})"
+        return self.filled(table, begin)

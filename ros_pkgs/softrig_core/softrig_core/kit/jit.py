@@ -29,8 +29,8 @@ MOST_PARTS = 100
 HOW = b"borrowed: parts"
 SVML = "NUMBA_DISABLE_INTEL_SVML"
 
-_NUMPY = """abs array ceil empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum nan
-ndarray ones ones_like pi sign sqrt trunc zeros zeros_like"""
+_NUMPY = """abs array ceil complex128 empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum
+nan ndarray ones ones_like pi sign sqrt trunc zeros zeros_like"""
 NUMPY = frozenset(_NUMPY.split())
 REFUSED = {
     "**": "x * x, or power(x, y)",

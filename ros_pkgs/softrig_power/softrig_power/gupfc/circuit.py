@@ -156,9 +156,9 @@ def advance(
     sigma, angle, omega = turning
     bus, current, converter = rows
     steps = bus.shape[0] - 1
-    history = np.empty_like(ring[:, :, 0])
-    ends = np.empty_like(history)
-    leaving = np.empty_like(history)
+    # The lines are solved step by step: the converters need the voltages of each.
+    history = np.empty((4, 2, 1), np.complex128)
+    ends, leaving = np.empty_like(history), np.empty_like(history)
     power = np.zeros(3)
     v = np.zeros_like(converter[0])
     y = lines.conductance[0]
@@ -190,10 +190,10 @@ def advance(
         j12 = g_se * (2.0 * v[SE12] + u[BUS1] - u[BUS2] + c.series.keep * i[I12])
         j34 = g_se * (2.0 * v[SE34] + u[BUS3] - u[BUS4] + c.series.keep * i[I34])
         j_sh = g_sh * (2.0 * v[SH] - u[BUS1] + c.shunt.keep * i[I_SH])
-        u[A] = inv_ab * (j_a - history[0, 0] - history[1, 0])
-        u[B] = inv_ab * (j_b - history[2, 1] - history[3, 1])
-        b1, b2 = j_sh - j12 - history[0, 1], j12 - history[2, 0]
-        b3, b4 = -j34 - history[1, 1], j34 - history[3, 0]
+        u[A] = inv_ab * (j_a - history[0, 0, 0] - history[1, 0, 0])
+        u[B] = inv_ab * (j_b - history[2, 1, 0] - history[3, 1, 0])
+        b1, b2 = j_sh - j12 - history[0, 1, 0], j12 - history[2, 0, 0]
+        b3, b4 = -j34 - history[1, 1, 0], j34 - history[3, 0, 0]
         u[BUS1], u[BUS2] = inv12 * (y2 * b1 + g_se * b2), inv12 * (g_se * b1 + y1 * b2)
         u[BUS3], u[BUS4] = inv34 * (y3 * b3 + g_se * b4), inv34 * (g_se * b3 + y3 * b4)
         before12, before34, before_sh = i[I12], i[I34], i[I_SH]
@@ -201,10 +201,10 @@ def advance(
         i[I12] = j12 + g_se * (u[BUS1] - u[BUS2])
         i[I34] = j34 + g_se * (u[BUS3] - u[BUS4])
         i[I_SH] = j_sh - g_sh * u[BUS1]
-        ends[0, 0], ends[0, 1] = u[A], u[BUS1]
-        ends[1, 0], ends[1, 1] = u[A], u[BUS3]
-        ends[2, 0], ends[2, 1] = u[BUS2], u[B]
-        ends[3, 0], ends[3, 1] = u[BUS4], u[B]
+        ends[0, 0, 0], ends[0, 1, 0] = u[A], u[BUS1]
+        ends[1, 0, 0], ends[1, 1, 0] = u[A], u[BUS3]
+        ends[2, 0, 0], ends[2, 1, 0] = u[BUS2], u[B]
+        ends[3, 0, 0], ends[3, 1, 0] = u[BUS4], u[B]
         store(lines, ring, k, ends, history, leaving)
         p_sh = 0.5 * (v[SH] * (before_sh + i[I_SH]).conjugate()).real
         p12 = 0.5 * (v[SE12] * (before12 + i[I12]).conjugate()).real

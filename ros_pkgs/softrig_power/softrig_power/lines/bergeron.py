@@ -142,8 +142,21 @@ def steady_history(prepared: Lines, voltages: Complex, currents: Complex, omega:
 
 
 @jit
+def together(lines: Lines, ring: Any, k: int) -> int:
+    """Return the number of steps from k on that `histories` and `store` can compute in one call, at least 1.
+
+    What leaves an end within these steps arrives after them, and their slots of the ring are adjacent.
+    """
+    size = ring.shape[2]
+    result = size - (k & (size - 1))
+    for n in range(ring.shape[0]):
+        result = min(result, lines.newest[n])
+    return result
+
+
+@jit
 def histories(lines: Lines, ring: Any, k: int, out: Any) -> None:
-    """Return H(t - tau) of every section and end at step k, before that step is stored.
+    """Return H(t - tau) of every section and end at the steps k, k + 1, ..., before these are stored.
 
     Parameters
     ----------
@@ -151,47 +164,48 @@ def histories(lines: Lines, ring: Any, k: int, out: Any) -> None:
     ring : ndarray, shape (n, 2, length)
         Real or complex, from `steady_history` or zeros.
     k : int
-        Number of the step, > 0.
-    out : ndarray, shape (n, 2)
-        Takes the currents, A.
+        Number of the first step, > 0.
+    out : ndarray, shape (n, 2, steps)
+        Takes the currents, A; at most `together` steps.
     """
-    mask = ring.shape[2] - 1
+    mask, steps = ring.shape[2] - 1, out.shape[2]
     for n in range(ring.shape[0]):
+        w0, w1, w2, w3 = lines.weights[n, 0], lines.weights[n, 1], lines.weights[n, 2], lines.weights[n, 3]
         latest = k - lines.newest[n]
-        w = lines.weights[n]
         for end in range(2):
             h = ring[n, end]
-            out[n, end] = (
-                w[0] * h[latest & mask]
-                + w[1] * h[(latest - 1) & mask]
-                + w[2] * h[(latest - 2) & mask]
-                + w[3] * h[(latest - 3) & mask]
-            )
+            a, b, c = h[(latest - 3) & mask], h[(latest - 2) & mask], h[(latest - 1) & mask]
+            for j in range(steps):
+                d = h[(latest + j) & mask]
+                out[n, end, j] = w0 * d + w1 * c + w2 * b + w3 * a
+                a, b, c = b, c, d
 
 
 @jit
 def store(lines: Lines, ring: Any, k: int, voltages: Any, history: Any, currents: Any) -> None:
-    """End step k: terminal currents from the voltages, and what will arrive at the ends after the travel time.
+    """End steps: terminal currents from the voltages, and what will arrive at the ends after the travel time.
 
     Parameters
     ----------
     lines, ring, k
         As of `histories`.
-    voltages : ndarray, shape (n, 2)
+    voltages : ndarray, shape (n, 2, steps)
         V at both ends.
-    history : ndarray, shape (n, 2)
+    history : ndarray, shape (n, 2, steps)
         From `histories`.
-    currents : ndarray, shape (n, 2)
+    currents : ndarray, shape (n, 2, steps)
         Takes i = u/Z' + H, A into the section.
     """
     slot = k & (ring.shape[2] - 1)
     for n in range(ring.shape[0]):
-        currents[n, 0] = lines.conductance[n] * voltages[n, 0] + history[n, 0]
-        currents[n, 1] = lines.conductance[n] * voltages[n, 1] + history[n, 1]
-        leaving_k = voltages[n, 0] + lines.z_minus[n] * currents[n, 0]
-        leaving_m = voltages[n, 1] + lines.z_minus[n] * currents[n, 1]
-        ring[n, 0, slot] = lines.far[n] * leaving_m + lines.near[n] * leaving_k
-        ring[n, 1, slot] = lines.far[n] * leaving_k + lines.near[n] * leaving_m
+        g, z, far, near = lines.conductance[n], lines.z_minus[n], lines.far[n], lines.near[n]
+        for j in range(voltages.shape[2]):
+            currents[n, 0, j] = g * voltages[n, 0, j] + history[n, 0, j]
+            currents[n, 1, j] = g * voltages[n, 1, j] + history[n, 1, j]
+            leaving_k = voltages[n, 0, j] + z * currents[n, 0, j]
+            leaving_m = voltages[n, 1, j] + z * currents[n, 1, j]
+            ring[n, 0, slot + j] = far * leaving_m + near * leaving_k
+            ring[n, 1, slot + j] = far * leaving_k + near * leaving_m
 
 
 class Branch(NamedTuple):

@@ -59,24 +59,25 @@ def butterworth(cutoff: float) -> Array:
 
 
 @jit
-def filter_step(sos: Array, state: Array, x: Array) -> None:
-    """Filter one sample of every channel in place, second-order sections in transposed direct form II.
+def filter_steps(sos: Array, state: Array, x: Array) -> None:
+    """Filter samples of every channel in place, second-order sections in transposed direct form II.
 
     Parameters
     ----------
     sos : ndarray, shape (sections, 5)
     state : ndarray, shape (sections, 2, channels)
-    x : ndarray, shape (channels,)
+    x : ndarray, shape (steps, channels)
     """
     for s in range(sos.shape[0]):
         b0, b1, b2, a1, a2 = sos[s, 0], sos[s, 1], sos[s, 2], sos[s, 3], sos[s, 4]
-        # The channels are innermost, so that the processor filters several of them with one instruction.
-        for channel in range(x.shape[0]):
-            v = x[channel]
-            y = b0 * v + state[s, 0, channel]
-            state[s, 0, channel] = b1 * v - a1 * y + state[s, 1, channel]
-            state[s, 1, channel] = b2 * v - a2 * y
-            x[channel] = y
+        for j in range(x.shape[0]):
+            # The channels are innermost, so that the processor filters several of them with one instruction.
+            for channel in range(x.shape[1]):
+                v = x[j, channel]
+                y = b0 * v + state[s, 0, channel]
+                state[s, 0, channel] = b1 * v - a1 * y + state[s, 1, channel]
+                state[s, 1, channel] = b2 * v - a2 * y
+                x[j, channel] = y
 
 
 def steady_filter(sos: Array, phasors: Complex, omega: float, step: float) -> tuple[Array, Complex]:

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from softrig_core import jit
 from softrig_core.kit import dense
 
-from ...lines.bergeron import histories, store
+from ...lines.bergeron import histories, store, together
 from ...lines.modal import CLARKE
-from .measurement import Chain, chain, filter_step, steady_filter
+from .measurement import Chain, chain, filter_steps, steady_filter
 from .network import Network, line_history, network, steady
 from .parameters import RigParams, phases
 
 Array = NDArray[np.float64]
 CHANNELS = 12  # u_S, i_S, u_R, i_R, three phases each
+BLOCK = 64  # steps that are computed together, so that their values stay in the processor's nearest cache
 
 
 class State(NamedTuple):
@@ -51,99 +52,147 @@ def advance(net: Network, chain: Chain, transform: Array, state: State, k: int, 
         Step that the state belongs to.
     steps : int
     """
-    history, voltage, current = np.empty((6, 2)), np.empty((6, 2)), np.empty((6, 2))
-    sources = np.empty((2, 3))
-    node, open_circuit = np.empty(3), np.empty(3)
-    raw = np.empty(12)
-    g = net.lines.conductance
+    first, last = k + 1, k + steps
+    while first <= last:
+        # While no wave has passed the shortest section, all steps are independent but for the source currents, the
+        # fault and the filter. Each equation is then one loop over these steps, which the processor does in parallel.
+        count = min(last + 1 - first, together(net.lines, state.ring, first), BLOCK)
+        history, voltage, current = np.empty((6, 2, count)), np.empty((6, 2, count)), np.empty((6, 2, count))
+        raw = np.empty((count, 12))
+        histories(net.lines, state.ring, first, history)
+        _sources(net, state, first, history, voltage)
+        _fault_point(net, transform, state, first, history, voltage)
+        store(net.lines, state.ring, first, voltage, history, current)
+        _phases(transform, voltage, current, raw)
+        filter_steps(chain.sos, state.filters, raw)
+        _keep(raw, first, state.late)
+        first += count
     mask = state.late.shape[1] - 1
-    for n in range(k + 1, k + steps + 1):
-        histories(net.lines, state.ring, n, history)
-        for end in range(2):
-            angle = net.omega * (n * net.step) + net.emf[end, 1]
-            sources[end, 0] = 0.0
-            sources[end, 1] = net.emf[end, 0] * math.cos(angle)
-            sources[end, 2] = net.emf[end, 0] * math.sin(angle)
-            for mode in range(3):
-                section = 3 * end + mode
-                h = history[section, end]
-                gs = net.source_conductance[mode]
-                past = state.source_voltage[end, mode] + net.source_keep[mode] * state.source_current[end, mode]
-                u = (gs * (sources[end, mode] + past) - h) / (gs + g[section])
-                across = sources[end, mode] - u
-                state.source_current[end, mode] = gs * (across + past)
-                state.source_voltage[end, mode] = across
-                voltage[section, end] = u
-        for mode in range(3):
-            node[mode] = -(history[mode, 1] + history[3 + mode, 0]) / (g[mode] + g[3 + mode])
-        for ph in range(3):
-            open_circuit[ph] = transform[0, ph] * node[0] + transform[1, ph] * node[1] + transform[2, ph] * node[2]
-        _fault(net, state, open_circuit, n)
-        for mode in range(3):
-            i = (
-                transform[mode, 0] * state.fault_current[0]
-                + transform[mode, 1] * state.fault_current[1]
-                + transform[mode, 2] * state.fault_current[2]
-            )
-            u = node[mode] - i / (g[mode] + g[3 + mode])
-            voltage[mode, 1] = u
-            voltage[3 + mode, 0] = u
-        store(net.lines, state.ring, n, voltage, history, current)
-        for end in range(2):
-            for ph in range(3):
-                u, i = 0.0, 0.0
-                for mode in range(3):
-                    u += transform[mode, ph] * voltage[3 * end + mode, end]
-                    i += transform[mode, ph] * current[3 * end + mode, end]
-                raw[6 * end + ph] = u
-                raw[6 * end + 3 + ph] = i
-        filter_step(chain.sos, state.filters, raw)
-        for channel in range(12):
-            state.late[channel, n & mask] = raw[channel]
     for channel in range(12):
-        old = (k + steps - chain.delay[channel // 6]) & mask
+        old = (last - chain.delay[channel // 6]) & mask
         state.measured[channel] = chain.ratio[channel // 3] * state.late[channel, old]
 
 
 @jit
-def _fault(net: Network, state: State, open_circuit: Array, n: int) -> None:
-    """Close all phases at `on`; open each at the first step after `off` whose current has changed its sign."""
-    if n < net.on:
-        return
+def _sources(net: Network, state: State, first: int, history: Array, voltage: Array) -> None:
+    """Solve the nodes S and R: their voltages, and the currents and voltages of the source impedances."""
+    g, sources = net.lines.conductance, np.zeros((2, 3))
+    for j in range(history.shape[2]):
+        for end in range(2):
+            angle = net.omega * ((first + j) * net.step) + net.emf[end, 1]
+            sources[end, 1] = net.emf[end, 0] * math.cos(angle)
+            sources[end, 2] = net.emf[end, 0] * math.sin(angle)
+            for mode in range(3):
+                section = 3 * end + mode
+                gs = net.source_conductance[mode]
+                past = state.source_voltage[end, mode] + net.source_keep[mode] * state.source_current[end, mode]
+                u = (gs * (sources[end, mode] + past) - history[section, end, j]) / (gs + g[section])
+                across = sources[end, mode] - u
+                state.source_current[end, mode] = gs * (across + past)
+                state.source_voltage[end, mode] = across
+                voltage[section, end, j] = u
+
+
+@jit
+def _fault_point(net: Network, transform: Array, state: State, first: int, history: Array, voltage: Array) -> None:
+    """Solve the node F: what its voltages were without the fault, the currents of the fault, and its voltages."""
+    g, steps = net.lines.conductance, history.shape[2]
+    node, phase = np.empty((3, steps)), np.empty((3, steps))
+    for mode in range(3):
+        both = g[mode] + g[3 + mode]
+        for j in range(steps):
+            node[mode, j] = -(history[mode, 1, j] + history[3 + mode, 0, j]) / both
+    for ph in range(3):
+        a, b, c = transform[0, ph], transform[1, ph], transform[2, ph]
+        for j in range(steps):
+            phase[ph, j] = a * node[0, j] + b * node[1, j] + c * node[2, j]
+    _fault(net, state, first, phase)
+    for mode in range(3):
+        both = g[mode] + g[3 + mode]
+        a, b, c = transform[mode, 0], transform[mode, 1], transform[mode, 2]
+        for j in range(steps):
+            u = node[mode, j] - (a * phase[0, j] + b * phase[1, j] + c * phase[2, j]) / both
+            voltage[mode, 1, j] = u
+            voltage[3 + mode, 0, j] = u
+
+
+@jit
+def _closed(phase: NDArray[np.int64]) -> int:
     bits = 0
     for ph in range(3):
-        if state.phase[ph] == 0:
-            state.phase[ph] = 1
-        if state.phase[ph] == 1:
+        if phase[ph] == 1:
             bits |= 1 << ph
-    # A phase that opens changes the currents of the others in this step, so they are tested again.
-    # Before `off` no phase opens.
-    for _ in range(3 if n >= net.off else 0):
-        changed = False
-        for ph in range(3):
-            i = (
-                net.closed[bits, ph, 0] * open_circuit[0]
-                + net.closed[bits, ph, 1] * open_circuit[1]
-                + net.closed[bits, ph, 2] * open_circuit[2]
-            )
-            if state.phase[ph] == 1 and i * state.fault_current[ph] <= 0.0:
-                state.phase[ph] = 2
-                state.opened[ph] = n * net.step
-                changed = True
-        if not changed:
-            break
-        bits = 0
-        for ph in range(3):
-            if state.phase[ph] == 1:
-                bits |= 1 << ph
+    return bits
+
+
+@jit
+def _fault(net: Network, state: State, first: int, phase: Array) -> None:
+    """Replace the open-circuit voltages of steps by the fault currents.
+
+    All phases close at `on`; each opens at the first step after `off` whose current has changed its sign.
+
+    Parameters
+    ----------
+    first : int
+        Number of the first step.
+    phase : ndarray, shape (3, steps)
+        V; A afterwards.
+    """
+    steps = phase.shape[1]
+    before = min(max(net.on - first, 0), steps)
     for ph in range(3):
-        i = (
-            net.closed[bits, ph, 0] * open_circuit[0]
-            + net.closed[bits, ph, 1] * open_circuit[1]
-            + net.closed[bits, ph, 2] * open_circuit[2]
-        )
-        state.fault_current[ph] = i
-        state.peak[ph] = max(state.peak[ph], abs(i))
+        for j in range(before):
+            phase[ph, j] = state.fault_current[ph]
+        if before < steps and state.phase[ph] == 0:
+            state.phase[ph] = 1
+    bits = _closed(state.phase)
+    for j in range(before, steps):
+        n, a, b, c = first + j, phase[0, j], phase[1, j], phase[2, j]
+        # A phase that opens changes the currents of the others in this step, so they are tested again.
+        # Before `off` no phase opens.
+        for _ in range(3 if n >= net.off else 0):
+            changed = False
+            for ph in range(3):
+                i = net.closed[bits, ph, 0] * a + net.closed[bits, ph, 1] * b + net.closed[bits, ph, 2] * c
+                if state.phase[ph] == 1 and i * state.fault_current[ph] <= 0.0:
+                    state.phase[ph] = 2
+                    state.opened[ph] = n * net.step
+                    changed = True
+            if not changed:
+                break
+            bits = _closed(state.phase)
+        for ph in range(3):
+            i = net.closed[bits, ph, 0] * a + net.closed[bits, ph, 1] * b + net.closed[bits, ph, 2] * c
+            state.fault_current[ph] = i
+            state.peak[ph] = max(state.peak[ph], abs(i))
+            phase[ph, j] = i
+
+
+@jit
+def _phases(transform: Array, voltage: Array, current: Array, raw: Array) -> None:
+    """Transform the modes at S and R to the channels of the instruments, shape (steps, 12)."""
+    for end in range(2):
+        for kind in range(2):
+            modes = voltage if kind == 0 else current
+            for ph in range(3):
+                a, b, c = transform[0, ph], transform[1, ph], transform[2, ph]
+                for j in range(raw.shape[0]):
+                    # 0.0: a sum that begins with it has no negative zero.
+                    raw[j, 6 * end + 3 * kind + ph] = (
+                        0.0
+                        + a * modes[3 * end, end, j]
+                        + b * modes[3 * end + 1, end, j]
+                        + c * modes[3 * end + 2, end, j]
+                    )
+
+
+@jit
+def _keep(filtered: Array, first: int, late: Array) -> None:
+    """Keep the newest filtered values, as many as a late clock needs."""
+    steps, size = filtered.shape[0], late.shape[1]
+    for j in range(max(steps - size, 0), steps):
+        for channel in range(12):
+            late[channel, (first + j) & (size - 1)] = filtered[j, channel]
 
 
 @jit
