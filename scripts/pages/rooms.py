@@ -6,6 +6,8 @@ import ast
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pages.statements import imported
+
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
 
@@ -50,7 +52,7 @@ def rooms(package: str) -> dict[str, Room]:
         source = file.read_text()
         results[own].modules += file.stem != "__init__"
         results[own].lines += source.count("\n")
-        for node in ast.walk(ast.parse(source)):
+        for node, _ in imported(file):
             if isinstance(node, ast.ImportFrom):
                 results[own].knows |= _targets(node, [package, *own.split(".")], package, results) - {own}
     for room in results.values():

@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pyarrow.parquet
 import pytest
+from conftest import few
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer as McapLibraryWriter
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
@@ -654,7 +655,7 @@ def test_a_cut_database_whose_pages_hang_on_what_is_gone_is_refused(tmp_path):
     assert not (tmp_path / "bag.damaged").exists()
 
 
-@pytest.mark.parametrize("compression", ["none", "zstd"])
+@pytest.mark.parametrize("compression", few(["zstd", "none"], 1))
 def test_a_cut_bag_is_repaired(tmp_path, compression):
     source = recording(ticks=20_000)
     write_bag(tmp_path / "bag", source, compression=compression, custom_data={"seed": "7"})
@@ -792,8 +793,8 @@ def test_a_split_size_below_the_head_of_a_file_does_not_make_a_file_of_each_mess
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_split_bags_are_read_and_repaired(tmp_path, storage):
-    source = recording(ticks=12_000)
-    writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=5_000_000_000)
+    source = recording(ticks=1_200)
+    writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=500_000_000)
     numbers = {
         t.name: writer.add_topic(BagTopic.known("/" + t.name.lstrip("/"), t.msgtype)) for t in source.topics.values()
     }
@@ -802,8 +803,8 @@ def test_split_bags_are_read_and_repaired(tmp_path, storage):
     writer.close()
     assert read_bag(tmp_path / "bag").topics == source.topics
     info = YAML(typ="safe").load(tmp_path / "bag/metadata.yaml")["rosbag2_bagfile_information"]
-    assert [f["starting_time"]["nanoseconds_since_epoch"] for f in info["files"]] == [0, 5 * 10**9, 10 * 10**9]
-    assert info["duration"] == {"nanoseconds": 11_999_000_000}
+    assert [f["starting_time"]["nanoseconds_since_epoch"] for f in info["files"]] == [0, 5 * 10**8, 10 * 10**8]
+    assert info["duration"] == {"nanoseconds": 1_199_000_000}
     (tmp_path / "bag/metadata.yaml").unlink()
     repair(tmp_path / "bag")
     assert read_bag(tmp_path / "bag").topics == source.topics

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import softrig_core
 import yaml
+from pages.statements import imported
 from softrig_bags.cli import main_bag
 from softrig_bags.files import compressed
 from softrig_bags.files.compressed import inflate
@@ -20,7 +21,6 @@ from softrig_core import ScenarioError
 from softrig_core.analysis.linear import Linear
 from softrig_core.extras import EXTRAS, OF_PIP
 from softrig_core.judge import formula
-from sources import imported
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = sorted(p.parent for p in ROOT.glob("ros_pkgs/*/package.xml"))

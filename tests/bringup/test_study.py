@@ -4,15 +4,13 @@ import csv
 import itertools
 import json
 import math
-import os
+import multiprocessing
 import re
 import shlex
 import shutil
 import signal
 import subprocess
 import sys
-import threading
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -288,24 +286,22 @@ def test_a_log_without_rows_is_empty(folder):
     assert list(Log(folder / "log", 1).rows()) == []
 
 
-def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder):
-    demo = study(grid={"gain.k": [0.5 + 0.05 * k for k in range(40)]}, duration=20.0)
+def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder, monkeypatch):
+    demo = study(grid={"gain.k": [0.5 + 0.05 * k for k in range(40)]}, duration=5.0)
     here = rows_of(demo, folder / "here")
-    out, killed = folder / "there", []
+    killed, add = [], Log.add
 
-    def kill():
-        file = out / "rows.jsonl"
-        while not (file.exists() and file.stat().st_size > 0):
-            time.sleep(0.01)
-        children = subprocess.run(["pgrep", "-P", str(os.getpid()), "-f", "spawn_main"], capture_output=True, text=True)
-        killed.append(int(children.stdout.split()[0]))
-        os.kill(killed[0], signal.SIGKILL)
+    def kill(self, row):
+        """Kill a worker at the first row."""
+        if not killed:
+            killed.append(multiprocessing.active_children()[0])
+            killed[0].kill()
+        add(self, row)
 
-    thread = threading.Thread(target=kill)
-    thread.start()
-    there = rows_of(demo, out, workers=2)
-    thread.join(PATIENCE)
-    assert killed
+    monkeypatch.setattr(Log, "add", kill)
+    there = rows_of(demo, folder / "there", workers=2)
+    killed[0].join(PATIENCE)
+    assert killed[0].exitcode == -signal.SIGKILL
     assert [(r["number"], r["figures"]) for r in there] == [(r["number"], r["figures"]) for r in here]
 
 
@@ -405,7 +401,7 @@ def session(pid):
     few([(signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.long), (signal.SIGKILL, -9)], 1),
 )
 def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
-    command = [sys.executable, "-m", "softrig_bringup", "study", "lag", "--duration", "20", "--seeds", "1000",
+    command = [sys.executable, "-m", "softrig_bringup", "study", "lag", "--duration", "2", "--seeds", "1000",
                "--force", "--workers", "2", "--out", "out"]  # fmt: skip
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
     until(lambda: (folder / "out" / "rows.jsonl").exists() and (folder / "out" / "rows.jsonl").stat().st_size)

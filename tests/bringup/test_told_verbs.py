@@ -660,11 +660,12 @@ def test_a_film_of_a_scenario_runs_no_longer_than_it_shows(monkeypatch, tmp_path
 
 
 @pytest.fixture
-def taken(monkeypatch):
-    """What is installed and known, which takes a while to look through."""
-    monkeypatch.setattr(
-        new.importlib.metadata, "distributions", lambda: [SimpleNamespace(name=n) for n in ("numpy", "My-Tool")]
-    )
+def taken(monkeypatch, tmp_path_factory):
+    """A package that is installed, and a scenario that is there."""
+    installed = tmp_path_factory.mktemp("installed")
+    (installed / "My_Tool-1.0.dist-info").mkdir()
+    (installed / "My_Tool-1.0.dist-info" / "METADATA").write_text("Name: My-Tool\nVersion: 1.0\n")
+    monkeypatch.syspath_prepend(installed)
     monkeypatch.setattr(new, "find", lambda name: Path("lag.yaml") if name == "lag" else None)
 
 
@@ -842,7 +843,7 @@ def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
         7,
         0.0,
     )
-    assert listener == Listener(announce=part.say)
+    assert listener == Listener(announce=part.print_line)
     assert go("--out", "o", "--wait", "3", "--only", "plant", "--only", "source") == 0
     assert (asked[1][2], asked[1][3].wait) == (lag / "o/log", 3.0)
     assert "elsewhere: nobody" in capsys.readouterr().err

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from conftest import differences, in_process, make_scenario
+from pages.statements import imported
 from rclpy.context import Context
 from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
@@ -14,7 +15,6 @@ from softrig_nodes import run_processes
 from softrig_nodes.below import arrival, uses
 from softrig_nodes.processes.placement import Placement
 from softrig_nodes.ros.ros import ServingNode
-from sources import imported
 from std_msgs.msg import Float64
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
@@ -133,6 +133,7 @@ def test_an_empty_list_has_a_type_where_rclpy_lets_it(node, public):
     assert uses.parameters(node)["empty"].type_ == Parameter.Type.DOUBLE_ARRAY
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_a_rig_that_goes_the_public_way_has_the_same_bits(public, tmp_path):
     public("all")

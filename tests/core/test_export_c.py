@@ -48,7 +48,7 @@ NODES = {
 }
 
 
-DAILY = {"a controller with reports", "what is None until the first message", "random numbers"}
+DAILY = {"a controller with reports", "random numbers"}
 PARAMETERS = [
     pytest.param(*words, id=what, marks=() if what in DAILY else pytest.mark.long) for what, words in NODES.items()
 ]

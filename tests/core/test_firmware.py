@@ -42,6 +42,7 @@ def test_a_sketch_on_the_uno_moves_the_motor_as_python_does(tmp_path):
     assert board["motor/command"].data != python["motor/command"].data  # in float
 
 
+@pytest.mark.long
 @arm
 def test_a_cortex_m_has_the_bits_of_python(tmp_path):
     name, layout = export_firmware(rig_of("dc_motor_smc_b2"), "dc_motor_smc", tmp_path, "cortex-m4", rows=60, drawn=30)

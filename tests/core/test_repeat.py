@@ -77,7 +77,9 @@ def repeat(tmp_path, capsys, *arguments):
     return status, capsys.readouterr().err
 
 
-@pytest.mark.parametrize("mode", ["inprocess", pytest.param("container", marks=pytest.mark.processes)])
+@pytest.mark.parametrize(
+    "mode", ["inprocess", pytest.param("container", marks=[pytest.mark.processes, pytest.mark.long])]
+)
 def test_buttons_and_messages_from_outside_are_there_again(mode, tmp_path, capsys):
     """From the bag alone, moved to another place."""
     first = pressed(tmp_path / "first")

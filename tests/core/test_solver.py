@@ -247,6 +247,7 @@ def test_with_latency_the_nodes_go_on_meanwhile(tmp_path):
     assert differences(in_process(rig(0.8, latency=0.25)), outcome.recording) == []
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_work_that_dies_ends_the_run_naming_it(tmp_path):
     outcome = run_processes(rig(0.5, fault="kill"), 0, tmp_path)

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from sources import imported
+from pages.statements import imported
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 DOMAINS = ("softrig_drives", "softrig_power", "softrig_robots", "softrig_systems")

@@ -666,7 +666,7 @@ def test_a_look_back_begins_anew_where_it_meets_more_than_the_threshold(met, aga
 
 
 def double(x):
-    return 2 * x, os.getpid()
+    return 2 * x, os.getpid()  # in the long set: a worker that is spawned for it imports this file, which takes 2 s
 
 
 def fail(x):
@@ -674,8 +674,9 @@ def fail(x):
 
 
 def test_sweep_keeps_the_order_on_any_number_of_workers():
-    here = sweep(double, range(7), workers=1)
-    there = sweep(double, range(7), workers=2)
+    cases = [f"(2 * {k}, __import__('os').getpid())" for k in range(7)]
+    here = sweep(eval, cases, workers=1)
+    there = sweep(eval, cases, workers=2)
     assert [value for value, _ in here] == [value for value, _ in there] == list(range(0, 14, 2))
     assert {pid for _, pid in here} == {os.getpid()}
     assert os.getpid() not in {pid for _, pid in there}

@@ -69,7 +69,7 @@ def equal_to_in_process(wired, outcome, seed=0):
 
 
 @pytest.mark.parametrize(
-    "name", few([pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in HEADLINES], 2)
+    "name", few([pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in HEADLINES], 1)
 )
 def test_every_system_gives_the_bytes_of_the_run_in_process(name, tmp_path):
     wired = short(name, 300)

@@ -33,7 +33,7 @@ def params(executable, **parameters):
     return {"executable": executable, "parameters": parameters}
 
 
-DAILY = ("delayed link", "three plants, one of which has a slow law")
+DAILY = ("delayed link",)
 RIGS = {
     "basic": (BASIC, 3.0),
     "seeded noise": (BASIC | {"gain": params("gain", noise=0.3)}, 1.0),
@@ -210,7 +210,7 @@ def fault(how, **keys):
     ("how", "texts"),
     [
         ("kill", ["node gain was killed by SIGKILL"]),
-        ("stop", ["node gain: its process is stopped (SIGSTOP)"]),
+        pytest.param("stop", ["node gain: its process is stopped (SIGSTOP)"], marks=pytest.mark.long),
         pytest.param(
             "hang", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"], marks=pytest.mark.long
         ),
@@ -390,6 +390,7 @@ def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
     assert len({s["epoch"] for s in outcome.status.values()}) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("extra", "reason"),
     [  # each refusal of a message's content is held against the codec, too

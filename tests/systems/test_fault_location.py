@@ -736,6 +736,7 @@ def test_processes_give_the_same_bits(runs, tmp_path, form):
     assert position(outcome.recording) == position(runs[form].recording)
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_a_bag_is_played_in_lockstep_into_the_locator(tmp_path):
     """It says nothing until its last tick: the player waits for its ticks, and nothing is lost."""
@@ -1085,7 +1086,7 @@ def test_a_sensitivity_is_the_error_of_each_case_and_of_noise_its_deviation(monk
     assert [x for row in [*table.values()][-3:] for x in row] == pytest.approx(noisy)
 
 
-def test_command_line(record, tmp_path, capsys):
+def test_command_line(record, tmp_path, capsys, undrawn):
     for end in "sr":
         write_comtrade(tmp_path / end, record, end)
     files = [str(tmp_path / "s.cfg"), str(tmp_path / "r.cfg")]
@@ -1113,8 +1114,7 @@ def test_command_line(record, tmp_path, capsys):
     assert printed.startswith("fault at 49.99")
     assert "standard uncertainty" in printed
     assert "u_s 0.5 % would move it by" in printed
-    assert (tmp_path / "objective.png").stat().st_size > 10_000
-    assert (tmp_path / "waveforms.png").stat().st_size > 10_000
+    assert {p.name for p in tmp_path.glob("*.png")} == {"objective.png", "waveforms.png"}
     assert locate_tool.main([str(tmp_path / "bag"), "--window", "0.021", "0.0395", "--line", "paper"]) == 0
     assert capsys.readouterr().out.startswith("fault at 49.990 km from S (70.010 km from R)")
     assert locate_tool.main([*files, "--set", "algorithm=integer_grid", "--set", "line.r1=0.03"]) == 0

@@ -537,6 +537,7 @@ def test_nodes_and_a_container_give_the_bytes_of_the_run_in_process(page, tmp_pa
             assert differences(expected, outcome.recording) == []
 
 
+@pytest.mark.long
 @pytest.mark.processes
 def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
     text = (page / "plant.yaml").read_text().replace("R = 0.5", "fault = 1")

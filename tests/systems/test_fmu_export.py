@@ -148,6 +148,7 @@ def through_fmus(scenario, nodes, folder):
     return load_scenario(str(path))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "nodes", "overrides"),
     [

@@ -43,7 +43,7 @@ def run(name):
     return simulate(name)
 
 
-@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 4))
+@pytest.mark.parametrize("name", few([pytest.param(n, marks=[pytest.mark.long] * (n in LATER)) for n in NAMES], 2))
 def test_figures_of_the_scenarios(name):
     assert [f"{r.name} = {r.number} {r.error}" for r in run(name).missed] == []
     assert [(f.key, f.measured_text) for f in run(name).claims if f.holds is False] == []

@@ -786,6 +786,7 @@ def test_a_delay_changes_while_the_loop_runs_and_reads_what_was():
     assert line.reports["delay"][1] == "delay 0.1 s clamped to what is remembered = 0.004 s"
 
 
+@pytest.mark.long
 def test_a_change_of_the_delay_moves_the_margin():
     """x' = -x(t - d): from 1.5 s, just stable, to 1.65 s, where its swings grow at the rate Re W_0(-d)/d."""
     scenario = load_scenario("pwa_delay_hayes").changed(duration=120.0)

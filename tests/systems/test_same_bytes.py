@@ -27,7 +27,7 @@ LONG = [
 
 
 @pytest.mark.parametrize(
-    ("name", "duration", "seed"), few([*DAILY, *(pytest.param(*r, marks=pytest.mark.long) for r in LONG)], 2)
+    ("name", "duration", "seed"), few([*DAILY, *(pytest.param(*r, marks=pytest.mark.long) for r in LONG)], 1)
 )
 def test_processes_give_the_bytes_of_the_run_in_process(name, duration, seed, tmp_path):
     rig = rig_of(name, duration=duration)

@@ -216,19 +216,11 @@ def check_name(name: str) -> None:
         whose = "softrig's own"
     elif name in _wanted():
         whose = "a library's that softrig uses"
-    elif find_spec(name) is not None or _plain(name) in _distributions():
+    elif find_spec(name) is not None or any(importlib.metadata.distributions(name=name)):
         whose = "a library's that is installed here"
     else:
         return
     raise ScenarioError(f"{PACKAGES}/{name}: that name is {whose}; a pack may not replace it: rename the package")
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[-_.]+", "_", name).lower()
-
-
-def _distributions() -> set[str]:
-    return {_plain(d.name) for d in importlib.metadata.distributions() if d.name}
 
 
 @cache

@@ -144,7 +144,7 @@ def folder_of(name: str, parent: Path) -> Path:
     if not re.fullmatch(r"[a-z]([a-z0-9_]*[a-z0-9])?", name) or "__" in name:
         raise ScenarioError(f"package name {name!r}: expected lower-case letters, digits and single _, as in my_rig")
     used = name in sys.stdlib_module_names or keyword.iskeyword(name) or name == "test"
-    if used or any(d.name.replace("-", "_").lower() == name for d in importlib.metadata.distributions()):
+    if used or any(importlib.metadata.distributions(name=name)):
         raise ScenarioError(f"package name {name!r}: taken by a Python package that is installed here")
     if (there := find(name)) is not None:
         raise ScenarioError(f"package name {name!r}: `run {name}` is a scenario already ({there.name}); choose another")

@@ -1,13 +1,17 @@
-"""Import statements of the packages, for tests that read them."""
+"""Import statements of the packages, for the pages and tests that read them."""
+
+from __future__ import annotations
 
 import ast
 from functools import cache
+from pathlib import Path
 
 
 @cache
-def imported(file):
+def imported(file: Path) -> list[tuple[ast.Import | ast.ImportFrom, bool]]:
     """Return the import statements of a file, inside functions too, each with whether only type checkers see it."""
-    results, waiting = [], [(ast.parse(file.read_text()), False)]
+    results: list[tuple[ast.Import | ast.ImportFrom, bool]] = []
+    waiting: list[tuple[ast.AST, bool]] = [(ast.parse(file.read_text()), False)]
     while waiting:
         node, types = waiting.pop()
         if isinstance(node, ast.Import | ast.ImportFrom):
