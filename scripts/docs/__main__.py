@@ -46,7 +46,7 @@ def build(out: Path, sources_only: bool = False) -> int:
     from . import collect, gallery, reference
 
     source = out / "source"
-    _say("pages and their sources")
+    _print("pages and their sources")
     shutil.rmtree(source, ignore_errors=True)
     collect.collect(source)
     gallery.write(source)
@@ -62,9 +62,9 @@ def build(out: Path, sources_only: bool = False) -> int:
 
     from .notebooks import execute
 
-    _say("notebooks")
+    _print("notebooks")
     execute(source)
-    _say("the site, by Sphinx: some minutes")
+    _print("the site, by Sphinx: some minutes")
     shutil.rmtree(out / "html", ignore_errors=True)
     options = ["-q", "-W", "--keep-going", "-b", "html", "-c", str(Path(__file__).parent), "-d", str(out / "doctrees")]
     status = sphinx([*options, str(source), str(out / "html")])
@@ -77,7 +77,7 @@ def build(out: Path, sources_only: bool = False) -> int:
     return 1 if status else 0
 
 
-def _say(what: str) -> None:
+def _print(what: str) -> None:
     print(f"softrig: docs: {what}", file=sys.stderr, flush=True)
 
 

@@ -69,7 +69,7 @@ def verbs() -> str:
     return "\n".join(parts)
 
 
-class _Found(BaseException):
+class _Captured(BaseException):
     """Carries the parser of a command line out of it."""
 
 
@@ -77,12 +77,12 @@ def _parser_of(main: Callable[[list[str]], int]) -> argparse.ArgumentParser:
     """Return the parser that a command makes when it is called."""
 
     def caught(self: argparse.ArgumentParser, *_: object, **__: object) -> None:
-        raise _Found(self)
+        raise _Captured(self)
 
     with mock.patch.object(argparse.ArgumentParser, "parse_args", caught):
         try:
             main([])
-        except _Found as found:
+        except _Captured as found:
             return found.args[0]
     raise ValueError(f"{main} makes no parser")
 

@@ -1086,7 +1086,7 @@ def test_a_definition_that_cannot_be_read_is_named(tmp_path):
         lambda about: about.update(custom_data="text"),
     ],
 )
-def test_metadata_of_other_kinds_is_told_in_one_line(change, tmp_path, capsys):
+def test_metadata_of_other_kinds_is_reported_in_one_line(change, tmp_path, capsys):
     write_bag(tmp_path / "bag", recording())
     file, yaml = tmp_path / "bag" / "metadata.yaml", YAML(typ="safe")
     about = yaml.load(file.read_text())
@@ -1098,7 +1098,7 @@ def test_metadata_of_other_kinds_is_told_in_one_line(change, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("column", ["data = 'text'", "timestamp = 'late'"])
-def test_rows_of_other_kinds_are_told_in_one_line(column, tmp_path, capsys):
+def test_rows_of_other_kinds_are_reported_in_one_line(column, tmp_path, capsys):
     write_bag(tmp_path / "bag", recording(), storage="sqlite3")
     with sqlite3.connect(next((tmp_path / "bag").glob("*.db3"))) as database:
         database.execute(f"UPDATE messages SET {column} WHERE id = 2")

@@ -197,7 +197,7 @@ def test_bytes_that_no_number_shows_are_named_by_their_place():
     assert (result.first.field, result.first.a, result.first.b) == (f"byte {len(data[0])}", "", "00")
 
 
-def test_what_is_of_another_type_or_without_messages_is_told():
+def test_what_is_of_another_type_or_without_messages_is_reported():
     a, b, empty = Recording([("x", STATE)]), Recording([("x", FLOAT)]), Recording([("x", STATE)])
     for t in (4, 6):
         a.add(0, t, JOINTS.encode(t, (0.0,) * 4))
@@ -240,5 +240,5 @@ def test_a_comparison_in_words_and_as_data():
     ("stamp", "text"),
     [(0, "0"), (1, "0.000000001"), (1_500_000_000, "1.5"), (10_000_000_000, "10"), (90_000_000, "0.09")],
 )
-def test_a_stamp_is_told_in_seconds_to_the_nanosecond(stamp, text):
+def test_a_stamp_is_reported_in_seconds_to_the_nanosecond(stamp, text):
     assert str(Difference(stamp, "t", "f", 0.1, b"x")) == f"t = {text} s, t f: 0.1 against b'x'"

@@ -223,7 +223,7 @@ def test_what_was_sent_before_is_counted_by_stamps_whatever_the_bag_time(made):
         writer.directory.rmdir()
 
 
-def test_losses_are_added_up_over_subscriptions_and_told(made):
+def test_losses_are_added_up_over_subscriptions_and_reported(made):
     recorder, node, writer = made()
     node.publish("/a", HEADER)
     node.publish("/b", HEADER)
@@ -258,7 +258,7 @@ def test_losses_are_added_up_over_subscriptions_and_told(made):
     writer.close()
 
 
-def test_what_is_lost_missed_and_held_is_told_in_a_line(made):
+def test_what_is_lost_missed_and_held_is_reported_in_a_line(made):
     now = [0.0]
     recorder, node, writer = made(holds=Holds(1.0, lambda: now[0]))
     node.publish("/a", HEADER)

@@ -213,7 +213,7 @@ def test_reports_of_a_repair_in_words():
     assert str(Repair(None, files[1:2])) == "b.mcap: 4 messages kept\nnothing to repair"
 
 
-def test_what_is_in_a_bag_is_told(tmp_path):
+def test_what_is_in_a_bag_is_reported(tmp_path):
     recording = Recording([("a", HEADER), ("longer/name", HEADER)])
     for k in range(3):
         recording.add(0, k * 500_000_000, Layout(HEADER).encode(k, ()))

@@ -29,7 +29,7 @@ def test_the_script_names_the_parts_from_anywhere(tmp_path):
         assert part.__doc__.splitlines()[0] in result.stdout
 
 
-def test_an_unknown_part_is_told(capsys):
+def test_an_unknown_part_is_reported(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["lop"])
     assert ended.value.code == 2

@@ -33,7 +33,7 @@ def cases(file):
     return root, {(c.get("classname"), c.get("name")): c for c in root.iter("testcase")}
 
 
-def test_what_holds_and_what_does_not_is_told_in_words_xml_and_json(files, tmp_path, capsys):
+def test_what_holds_and_what_does_not_is_reported_in_words_xml_and_json(files, tmp_path, capsys):
     holds, fails, _ = files
     junit, report = tmp_path / "report.xml", tmp_path / "report.json"
     given = ["check", str(holds), str(fails), "--junit", str(junit), "--json", str(report), "--workers", "1"]

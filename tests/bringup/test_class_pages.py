@@ -35,7 +35,7 @@ def test_the_node_in_cpp_speaks_as_the_rig_does():
     assert code.count("{") == code.count("}")
 
 
-def test_the_task_of_the_class_is_judged_as_told(tmp_path, monkeypatch, capsys):
+def test_the_task_of_the_class_is_judged_as_expected(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for text in fenced("classroom", "yaml"):
         place = tmp_path / re.match(r"# (\S+)\n", text)[1]

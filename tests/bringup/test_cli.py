@@ -714,7 +714,7 @@ def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
     assert "out of memory" in capsys.readouterr().err
 
 
-def test_a_library_of_ours_that_finds_no_memory_is_told_as_that(capsys):
+def test_a_library_of_ours_that_finds_no_memory_is_reported_as_that(capsys):
     def work():
         raise ImportError("x.so: failed to map segment from shared object")
 
@@ -784,7 +784,7 @@ def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, f
     assert left <= {"study.json", "rows.jsonl", "softrig_files.json"}
 
 
-def test_what_a_run_waits_for_is_told_whole_and_in_lines(capsys):
+def test_what_a_run_waits_for_is_reported_whole_and_in_lines(capsys):
     text = "waiting for a\n" + "\n".join(f"    a must publish topic_{i}" for i in range(60))
     _announce(text)
     assert capsys.readouterr().err == f"softrig: {text}\n"

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from expected_text import check_expected, figure_lines, on_paper
 from matplotlib import rc_context
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -20,7 +21,6 @@ from softrig_core.judge.expectation import Expectation
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.verdict.figures import Figure as Measured
 from softrig_core.verdict.requirements import Judge
-from told import check_told, figure_lines, on_paper
 
 X = "lag/state/x/position"
 COLUMNS = 7
@@ -325,7 +325,7 @@ MARKS = {
 
 
 @pytest.mark.parametrize(("scale", "name"), [(1.0, "marks_each"), (1e3, "marks_in_ms")])
-def test_each_kind_of_mark_is_drawn_as_told(scale, name):
+def test_each_kind_of_mark_is_drawn_as_expected(scale, name):
     """In axes of ten by one, which begin at 2 and 1."""
     chosen = MARKS if scale == 1.0 else {k: MARKS[k] for k in ("a band in its window", "a stretch of time", "violated")}
     figure = Figure()
@@ -340,7 +340,7 @@ def test_each_kind_of_mark_is_drawn_as_told(scale, name):
             marks.append(Mark(m.axis, m.name, low, high, published, (m.start + 2.0) / scale, (m.end + 2.0) / scale))
         entries = draw_marks(ax, marks, scale)
         ax.set_title(f"{about}: {', '.join(name for _, name in entries) or 'nothing'}", loc="left")
-    check_told(f"pictures/{name}", (line for line in figure_lines(figure) if not line.strip().startswith("linear")))
+    check_expected(f"pictures/{name}", (line for line in figure_lines(figure) if not line.strip().startswith("linear")))
     assert not any(t.get_in_layout() for ax in figure.axes for t in ax.texts)  # a name does not press the axes flat
 
 
@@ -377,7 +377,7 @@ def test_several_curves_of_nothing_and_one_are_switches(rows, logic):
     assert is_logic([curve(row) for row in rows]) == logic
 
 
-def test_curves_are_told_apart_by_colour_then_by_dashes_and_many_by_shade():
+def test_curves_are_reported_apart_by_colour_then_by_dashes_and_many_by_shade():
     plain, reference = curve([1.0]), curve([1.0], reference=True)
     eight = styles([plain] * 7 + [plain])
     assert [s["color"] for s in eight] == [*look.COLOURS, look.COLOURS[0]]
@@ -558,9 +558,9 @@ def test_a_value_axis_says_what_it_is(labels, unit, given, title):
     assert pictures._value_title([curve([1.0], label=name) for name in labels], unit, given) == title
 
 
-def test_how_pictures_look_is_as_told():
+def test_how_pictures_look_is_as_expected():
     """Settings of matplotlib, and what each unit stands for."""
     settings = {k: v if k != "axes.prop_cycle" else v.by_key()["color"] for k, v in look.style().items()}
     units = {unit: look.quantity(unit) for unit in sorted(look._QUANTITIES)}
-    check_told("pictures/style", [f"{k}: {v}" for k, v in (settings | units).items()])
+    check_expected("pictures/style", [f"{k}: {v}" for k, v in (settings | units).items()])
     assert look.quantity("furlong") == ""

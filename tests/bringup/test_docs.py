@@ -30,7 +30,7 @@ def test_every_page_of_the_packages_has_a_place_and_leads_to_pages_of_the_site(t
             assert target == "../index.md" or (page.parent / target).exists(), (page, target)
 
 
-def test_a_link_to_nowhere_is_told(tmp_path):
+def test_a_link_to_nowhere_is_reported(tmp_path):
     page = outline.pages()["tick"]
     with pytest.raises(ValueError, match=r"tick.md: the link gone.md leads to no page"):
         collect.moved("[a](gone.md)\n", page, "explanations/tick", tmp_path)
@@ -220,7 +220,7 @@ def test_every_page_opens_with_a_sentence_that_lists_show(name):
 
 
 @pytest.mark.long
-def test_a_notebook_whose_cell_fails_is_told(tmp_path):
+def test_a_notebook_whose_cell_fails_is_reported(tmp_path):
     from docs.notebooks import execute
 
     (tmp_path / "notebooks").mkdir()

@@ -9,13 +9,13 @@ import pytest
 from conftest import few
 from docs.gallery import sentences
 from docs.outline import GALLERY
+from expected_text import check_expected
 from softrig_bringup.cli import main
 from softrig_bringup.film.film import comfortable, film
 from softrig_bringup.film.smil import animated
 from softrig_core import Signals, load_scenario, rig_of, simulate
 from softrig_core.drawing import PALETTE, as_dict, drawing_for
 from softrig_core.rig.members import signal_units
-from told import check_told
 
 # one of each plant that is drawn, and of each of its ways to be wired
 DRAWN = [
@@ -102,7 +102,7 @@ def test_each_signal_of_a_drawing_moves_it_and_none_drives_it_off_its_sheet(name
         assert FAR[0] < min(places) <= max(places) < FAR[1]
 
 
-def test_texts_of_drawings_are_as_told():
+def test_texts_of_drawings_are_as_expected():
     """What a person reads in one frame of each: names, numbers with units, words."""
     messages = []
     for name in DRAWN:
@@ -110,7 +110,7 @@ def test_texts_of_drawings_are_as_told():
         row = usual(drawing, name, name)[0]
         texts = [as_dict(shape).get("text") for shape in drawing.frame(row, [row])]
         messages.append(f"{name}: {' | '.join(text for text in texts if text)}")
-    check_told("drawings", messages)
+    check_expected("drawings", messages)
 
 
 def points(shape):

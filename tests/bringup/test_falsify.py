@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from conftest import differences, in_process
+from expected_text import check_expected, figure_lines, on_paper
 from softrig_bringup.cli import main
 from softrig_bringup.falsify import engine, picture
 from softrig_bringup.falsify.definition import falsification_of
@@ -19,7 +20,6 @@ from softrig_bringup.run.run import checked
 from softrig_bringup.study.work import run, trial
 from softrig_core import RunError, Scenario, ScenarioError, load_scenario, rig_of, simulate
 from softrig_drives.dc_motor.sliding_mode import DcMotorSmc
-from told import check_told, figure_lines, on_paper
 
 PIECES, PERIOD, LOAD = 15, 0.01, 1e-3
 
@@ -223,7 +223,7 @@ def test_profiles_are_held_constant_before_they_are_searched_piece_by_piece():
 
 
 @pytest.mark.parametrize(("groups", "sampler"), [([1], "tpe"), ([2], "cmaes"), ([3, 2], "cmaes"), ([1], "random")])
-def test_no_search_ends_with_budget_left_whatever_it_is_told(groups, sampler):
+def test_no_search_ends_with_budget_left_whatever_it_is_reported(groups, sampler):
     def valley(points):
         return [sum((u - 0.3) ** 2 for u in p) for p in points]
 
@@ -409,7 +409,7 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(tmp_p
     assert simulate(small).figures["settles"] == outcome(tmp_path / "a")["small"]["settles"] < 0.0
 
 
-def test_the_picture_of_the_worst_run_is_as_told(monkeypatch, tmp_path):
+def test_the_picture_of_the_worst_run_is_as_expected(monkeypatch, tmp_path):
     """Of a requirement over two signals, one of them the same in both runs; of one over a command; of a figure."""
     drawn = []
     saved = picture.save_figure
@@ -430,7 +430,7 @@ def test_the_picture_of_the_worst_run_is_as_told(monkeypatch, tmp_path):
     runs = {"as it is": simulate(nominal), "worst": simulate(nominal.changed(overrides={"dc_motor_plant.J": 0.03}))}
     for name in ("follows", "strong", "overshoot"):
         picture.draw_worst(runs, name, tmp_path / name, f"Worst of {name}")
-    check_told("pictures/worst", (line for path, f in drawn for line in (path, *figure_lines(f))))
+    check_expected("pictures/worst", (line for path, f in drawn for line in (path, *figure_lines(f))))
 
 
 def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):

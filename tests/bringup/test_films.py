@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from expected_text import check_expected
 from PIL import Image
 from softrig_bringup.film import raster
 from softrig_bringup.film.film import LONGEST, Film, comfortable, film, said
@@ -15,7 +16,6 @@ from softrig_bringup.film.svg import element, number, sheet, still
 from softrig_core import ScenarioError
 from softrig_core.drawing.shapes import PALETTE, Circle, Line, Polygon, Text
 from softrig_core.wire.signals import Signal
-from told import check_told
 
 BOUNDS = (10.0, 20.0, 100.0, 60.0)
 
@@ -130,7 +130,7 @@ def square(x, y, size=10.0):
     return Polygon(((x, y), (x + size, y), (x + size, y + size), (x, y + size)), "accent", "faint", 2.0)
 
 
-def test_a_film_as_svg_is_as_told():
+def test_a_film_as_svg_is_as_expected():
     """What stays, what is shifted, what bends, what jumps, a text that changes and one that goes along."""
     steps = [0.0, 1.0, 4.0, 9.0, 9.0]
     every = [
@@ -149,7 +149,7 @@ def test_a_film_as_svg_is_as_told():
     ]
     root = moving([list(frame) for frame in zip(*every, strict=True)])
     head = [f"svg {' '.join(f'{k}={v}' for k, v in root.attrib.items())}"]
-    check_told("film", [*head, *told(root)])
+    check_expected("film", [*head, *told(root)])
 
 
 def test_without_a_text_that_changes_there_is_no_window():

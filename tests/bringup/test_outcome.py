@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 from conftest import make_scenario
+from expected_text import check_expected, page_lines
 from softrig_bringup.falsify import engine, outcome as outcome_module
 from softrig_bringup.falsify.definition import Falsification
 from softrig_bringup.falsify.engine import Outcome, _requirements
@@ -17,7 +18,6 @@ from softrig_bringup.falsify.words import number, shown
 from softrig_bringup.page.html import page as make_page
 from softrig_bringup.study.work import LARGE
 from softrig_core import ScenarioError, load_scenario
-from told import check_told, page_lines
 
 X = "lag/state/x/position"
 LAG = """
@@ -126,7 +126,7 @@ def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
     assert [(work[1], work[2], work[3:]) for work in works] == [
         (space.overrides(p), ("low", "last"), (k, 9)) for k, p in enumerate((point, (1.0,) * 4))
     ]
-    assert reported.found.least == min(margins["low"] / 4.0, margins["last"] / 0.5)
+    assert reported.search.least == min(margins["low"] / 4.0, margins["last"] / 0.5)
     assert small == ([violated] if violated else [])
     assert (reported.small, reported.small_margins, reported.shrinking) == (
         (("small", {"gain.k": 2.5}), {"small": 1.0}, 100) if violated else (None, {}, 0)
@@ -151,7 +151,7 @@ def test_changes_are_shown_to_few_digits():
 
 
 @pytest.mark.parametrize("name", ["violated", "holds", "none"])
-def test_the_outcome_is_printed_as_told(space, name, capsys, monkeypatch):
+def test_the_outcome_is_printed_as_expected(space, name, capsys, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     keys = {
         "violated": {"broken": [({"gain.k": 1.0}, "node gain: gone"), ({}, "other")]},
@@ -160,7 +160,7 @@ def test_the_outcome_is_printed_as_told(space, name, capsys, monkeypatch):
     }[name]
     files = {"worst": Path("out/demo_worst.yaml")} if name == "violated" else {}
     outcome_module._print(task(), found(space, **keys), Path("out"), files)
-    check_told(f"falsified/{name}", [line.rstrip() for line in capsys.readouterr().out.splitlines()])
+    check_expected(f"falsified/{name}", [line.rstrip() for line in capsys.readouterr().out.splitlines()])
 
 
 def test_the_outcome_as_data_has_all_that_was_found(space):
@@ -256,7 +256,7 @@ def test_a_page_leads_with_what_was_asked_and_the_answer(name, keys, space):
     task = Falsification(name="late", title="Late", scenario="lag", over=over, budget=9)
     files = {"worst": Path("out/late_worst.yaml")} if name == "violated" else {}
     body = lead(task, found(space, **keys), {"low": "m", "last": "m"}, files)
-    check_told(f"falsified/page_{name}", page_lines(make_page("Late", body)))
+    check_expected(f"falsified/page_{name}", page_lines(make_page("Late", body)))
 
 
 def test_the_history_of_a_search_is_the_least_margin_so_far(space):

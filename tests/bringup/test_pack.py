@@ -85,7 +85,7 @@ def test_the_last_line_says_which_version_differs_first(run, tmp_path, capsys):
     assert "the first version that differs is the code of softrig_drives: 0123456789ab there, " in last
 
 
-def test_versions_are_told_by_what_is_likeliest():
+def test_versions_are_reported_by_what_is_likeliest():
     there = {"versions": {"numpy": "1", "math": "a", "python": "3"}, "code": {"softrig_core": "x", "mine": "y"}}
     here = {"versions": {"numpy": "2", "math": "b", "python": "3"}, "code": {"softrig_core": "z", "mine": "z"}}
     assert "the code of mine: y there, z here" in first_version(there, here)

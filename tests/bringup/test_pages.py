@@ -158,7 +158,7 @@ def test_what_claims_measured_stays_until_runs_are_asked_for(monkeypatch):
     assert pages.generate(measured) == measured
 
 
-def test_numbers_without_source_and_wrong_ones_are_told(tmp_path):
+def test_numbers_without_source_and_wrong_ones_are_reported(tmp_path):
     (tmp_path / "test_here.py").write_text(
         "def test_one():\n    assert 1153 == 2.5\n\n\ndef test_two():\n    assert 7.25\n\n\nTABLE = {1: 7250.0}\n"
     )
@@ -235,7 +235,7 @@ def test_the_page_of_names_has_every_node_and_command_and_no_other():
     assert set(names.VERBS) == VERBS
 
 
-def test_a_stale_page_is_told_and_mended(tmp_path, capsys):
+def test_a_stale_page_is_reported_and_mended(tmp_path, capsys):
     source = next(ROOT / page for page in GENERATED if "| `period` |" in (ROOT / page).read_text())
     (tmp_path / "tests").symlink_to(ROOT / "tests")  # sources of its numbers
     page = tmp_path / "page.md"

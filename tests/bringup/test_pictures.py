@@ -10,6 +10,7 @@ import bibtexparser
 import numpy as np
 import pytest
 from conftest import make_scenario
+from expected_text import check_expected, figure_lines, on_paper
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from softrig_bringup.cli import main
@@ -33,7 +34,6 @@ from softrig_core.rig import code
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.scenario.scenario_file import resolve
 from softrig_core.verdict.figures import Result
-from told import check_told, figure_lines, on_paper
 
 X = "lag/state/x/position"
 
@@ -120,19 +120,19 @@ def marked(**keys):
         ("angles", lambda: load_scenario("rehab_impedance").changed(duration=0.05)),
     ],
 )
-def test_pictures_of_runs_are_as_told(name, given, drawn):
+def test_pictures_of_runs_are_as_expected(name, given, drawn):
     """What is drawn where and how, of each picture of a run and of its overview."""
-    check_told(f"pictures/{name}", (line for figure in drawn(given()).values() for line in figure_lines(figure)))
+    check_expected(f"pictures/{name}", (line for figure in drawn(given()).values() for line in figure_lines(figure)))
 
 
-def test_a_picture_for_a_page_of_print_is_as_told():
+def test_a_picture_for_a_page_of_print_is_as_expected():
     """Width, letters and no title as asked; and what was not published is said."""
     given = marked()
     run = simulate(rig_of(given))
     figures = [plot_entry(run.signals, run.rig, given.plots[0], inches=3.5, font=7.0, title=False)]
     run.recording.topics["lag/command"] = run.recording.topics["lag/command"].before(0)
     figures.append(plot_entry(Signals(run.recording), run.rig, given.plots[0]))
-    check_told("pictures/print", (line for figure in figures for line in figure_lines(figure)))
+    check_expected("pictures/print", (line for figure in figures for line in figure_lines(figure)))
 
 
 def coloured(ax, colour):
@@ -490,7 +490,7 @@ def test_a_command_for_others_names_no_folder_of_its_maker(command, text):
     assert for_reader(command) == text
 
 
-def test_code_is_told_apart_by_its_files_and_what_they_import(tmp_path, monkeypatch):
+def test_code_is_reported_apart_by_its_files_and_what_they_import(tmp_path, monkeypatch):
     law = "import softrig_a_helper\nfrom softrig_core.block.block import Block\nclass Law(Block):\n    pass\n"
     for name, text in (("softrig_a_law", law), ("softrig_a_helper", "K = 1\n")):
         (tmp_path / name).mkdir()
@@ -550,7 +550,7 @@ def test_runs_overlay_with_bands_over_seeds():
     assert ax.get_ylabel() == "Position, m"
 
 
-def test_overlaid_pictures_are_as_told():
+def test_overlaid_pictures_are_as_expected():
     """A band of five with a run of its own; two groups too small for one; more runs than can be named; a window."""
     cases = [
         [overlay(f"seed {k}", "draws", 0.1 * k) for k in range(5)] + [overlay("own", "own", 1.0, end=2.0)],
@@ -560,7 +560,7 @@ def test_overlaid_pictures_are_as_told():
     titles = [title for runs in cases for title, _ in draw_overlay(runs, ", again")]
     figures = [figure for runs in cases for _, figure in overlay_figures(runs, ", again")]
     reported = (line for title, f in zip(titles, figures, strict=True) for line in (title, *figure_lines(f)))
-    check_told("pictures/overlay", reported)
+    check_expected("pictures/overlay", reported)
 
 
 def test_signals_that_only_one_run_has_are_not_overlaid():

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from expected_text import check_expected, on_paper, page_lines
 from hypothesis import given, strategies as st
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.page.diagram import draw_diagram
@@ -44,7 +45,6 @@ from softrig_core import (
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.verdict.figures import Result
-from told import check_told, on_paper, page_lines
 
 
 class Shaft(NamedTuple):
@@ -538,7 +538,7 @@ TURNED = [{"at_s": 0.0125, "node": "drive", "set": {"J": 0.03, "period": 0.001}}
         ("compared", {"metrics": GAUGED[1:3]}, {"changed": ["drive.J=0.03"]}),
     ],
 )
-def test_the_page_of_a_run_is_as_told(make_run, name, keys, more):
+def test_the_page_of_a_run_is_as_expected(make_run, name, keys, more):
     folder = make_run(**{"metrics": GAUGED} | keys)
     content = json.loads((folder / "metrics.json").read_text()) | more
     (folder / "metrics.json").write_text(json.dumps(content))
@@ -546,26 +546,26 @@ def test_the_page_of_a_run_is_as_told(make_run, name, keys, more):
         for k, picture in enumerate((plot_name(1, PLOTS[0]["title"]), OVERVIEW)):
             (folder / picture).write_bytes(b"\x89PNG" + bytes(12) + struct.pack(">II", 640 + k, 390))
     write_report([folder], folder / "report.html")
-    check_told(f"pages/{name}", page_lines((folder / "report.html").read_text(), ["Versions", "Block diagram"]))
+    check_expected(f"pages/{name}", page_lines((folder / "report.html").read_text(), ["Versions", "Block diagram"]))
 
 
-def test_the_page_of_several_runs_is_as_told(make_run, tmp_path):
+def test_the_page_of_several_runs_is_as_expected(make_run, tmp_path):
     folders = [make_run("first", GAUGED), make_run("second", METRICS[:2]), make_run("broken", [], error="gone")]
     for folder, more in zip(folders, ({"label": "mine"}, {"seed": 4, "changed": ["seed 4"]}, {}), strict=True):
         content = json.loads((folder / "metrics.json").read_text()) | more
         (folder / "metrics.json").write_text(json.dumps(content))
     write_report(folders, tmp_path / "all.html")
     page = (tmp_path / "all.html").read_text().replace(str(tmp_path), "HERE")
-    check_told("pages/several", page_lines(page, ["Versions", "Block diagram", "Parameters"]))
+    check_expected("pages/several", page_lines(page, ["Versions", "Block diagram", "Parameters"]))
 
 
-def test_the_block_diagram_is_as_told(make_rig):
+def test_the_block_diagram_is_as_expected(make_rig):
     """One with every kind of wire: back to the law, to several readers, to nobody; a node outside."""
     wiring = wiring_of(make_rig(duration=0.2))
     nodes = wiring.nodes | {"log": Node(executable="p/log", period=0.5, outside=True)}
     wires = [w.model_copy(update={"readers": (*w.readers, "log")}) if "flux" in w.topic else w for w in wiring.wires]
     text = ElementTree.tostring(draw_diagram(Wiring(nodes=nodes, wires=tuple(wires))), "unicode", "html")
-    check_told("pages/diagram", page_lines(text))
+    check_expected("pages/diagram", page_lines(text))
 
 
 def test_bad_run_directories_are_refused(make_run, tmp_path):

@@ -5,10 +5,10 @@ import re
 from xml.etree import ElementTree
 
 import pytest
+from expected_text import check_expected, page_lines
 from softrig_bringup.cli import main
 from softrig_bringup.verbs.results import claiming, gather
 from softrig_bringup.verbs.results_page import counts, html, markdown
-from told import check_told, page_lines
 
 LAG = """
 title: First-order lag
@@ -138,7 +138,7 @@ def test_a_claim_that_needs_a_run_that_broke_is_not_borne_out(folder, capsys):
     assert "claim order: the verdict reproduced cannot be checked" in error
 
 
-def test_pages_of_results_are_as_told(folder, monkeypatch):
+def test_pages_of_results_are_as_expected(folder, monkeypatch):
     """A verdict that does not hold, one that cannot be checked, one of a figure of another run; what is left out."""
     monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
@@ -152,10 +152,10 @@ def test_pages_of_results_are_as_told(folder, monkeypatch):
         make(claiming(), rows, "3 more are of studies", *to) for make, to in ((markdown, ()), (html, (out,)))
     )
     messages = [*marked.splitlines(), *page_lines(whole), *page_lines(html(claiming(), rows[:1]))]
-    check_told("pages/results", [line.replace(str(folder), "HERE") for line in messages])
+    check_expected("pages/results", [line.replace(str(folder), "HERE") for line in messages])
 
 
-def test_results_are_told_to_machines(folder):
+def test_results_are_reported_to_machines(folder):
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
     assert main(["check", "--claims", "--workers", "1", "--junit", "unit.xml", "--json", "rows.json"]) == 1
     root = ElementTree.parse(folder / "unit.xml").getroot()

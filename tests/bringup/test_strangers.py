@@ -403,7 +403,7 @@ def test_entry_points_and_data_files_are_laid_out_from_what_was_read(sources, tm
     (package,) = cargo.cargo_of(folder, packed.about(folder)).packages
     assert package.offers == offers[NAME]  # and not what setup.cfg has
     assert sorted(package.share) == [f"share/{NAME}/package.xml", f"share/{NAME}/scenarios/{NAME}.yaml"]
-    brought.bring("0a", [package])
+    brought.add_packages("0a", [package])
     prefix = Path(os.environ["AMENT_PREFIX_PATH"].split(os.pathsep)[-1])
     assert sorted(str(f.relative_to(prefix)) for f in prefix.rglob("*") if f.is_file() and "python" not in f.parts) == [
         f"lib/{NAME}/tool",
@@ -462,7 +462,7 @@ def test_figures_are_computed_and_what_does_not_belong_together_is_said(place, c
     assert main(["report", str(file), "--out", str(tmp_path / "report.html")]) == 0
     printed, page = capsys.readouterr().err, (tmp_path / "report.html").read_text()
     assert printed == "" if text is None else text in printed
-    assert ("Doubt: " in page) is (text is not None)
+    assert ("Contradiction: " in page) is (text is not None)
     status = run(file, out=str(tmp_path / "again"))
     last = capsys.readouterr().err.splitlines()
     assert status == (1 if place == "scenario/mine.yaml" else 0)

@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from conftest import PATIENCE, few, until
+from expected_text import check_expected, figure_lines, on_paper, page_lines
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.options.grammar import values
@@ -34,7 +35,6 @@ from softrig_bringup.study.statistics import statistics
 from softrig_bringup.study.table import claims, results, summarise, without_signals
 from softrig_bringup.study.work import absent
 from softrig_core import ScenarioError
-from told import check_told, figure_lines, on_paper, page_lines
 
 LAG = """
 title: First-order lag
@@ -452,7 +452,7 @@ def test_summaries_by_hand():
                              "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}}, {"seeds": 1}),
     ],
 )  # fmt: skip
-def test_the_page_of_a_study_and_what_is_printed_are_as_told(name, keys, made, folder, capsys, monkeypatch):
+def test_the_page_of_a_study_and_what_is_printed_are_as_expected(name, keys, made, folder, capsys, monkeypatch):
     """Rows by formula; one of them broke where there is more than one seed."""
     demo, rows = study(**keys), [row | {"wall_s": 0.25, "ticks": 10} for row in many(**made)]
     if name != "best":
@@ -464,7 +464,7 @@ def test_the_page_of_a_study_and_what_is_printed_are_as_told(name, keys, made, f
     page._print(demo, rows, result, held, over, Path("out"))
     printed = capsys.readouterr().out.replace(str(folder), "HERE").splitlines()
     text = make_page("Demo", page._page(demo, rows, result, held, over, [], UNITS)).replace(str(folder), "HERE")
-    check_told(f"studies/page_{name}", [*printed, *page_lines(text)])
+    check_expected(f"studies/page_{name}", [*printed, *page_lines(text)])
 
 
 def test_expectations_and_claims_of_a_study_are_held(folder, capsys):
@@ -685,10 +685,10 @@ SCATTERED = {"count": 9, "parameters": {"gain.k": {"uniform": [1, 3]}, "plant.ga
         ("largest", {"search": SEARCH | {"aim": "maximise"}}, [*many(over=(FINE,), seeds=1)]),
     ],
 )  # fmt: skip
-def test_pictures_of_studies_are_as_told(name, keys, rows):
+def test_pictures_of_studies_are_as_expected(name, keys, rows):
     demo = study(**keys)
     drawn = [(title, on_paper(f)) for title, f in pictures._figures(demo, rows, keeping(rows), UNITS)]
-    check_told(f"studies/{name}", (line for title, f in drawn for line in (title, *figure_lines(f))))
+    check_expected(f"studies/{name}", (line for title, f in drawn for line in (title, *figure_lines(f))))
 
 
 def test_the_history_of_a_search_holds_the_best_so_far():

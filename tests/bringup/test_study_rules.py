@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import optuna
 import pytest
+from expected_text import on_paper, page_lines
 from scipy import stats
 from softrig_bringup.cli import make_parser
 from softrig_bringup.page.html import page as make_page
@@ -18,7 +19,6 @@ from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
 from softrig_bringup.study.statistics import Statistics
 from softrig_core import RunError, ScenarioError
 from softrig_core.judge.expectation import Expectation
-from told import on_paper, page_lines
 
 X = "lag/state/x/position"
 
@@ -123,7 +123,7 @@ PARAMETERS = {"a.x": {"uniform": [0.0, 4.0]}, "a.l": {"log_uniform": [0.1, 10.0]
 
 @pytest.mark.parametrize("sampler", ["tpe", "random"])
 @pytest.mark.parametrize("aim", ["minimise", "maximise"])
-def test_a_search_asks_and_tells_as_optuna_is_told_by_hand(sampler, aim):
+def test_a_search_asks_and_tells_as_optuna_is_reported_by_hand(sampler, aim):
     """Batches of three, two seeds each, their mean told; a figure that is lacking is the worst."""
     given = study(
         search={"figure": "f", "count": 14, "batch": 3, "seed": 2, "sampler": sampler, "aim": aim,
@@ -375,7 +375,7 @@ def test_how_many_runs_have_no_value(values, text):
     [([1, 2.5, None], [1.0, 2.5, None]), (["a", None], ["a", None]), ([True, False], [True, False]),
      ([True, 1], ["true", "1"]), ([[1, 2], None], ["[1, 2]", None]), (["a", 1], ['"a"', "1"]), ([None], [None])],
 )  # fmt: skip
-def test_a_column_is_of_numbers_texts_or_flags_or_is_told(values, column):
+def test_a_column_is_of_numbers_texts_or_flags_or_is_reported(values, column):
     result = table._column(values)
     assert result == column
     assert [type(v) for v in result] == [type(v) for v in column]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from conftest import few
+from expected_text import on_paper
 from scipy import stats
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.study import estimate, pictures, tabled
@@ -19,7 +20,6 @@ from softrig_bringup.study.statistics import not_judged, statistics
 from softrig_bringup.study.table import results
 from softrig_core import ScenarioError
 from test_study import folder  # noqa: F401  (a scenario `lag` in a folder of its own)
-from told import on_paper
 
 UNIFORM = {"uniform": [0.0, 1.0]}
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from expected_text import check_expected, on_paper
 from hypothesis import assume, given, settings, strategies as st
 from matplotlib import colormaps, get_data_path, rc_context
 from matplotlib.colors import to_hex
@@ -26,7 +27,6 @@ from softrig_bringup.plots.svg import LONG, path, svg, width_of
 from softrig_bringup.plots.ticks import power_of, round_ticks, texts, with_power
 from softrig_core import rig_of, simulate
 from test_pictures import marked
-from told import check_told, on_paper
 
 SVG = "{http://www.w3.org/2000/svg}"
 whole_numbers = st.integers(-9999, 9999)
@@ -159,10 +159,10 @@ def drawn(tmp_path_factory):
     return {p.stem: p.read_text() for p in plot_run(run.signals, run.rig, folder)}
 
 
-def test_pictures_of_a_page_are_as_told(drawn):
+def test_pictures_of_a_page_are_as_expected(drawn):
     """Each element a line."""
     lines = (line for text in drawn.values() for line in text.replace("><", ">\n<").splitlines())
-    check_told("pictures/svg", lines)
+    check_expected("pictures/svg", lines)
 
 
 def test_each_picture_has_a_name_and_a_description_of_its_own_that_are_read_out(drawn):

@@ -419,7 +419,7 @@ def test_only_who_says_the_token_is_let_in(tmp_path, at):
         assert "Traceback" not in process.stderr.read()
 
 
-def test_what_a_browser_should_not_say_is_told_in_one_line(caplog):
+def test_what_a_browser_should_not_say_is_reported_in_one_line(caplog):
     logger = logging.getLogger("bokeh.server.protocol_handler")
     logger.addFilter(one := OneLine())
     try:

@@ -768,7 +768,7 @@ def told_of(page):
         ({"stopped": 2}, {"over": "stopped by SIGINT at t = 0.1 s", "wrong": False}, False),
     ],
 )
-def test_the_page_is_told_how_the_run_ended_and_waited_for(tmp_path, capsys, run_of, line, waits):
+def test_the_page_is_reported_how_the_run_ended_and_waited_for(tmp_path, capsys, run_of, line, waits):
     with page(load_scenario("dc_motor_smc"), tmp_path, Placement("container"), "127.0.0.1:0") as beside:
         wrote, ended = [], []
         beside._process = SimpleNamespace(
@@ -792,7 +792,7 @@ def test_the_page_is_told_how_the_run_ended_and_waited_for(tmp_path, capsys, run
     assert beside._ends
 
 
-def test_a_page_that_was_never_opened_or_has_ended_is_not_told(tmp_path, capsys):
+def test_a_page_that_was_never_opened_or_has_ended_is_not_reported(tmp_path, capsys):
     beside = RunPages(load_scenario("dc_motor_smc"), tmp_path, Placement("container"), "127.0.0.1:0")
     beside.over(None, tmp_path)
     beside._process = SimpleNamespace(poll=lambda: 0)
@@ -800,7 +800,7 @@ def test_a_page_that_was_never_opened_or_has_ended_is_not_told(tmp_path, capsys)
     assert capsys.readouterr().err == ""
 
 
-def test_the_process_of_a_page_is_told_what_it_must_know(tmp_path, monkeypatch):
+def test_the_process_of_a_page_is_reported_what_it_must_know(tmp_path, monkeypatch):
     started = []
     monkeypatch.setattr(run_pages_module.subprocess, "Popen", lambda command, **how: started.append((command, how)))
     placement = Placement("processes", "realtime", paused=True, pace=0.5)

@@ -5,8 +5,8 @@ from itertools import pairwise
 from types import ModuleType, SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from softrig_control.fmu.instance import Instance, Plan, Refusal
-from told import check_told
 
 NOTHING = (False, False, False, False, False, 0.0)  # of an event: no other round, no end, no values moved, no next time
 
@@ -173,9 +173,9 @@ def told(played):
                 yield f"  -> {word(list(answer or [])) if not isinstance(answer, bytes) else answer}"
 
 
-def test_calls_are_as_told(played):
+def test_calls_are_as_expected(played):
     """At the start x = 1; it falls by itself, and below 0.7, which is an event, within the last quarter second."""
-    check_told("fmu/calls", told(played))
+    check_expected("fmu/calls", told(played))
 
 
 def classical(f, a, b, x):
@@ -264,7 +264,7 @@ DISCARDED = FMICallException("fmi2DoStep", 2)
         ),
     ],
 )
-def test_what_is_refused_is_told_and_the_next_begin_makes_another(played, version, exchange, answers, text):
+def test_what_is_refused_is_reported_and_the_next_begin_makes_another(played, version, exchange, answers, text):
     kind = "Float64" if version == 3 else "Real"
     one, fmu = played(version, exchange, tolerance="", inputs=((kind, 1, 0, 1),), **answers)
     one.begin()

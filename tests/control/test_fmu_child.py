@@ -8,10 +8,10 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from softrig_control.fmu import child
 from softrig_control.fmu.child import Isolated
 from softrig_control.fmu.instance import Plan, Refusal
-from told import check_told
 
 PURE = ("WIFSIGNALED", "WTERMSIG", "WIFEXITED", "waitstatus_to_exitcode", "WNOHANG")
 ME, FMU, CALLER = 70, 71, 69  # processes
@@ -123,8 +123,8 @@ def told(monkeypatch):
         yield from (f"  {call}" for call in system.calls)
 
 
-def test_what_is_asked_of_the_system_is_as_told(monkeypatch):
-    check_told("fmu/child", told(monkeypatch))
+def test_what_is_asked_of_the_system_is_as_expected(monkeypatch):
+    check_expected("fmu/child", told(monkeypatch))
 
 
 class Pipe:
@@ -247,7 +247,7 @@ def test_a_start_may_take_as_long_as_a_call_where_that_is_longer():
         (Pipe(EOFError()), True, None, "crashed: its process closed the pipe by which it is asked"),
     ],
 )
-def test_what_is_not_answered_is_told_and_ends_it(pipe, ready, code, text):
+def test_what_is_not_answered_is_reported_and_ends_it(pipe, ready, code, text):
     one, _, waited = isolated(pipe, ready, code)
     with pytest.raises(Refusal) as refused:
         one.keep()
@@ -286,7 +286,7 @@ def test_a_process_is_asked_to_end_and_killed_where_it_does_not(late):
     assert pipe.closed
 
 
-def test_it_is_launched_with_its_end_of_the_pipe_and_told_where_to_import_from(monkeypatch):
+def test_it_is_launched_with_its_end_of_the_pipe_and_reported_where_to_import_from(monkeypatch):
     mine, started, registered = Pipe((True, None)), [], []
 
     class Theirs:

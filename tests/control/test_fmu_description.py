@@ -7,12 +7,12 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from softrig_control.fmu import description
 from softrig_control.fmu.description import Description, Unit, Variable, conversion, describe, unpacked
 from softrig_control.fmu.mapping import mapped, start_values
 from softrig_control.fmu.nodes import _cell, _values
 from softrig_core import ParameterError
-from told import check_told
 
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
@@ -230,8 +230,8 @@ def told(fmu):
             yield from (f"    alone: {row}" for row in _values(given, {21}) if version == "3.0")
 
 
-def test_what_a_description_says_and_what_is_made_of_it_is_as_told(fmu):
-    check_told("fmu/description", told(fmu))
+def test_what_a_description_says_and_what_is_made_of_it_is_as_expected(fmu):
+    check_expected("fmu/description", told(fmu))
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_why_there_is_none_is_the_last_that_the_tool_said(asked, motor, tmp_path
         export(motor, "dc_motor_plant", tmp_path)
 
 
-def test_nodes_that_cannot_be_exported_are_told(motor, tmp_path):
+def test_nodes_that_cannot_be_exported_are_reported(motor, tmp_path):
     with pytest.raises(
         ScenarioError,
         match=r"^dc_motor_smc has no node 'plant' \(did you mean 'dc_motor_plant'\?\); it has dc_motor_plant, ",

@@ -473,7 +473,7 @@ def test_a_link_that_cannot_be(given, text):
     assert text in str(refused.value)
 
 
-def test_a_watched_margin_of_zero_holds_and_what_is_below_is_told_once():
+def test_a_watched_margin_of_zero_holds_and_what_is_below_is_reported_once():
     watched = ByHand(RequirementMonitor(formula="always x <= 1"))
     watched.block.ages = lambda name: 0
     results = []

@@ -37,6 +37,6 @@ def test_the_law_of_a_plant_makes_its_loop_stable():
         ([[1.0]], [[1.0]], [1.0, 2.0], [1.0], r"Q \(2, 2\)"),
     ],
 )
-def test_what_has_no_law_is_told(a, b, q, r, text):
+def test_what_has_no_law_is_reported(a, b, q, r, text):
     with pytest.raises(ValueError, match=text):
         lqr(a, b, q, r)

@@ -59,7 +59,7 @@ def test_the_last_digit_of_a_product_is_no_disagreement():
     assert masses == [0.3, 0.1 * 3.0]
 
 
-def test_what_a_law_takes_for_granted_may_differ_and_is_told():
+def test_what_a_law_takes_for_granted_may_differ_and_is_reported():
     rig = Rig.from_blocks({"one": Judge(), "law": Law(mass=3.0)}, 1.0)
     assert assumptions(rig.members) == ["law takes cart/mass to be 3, one has 2"]
     assert assumptions(Rig.from_blocks({"one": Judge(), "law": Law()}, 1.0).members) == []

@@ -89,7 +89,7 @@ EXEMPT = {
     "softrig_systems.optimal_control.problem": CASADI + "; weights are checked",
     "softrig_systems.optimal_control.problems": CHECK,
     "softrig_systems.pwa_delay.proof.applicability": CHECK,
-    "softrig_systems.pwa_delay.proof.bessel": SOLVER,
+    "softrig_systems.pwa_delay.proof.bessel_legendre": SOLVER,
     "softrig_systems.pwa_delay.proof.certify": CHECK,
     "softrig_systems.pwa_delay.proof.lmi": SOLVER,
     "softrig_systems.pwa_delay.search": CHECK,

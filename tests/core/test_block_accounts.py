@@ -10,6 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from expected_text import check_expected
 from softrig_core import (
     Block,
     Level,
@@ -36,7 +37,6 @@ from softrig_core.block.params import BlockParams, Params, build, check_steps, d
 from softrig_core.block.port import Sample, pose
 from softrig_core.block.schedule import Schedule, rational
 from softrig_core.wire.cdr import Layout
-from told import check_told
 
 
 def said(function, *given, **words):
@@ -134,7 +134,7 @@ def all_ports():
     }
 
 
-def test_ports_are_as_told():
+def test_ports_are_as_expected():
     lines = []
     for name, port in all_ports().items():
         flags = [f for f in ("held", "delayed", "sporadic", "partial", "unchecked", "stamped") if getattr(port, f)]
@@ -161,7 +161,7 @@ def test_ports_are_as_told():
     lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), partial=True))
     lines.append(said(Port, "a", "t", "std_msgs/msg/Float64", fields=("data",), units=("m",), also=("x",)))
     lines.append(said(Port, "a", "t", "std_msgs/msg/Float64MultiArray", fields=("data",), units=()))
-    check_told("ports", lines)
+    check_expected("ports", lines)
 
 
 def test_what_a_port_takes_is_finite_and_within_its_limits():
@@ -221,7 +221,7 @@ def joints(names):
     return Layout("sensor_msgs/msg/JointState", "", names, {"position": len(names)}).encode(3, (1.0, 2.0)[: len(names)])
 
 
-def test_what_does_not_fit_is_told():
+def test_what_does_not_fit_is_expected():
     two = joint_state("a", "t", ["x", "y"], position="m")
     pairs = {
         "another type": (two, number("a", "t", "m")),
@@ -250,7 +250,7 @@ def test_what_does_not_fit_is_told():
     lines.append(f"too large: {said(Decoder(two), two.layout().encode(3, (1.0, 2e9)))}")
     lines.append(f"pick: {said(Decoder(two).pick, joint_state('a', 't', ['y', 'x'], position='m').layout()) != 'None'}")
     lines.append(f"pick of the same: {said(Decoder(two).pick, two.layout())}")
-    check_told("refused", lines)
+    check_expected("refused", lines)
 
 
 # answers --------------------------------------------------------------------------------------------------------------
@@ -352,7 +352,7 @@ GIVEN = [
 ]
 
 
-def test_parameters_are_as_told():
+def test_parameters_are_as_expected():
     lines = [
         f"{d.name} = {d.default!r}, {d.type.__name__}, {d.doc}, {d.unit!r}, {d.lower} to {d.upper}{', live' * d.live}"
         for d in declarations(Every)
@@ -370,7 +370,7 @@ def test_parameters_are_as_told():
         if len(differing(result)) < 300:
             lines.append(f"  {differing(result)!r}")
     lines += [f"{steps} steps: {said(check_steps, steps / 1024, 1 / 1024, 'substep')}" for steps in (100_000, 100_001)]
-    check_told("parameters", lines)
+    check_expected("parameters", lines)
 
 
 # a block and what it remembers ----------------------------------------------------------------------------------------
@@ -467,7 +467,7 @@ class Loud(Plant[BlockParams]):
         return (*x, t)
 
 
-def test_what_a_plant_reports_by_hand_is_told_at_once():
+def test_what_a_plant_reports_by_hand_is_reported_at_once():
     plant = ByHand(Loud())
     assert plant.outputs(5) == {"out": (1.0,)}
     assert plant.reports == {"outputs": (Level.WARN, "at 5", 1)}

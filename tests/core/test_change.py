@@ -336,7 +336,7 @@ def test_a_recorded_change_is_a_parameter_event_as_ros_has_it(values, t):
     assert [p.name for p in message.changed_parameters] == list(values)
 
 
-def test_a_recorded_change_that_is_cut_off_is_told():
+def test_a_recorded_change_that_is_cut_off_is_reported():
     data = encode(0, "/node", {"k": 1.0})
     for n in range(len(data)):
         with pytest.raises(CdrError, match=r"rcl_interfaces/msg/ParameterEvent"):

@@ -121,7 +121,7 @@ def test_of_a_linear_map_it_is_the_map_itself_in_the_states_that_count(seed, ope
     assert view.C.tolist() == (C0[:, k] + back * np.outer(d0, c)).tolist()
     assert view.D.tolist() == (D0 + back * np.outer(d0, e0)).tolist()
     assert view.error == 0.0
-    assert view.variation < 1e-9
+    assert view.state_error < 1e-9
     assert (view.rig, view.at, view.period, view.link) == ("made", 1.5, 0.25, LINK if opened else "")
     assert (view.inputs, view.outputs) == (inputs, outputs)
     assert {view.values[f"plant.x[{i}]"] for i in k} == {start[i] for i in k}
@@ -170,7 +170,7 @@ def test_a_column_is_taken_where_two_neighbouring_steps_agree_best(f, x, size):
     for _ in range(10):
         ups, downs, off = f(ups), f(downs), slope * off
         worst, largest = max(worst, abs((ups - downs) / 2.0 - off)), max(largest, abs(ups - downs) / 2.0)
-    assert view.variation == pytest.approx(worst / largest, rel=1e-6, abs=1e-14)
+    assert view.state_error == pytest.approx(worst / largest, rel=1e-6, abs=1e-14)
 
 
 def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
@@ -188,8 +188,8 @@ def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
     for _ in range(10):
         up, down, off = math.sin(up), math.sin(down), view.A[0, 0] * off
         worst, largest = max(worst, abs((up - down) / 2.0 - off)), max(largest, abs(up - down) / 2.0)
-    assert view.variation == pytest.approx(worst / largest, rel=1e-6)
-    assert view.variation > 1e-5
+    assert view.state_error == pytest.approx(worst / largest, rel=1e-6)
+    assert view.state_error > 1e-5
 
 
 def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
@@ -198,7 +198,7 @@ def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
     differences = Differences(m, ["plant/y"], [], "")
     differences.states()
     m.asked.clear()
-    assert differences.view().variation == 0.0
+    assert differences.view().state_error == 0.0
     offs = [(x - 1.0).tolist() for x in m.asked]
     step = np.array([differences.steps[k] for k in range(4)]) / 256.0
     assert step.tolist() == [2.0**-16 * s for s in (1.0, 2.0, 4.0, 8.0)]
@@ -225,7 +225,7 @@ def fenced(limit):
     return Map(f, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
 
 
-def test_a_step_that_breaks_the_rig_is_too_long_and_where_none_is_short_enough_it_is_told():
+def test_a_step_that_breaks_the_rig_is_too_long_and_where_none_is_short_enough_it_is_reported():
     differences = Differences(fenced(2.0**-10), ["plant/y"], [], "")
     assert differences.view().A.tolist() == [[0.5]]
     assert differences.steps == {0: 2.0**-16}  # of 2^-12 and it
@@ -233,7 +233,7 @@ def test_a_step_that_breaks_the_rig_is_too_long_and_where_none_is_short_enough_i
         Differences(fenced(0.0), ["plant/y"], [], "").view()
 
 
-def test_something_that_is_no_float_and_goes_along_is_told():
+def test_something_that_is_no_float_and_goes_along_is_reported():
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
     m.others = lambda: [("plant.n", len(m.asked))]
     text = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
@@ -256,7 +256,7 @@ def test_something_that_is_no_float_and_goes_along_is_told():
         (10, "10 numbers move, 10 of them in "),
     ],
 )
-def test_too_many_states_are_told(monkeypatch, count, text):
+def test_too_many_states_are_reported(monkeypatch, count, text):
     monkeypatch.setattr(linear_view, "MOST", 5)
     monkeypatch.setattr(linear_view, "TRIED", 9)
     m = Map(lambda s, v, w: 0.5 * s, lambda s, v, w: [s.sum()], [1.0] * count, [1.0] * count, [True] * count)

@@ -119,7 +119,7 @@ def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
     assert number not in domain.inhabited()
 
 
-def test_a_host_without_loopback_is_told_at_once(monkeypatch, tmp_path, lag_rig):
+def test_a_host_without_loopback_is_reported_at_once(monkeypatch, tmp_path, lag_rig):
     code = "from softrig_nodes.processes.domain import require_loopback; require_loopback()"
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode:
         pytest.skip("network namespaces are not permitted here")

@@ -278,7 +278,7 @@ def test_a_value_beyond_the_limits_of_its_port_ends_an_episode(given, last):
         ({"observe": []}, "observe: expected signals"),
     ],
 )
-def test_what_cannot_be_an_environment_is_told(keys, message):
+def test_what_cannot_be_an_environment_is_reported(keys, message):
     with pytest.raises(ScenarioError, match=message):
         motor(**keys)
 
@@ -292,7 +292,7 @@ def test_a_bad_action_never_gets_in(action):
     env.step([1.0])  # the episode goes on
 
 
-def test_a_reward_that_is_no_number_is_told():
+def test_a_reward_that_is_no_number_is_reported():
     env = motor(reward=lambda now: float("nan"))
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"the reward became nan at t = 0.01 s"):

@@ -378,7 +378,7 @@ def test_a_lost_message_is_a_value_held_with_its_age():
     assert set(applied[12:]) == {held}
 
 
-def test_an_outside_reader_which_cannot_be_told_of_silence_gets_what_is_held():
+def test_an_outside_reader_which_cannot_be_reported_of_silence_gets_what_is_held():
     held = through(RAMP, kind="silence", start=0.03, stop=0.05, holds=True, initial=(7.0,))
     assert held == [0, 1, 2, 2, 2, 5, 6, 7, 8, 9]
     assert through([1.0] * 3, kind="delay", delay=0.02, holds=True, initial=(7.0,)) == [7.0, 7.0, 1.0]

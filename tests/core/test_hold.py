@@ -100,7 +100,7 @@ def test_a_run_that_was_stepped_by_hand_goes_on_from_where_it_is():
     assert seen[0] / 1e9 / PERIOD == pytest.approx(24, abs=1.01)
 
 
-def test_who_waits_for_a_slow_pace_is_told_and_does_not_give_up():
+def test_who_waits_for_a_slow_pace_is_reported_and_does_not_give_up():
     """The plant's period takes 20 s of the wall's time: twice as long as any peer waits without a word."""
     rig = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=2 * float(RIG.clock.schedule.period)))
     run = SimulatedRig(rig, World(), "lockstep", pace=float(RIG.clock.schedule.period) / 20.0)

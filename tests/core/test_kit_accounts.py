@@ -207,7 +207,7 @@ def test_draws_are_the_stream_and_the_newest_rows_are_at_hand():
     assert (SIZE, KEPT, len(counted)) == (4096, 4, 2)
 
 
-def test_a_stream_goes_on_where_it_was_told_that_it_is():
+def test_a_stream_goes_on_where_it_was_reported_that_it_is():
     wanted = np.random.default_rng(7).random(40)
     stream = Stream(np.random.default_rng(7))
     for begin, count in ((0, 3), (3, 2), (20, 5), (4, 6), (4, 1), (30, 0), (30, 2)):

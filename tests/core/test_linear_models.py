@@ -117,7 +117,7 @@ def test_a_step_is_halved_until_it_is_no_step_away():
     assert equilibrium(hole, [4.0], [])[0] == pytest.approx([1.0])
 
 
-def test_what_has_no_equilibrium_is_told_with_how_far_it_came():
+def test_what_has_no_equilibrium_is_reported_with_how_far_it_came():
     with pytest.raises(
         RunError, match=r"^no equilibrium found near x = \[3\.0\], u = \[\]: the largest derivative left is 1$"
     ):

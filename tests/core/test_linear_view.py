@@ -97,7 +97,7 @@ def test_the_loop_of_the_motor_under_pid_is_the_analytic_one(kp):
         assert abs(control.feedback(pid_loop(**gains) * m.gain_down * 0.999).poles()).max() < 1.0
     w = np.array([1.0, 5.0, 20.0])
     assert np.abs(view.opened(np.exp(1j * w * T)).ravel() / view.at_frequencies(w) - 1.0).max() < 1e-9
-    assert max(view.error, view.variation) < 1e-10
+    assert max(view.error, view.state_error) < 1e-10
 
 
 def test_states_are_named_and_the_whole_is_the_motors_own(capsys):
@@ -213,7 +213,7 @@ def test_counts_of_a_fine_encoder_are_states():
     view = linear_view("dc_motor_fsfb_s1_none", overrides=fine, at=2.0)
     assert view.stable
     assert view.margins.delay == pytest.approx(0.064052, abs=1e-6)
-    assert view.variation < 1e-3
+    assert view.state_error < 1e-3
 
 
 class Counted(NamedTuple):
@@ -313,7 +313,7 @@ def test_the_delay_margin_of_the_rectifier_is_the_true_one():
     scenario = load_scenario("rectifier_mpc", {"event_source.times": [0.0, 5.0]})
     view = linear_view(scenario, at=0.1)
     assert max(abs(view.loop_poles)) == pytest.approx(0.9559, abs=1e-4)
-    assert view.variation < 1e-7
+    assert view.state_error < 1e-7
     for n, swings in (
         (int(view.margins.delay / view.period), False),
         (int(view.margins.delay / view.period) + 1, True),
@@ -345,11 +345,11 @@ def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
     # in the states of the loop; the flux of phase b, which carries no current, moves one way only and is none of them
     assert "lsrm_plant.psi_b" in view.states
     assert "lsrm_plant.psi_b" not in view.opened.state_labels
-    assert 1e-3 < view.variation < 0.1
+    assert 1e-3 < view.state_error < 0.1
 
 
 @pytest.mark.long
-def test_a_loop_that_cannot_be_seen_is_told():
+def test_a_loop_that_cannot_be_seen_is_reported():
     motor = {"overrides": {"period": T}, "at": 1.0}
     with pytest.raises(RunError, match=r"motor_reference hears nothing of what motor/reference/.* does: no loop"):
         linear_view("dc_motor_smc", "motor/reference/shaft", **motor)
@@ -469,7 +469,7 @@ SYSTEMS = {
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "reason"), SYSTEMS.items())
-def test_each_system_has_a_linear_view_or_it_is_told_why_not(name, reason):
+def test_each_system_has_a_linear_view_or_it_is_reported_why_not(name, reason):
     if reason:
         with pytest.raises(RunError, match=reason):
             linear_view(name, at=0.3)
@@ -486,7 +486,7 @@ def test_a_loop_with_a_delay_has_a_view_when_its_steps_are_few():
     view = linear_view("tcp_aqm_smc", at=15.0, overrides=steps | {"tcp_fluid.history": 0.3})
     assert view.stable
     assert 0.0 < view.margins.delay < math.inf
-    assert view.variation < 1e-2
+    assert view.state_error < 1e-2
 
 
 @pytest.mark.long
@@ -508,7 +508,7 @@ class Outside(Shift):
         return x, {"v": (u[0] + self.elsewhere[0],)}
 
 
-def test_what_cannot_be_put_back_is_told_by_name():
+def test_what_cannot_be_put_back_is_reported_by_name():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
     with pytest.raises(
         RunError, match=r"^rig: law, plant cannot be put back to where it was at 0\.5 s: "
@@ -542,7 +542,7 @@ class Integrator(Unstable):
 
 
 @pytest.mark.parametrize("least", [-2.0, -0.5])
-def test_where_there_is_no_operating_point_it_is_told(least):
+def test_where_there_is_no_operating_point_it_is_reported(least):
     class Plain(Integrator):
         pass
 

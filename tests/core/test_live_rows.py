@@ -230,7 +230,7 @@ def three(patience=0.8, **options):
     return Node(Law(), links, epoch=START, patience=patience, **options).join()
 
 
-def test_what_is_answered_without_is_counted_and_told():
+def test_what_is_answered_without_is_counted_and_reported():
     node = three()
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_give_up")
     for t in (0, 10):
@@ -348,7 +348,7 @@ def test_a_law_by_hand_begins_with_the_first_message_and_learns_how_often_others
     assert [k for k in kept if not k[0]] == [(0, 10 * k) for k in range(5)]
 
 
-def test_a_message_is_stale_after_five_periods_or_as_many_of_its_senders_and_that_is_told_once():
+def test_a_message_is_stale_after_five_periods_or_as_many_of_its_senders_and_that_is_reported_once():
     for every, limit in (("0.01", 0.05), ("0.04", 0.2)):
         links = {"base": "0.01", "inputs": {"a": linked(), "b": linked(every)}}
         node = Node(Law(), links, epoch=START, patience=0.0).join()
@@ -564,7 +564,7 @@ def test_where_the_next_tick_is_aimed_at():
 # ---- what lasts is told again ----
 
 
-def test_a_silence_that_lasts_is_told_each_ten_seconds():
+def test_a_silence_that_lasts_is_reported_each_ten_seconds():
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     timer_at(node, timer, 0)

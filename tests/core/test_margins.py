@@ -12,7 +12,7 @@ from softrig_core.analysis.linear_view import LinearView, _between, _power, _rea
 T = 0.05
 
 
-def view_of(a, b, c, d, link="plant/u", variation=0.0, **about):
+def view_of(a, b, c, d, link="plant/u", state_error=0.0, **about):
     """The view of a loop that is opened: all else as it would be found."""
     a, b, c = (np.array(x, dtype=float) for x in (a, b, c))
     n = len(b)
@@ -38,7 +38,7 @@ def view_of(a, b, c, d, link="plant/u", variation=0.0, **about):
         "d": d,
         "error": 0.0,
         "worst": "",
-        "variation": variation,
+        "state_error": state_error,
     }
     return LinearView(**entries | about)
 
@@ -151,7 +151,7 @@ def test_a_pole_at_one_but_for_rounding_is_no_margin():
     assert view_of([[1.0 - 2.0**-53, 0.1], [0.0, 0.5]], [0.0, 1.0], [0.1, 0.0], 0.0).margins.gain_down == 0.0
 
 
-def test_a_margin_without_its_pole_is_not_told(monkeypatch):
+def test_a_margin_without_its_pole_is_not_reported(monkeypatch):
     view = view_of(*resonant(0))
     right = type(view).at_frequencies
     monkeypatch.setattr(type(view), "at_frequencies", lambda self, w: 1.5 * right(self, w))
@@ -173,7 +173,7 @@ def test_a_loop_that_nothing_can_take_away():
         _ = view_of(nothing.a, nothing.b, nothing.c, 0.0, link="").opened
 
 
-def test_modes_are_told_slowest_first_with_those_who_take_part():
+def test_modes_are_reported_slowest_first_with_those_who_take_part():
     """Two lags of which one drives the other, an oscillation (once, of its pair), and one that is gone at once."""
     A = np.zeros((5, 5))
     A[:2, :2] = [[0.9, 0.0], [0.2, 0.5]]

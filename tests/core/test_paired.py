@@ -930,11 +930,11 @@ def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
     row = reader.row(free)
     received = comebacks._Recorded(row, Files(recording({}), recording(own)), outside=True)
     reader.ticks = 1
-    received.bring(10 * MS)
+    received.set_value(10 * MS)
     assert [(number, t) for number, t, _ in reader.kept] == [(4, 10 * MS)] * 3  # recorded anew
     assert [number for number, _ in received.unused()] == [3, 4]
     paired_ = comebacks._Recorded(reader.table.rows[0], Files(recording(record), recording(own)), outside=False)
-    paired_.bring(15 * MS)
+    paired_.set_value(15 * MS)
     assert (reader.values["x"], reader.table.rows[0].stamp, len(reader.kept)) == ((1.5,), 10 * MS, 3)
     assert [number for number, _ in paired_.unused()] == [2]
 

@@ -237,7 +237,7 @@ def test_a_node_is_reached_from_other_hosts_only_where_somebody_asks_for_it(monk
     assert executables.environment(17, tmp_path, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/other.xml"
 
 
-def test_an_executable_that_is_not_there_is_told_with_what_is(tmp_path, monkeypatch):
+def test_an_executable_that_is_not_there_is_reported_with_what_is(tmp_path, monkeypatch):
     folder = tmp_path / "lib" / "own"
     folder.mkdir(parents=True)
     for name, mode in (("plant", 0o755), ("notes", 0o644)):
@@ -289,7 +289,7 @@ def test_nodes_share_processes_as_their_containers_say_and_only_those_that_are_a
     assert Placement().shared(two) == ()
 
 
-def test_a_node_is_told_its_parameters_as_far_as_they_differ_and_how_it_runs(tmp_path):
+def test_a_node_is_reported_its_parameters_as_far_as_they_differ_and_how_it_runs(tmp_path):
     plant = {"executable": "plant", "parameters": {"gain": 2.5}, "remap": {"lag/applied": "other"}}
     rig = rig_of(make_scenario(BASIC | {"plant": plant}, 0.5, timeout=7.0, start_timeout=31.0))
     member = rig.members[0]
@@ -593,7 +593,7 @@ def test_who_has_failed_is_named_with_the_reason(watched):
     )
 
 
-def test_a_system_clock_that_is_set_back_is_told(monkeypatch):
+def test_a_system_clock_that_is_set_back_is_reported(monkeypatch):
     wall = SimpleNamespace(ahead=500.0)
     monkeypatch.setattr(supervision, "time", SimpleNamespace(time=lambda: 7.0 + wall.ahead, monotonic=lambda: 7.0))
     clock = SystemClock()
@@ -683,7 +683,7 @@ def test_what_could_not_be_started_again_is_refused():
 # ---- external nodes ----
 
 
-def test_external_nodes_are_told_what_to_do_and_it_is_said_who_has_come(monkeypatch):
+def test_external_nodes_are_reported_what_to_do_and_it_is_said_who_has_come(monkeypatch):
     nodes = BASIC | {
         "gain": {"executable": "gain", "external": True},
         "watcher": {"executable": "watcher", "external": True},

@@ -10,12 +10,12 @@ from types import SimpleNamespace
 
 import pytest
 from conftest import make_scenario
+from expected_text import check_expected
 from softrig_core import Recording, RunError, ScenarioError, rig_of
 from softrig_nodes.processes import domain, peers, processes, shared_memory, spawning
 from softrig_nodes.processes.placement import Listener, Placement
 from softrig_nodes.processes.stopping import Stopped
 from test_processes_parts import BASIC, Child
-from told import check_told
 
 
 class Stage:
@@ -425,5 +425,5 @@ def knows():
                     yield f"    {name} {value}"
 
 
-def test_what_nodes_know_of_their_peers_is_told():
-    check_told("peers", knows())
+def test_what_nodes_know_of_their_peers_is_expected():
+    check_expected("peers", knows())

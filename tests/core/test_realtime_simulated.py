@@ -312,7 +312,7 @@ def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(n
 
 
 @pytest.mark.parametrize("name", ["arrays", "events"])
-def test_what_a_sporadic_sender_has_told_of_its_ticks_is_taken_once_where_it_is_said_again(name):
+def test_what_a_sporadic_sender_has_reported_of_its_ticks_is_taken_once_where_it_is_said_again(name):
     """Its messages are counted (arrays) or bear their tick (events)."""
     nodes, duration, options = RIGS[name]
     rig = rig_of(make_scenario(nodes, duration, **options))

@@ -3,7 +3,7 @@
 import ast
 from pathlib import Path
 
-from told import check_told
+from expected_text import check_expected
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
@@ -27,5 +27,5 @@ def reports():
                 yield f"{place}: {ast.unparse(level).removeprefix('Level.')} {words(key)}: {words(text)}"
 
 
-def test_texts_of_reports_are_as_told():
-    check_told("reports", reports())
+def test_texts_of_reports_are_as_expected():
+    check_expected("reports", reports())

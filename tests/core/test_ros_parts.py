@@ -666,7 +666,7 @@ def test_what_is_posted_is_called_by_the_executor_in_its_turn():
     assert abs(middleware.steady() - time.monotonic()) < 1.0
 
 
-def test_the_graph_is_told_by_endpoints_and_who_asks_for_more_is_named(monkeypatch):
+def test_the_graph_is_reported_by_endpoints_and_who_asks_for_more_is_named(monkeypatch):
     def end(name, kind="a/msg/B", **profile):
         return {"node_name": name, "node_namespace": "/rig", "topic_type": kind, "qos_profile": profile}
 
@@ -1162,7 +1162,7 @@ def test_answers_take_their_share_and_those_to_nobody_are_dropped():
     assert later == []
 
 
-def test_a_set_that_is_refused_for_want_of_time_is_told():
+def test_a_set_that_is_refused_for_want_of_time_is_reported():
     node, _hand, adapter, shown = face(Lag(gain=2.0))
     node.readers["/diagnostics"] = 1
     Tuning(node, adapter)

@@ -521,7 +521,7 @@ def test_where_names_cannot_be_exchanged_a_status_file_is_replaced(tmp_path, mon
     assert os.listdir(tmp_path) == ["a.status"]
 
 
-def test_of_times_the_middle_the_hundredth_longest_and_the_longest_are_told():
+def test_of_times_the_middle_the_hundredth_longest_and_the_longest_are_reported():
     assert health.percentiles("x", [], 5) == {}
     for n in (1, 2, 3, 99, 100, 101, 250):
         samples = list(range(1, n + 1))

@@ -215,7 +215,7 @@ def test_changes_that_the_scenario_makes_stay_from_the_tick_on_at_which_they_com
         assert branched(SimpleNamespace(members=[member]), recording, at, {}) == kept
 
 
-def test_where_two_runs_part_is_told_of_three_topics_at_most_the_earliest_first():
+def test_where_two_runs_part_is_reported_of_three_topics_at_most_the_earliest_first():
     def recording(**topics):
         made = Kept((name, "x") for name in topics)
         for k, times in enumerate(topics.values()):
@@ -411,7 +411,7 @@ def test_signals_that_are_asked_for_are_recorded_with_what_figures_read():
     assert not any(topic.times for topic in none.recording.topics.values())
 
 
-def test_figures_that_are_measured_while_it_runs_are_told_what_and_how_often():
+def test_figures_that_are_measured_while_it_runs_are_reported_what_and_how_often():
     """Unless they are told otherwise, or nobody asks them."""
     live = dict(zip(("package", "executable"), FIGURES, strict=True))
     own = {"ports": "[]", "figures": "[]"}

@@ -107,7 +107,7 @@ def test_a_rig_is_paused_stepped_resumed_and_its_bytes_are_those_of_a_run_that_n
 
 
 @pytest.mark.parametrize("fault", [ImportError("no library"), Exception("no 'rosidl_typesupport_c'")])
-def test_a_package_whose_libraries_are_not_found_is_told_in_one_line(fault, monkeypatch):
+def test_a_package_whose_libraries_are_not_found_is_reported_in_one_line(fault, monkeypatch):
     def types():
         raise fault
 
@@ -117,7 +117,7 @@ def test_a_package_whose_libraries_are_not_found_is_told_in_one_line(fault, monk
     assert node.logs == [(Level.WARN, f"the services of simulation_interfaces are not offered: {fault}")]
 
 
-def test_who_waits_for_steps_is_told_how_many_have_been_taken_of_those_of_his_own(monkeypatch):
+def test_who_waits_for_steps_is_reported_how_many_have_been_taken_of_those_of_his_own(monkeypatch):
     call, messages = Caller(monkeypatch, "dc_motor_smc_b2", paused=True), []
     call.until(lambda: call.adapter.state == "running")
     for name, count in (("a", 3), ("b", 2)):

@@ -234,7 +234,7 @@ def test_the_starter_waits_until_all_are_ready_and_hear_it_and_says_when():
     assert not one.words
 
 
-def test_neighbours_of_its_process_are_told_in_memory():
+def test_neighbours_of_its_process_are_reported_in_memory():
     one, two = Leaves(local=["law"]), Leaves("other")
     one.departure.neighbours = two.departure.neighbours = [one.departure, two.departure]
     for name in ("law", "source"):
@@ -352,7 +352,7 @@ def test_a_node_that_cannot_begin_says_after_five_seconds_what_it_lacks():
     assert adapter.state == "starting"
 
 
-def test_a_plant_says_its_ticks_on_the_clock_and_is_told_who_follows():
+def test_a_plant_says_its_ticks_on_the_clock_and_is_reported_who_follows():
     links = {
         "base": "0.01",
         "owns_clock": True,
@@ -439,7 +439,7 @@ def test_arrays_are_numbered_and_a_shard_holds_them_as_rows(tmp_path):
     assert adapter.step.counts[output.name] == 5
 
 
-def test_a_topic_of_another_type_is_told_once_and_a_watch_writes_the_status(tmp_path):
+def test_a_topic_of_another_type_is_reported_once_and_a_watch_writes_the_status(tmp_path):
     hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
     Group([adapter])
     watch = next(t for t in hand.timers if t.call.__name__ == "watch")

@@ -75,7 +75,7 @@ def test_the_point_is_where_newtons_method_ends(at):
     assert point.drifting == {"plant[1]": pytest.approx(root / point.period, rel=1e-9)}  # what adds up goes on
 
 
-def test_an_unstable_point_is_told_as_one():
+def test_an_unstable_point_is_reported_as_one():
     """x+ = 1.2 x - 0.22: rests at 1.1, where nothing stays."""
     point = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1) if abs(x) < 50.0 else 0.0), at=0.0)
     assert (point.states["plant[0]"], point.slowest, point.stable) == (pytest.approx(1.1), pytest.approx(1.2), False)
@@ -166,7 +166,7 @@ def test_how_far_a_run_goes_off_counts_in_the_sizes_of_the_states(monkeypatch):
         steady(rig_of_curve(Curve.f))
 
 
-def test_where_newtons_method_ends_nowhere_it_is_told_with_the_state_that_moves_most():
+def test_where_newtons_method_ends_nowhere_it_is_reported_with_the_state_that_moves_most():
     with pytest.raises(NoOperatingPoint) as refused:
         steady(rig_of_curve(lambda x: 0.05 * (2.0 + x * x) if abs(x) < 1e3 else 0.0), at=0.0)
     message = str(refused.value)
@@ -250,7 +250,7 @@ def test_a_step_is_halved_until_the_rig_goes_along(fence, halved):
     assert fenced.start.tolist() == [1.0 + 0.5**halved, 7.0]
 
 
-def test_a_step_that_goes_nowhere_is_told():
+def test_a_step_that_goes_nowhere_is_reported():
     fenced = Fenced(1.0)
     with pytest.raises(
         NoOperatingPoint, match=r"^fenced: no operating point near t = 2\.5 s: the way there leaves the l"

@@ -78,7 +78,7 @@ def test_what_is_almost_a_row_of_floats_becomes_one(text):
         ((math.inf, -math.inf), "out a/position became inf"),
     ],
 )
-def test_what_may_not_leave_a_block_is_told(text, reason):
+def test_what_may_not_leave_a_block_is_reported(text, reason):
     step, rows = _alone({"out": text} if text else {})
     with pytest.raises(RunError, match=reason) as error:
         step.answer(0)

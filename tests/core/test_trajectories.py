@@ -277,7 +277,7 @@ class Flight:
         return self.answer.error_code, self.handle.state
 
 
-def test_a_goal_is_followed_told_of_and_reached(monkeypatch):
+def test_a_goal_is_followed_reported_of_and_reached(monkeypatch):
     rig = Rig(monkeypatch)
     assert rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))))) is None  # it has not begun
     assert rig.node.logs[-1] == (Level.WARN, "follow_joint_trajectory: a goal is refused: the run has not begun")

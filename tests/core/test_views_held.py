@@ -86,7 +86,7 @@ OTHERWISE = {
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("name", "reason"), OTHERWISE.items())
-def test_where_a_view_along_a_run_is_another_rig_it_is_told(name, reason):
+def test_where_a_view_along_a_run_is_another_rig_it_is_reported(name, reason):
     if isinstance(reason, str):
         with pytest.raises(RunError, match=reason):
             linear_along(name, PERIODS, at=0.3, inputs=["dispatch/setpoints/2/effort"] if "dispatch" in name else None)
@@ -101,12 +101,12 @@ def test_grid_currents_turn_and_belong_to_no_view_of_one_tick():
     assert {f"grid/current/{axis}" for axis in "xyz"} <= view.left_out.keys()
     assert "turns with an angle" in view.left_out["grid/current/x"]
     assert "belongs to other ticks" in view.left_out["power_quality/thd/position"]
-    assert max(view.heard.values()) < AT_REST
+    assert max(view.output_errors.values()) < AT_REST
     assert view.C.shape == (len(view.outputs), len(view.states))
     with pytest.raises(RunError, match="grid/current/x is another function of the states at each tick"):
         linear_view("rectifier_mpc", "", at=0.1, overrides=steady, outputs=["grid/current/x"])
     along = linear_along("rectifier_mpc", 12, at=0.1, overrides=steady, outputs=["grid/current/x", "grid/current/y"])
-    assert max(along.variation, *along.heard.values()) < AT_REST
+    assert max(along.state_error, *along.output_errors.values()) < AT_REST
 
 
 class Turned(NamedTuple):
@@ -154,7 +154,7 @@ def test_outputs_of_each_kind_are_named_and_those_that_turn_are_carried_along():
     assert "goes in steps" in view.left_out["plant/counts/data"]
     assert "belongs to other ticks" in view.left_out["plant/window/data"]
     along = linear_along(turning(), 20, at=0.32, outputs=["plant/y/data", "plant/turned/data"])
-    assert max(along.variation, *along.heard.values()) < 1e-9
+    assert max(along.state_error, *along.output_errors.values()) < 1e-9
     angles = 40.0 * (0.32 + 0.01 * np.arange(20))
     k = along.states.index("plant.x")
     assert along.C[:, 1, k] == pytest.approx(np.cos(angles), abs=1e-9)

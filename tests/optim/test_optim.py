@@ -69,7 +69,7 @@ def test_same_seed_same_search(algorithm):
     assert histories[0] == histories[1] == histories[3] != histories[2]
 
 
-def test_ask_repeats_until_told_and_ends():
+def test_ask_repeats_until_reported_and_ends():
     search = ParticleSwarm([0.0], [1.0], 1, n_pop=2, n_iter=1)
     first = search.ask()
     assert search.ask() == first

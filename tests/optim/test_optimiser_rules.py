@@ -11,7 +11,7 @@ import pytest
 from softrig_core import ByHand, param
 from softrig_optim.falling import FallingCurve
 from softrig_optim.load_line import CertifiedSearch
-from softrig_optim.optimiser import CommandSearch, Optimiser, SearchParams
+from softrig_optim.optimiser import CommandOptimiser, Optimiser, SearchParams
 from softrig_optim.pso import ParticleSwarm
 from softrig_optim.scan import Scan
 
@@ -52,7 +52,7 @@ class OfPower:
         return FallingCurve(n)
 
 
-class Proven(OfPower, CommandSearch[ProvenParams]):
+class Proven(OfPower, CommandOptimiser[ProvenParams]):
     """A source of which something is proven."""
 
     ports = Optimiser.ports
@@ -63,7 +63,7 @@ class Scanned(OfPower, Optimiser):
 
 
 class Account:
-    """The page of `CommandSearch` as one would do it by hand."""
+    """The page of `CommandOptimiser` as one would do it by hand."""
 
     def __init__(self, make, rng, falls, *, hold, window, settle, threshold, rescan, floor, autostart, slew):
         self.make, self.rng, self.falls, self.hold, self.n, self.settle = make, rng, falls, hold, window, settle

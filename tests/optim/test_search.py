@@ -102,7 +102,7 @@ def test_a_search_says_what_it_knows():
     assert Scan([0.0], [1.0], n_grid=3, tolerance=0.0).pending == [(0.0,), (0.5,), (1.0,)]
 
 
-def test_progress_is_told_by_tenths_or_after_ten_seconds(monkeypatch, capsys):
+def test_progress_is_reported_by_tenths_or_after_ten_seconds(monkeypatch, capsys):
     """Where nobody looks at a terminal; nothing when it is to be quiet."""
     clock = [0.0]
     monkeypatch.setattr("softrig_optim.sweep.time", SimpleNamespace(monotonic=lambda: clock[0]))

@@ -118,7 +118,7 @@ def test_two_parts_of_a_rig_make_the_bag_of_the_whole(tmp_path):
         (["--only", "gain", "--domain", "3", "--mode", "inprocess"], "--only: blocks in process"),
     ],
 )
-def test_a_part_that_cannot_be_is_told(arguments, text, tmp_path, capsys):
+def test_a_part_that_cannot_be_is_reported(arguments, text, tmp_path, capsys):
     scenario = tmp_path / "two.yaml"
     nodes = "".join(f"  {name}: {{package: faultrig, executable: {name}}}\n" for name in BASIC)
     scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\nnodes:\n{nodes}")

@@ -48,7 +48,7 @@ def waiting(mode, seconds):
     return run
 
 
-def test_a_controller_on_a_wrong_topic_is_told_which_one_it_should_be():
+def test_a_controller_on_a_wrong_topic_is_reported_which_one_it_should_be():
     run = waiting("lockstep", 1.0)
     messages = []
     guests = Guests(with_guests("basic", ("gain",)), messages.append)
@@ -72,7 +72,7 @@ def test_a_controller_on_a_wrong_topic_is_told_which_one_it_should_be():
     assert messages[1:] == ["gain is there"]
 
 
-def test_a_refused_message_of_an_outside_node_is_told_once():
+def test_a_refused_message_of_an_outside_node_is_reported_once():
     messages = []
     guests = Guests(with_guests("basic", ("gain",)), messages.append)
     for count in (1, 2):

@@ -928,7 +928,7 @@ def test_where_a_segment_is_split_and_by_how_much_its_chord_is_too_low():
     assert (at, missing) == (pytest.approx(150.0 + 0.55e-5, abs=1e-7), pytest.approx(1.0))
 
 
-def test_what_cannot_be_is_told_with_its_numbers():
+def test_what_cannot_be_is_reported_with_its_numbers():
     def conditioned(demand, reserve=0.0, nodes=1000, losses=None):
         given = Conditions.of(PAIR, losses, reserve)
         return Optimiser(PAIR, max_nodes=nodes).conditioned(demand, given)
@@ -974,7 +974,7 @@ def test_kinks_by_brute_force(demand):
         enumerate_kinks(FOUR, demand, most=count)
 
 
-def test_copies_are_counted_once_and_what_kinks_cannot_meet_is_told():
+def test_copies_are_counted_once_and_what_kinks_cannot_meet_is_reported():
     twins = Units(("a", "b", "c"), FOUR.table[[1, 1, 1]])
     for demand in (130.0, 222.0, 300.0):
         result = enumerate_kinks(twins, demand)
@@ -1115,7 +1115,7 @@ def answered(result, repeatable=True, units=PAIR, x=None):
     return solver, x, values
 
 
-def test_what_is_told_of_a_dispatch():
+def test_what_is_reported_of_a_dispatch():
     dispatch = Dispatch(np.array([200.0, 99.0]), 10.0, 7.0, (-np.inf, 5.0), {"nlp": 1.0}, 3, 4, "nlp", "two stages")
     solver, x, values = answered(dispatch)
     assert values["setpoints"] == (200.0, 99.0)

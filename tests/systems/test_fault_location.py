@@ -11,6 +11,7 @@ import comtrade
 import numpy as np
 import pytest
 from conftest import few, replay
+from expected_text import check_expected, figure_lines
 from matplotlib.figure import Figure
 from softrig_bags.read import read_bag
 from softrig_bags.write import write_bag
@@ -33,7 +34,6 @@ from softrig_power.fault_location.plant import LinePlant
 from softrig_power.fault_location.records.comtrade_file import ComtradeFileError, read_comtrade, write_comtrade
 from softrig_power.fault_location.records.record import CHANNELS, Record, RecordError, Status
 from softrig_power.fault_location.records.resample import resampled
-from told import check_told, figure_lines
 
 AG = Case("AG", 50.0, 0.0)
 BAGS = Path(__file__).parents[2] / "bags"
@@ -1028,7 +1028,7 @@ def rows_by_formula():
                             10.0 + k, 1e4, 1 + j, 60 + k, 0.01 * (1 + k))  # fmt: skip
 
 
-def test_pictures_are_as_told(record, monkeypatch):
+def test_pictures_are_as_expected(record, monkeypatch):
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, dpi: drawn.append((f"{path} at {dpi}", figure)))
     p, result = LocatorParams(), located(record)
@@ -1039,10 +1039,10 @@ def test_pictures_are_as_told(record, monkeypatch):
     pictures.methods([*rows_by_formula()], Path("methods"))
     monkeypatch.setattr(pictures, "MISPRINTS", ("corrected", "printed_sign"))
     pictures.misprints(record, p, Path("misprints"), truth=50.0)
-    check_told("pictures/fault_location", (line for path, f in drawn for line in (path, *figure_lines(f))))
+    check_expected("pictures/fault_location", (line for path, f in drawn for line in (path, *figure_lines(f))))
 
 
-def test_tables_of_the_study_are_as_told(monkeypatch, capsys, tmp_path):
+def test_tables_of_the_study_are_as_expected(monkeypatch, capsys, tmp_path):
     rows, given = [*rows_by_formula()], []
     monkeypatch.setattr(study_tool, "run", lambda jobs, processes: given.append((jobs, processes)) or rows)
     monkeypatch.setattr(study_tool, "_save", lambda rows, out: given.append((len(rows), out)))
@@ -1061,7 +1061,7 @@ def test_tables_of_the_study_are_as_told(monkeypatch, capsys, tmp_path):
     assert capsys.readouterr().out.splitlines()[:-1] == text
     table = study_tool.sensitivity_table({"none": [1.0, -2.25, 1e3, math.nan], "R1 = 0": [0.0] * 4})
     changed = [f"{name}: {rig} {locator}" for name, rig, locator in study.disturbances()]
-    check_told("fault_study", [*text, *table.splitlines(), *study.as_csv(rows[:6]).splitlines(), *changed])
+    check_expected("fault_study", [*text, *table.splitlines(), *study.as_csv(rows[:6]).splitlines(), *changed])
 
 
 def test_a_sensitivity_is_the_error_of_each_case_and_of_noise_its_deviation(monkeypatch):

@@ -366,7 +366,7 @@ def test_channels_by_unit_and_phase_and_their_scale(tmp_path):
         ("1,VA_S,A,S,Hz,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (Hz, phase A), VB_S (V, phase B)"),
     ],
 )
-def test_channels_that_are_not_told_apart(tmp_path, line, text):
+def test_channels_that_are_not_reported_apart(tmp_path, line, text):
     cfg = edited(tmp_path, l2=line)
     with pytest.raises(ComtradeFileError) as refused:
         read_comtrade([cfg])
@@ -395,7 +395,7 @@ def test_which_files_and_channels_may_be_named(tmp_path):
     assert (unfit.value.status, str(unfit.value)) == (Status.TOO_SHORT, f"{one}: 1 samples")
 
 
-def test_two_recorders_by_their_clocks_and_what_is_told_of_them(tmp_path):
+def test_two_recorders_by_their_clocks_and_what_is_reported_of_them(tmp_path):
     long = whole(40)
     s = write_comtrade(tmp_path / "s", long, "s")[0]
     r = write_comtrade(tmp_path / "r", long, "r", clock_late=0.001)[0]
@@ -645,7 +645,7 @@ def test_the_mode_and_whether_there_is_a_fault(monkeypatch, curves, settings, st
     assert asked == ([] if limit is None else [limit])
 
 
-def test_a_contradiction_is_told_before_all(monkeypatch):
+def test_a_contradiction_is_reported_before_all(monkeypatch):
     result, _ = chooser((FLAT, SMALL, LARGE), monkeypatch, "so it is")
     assert (result.status, result.text, result.mode, result.x_km) == (Status.CONTRADICTORY, "so it is", 3, None)
     assert chooser((FLAT, FLAT, FLAT), monkeypatch, "so it is")[0].status == Status.NO_FAULT  # nobody asked
@@ -672,7 +672,7 @@ def test_a_contradiction_is_told_before_all(monkeypatch):
         ("travelling_wave", "transient", "travelling_wave"),
     ],
 )
-def test_each_algorithm_gives_the_place_and_a_place_at_an_end_is_told(
+def test_each_algorithm_gives_the_place_and_a_place_at_an_end_is_reported(
     monkeypatch, algorithm, module, name, x, status, text
 ):
     work = Locator.__new__(Locator)
@@ -1721,7 +1721,7 @@ def test_the_data_of_a_line_of_a_file_and_of_options(tmp_path, text, given, want
     assert line_data(None, wanted) == wanted
 
 
-def test_what_is_missing_of_a_line_is_told(tmp_path):
+def test_what_is_missing_of_a_line_is_reported(tmp_path):
     with pytest.raises(ScenarioError) as refused:
         line_data(None, {"line.r1": 1.0, "line.c1": 1.0})
     text = (

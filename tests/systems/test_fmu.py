@@ -252,12 +252,12 @@ def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
         ({"fmu": ""}, "parameter fmu = '': expected the file of an FMU"),
     ],
 )
-def test_bad_input_is_told_by_name(fmus, given, says):
+def test_bad_input_is_reported_by_name(fmus, given, says):
     with pytest.raises(ParameterError, match=says):
         motor(fmus, **given)
 
 
-def test_an_fmu_for_another_machine_or_without_the_interface_is_told(tmp_path):
+def test_an_fmu_for_another_machine_or_without_the_interface_is_reported(tmp_path):
     build_fmu(tmp_path, "motor", platform="win64", exchange=False)
     with pytest.raises(ParameterError, match=r"motor2\.fmu has no binary for this machine, .*; it has win64"):
         motor(tmp_path)
@@ -295,7 +295,7 @@ def test_the_tolerance_of_its_experiment_is_passed_and_discrete_inputs_jump_at_e
         (2, 7, "crashed: its process closed the pipe by which it is asked"),
     ],
 )
-def test_one_that_asks_to_end_or_closes_descriptors_is_told(fmus, version, fault, says, capfd):
+def test_one_that_asks_to_end_or_closes_descriptors_is_reported(fmus, version, fault, says, capfd):
     with pytest.raises(RunError, match=says):
         strict(fmus, version, values=(f"fault = {fault}",)).advance(0, u=(0.0,), n=(0.0,))
     assert "Traceback" not in capfd.readouterr().err
@@ -552,7 +552,7 @@ def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
 
 
 @pytest.mark.long
-def test_one_that_cannot_write_its_state_is_told_again(fmus, monkeypatch):
+def test_one_that_cannot_write_its_state_is_reported_again(fmus, monkeypatch):
     """All of it: its start, its steps, and what was changed in between."""
     monkeypatch.setattr(nodes, "describe", lambda file: dataclasses.replace(describe(file), serialises=False))
     plant = motor(fmus, isolated=False)

@@ -209,7 +209,7 @@ def test_a_longer_step_is_several_periods(exported):
 
 
 @pytest.mark.long
-def test_what_it_cannot_do_is_told_by_name(exported, tmp_path):
+def test_what_it_cannot_do_is_reported_by_name(exported, tmp_path):
     with pytest.raises(RunError, match=r"expected a whole number of periods of 0\.0001 s"):
         motor(exported, period=1.5e-4).advance(0, u=(5.0,))
     with pytest.raises(RunError, match=r"motor/command: .*2e\+07"):

@@ -214,7 +214,7 @@ def test_operating_points_are_all_of_them(flows):
     assert len(met) >= 3
 
 
-def test_references_without_a_point_are_told_whatever_they_are():
+def test_references_without_a_point_are_reported_whatever_they_are():
     rng, solver = random.Random(4), PowerFlow(NETWORK, converter_loss=True)
     for _ in range(20):
         p1, q1, p2, q2 = (rng.choice((0.0, -10.0, 10.0, rng.uniform(-10.0, 10.0))) for _ in range(4))

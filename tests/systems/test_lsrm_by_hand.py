@@ -214,7 +214,7 @@ def test_the_range_of_a_speed_is_that_of_its_samples():
         ({"x_d": 0.2, "profile": "trapezoid"}, ""),
     ],
 )
-def test_a_profile_that_nobody_can_follow_is_told(values, reported):
+def test_a_profile_that_nobody_can_follow_is_reported(values, reported):
     source = ByHand(ProfileGenerator(**{"F_max": 1e4, **values}))
     messages = [text for _, text, *_ in source.reports.values()]
     assert bool(messages) is bool(reported)

@@ -779,7 +779,7 @@ def test_the_evaluator_flags_what_no_optimum_can_be(summary, flag):
     assert evaluator.status()["residual"][0] == 0.5
 
 
-def test_plants_limit_and_bias_what_they_are_told():
+def test_plants_limit_and_bias_what_they_are_reported():
     plant = ByHand(SpacecraftPlant(torque_limit=0.5, bias=(0.1, 0.0, 0.0), x0=(0.0, 0.0, 0.0), period=2.0))
     plant.advance(0, command=(0.5, -0.5, 0.0))
     assert plant.reports == {}

@@ -440,7 +440,7 @@ def test_light_that_comes_back_during_a_search_starts_another(algorithm):
     best = string(PATTERN1).gmpp.p
 
     def searches(light, **changes):
-        """Searches after the first, and whether one of them all ended lower than a look back sees."""
+        """Searches after the first, and whether one of them all ended lower than a scan sees."""
         overrides = {"mppt_optimizer.algorithm": algorithm, "shading_source.times": (0.0, 0.1, 0.3)}
         overrides["shading_source.irradiance"] = PATTERN1 + light + PATTERN1
         run = simulate("pv_mppt_s5", duration=7.0, overrides=overrides | changes)

@@ -332,7 +332,7 @@ def test_the_plant_tells_what_it_is_and_what_its_sensors_say():
 
 
 @pytest.mark.parametrize(("duty", "used"), [(0.95, 0.9), (0.9, 0.9), (0.1, 0.1), (0.05, 0.1), (0.5, 0.5)])
-def test_a_duty_beyond_its_limits_is_clipped_and_told(duty, used):
+def test_a_duty_beyond_its_limits_is_clipped_and_reported(duty, used):
     reported, silent = PvPlant(), PvPlant()
     x = reported.first()
     assert reported.advance(x, 0, duty=(duty,), environment=None) == silent.advance(

@@ -34,7 +34,7 @@ from softrig_systems.pwa_delay.params import BENCHMARK
 from softrig_systems.pwa_delay.plants import PendulumPlant, SwitchedDelayPlant, TankPlant
 from softrig_systems.pwa_delay.profiles import delay_at, profile
 from softrig_systems.pwa_delay.proof.applicability import NotApplicable, require_no_sliding
-from softrig_systems.pwa_delay.proof.bessel import bessel
+from softrig_systems.pwa_delay.proof.bessel_legendre import bessel_legendre
 from softrig_systems.pwa_delay.proof.certify import Criterion, certified_margin, certify
 from softrig_systems.pwa_delay.proof.level import level_bound, level_margin
 from softrig_systems.pwa_delay.proof.lmi import Problem
@@ -226,7 +226,7 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
         for share in (0.0, 0.3, 0.7):
             d = step.shortest + share * (step.h - step.shortest)
             if step.shortest > 0.0:
-                again = bessel(OSCILLATOR.scaled(d), 2).eigenvalues(step.matrices)
+                again = bessel_legendre(OSCILLATOR.scaled(d), 2).eigenvalues(step.matrices)
                 assert all(e.positive for e in again), (step.shortest, d)
     assert covered == certificate.h
     # beyond the first window: from `low` on where that is asked for and there is nothing from 0 on
@@ -857,7 +857,7 @@ def test_matrices_survive_their_topic():
     assert set(back) == set(certificate.matrices)
 
 
-def test_a_bracket_without_a_margin_is_told():
+def test_a_bracket_without_a_margin_is_reported():
     with pytest.raises(ValueError, match="no margin between"):
         find_margin(lambda h: -1.0, 0.1, 0.2)
     with pytest.raises(ValueError, match=r"growth 1 1/s at 0.1 s and 1 1/s at 0.1 s: no margin between"):
@@ -874,4 +874,4 @@ def test_constant_criterion_grows_with_the_state(n):
     rng = np.random.default_rng(n)
     system = linear(-2.0 * np.eye(n) + 0.1 * rng.normal(size=(n, n)), -0.5 * np.eye(n) + 0.1 * rng.normal(size=(n, n)))
     assert certify(system, 0.5, Criterion("constant", order=2)).valid
-    assert bessel(system, 2).size < theorem1(system, 0.1).size
+    assert bessel_legendre(system, 2).size < theorem1(system, 0.1).size

@@ -28,7 +28,7 @@ from softrig_systems.pwa_delay.plants import SwitchedDelayPlant, TankPlant
 from softrig_systems.pwa_delay.profiles import delay_at, profile
 from softrig_systems.pwa_delay.proof import certify as certifying
 from softrig_systems.pwa_delay.proof.applicability import NotApplicable, require_equilibrium, require_no_sliding
-from softrig_systems.pwa_delay.proof.bessel import bessel
+from softrig_systems.pwa_delay.proof.bessel_legendre import bessel_legendre
 from softrig_systems.pwa_delay.proof.certify import Certificate, Criterion, _bisect, _walk, certified_margin, certify
 from softrig_systems.pwa_delay.proof.level import level_bound, level_margin
 from softrig_systems.pwa_delay.proof.lmi import Eigenvalues, Problem, Term, quadratic
@@ -112,7 +112,7 @@ def test_the_criterion_of_constant_delays_is_the_derivative_of_its_functional(or
     """In the time in which the delay is 1 (from no delay at all on in that of the system), V' by differences of V."""
     rng = np.random.default_rng(order)
     system = two_cells(rng)
-    problem = bessel(system, order, shortest=shortest, cell_terms=True)
+    problem = bessel_legendre(system, order, shortest=shortest, cell_terms=True)
     matrices = unknowns(problem, rng)
     L, Q, R = (matrices[k] for k in "LQR")
     scaled = shortest > 0.0  # time in delays: the window is 1 and the slope d times that of the system

@@ -309,7 +309,7 @@ def best_of_active_sets(h, q, low, high, most):
     return min(results)[1:]
 
 
-def test_infeasible_programme_is_told_and_solved_again_afterwards():
+def test_infeasible_programme_is_reported_and_solved_again_afterwards():
     solver = MoveSolver(((584.0, 68.0), (68.0, 555.0)), 2.0)
     before = solver.solve([10.0, 20.0], -5.0, 5.0)
     assert solver.solve([0.0, 0.0], 30.0, 40.0).moves is None
@@ -654,7 +654,7 @@ def test_own_constants_begin_at_their_own_operating_point():
     assert v == pytest.approx([400.0] * len(v), abs=1e-6)
 
 
-def test_a_limit_cycle_is_told():
+def test_a_limit_cycle_is_reported():
     """Too light a weight lets the loop collapse into a cycle at 250 V; those that settle are not accused."""
     law = simulate("rectifier_mpc", overrides={"gpc_controller.lam": 5.0}).blocks["gpc_controller"]
     assert law.reports["limit_cycle"][0] == Level.WARN

@@ -545,7 +545,7 @@ def test_what_the_plant_reports():
 
 
 @pytest.mark.parametrize(("age", "late"), [(None, False), (5_000_000, False), (5_000_001, True)])
-def test_a_command_older_than_five_periods_is_told(age, late):
+def test_a_command_older_than_five_periods_is_reported(age, late):
     plant = RectifierPlant(period=1e-3)
     plant.age = lambda name: age
     plant.advance(plant.first(), 0, command=(30.0,), events=None)

@@ -114,7 +114,7 @@ def drawn(variables, ticks):
 
 
 @pytest.mark.parametrize("path", DRIVEN, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_its_answers_to_what_it_is_told_are_those_of_fmpy(path):
+def test_its_answers_to_what_it_is_reported_are_those_of_fmpy(path):
     """Inputs change at each tick, every element of an array and every kind of number; held from tick to tick."""
     unit = describe(str(path))
     inputs, outputs = of(unit, "input"), of(unit, "output")

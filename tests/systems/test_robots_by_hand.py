@@ -434,7 +434,7 @@ def test_the_watch_of_the_leg_on_its_edges():
 
 
 @pytest.mark.parametrize(("constant", "warns"), [(0.287 * 1.2, False), (0.287 * 1.21, True), (0.287 * 0.79, True)])
-def test_motors_whose_constants_differ_by_a_fifth_are_told(constant, warns):
+def test_motors_whose_constants_differ_by_a_fifth_are_reported(constant, warns):
     plant = ByHand(RehabPlant(motors={"torque_constant": constant}))
     assert ("torque_constant" in plant.reports) is warns
 

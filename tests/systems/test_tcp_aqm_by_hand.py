@@ -171,7 +171,7 @@ def test_the_controller_at_the_edges_of_what_it_takes():
     )
 
 
-def test_after_fifty_ticks_without_a_state_nothing_is_dropped_and_what_was_known_is_still_told():
+def test_after_fifty_ticks_without_a_state_nothing_is_dropped_and_what_was_known_is_still_reported():
     block = ByHand(AqmController(law="pi"))
     last = block.update(0, state=(9.0, 130.0, 0.2), reference=None)
     messages = [block.refused(k) for k in range(60)]

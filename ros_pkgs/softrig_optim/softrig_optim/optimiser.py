@@ -21,7 +21,8 @@ from .search import Point, Search, SearchHistory
 CONSECUTIVE = 2
 # A value that still moves is no reference for changes: in a hold_time it may move by this share of the threshold.
 STEADY = 0.1
-# Duration of a look back in hold_times. No point of it need settle, as a transient lies on the characteristic too.
+# Duration of a scan of the range in hold_times. No point of it need settle: a transient lies on the characteristic,
+# too.
 SCAN_HOLDS = 2
 # A pass spends SCAN_HOLDS hold_times off the best point; this pause, in hold_times, keeps that share below a tenth.
 SCAN_PAUSE = 25
@@ -124,8 +125,8 @@ class State(NamedTuple):
     waiting: bool = False
     """Whether it waits for a signal."""
 
-    looking: int = NEVER
-    """Since when the search is done and looks back."""
+    scanning_since: int = NEVER
+    """Time at which the scan of the range after a search began; `NEVER` outside of one."""
 
     broken: bool = False
     """Whether a change of the plant has broken the search off, or should have."""
@@ -136,14 +137,14 @@ class State(NamedTuple):
     again: int = LATER
     """When the next search starts whatever is held."""
 
-    look: int = LATER
-    """When it looks back next."""
+    next_scan: int = LATER
+    """Time of the next scan."""
 
     next_sample: int = 0
     """Time after `since` at which what is held is looked at next."""
 
     seen: float = math.inf
-    """The value at the last look."""
+    """The value at the last check of the held command."""
 
     deviations: int = 0
     """Looks in a row that differ from the reference."""
@@ -166,7 +167,7 @@ def state_port(topic: str, channels: Mapping[str, str]) -> Port:
 P = TypeVar("P", bound=SearchParams, default=SearchParams)
 
 
-class CommandSearch(Block[P], ABC):
+class CommandOptimiser(Block[P], ABC):
     """Base of the optimiser nodes; a subclass defines the search variables and the objective.
 
     The command moves to each candidate by at most `slew` per second. `hold_time` after it has arrived, the measured
@@ -177,11 +178,11 @@ class CommandSearch(Block[P], ABC):
       the plant has changed in the meantime (checked later if the value still moves by a tenth of that per `hold_time`);
     - immediately, before that time, if the measurements prove a change of the plant by more than
       `restart_threshold` (`characteristic`) or by more than the gap of a proof. To make such measurements possible, a
-      search whose plant has a characteristic looks back at its end: the command sweeps once through its range;
+      search whose plant has a characteristic ends with a scan: the command sweeps once through its range;
     - if two successive samples, `hold_time` apart, differ by that much from the value at the end of `settle_time`;
-    - immediately if a look back measures a value that exceeds the search's by more than `restart_threshold`: the
-      plant has changed, or the search missed that value. After a search that a change has started, the node looks back
-      repeatedly. The time to the next look is that from the search's start to the last look, at least `SCAN_PAUSE`
+    - immediately if a scan of the range measures a value that exceeds the search's by more than `restart_threshold`;
+      the plant has changed, or the search missed that value. After a search that a change has started, scans are
+      repeated. The time to the next scan is that from the start of the search to the last scan, at least `SCAN_PAUSE`
       times `hold_time`. A plant that changed once may change again, at commands where the held value does not show it;
     - `rescan_period` after the start of the last search.
 
@@ -241,7 +242,7 @@ class CommandSearch(Block[P], ABC):
 
     def decides(self, x: State, t: int) -> bool:
         """Return whether the search receives values: it is a generator."""
-        if x.phase != Phase.SEARCH or x.waiting or x.looking != NEVER or x.since == NEVER:
+        if x.phase != Phase.SEARCH or x.waiting or x.scanning_since != NEVER or x.since == NEVER:
             return False
         # A search that watches uses the samples on the way to a candidate, so it receives a value at every tick.
         return x.search.watches or t - x.since >= self._wait(x)
@@ -303,8 +304,8 @@ class CommandSearch(Block[P], ABC):
 
     # the search ------------------------------------------------------------------------------------------------
 
-    def _begin(self, x: State | None, t: int, lookback: int = LATER) -> State:
-        """Start a new search; from the time `lookback` (ns) on, the node looks for another change after it."""
+    def _begin(self, x: State | None, t: int, next_scan: int = LATER) -> State:
+        """Start a new search; from the time `next_scan` (ns) on, the node looks for another change after it."""
         history = SearchHistory(self.p.search, self.generator() if x is None else x.search.now.rng)
         search = history.now
         # An infinite gap means that this search proves nothing, so there is no bound to withdraw.
@@ -318,7 +319,7 @@ class CommandSearch(Block[P], ABC):
             return State(history, phase, t, 0, void, curve, target, (), target, self._nothing)
         return State(
             history, phase, t, x.restarts + 1, void, curve, target, x.state, x.command, x.window, x.filled, x.pressed
-        )._replace(unconfirmed=x.unconfirmed, look=lookback)
+        )._replace(unconfirmed=x.unconfirmed, next_scan=next_scan)
 
     def _gone(self, x: State, t: int) -> State:
         """Measure the candidate again; after a while abort the search."""
@@ -350,8 +351,8 @@ class CommandSearch(Block[P], ABC):
             x, begun = self._breaks_off(x, t, sample)
             if begun:
                 return x
-        if x.looking != NEVER:
-            return self._scan(x, t, t - x.looking)
+        if x.scanning_since != NEVER:
+            return self._scan(x, t, t - x.scanning_since)
         if x.since == NEVER or t - x.since < self._wait(x):
             return x if dark or not x.search.watches else x._replace(search=x.search.watch(sample))
         # One dark sample at the end may be noise; the mean of the window must be without a signal too.
@@ -366,13 +367,13 @@ class CommandSearch(Block[P], ABC):
             self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
             x = self._begin(x, t)
         elif x.curve is not None and self.p.restart_threshold > 0.0:
-            x = x._replace(looking=t)
+            x = x._replace(scanning_since=t)
         else:
             x = self._keep(x, t)
         return self._note(x)
 
     def _scan(self, x: State, t: int, elapsed: int) -> State:
-        """Pass through the range of the command once: the search may have measured what is no more."""
+        """Move the command once through its range: the plant may have changed since the search measured there."""
         share = elapsed / (SCAN_HOLDS * self._hold)
         if share < 1.0:
             ends = zip(x.search.low, x.search.high, strict=True)
@@ -383,9 +384,11 @@ class CommandSearch(Block[P], ABC):
         """Hold what was found, until as much time again has passed where something had changed."""
         return x._replace(
             phase=Phase.HOLD,
-            looking=NEVER,
+            scanning_since=NEVER,
             # A search that the timer began is followed by no passes: nothing has shown that this plant changes.
-            look=LATER if x.looking == NEVER or x.look == LATER else t + max(t - x.began, SCAN_PAUSE * self._hold),
+            next_scan=LATER
+            if x.scanning_since == NEVER or x.next_scan == LATER
+            else t + max(t - x.began, SCAN_PAUSE * self._hold),
             target=x.search.now.result,
             since=NEVER,
             next_sample=self._hold,
@@ -404,7 +407,9 @@ class CommandSearch(Block[P], ABC):
         # A change beyond the gap refutes the proof, so it breaks the search off even where it is below the threshold.
         changed = change > min(self.p.restart_threshold, gap) > 0.0
         # A pass is too fast to leave corners near the line from 0, so the value itself is compared too.
-        more = x.looking != NEVER and x.filled and _mean(x) > (1.0 + self.p.restart_threshold) * x.search.expected
+        more = (
+            x.scanning_since != NEVER and x.filled and _mean(x) > (1.0 + self.p.restart_threshold) * x.search.expected
+        )
         if (change > gap or more) and not x.void:
             x = self._withdraw(x)
         if x.broken or x.reference < math.inf or not (changed or more):
@@ -416,8 +421,10 @@ class CommandSearch(Block[P], ABC):
         if changed:
             self.report(Level.WARN, "changed", "the plant changed during the search: searching again")
         else:
-            self.report(Level.WARN, "more", "the look back met a larger value than the search found: searching again")
-        return self._note(self._begin(x, t, t if changed else x.look)), True
+            self.report(
+                Level.WARN, "more", "a scan of the range measured a larger value than the search: searching again"
+            )
+        return self._note(self._begin(x, t, t if changed else x.next_scan)), True
 
     def _withdraw(self, x: State) -> State:
         if x.search.now.bound is not None:
@@ -458,8 +465,8 @@ class CommandSearch(Block[P], ABC):
         # Without a signal a new search would find nothing; it begins when the signal is back.
         if 0 < self._rescan <= t - x.began and not x.lost:
             return self._note(self._begin(x, t))
-        if t >= x.look and x.reference < math.inf and not x.lost:
-            return self._note(x._replace(phase=Phase.SEARCH, looking=t, reference=math.inf))
+        if t >= x.next_scan and x.reference < math.inf and not x.lost:
+            return self._note(x._replace(phase=Phase.SEARCH, scanning_since=t, reference=math.inf))
         return x
 
     def _changed(self, x: State, t: int, value: float, held: int) -> tuple[State, bool]:
@@ -544,7 +551,7 @@ class OptimiserParams(SearchParams):
         return make(self.algorithm, self.lower, self.upper, rng, self, maximise=self.maximise)
 
 
-class Optimiser(CommandSearch[OptimiserParams]):
+class Optimiser(CommandOptimiser[OptimiserParams]):
     """Optimiser of any plant with bounded commands and one measured objective.
 
     The objective comes as a named scalar on ``objective``, the commands go out on ``command``; remap both.

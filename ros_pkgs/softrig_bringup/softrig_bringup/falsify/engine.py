@@ -38,7 +38,7 @@ class Outcome:
         The requirements.
     nominal, worst : dict of str to float or None
         Margins of the run without changes, and of the worst run.
-    found : SearchResult
+    search : SearchResult
         The search result; with several requirements, each margin is divided by its magnitude in the nominal run.
     case : Case, optional
         The worst run; None when no run could be measured.
@@ -60,7 +60,7 @@ class Outcome:
     names: tuple[str, ...]
     nominal: dict[str, float | None]
     worst: dict[str, float | None]
-    found: SearchResult
+    search: SearchResult
     case: Case | None
     small: Case | None
     small_margins: dict[str, float | None]

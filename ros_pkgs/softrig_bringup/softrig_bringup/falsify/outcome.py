@@ -57,7 +57,7 @@ def main(options: argparse.Namespace) -> int:
     if outcome.case is None:
         return 3
     if task.expect is not None and written:
-        return 0 if task.expect.holds(outcome.found.least) else 1
+        return 0 if task.expect.holds(outcome.search.least) else 1
     return 1 if outcome.violated else 0
 
 
@@ -153,7 +153,7 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
     else:
         content = changed.model_dump(mode="json", exclude_defaults=True, exclude={"name", "expect", "claims"})
         content["title"] = title
-    head = f"# Found by: softrig falsify {task.name}; {len(outcome.found.trace)} runs, seed {task.seed}.\n"
+    head = f"# Found by: softrig falsify {task.name}; {len(outcome.search.trace)} runs, seed {task.seed}.\n"
     return head + str(yaml.safe_dump(content, sort_keys=False, width=110))
 
 
@@ -168,9 +168,9 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
         "requirements": list(outcome.names),
         "not_judged": list(outcome.not_judged),
         "published_for": outcome.machine if outcome.own or outcome.not_judged else "",
-        "runs": outcome.found.runs,
-        "least": outcome.found.least,
-        "least_at_corners": outcome.found.corners,
+        "runs": outcome.search.runs,
+        "least": outcome.search.least,
+        "least_at_corners": outcome.search.corners,
         "violated": outcome.violated,
         "nominal": outcome.nominal,
         "worst": outcome.worst,
@@ -178,7 +178,7 @@ def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:
         "changes": outcome.case[1] if outcome.case else {},
         "small_changes": outcome.small[1] if outcome.small else {},
         "broken": [{"changes": c, "error": e} for c, e in outcome.broken],
-        "trace": outcome.found.trace,
+        "trace": outcome.search.trace,
     }
 
 
@@ -189,7 +189,7 @@ def _units(outcome: Outcome) -> dict[str, str]:
 def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
     console = make_console()
     rig_units = _units(outcome)
-    console.print(styled((f"{task.name}: {outcome.found.runs} runs", "italic")))
+    console.print(styled((f"{task.name}: {outcome.search.runs} runs", "italic")))
     rows = []
     for name in outcome.names:
         small = number(outcome.small_margins.get(name)) if outcome.small else ""
@@ -208,7 +208,7 @@ def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Pa
 
 def verdict(outcome: Outcome) -> str:
     """Describe in words what was found."""
-    runs, result = outcome.found.runs, outcome.found
+    runs, result = outcome.search.runs, outcome.search
     if outcome.case is None:
         return f"none of {runs} runs could be judged"
     first = f"corners alone: {number(result.corners)}" if result.corners < math.inf else "no corners asked"

@@ -38,18 +38,18 @@ def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files:
     """
     asked = f"Does every run keep {_and(outcome.names)} over {_and(list(task.over))}?"
     held = not outcome.violated
-    answer = f"no violation in {outcome.found.runs} runs" if held else f"violated: {', '.join(outcome.violated)}"
+    answer = f"no violation in {outcome.search.runs} runs" if held else f"violated: {', '.join(outcome.violated)}"
     already = [name for name in outcome.violated if (nominal := outcome.nominal[name]) is not None and nominal < 0.0]
     answer += f"; without any change already: {', '.join(already)}" if already else ""
     if outcome.case is None:
-        answer = f"none of {outcome.found.runs} runs could be judged"
+        answer = f"none of {outcome.search.runs} runs could be judged"
     facts = [
-        ("runs", f"{outcome.found.runs} of {task.budget}"),
+        ("runs", f"{outcome.search.runs} of {task.budget}"),
         ("made small in", f"{outcome.shrinking} runs" if outcome.small else NONE),
         ("sampler", task.sampler),
         ("seed", str(task.seed)),
-        ("least margin", number(outcome.found.least) if math.isfinite(outcome.found.least) else NONE),
-        ("of the corners", number(outcome.found.corners) if math.isfinite(outcome.found.corners) else NONE),
+        ("least margin", number(outcome.search.least) if math.isfinite(outcome.search.least) else NONE),
+        ("of the corners", number(outcome.search.corners) if math.isfinite(outcome.search.corners) else NONE),
     ]
     body = [
         e(
@@ -70,7 +70,7 @@ def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files:
                 for name in worst]  # fmt: skip
         body += [e("h2", "By which change"), table(("What", "Searched", "Worst", "Made small"), rows, "  nn")]
         body += [e("pre", "\n".join(f"softrig run {path}" for path in files.values()))] if files else []
-    if outcome.found.trace:
+    if outcome.search.trace:
         body += [
             e("h2", "History of the search"),
             e("figure", picture(svg(history(outcome)), "history of the search")),
@@ -99,7 +99,7 @@ def _and(words: Sequence[str]) -> str:
 
 def history(outcome: Outcome) -> Figure:
     """Draw the least margin so far over the runs of a search, and where a violation begins."""
-    trace: list[Any] = outcome.found.trace
+    trace: list[Any] = outcome.search.trace
     runs = range(1, len(trace) + 1)
     figure = Figure(figsize=(look.WIDTH, 3.0), dpi=look.DPI)
     figure.title = "History of the search"

@@ -25,7 +25,7 @@ if __name__ == "__main__":  # processes that it starts import it
 """
 
 
-def bring(digest: str, packages: Iterable[Package]) -> None:
+def add_packages(digest: str, packages: Iterable[Package]) -> None:
     """Add packages to the import path of this process and of every process that it starts.
 
     Their folder contains only these packages and is last in the search path, so they replace no installed module.

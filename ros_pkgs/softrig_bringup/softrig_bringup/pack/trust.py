@@ -13,7 +13,7 @@ from softrig_core.guard import plain, print_line
 from softrig_core.kit.confined import STRANGE, forbidden
 
 from . import sandbox
-from .brought import bring
+from .brought import add_packages
 from .cargo import LETTERS, Cargo, cargo_of
 from .packed import about, digest_of, is_pack, opened
 from .signature import signed_by
@@ -61,7 +61,7 @@ def admitted(options: argparse.Namespace) -> int | None:
             return sandbox.run(command)
     if cargo.units or cargo.natives:
         os.environ[STRANGE] = "1"
-    bring(folder.name, cargo.packages)
+    add_packages(folder.name, cargo.packages)
     return None
 
 

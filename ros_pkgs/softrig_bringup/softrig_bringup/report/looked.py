@@ -59,8 +59,8 @@ def record_of_pack(folder: Path) -> RunRecord:
     Returns
     -------
     RunRecord
-        Its `doubts` list what its metrics.json states differently, what does not belong together, and what could not be
-        computed.
+        Its `contradictions` list what its metrics.json states differently, what does not belong together, and what
+        could not be computed.
     """
     stated, content = about(folder), _content(folder)
     rig, result = rig_of_pack(folder)
@@ -80,7 +80,7 @@ def record_of_pack(folder: Path) -> RunRecord:
         results = Run(rig, rig.scenario.seed, result.recording, epoch=int(custom.get("epoch", "0"))).results
         strange += differing(content.get("metrics", []), results)
         content = {**content, "metrics": [m.model_dump(by_alias=True) for m in results]}
-    return record_of(content | {"doubts": strange}, METRICS)
+    return record_of(content | {"contradictions": strange}, METRICS)
 
 
 def _seed(content: Mapping[str, Any], rig: Rig) -> int:
@@ -88,7 +88,7 @@ def _seed(content: Mapping[str, Any], rig: Rig) -> int:
     return seed if isinstance(seed, int) else rig.scenario.seed
 
 
-def doubts(directory: Path) -> tuple[str, ...]:
+def contradictions(directory: Path) -> tuple[str, ...]:
     """Describe what in the folder of a run does not belong together."""
     try:
         content = json.loads((directory / METRICS).read_text())

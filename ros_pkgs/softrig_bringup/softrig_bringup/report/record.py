@@ -75,7 +75,7 @@ class RunRecord(BaseModel):
     signals: dict[str, Shown] = {}
     also: dict[str, dict[str, str]] = {}  # `other_names` of the rig
     origin: Origin | None = Field(default=None, alias="from")
-    doubts: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
 
     @property
     def made_by(self) -> str:

@@ -18,7 +18,7 @@ from ..page.html import e, write_page
 from ..page.paper_table import Column, write_paper_table
 from ..page.wording import NEVER
 from .apart import names
-from .looked import doubts, record_of_pack
+from .looked import contradictions, record_of_pack
 from .record import RunRecord, read_run
 from .run_page import run_section
 from .several import differences, index, overlaid, side_by_side
@@ -28,7 +28,7 @@ MARK = "metrics.json"  # of the folder of a run
 
 def main(options: argparse.Namespace) -> int:
     """Write the page that is asked for."""
-    runs, named = write_report(options.runs, options.out, options.label, doubted=True)
+    runs, named = write_report(options.runs, options.out, options.label, check=True)
     list_too(options.out)
     print(f"wrote {options.out}")
     if options.table is not None:
@@ -58,7 +58,7 @@ def write_report(
     output: Path,
     labels: Sequence[str] = (),
     *,
-    doubted: bool = False,
+    check: bool = False,
     head: Sequence[Element] = (),
 ) -> tuple[list[RunRecord], list[str]]:
     """Write one page about one or more runs.
@@ -72,7 +72,7 @@ def write_report(
         The HTML file; it is written completely or not at all.
     labels : sequence of str
         Names of the first runs, in order; the other runs are named by their own label or folder.
-    doubted : bool
+    check : bool
         Whether bags are compared with their metrics.json; differences are reported and marked.
 
     head : sequence of Element
@@ -96,10 +96,10 @@ def write_report(
             continue
         runs.append(_of_pack(directory) if is_pack(directory) else (directory, read_run(directory)))
         folder, record = runs[-1]
-        if doubted and not record.doubts and (result := doubts(folder)):
-            runs[-1] = folder, record.model_copy(update={"doubts": result})
-        for doubt in runs[-1][1].doubts if doubted else ():
-            print_line(f"{directory}: {doubt}")
+        if check and not record.contradictions and (result := contradictions(folder)):
+            runs[-1] = folder, record.model_copy(update={"contradictions": result})
+        for contradiction in runs[-1][1].contradictions if check else ():
+            print_line(f"{directory}: {contradiction}")
     if not runs:
         part = any(any(Path(directory, "log").glob("*.shard")) for directory in without)
         remaining = (

@@ -44,7 +44,7 @@ def run_section(directory: Path, run: RunRecord, title: str, heading: str, ancho
     about = [run.title] if title != run.title else []
     what = ", ".join([run.scenario, *run.changed])
     broken = [e("p", f"The run broke: {run.error}", class_="broken")] if run.error else []
-    broken += [e("p", f"Doubt: {doubt}", class_="broken") for doubt in run.doubts]
+    broken += [e("p", f"Contradiction: {contradiction}", class_="broken") for contradiction in run.contradictions]
     parts = [
         ("Figures", [metrics(run)]),
         ("Signals", list(_pictures(directory, run))),

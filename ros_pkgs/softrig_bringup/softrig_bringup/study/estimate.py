@@ -184,11 +184,11 @@ def runs_for_mean(spread: float, width: float) -> int:
 def runs_for_share(portion: float, width: float) -> int:
     """Compute how many runs a Wilson interval of this whole width needs, of a share."""
 
-    def found(n: int) -> float:
+    def width_of(n: int) -> float:
         _, low, high = share(portion, n)
         return high - low
 
-    return _least(found, width)
+    return _least(width_of, width)
 
 
 def _least(width_of: Callable[[int], float], width: float) -> int:

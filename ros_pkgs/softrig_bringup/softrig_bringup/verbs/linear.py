@@ -25,7 +25,7 @@ def numbers(view: LinearView) -> dict[str, Any]:
     """Return a linear view as plain data; None where a margin is infinite."""
     result: dict[str, Any] = {
         "scenario": view.rig, "at_s": view.at, "period_s": view.period, "error": view.error, "worst": view.worst,
-        "variation": view.variation, "heard": dict(view.heard),
+        "variation": view.state_error, "heard": dict(view.output_errors),
         "left_out": dict(view.left_out), "stable": view.stable, "values": dict(view.values), "units": dict(view.units),
         "closed": {"states": list(view.states), "inputs": list(view.inputs), "outputs": list(view.outputs),
                    "A": view.A.tolist(), "B": view.B.tolist(), "C": view.C.tolist(), "D": view.D.tolist()},
@@ -52,10 +52,10 @@ def numbers(view: LinearView) -> dict[str, Any]:
 
 def along_numbers(view: LinearAlong) -> dict[str, Any]:
     """Return a view along a run as plain data: a matrix of each kind for each period."""
-    about = {"scenario": view.rig, "at_s": view.at, "period_s": view.period, "variation": view.variation}
+    about = {"scenario": view.rig, "at_s": view.at, "period_s": view.period, "variation": view.state_error}
     names = {"states": list(view.states), "inputs": list(view.inputs), "outputs": list(view.outputs)}
     matrices = {name: getattr(view, name).tolist() for name in "ABCD"}
-    return about | {"heard": view.heard} | names | matrices
+    return about | {"heard": view.output_errors} | names | matrices
 
 
 def _print_along(options: argparse.Namespace) -> int:
@@ -70,8 +70,8 @@ def _print_along(options: argparse.Namespace) -> int:
     )
     out = console()
     out.print(f"{view.rig}, {len(view.A)} periods of {view.period:g} s from {view.at:.6g} s: {len(view.states)} states")
-    out.print(f"  {'states':20} {view.variation:.1e} from the rig itself, moved a little off", markup=False)
-    for name, apart in view.heard.items():
+    out.print(f"  {'states':20} {view.state_error:.1e} from the rig itself, moved a little off", markup=False)
+    for name, apart in view.output_errors.items():
         out.print(f"  {name:20} {apart:.1e}", markup=False)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -116,13 +116,13 @@ def linearise(options: argparse.Namespace) -> int:
         ]
     rows += [
         ("known to", f"{view.error:.1e} of a column, the worst is {view.worst}"),
-        ("varies by", f"{view.variation:.1e} from the rig itself within ten periods"),
+        ("varies by", f"{view.state_error:.1e} from the rig itself within ten periods"),
     ]
     rows += [("left out", f"{name} {why}") for name, why in view.left_out.items()]
-    if (most := max(view.heard.values(), default=0.0)) > NOTABLE:
-        name = max(view.heard, key=view.heard.__getitem__)
+    if (most := max(view.output_errors.values(), default=0.0)) > NOTABLE:
+        name = max(view.output_errors, key=view.output_errors.__getitem__)
         rows += [("outputs", f"{most:.1e} from the rig within 40 periods, the worst is {name}")]
-    if view.variation > ANOTHER:
+    if view.state_error > ANOTHER:
         rows += [
             ("so", "this is not the rig: something in it goes in steps, or it is another one each period (--along)")
         ]

@@ -283,13 +283,13 @@ def _write_junit(options: argparse.Namespace, done: Run) -> None:
 
 def _contradictions(like: Path) -> list[str]:
     """Describe statements of a pack or a run about itself that its own bag contradicts."""
-    from ..report.looked import doubts, record_of_pack
+    from ..report.looked import contradictions, record_of_pack
 
     if not is_pack(like):
-        return [f"{like}: {doubt}" for doubt in doubts(like)]
+        return [f"{like}: {contradiction}" for contradiction in contradictions(like)]
     folder = opened(like)
     with_both = (folder / BAG).is_dir() and (folder / METRICS).is_file()
-    return [f"{like}: {doubt}" for doubt in record_of_pack(folder).doubts] if with_both else []
+    return [f"{like}: {contradiction}" for contradiction in record_of_pack(folder).contradictions] if with_both else []
 
 
 def _print_results(kept: _Kept, done: Run, out: Path | None) -> None:

@@ -116,13 +116,13 @@ class LinearView:
         Largest difference of a column between its step and the neighbouring one, relative to its largest entry.
     worst : str
         The state or input of that column.
-    heard : dict of str to float
+    output_errors : dict of str to float
         For each output the largest difference between the linear rig and the rig over 40 periods, both started with a
         small offset in all states, relative to the largest change of the output in that time.
     left_out : dict of str to str
         Outputs that are not functions of the states, and why: they turn with an angle, belong to some ticks alone, or
         change in steps.
-    variation : float
+    state_error : float
         Largest difference between the linear rig and the rig after each of ten periods, both started with a small
         offset in all states, relative to the largest difference to the run without offset. It is large for a rig that
         changes from period to period. For an opened loop only its own states count, since a state outside the loop
@@ -148,8 +148,8 @@ class LinearView:
     d: float
     error: float
     worst: str
-    variation: float
-    heard: Mapping[str, float] = field(default_factory=dict)
+    state_error: float
+    output_errors: Mapping[str, float] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
@@ -460,10 +460,10 @@ class LinearAlong(NamedTuple):
     D: Array
     """Shape (periods, outputs, inputs)."""
 
-    variation: float
+    state_error: float
     """Largest difference of a state to the rig itself, moved off in all states, of the largest that any does, 1."""
 
-    heard: dict[str, float]
+    output_errors: dict[str, float]
     """The same of each output, of the largest that it does, 1."""
 
     def answer(self, inputs: Array) -> tuple[Array, Array]:
@@ -595,7 +595,7 @@ class Differences:
         self.map, self.outputs, self.inputs, self.link = state_map, list(outputs), list(inputs), link
         self.published = self._begin()
         self.fixed = {link: self.published[link]} if link else {}
-        self.heard = [*outputs, *([link] if link else [])]
+        self.measured = [*outputs, *([link] if link else [])]
         # A limit that is not set is infinite, and infinity cannot be moved.
         self.finite = np.isfinite(state_map.start)
         self.columns: dict[int | str, tuple[Array, Array]] = {}  # of numbers by place and signals by name
@@ -620,7 +620,7 @@ class Differences:
         self._explore()
         on = self._on()
         whole = self._square(on)
-        received = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.heard), len(on))
+        received = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.measured), len(on))
         counts = _reach(whole.T, (received != 0.0).any(axis=0))
         # What nothing moves here is as good as a parameter.
         held = (whole == np.eye(len(on))).all(axis=1)
@@ -692,7 +692,7 @@ class Differences:
         m = self.map
         kept, A, C = self.states()
         B = np.array([self.columns[n][0][kept] for n in self.inputs]).T.reshape(len(kept), len(self.inputs))
-        D = np.array([self.columns[n][1] for n in self.inputs]).T.reshape(len(self.heard), len(self.inputs))
+        D = np.array([self.columns[n][1] for n in self.inputs]).T.reshape(len(self.measured), len(self.inputs))
         a, b, c, d = A, np.zeros(len(kept)), np.zeros(len(kept)), 0.0
         if self.link:
             column, direct = self.columns[self.link]
@@ -757,7 +757,7 @@ class Differences:
         def at(height: float) -> tuple[Array, Array, float, str]:
             given = {name: height}
             x, outputs = self.map(self.map.start, given, self.fixed)
-            return x, np.array([outputs[s] for s in self.heard]), height, self._parted(self.map.start, given)
+            return x, np.array([outputs[s] for s in self.measured]), height, self._parted(self.map.start, given)
 
         self.columns[name], self.steps[name] = self._column(name, at, size)
 
@@ -769,7 +769,7 @@ class Differences:
             moved = begin.copy()
             moved[i] += height
             x, outputs = self.map(moved, {}, self.fixed)
-            return x, np.array([outputs[s] for s in self.heard]), float(moved[i] - begin[i]), self._parted(moved, {})
+            return x, np.array([outputs[s] for s in self.measured]), float(moved[i] - begin[i]), self._parted(moved, {})
 
         self.columns[i], self.steps[i] = self._column(i, at, size)
 
@@ -986,7 +986,7 @@ class Differences:
         return moved
 
     def _slope(self, up: Any, down: Any, width: float, kept: list[int]) -> tuple[Array, Array]:
-        y = np.array([up[1][s] - down[1][s] for s in self.heard])
+        y = np.array([up[1][s] - down[1][s] for s in self.measured])
         return (up[0][kept] - down[0][kept]) / width, y / width
 
 

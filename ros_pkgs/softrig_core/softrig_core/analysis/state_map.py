@@ -34,7 +34,7 @@ LATER = 10  # periods that an effect may take to be seen, besides those of the v
 LOOKS = 20  # times before that are looked at to see how large states are
 
 
-HEARD = "heard "  # before the names of inputs, because a state may have the name of an input
+INPUT = "input "  # before the names of inputs, because a state may have the name of an input
 
 
 class Place(NamedTuple):
@@ -218,7 +218,7 @@ class StateMap:
         ends = np.cumsum([len(row) for row in self._now()]).tolist()
         self._kept, self._slices = self.start, list(map(slice, [0, *ends], ends))
         self._labels = {
-            f"{n}.{HEARD}{p.name}{'.data' * p.delayed}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
+            f"{n}.{INPUT}{p.name}{'.data' * p.delayed}" + (f"[{k}]" if p.size > 1 else ""): f"{n}.{p.name}.{label}"
             for n, s in self._steps.items()
             for p in s.inputs
             for k, label in enumerate(p.labels)
@@ -264,7 +264,7 @@ class StateMap:
         names: list[str] = []
         rows: list[Array] = [np.empty(0)]
         for name, step in self._steps.items():
-            parts = [read(step.x), *(read(value, HEARD + port) for port, value in step.values.items())]
+            parts = [read(step.x), *(read(value, INPUT + port) for port, value in step.values.items())]
             for path, row in (pair for part in parts for pair in part):
                 own = f"{name}.{path}" if path else name
                 names.extend([own] if len(row) == 1 else [f"{own}[{k}]" for k in range(len(row))])
@@ -280,7 +280,7 @@ class StateMap:
         return [
             (f"{name}.{path}" if path else name, value)
             for name, step in self._steps.items()
-            for part in (others(step.x), *(others(value, HEARD + port) for port, value in step.values.items()))
+            for part in (others(step.x), *(others(value, INPUT + port) for port, value in step.values.items()))
             for path, value in part
         ]
 

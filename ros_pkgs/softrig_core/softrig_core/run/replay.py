@@ -57,7 +57,7 @@ class _Fed(Link):
     def lacks(self, t: int) -> bool:
         """Pass the messages recorded for a tick to the step."""
         for item in self._inputs:
-            item.bring(t)
+            item.set_value(t)
         return False
 
 
@@ -76,7 +76,7 @@ class _Input:
         self._stamp: int | None = None
         step.stamps[name] = lambda: self._stamp
 
-    def bring(self, t: int) -> None:
+    def set_value(self, t: int) -> None:
         """Let the step hold the newest values at time `t`."""
         following = self._next if self._topic is None else bisect_right(self._topic.times, t, self._next)
         if self._topic is None or following == 0:

@@ -69,18 +69,18 @@ class Outgoing:
                 output.send = middleware.sender(topic, layout, matched)
         if self._owns_clock:
             self.clock_output.send = middleware.sender(CLOCK.topic, CLOCK_LAYOUT, self._noting(self.clock_output))
-        self._look_for_readers()
+        self._check_subscribers()
 
     def _noting(self, output: Output) -> Matched:
         """Return a callable that gets the number of readers of an output."""
 
         def matched(count: int) -> None:
             output.matched(count)
-            self._look_for_readers()
+            self._check_subscribers()
 
         return matched
 
-    def _look_for_readers(self) -> None:
+    def _check_subscribers(self) -> None:
         links, outputs = self._node.links, (*self.outputs, self.clock_output, self.tick_output)
         # Rigs with outside nodes or restarts repeat messages, so these are made even while no subscriber is matched.
         silent = self._node.middleware.mute and not (links.guests or links.returns)

@@ -92,7 +92,7 @@ class _Recorded:
         self._outside = outside
         self.next = 0  # the first that is not used
 
-    def bring(self, t: int) -> None:
+    def set_value(self, t: int) -> None:
         """Let the input hold what had arrived up to tick t."""
         row, node = self.row, self._node
         first = self.next
@@ -183,7 +183,7 @@ class Comeback:
             self._node.account.write_status()
         for received in (*self._paired.values(), *self._free):
             if not isinstance(received.row, Pace):
-                received.bring(t)
+                received.set_value(t)
         if any(not self._has(row, row.wanted(t)) for row in self._drive.senders.rows):
             return True
         solving = self._drive.solving

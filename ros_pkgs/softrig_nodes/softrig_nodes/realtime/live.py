@@ -225,11 +225,11 @@ class Live(Sender):
             self.table.unrecorded.append((0 if used_at_once else due, self._number, data))
         self._keep(stamp, due, self.value(stamp, value), now)
 
-    def teller(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None, int], None]:
+    def receiver(self, pick: Pick | None, unchecked: bool) -> Callable[[int, Row | None, int], None]:
         """Return the function for rows of a node of this process, checked by the publisher or not: stamp, row, now."""
         delayed = self.port.delayed
 
-        def tell(stamp: int, row: Row | None, now: int) -> None:
+        def receive(stamp: int, row: Row | None, now: int) -> None:
             if row is None:
                 self.acknowledge(stamp, False)
                 return
@@ -247,7 +247,7 @@ class Live(Sender):
                 return
             self._keep(stamp, due, Sample(sampled, values) if delayed else values, now)
 
-        return tell
+        return receive
 
     def fed(self, now: int) -> None:
         """A neighbour has put something into the input."""

@@ -94,7 +94,7 @@ class Realtime(Link):
 
     def connect(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
         """Pass an output to a node of this process, too."""
-        self._local_readers.setdefault(reader, []).append((output.number, row.teller(pick, output.port.unchecked)))
+        self._local_readers.setdefault(reader, []).append((output.number, row.receiver(pick, output.port.unchecked)))
 
     def follow(self, begun: Callable[[], object]) -> None:
         """Follow the ticks of a `Beat`: it fills the inputs and triggers the ticks; the node waits for no message."""

@@ -10,7 +10,7 @@ from softrig_core import Port, command, param
 from softrig_optim.algorithms import Algorithm, make
 from softrig_optim.falling import FallingCurve
 from softrig_optim.load_line import CertifiedSearch, RampScan
-from softrig_optim.optimiser import CommandSearch, SearchParams, buttons, state_port
+from softrig_optim.optimiser import CommandOptimiser, SearchParams, buttons, state_port
 from softrig_optim.search import Point, Search
 
 from .converter import BuckBoostMatching
@@ -61,10 +61,10 @@ class MpptParams(SearchParams):
                 return make(algorithm, lower, upper, rng, self, maximise=True)
 
 
-class MpptOptimiser(CommandSearch[MpptParams]):
+class MpptOptimiser(CommandOptimiser[MpptParams]):
     """Tracker of the maximum power point; sees only voltage and current of the string.
 
-    See `CommandSearch` for when it searches and restarts, `softrig_optim` for the algorithms.
+    See `CommandOptimiser` for when it searches and restarts, `softrig_optim` for the algorithms.
     """
 
     @classmethod

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..system import PwaSystem
 from .applicability import require_equilibrium, require_no_sliding
-from .bessel import bessel
+from .bessel_legendre import bessel_legendre
 from .lmi import Array, Eigenvalues, Problem
 from .theorem1 import theorem1
 
@@ -29,7 +29,7 @@ class Criterion(NamedTuple):
     def problem(self, system: PwaSystem, shortest: float = 1.0) -> Problem:
         """Write its inequalities for the delay 1 of a scaled system; constant: for all from `shortest` to 1."""
         if self.method == "constant":
-            return bessel(system, self.order, shortest=shortest, cell_terms=self.cell_terms)
+            return bessel_legendre(system, self.order, shortest=shortest, cell_terms=self.cell_terms)
         return theorem1(system, self.mu, cell_terms=self.cell_terms)
 
 

@@ -12,6 +12,7 @@ import pytest
 from bokeh.document import Document
 from bokeh.events import ButtonClick
 from bokeh.models import ColumnDataSource, CrosshairTool, HoverTool, Range1d, Span
+from expected_text import check_expected
 from softrig_bringup.view import look, words
 from softrig_bringup.view.control import Control, Entry, Knob, role
 from softrig_bringup.view.page import PACES, Page, bare
@@ -39,7 +40,6 @@ from softrig_core import (
 )
 from softrig_core.verdict.figures import Result
 from softrig_core.wire.signals import Table
-from told import check_told
 
 # a rig ----------------------------------------------------------------------------------------------------------------
 
@@ -303,12 +303,12 @@ def named(document, name):
     return document.select_one({"name": name})
 
 
-def test_the_page_of_a_recording_is_as_told(rig):
+def test_the_page_of_a_recording_is_as_expected(rig):
     content = {"nodes": STATUS, "changes": [{"at_s": 0.1, "node": "law", "set": {"k": 2.0}}]}
     source = Recorded(rig, recorded(rig), content)
     control = Control(rig, None, lambda: source.end, lambda: source.outcome)
     document, _ = page_of(source, control, (METRICS, False))
-    check_told("view/recording", document_lines(document))
+    check_expected("view/recording", document_lines(document))
 
 
 def live(rig, asked=None, held=True, pace=1.0, **more):
@@ -324,11 +324,11 @@ def live(rig, asked=None, held=True, pace=1.0, **more):
 ONE = [{"title": "Level", "signals": {"tank/state/level/position": "level"}}]
 
 
-def test_the_page_of_a_run_that_is_held_is_as_told(monkeypatch):
+def test_the_page_of_a_run_that_is_held_is_as_expected(monkeypatch):
     source, control = live(make(monkeypatch, plots=ONE), status=STATUS)
     control.goes_back = True
     document, _ = page_of(source, control, (METRICS, True), "dark")
-    check_told("view/held", document_lines(document))
+    check_expected("view/held", document_lines(document))
 
 
 @pytest.mark.parametrize(
@@ -354,7 +354,7 @@ def test_what_cannot_be_held_or_paced_has_no_button_for_it(monkeypatch, held, pa
         assert named(document, "pace").options == [*PACES, *(["3"] if pace else [])]
 
 
-def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeypatch):
+def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_expected(monkeypatch):
     asked, messages = [], []
     source, control = live(make(monkeypatch, plots=ONE), asked)
     control.goes_back = True
@@ -442,7 +442,7 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_told(monkeyp
     after("moves the line")
     shows("back to")
     messages.append(f"  the line is at {page._cursor.location:g}")
-    check_told("view/people", messages)
+    check_expected("view/people", messages)
 
 
 class Plain:
@@ -497,7 +497,7 @@ def test_the_window_of_time_is_that_which_is_chosen_until_somebody_moves_it(draw
     source.version += 1
     now("something changed")
     messages.append(f"changes at {named(document, 'changes').data['t']}")
-    check_told("view/window", messages)
+    check_expected("view/window", messages)
 
 
 def test_the_drawing_goes_on_from_look_to_look_in_equal_steps(drawn):
@@ -817,8 +817,8 @@ def test_a_curve_has_at_most_four_points_a_column_of_pixels(monkeypatch):
     assert picture.values(Pane({})) == {}
 
 
-def test_how_both_looks_are_drawn_is_as_told():
+def test_how_both_looks_are_drawn_is_as_expected():
     attrs = {name: look.theme(name)["attrs"] for name in ("light", "dark")}
     messages = [f"{name} {kind}: {shown}" for name, kinds in attrs.items() for kind, shown in kinds.items()]
     messages += [f"{name} curves: {' '.join(colours)}" for name, colours in look.COLOURS.items()]
-    check_told("view/look", messages)
+    check_expected("view/look", messages)

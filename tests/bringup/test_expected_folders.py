@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from softrig_bringup import cli, folder as folders
 from softrig_bringup.folder import FALSIFICATION, MANIFEST, RUN, STUDY, ResultsFolder
 from softrig_bringup.options import like
@@ -22,7 +23,6 @@ from softrig_bringup.run import run as runs
 from softrig_bringup.verbs import pack
 from softrig_core import Recording, Run, RunError, ScenarioError, rig_of, simulate
 from softrig_core.wire.parameter_event import TOPIC, TYPE, encode
-from told import check_told
 
 # the folder of results ------------------------------------------------------------------------------------------------
 
@@ -94,7 +94,7 @@ SITUATIONS = {
 }
 
 
-def test_what_a_run_finds_in_its_folder_is_replaced_kept_or_refused_as_told(tmp_path):
+def test_what_a_run_finds_in_its_folder_is_replaced_kept_or_refused_as_expected(tmp_path):
     messages = [
         f"{kind}: {' '.join(n for n in NAMES if of.fullmatch(n))}"
         for kind, of in (("a run writes", RUN), ("a study writes", STUDY), ("a falsification writes", FALSIFICATION))
@@ -115,10 +115,10 @@ def test_what_a_run_finds_in_its_folder_is_replaced_kept_or_refused_as_told(tmp_
         folder.close()
         folder.let_go()
         messages.append(f"  then listed: {' '.join(json.loads((place / MANIFEST).read_text()))}")
-    check_told("folders/found", messages)
+    check_expected("folders/found", messages)
 
 
-def test_why_what_is_there_cannot_be_made_again_is_as_told(tmp_path):
+def test_why_what_is_there_cannot_be_made_again_is_as_expected(tmp_path):
     cases = {
         "a plain run": {"metrics.json": {"once": []}},
         "one that says why": {"metrics.json": {"once": ["a", "b"], "code": {"json": "1", "pump_rig": "2"}}},
@@ -139,7 +139,7 @@ def test_why_what_is_there_cannot_be_made_again_is_as_told(tmp_path):
     messages.append(
         f"nothing was done while it ran: {ResultsFolder(tmp_path / '0').once(lambda shards: []) or 'it can'}"
     )
-    check_told("folders/once", messages)
+    check_expected("folders/once", messages)
 
 
 def test_new_files_take_the_places_of_the_old_when_all_are_written(tmp_path):
@@ -267,7 +267,7 @@ def changed(run, topic, k=None, values=None, first=0, last=None):
     return result
 
 
-def test_a_repetition_is_held_against_the_run_as_told(run):
+def test_a_repetition_is_held_against_the_run_as_expected(run):
     ends = [t.name for t in run.recording.topics.values()]
     cases = {
         "the same": run.recording,
@@ -299,7 +299,7 @@ def test_a_repetition_is_held_against_the_run_as_told(run):
     for at in (0.0, 0.2, 0.4):
         same, text = began_as(recalled(run), other, at, {"versions": {"numpy": "1"}})
         messages += [f"up to {at:g} s", *(f"  {same}: {line}" for line in text)]
-    check_told("folders/compared", messages)
+    check_expected("folders/compared", messages)
 
 
 def test_a_stamp_that_differs_is_a_difference_whichever_run_has_it(run):
@@ -341,7 +341,7 @@ def test_what_a_node_has_counted_in_real_time_is_said():
     )
 
 
-def test_the_version_that_is_told_is_the_likeliest_as_told():
+def test_the_version_that_is_expected_is_the_likeliest_as_expected():
     there = {
         "versions": {
             "commit": "abcdef0123456789",
@@ -383,7 +383,7 @@ def test_the_version_that_is_told_is_the_likeliest_as_told():
         messages.append(f"{key} the same: {like.first_version(there, now)}")
     messages.append(f"no commit: {like.first_version(there, here | {'versions': {}})}")
     messages.append(f"not there: {like.first_version({'versions': {'numpy': '1'}}, {'versions': {}})}")
-    check_told("folders/versions", messages)
+    check_expected("folders/versions", messages)
 
 
 # what is recorded of a run --------------------------------------------------------------------------------------------
@@ -408,7 +408,7 @@ def test_a_topic_that_lacks_a_tick_is_named_with_its_first(kept, text):
     assert runs.gaps(rig, recording) == text
 
 
-def test_what_somebody_turned_is_told_from_what_the_scenario_changes(run):
+def test_what_somebody_turned_is_reported_from_what_the_scenario_changes(run):
     rig = rig_of(run.rig.scenario.having(changes=[{"at": 0.01, "set": {"dc_motor_smc.delta": 3.0}}]))
     events = {
         "the scenario's": (10_000_000, {"delta": 3.0}),
@@ -654,7 +654,7 @@ def kept(tmp_path_factory):
     return place
 
 
-def test_what_goes_into_a_file_of_a_run_is_as_told(kept, tmp_path, capsys, monkeypatch):
+def test_what_goes_into_a_file_of_a_run_is_as_expected(kept, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     messages = []
     for name, bag in (("with its bag", True), ("without", False)):
@@ -684,7 +684,7 @@ def test_what_goes_into_a_file_of_a_run_is_as_told(kept, tmp_path, capsys, monke
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.softrig.zip", "x.zip"]
     assert cli.main(["pack", str(kept / "run"), "--out", str(tmp_path)]) == 2
     assert "is a folder, expected a file" in capsys.readouterr().err
-    check_told("folders/packed", messages)
+    check_expected("folders/packed", messages)
 
 
 def test_a_file_of_code_that_is_no_longer_that_of_the_run_says_so(kept, capsys, monkeypatch):

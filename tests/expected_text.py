@@ -1,7 +1,7 @@
 """Pictures, drawings and pages in words, a line each part: what a test holds against a file that a person can read.
 
-`SOFTRIG_EXPECTED=write scripts/softrig python -m pytest tests -k told` writes the files in `tests/expected` anew; look
-at the pictures and at the difference before it is committed.
+`SOFTRIG_EXPECTED=write scripts/softrig python -m pytest tests -k expected` writes the files in `tests/expected` again;
+look at the pictures and at the difference before it is committed.
 """
 
 import difflib
@@ -21,7 +21,7 @@ FEW = 6  # lines without a name that are told one by one
 FOLDER = Path(__file__).parent / "expected"
 
 
-def check_told(name, lines):
+def check_expected(name, lines):
     """Hold lines against a file."""
     results, file = list(lines), FOLDER / f"{name}.txt"
     if os.environ.get("SOFTRIG_EXPECTED") == "write":

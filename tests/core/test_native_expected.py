@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from expected_text import check_expected
 from softrig_core import Block, BlockParams, ByHand, Level
 from softrig_core.block.answer import sum_of_products
 from softrig_core.kit.dense import total
@@ -35,7 +36,6 @@ from softrig_core.native.twins import packed, unpacked
 from softrig_core.native.value import UNKNOWN, Dynamic, NotNative, Record, Static, sample_of
 from softrig_core.native.words import IN_PYTHON, OWN, TEXTS
 from softrig_core.native.writer import Writer
-from told import check_told
 
 LEVEL = 0.875
 TABLE = (0.5, 1.5, 4.0)
@@ -1279,8 +1279,8 @@ UNTYPED = [*ALL["numbers"], *ALL["parts"], *ALL["reports"]]  # of which some may
 LINES = sum(len(ALL[name]) for name in CASES)
 
 
-def test_what_is_left_to_python_is_told_with_its_reason() -> None:
-    check_told("native", (line for case in EACH for line in left_to_python(case)))
+def test_what_is_left_to_python_is_expected_with_its_reason() -> None:
+    check_expected("native", (line for case in EACH for line in left_to_python(case)))
 
 
 def in_native(value: Any) -> Any:
@@ -1464,7 +1464,7 @@ def test_how_long_what_is_written_out_may_be(body: str, made_of: Any, why: str) 
     assert why in result if why else not result
 
 
-def test_reports_are_taken_down_as_if_they_were_told_one_by_one() -> None:
+def test_reports_are_taken_down_as_if_they_were_reported_one_by_one() -> None:
     """Places of two blocks, some with the same key, reached in any order; the counts go on from what was there."""
     scope: dict[str, Any] = {}
     exec(TEXTS["reported_"], scope)

@@ -30,7 +30,7 @@ from ..system import PwaSystem
 from .lmi import Array, Problem, Term, quadratic
 
 
-def bessel(system: PwaSystem, order: int, *, shortest: float = 1.0, cell_terms: bool = False) -> Problem:
+def bessel_legendre(system: PwaSystem, order: int, *, shortest: float = 1.0, cell_terms: bool = False) -> Problem:
     """Write the inequalities for every constant delay from `shortest` to 1; scale the system by h first.
 
     Parameters

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from softrig_core import Block, BlockParams, Plant, Rig, RunError, ScenarioError, bits, guard, param, scalars
 from softrig_core.block.params import declarations
 from softrig_core.command_line import Number, Parser, named, without_ros
@@ -29,7 +30,6 @@ from softrig_core.rig.package_check import check_entry_point, entry_points
 from softrig_core.scenario.changes import ChangeEntry
 from softrig_core.scenario.faults import FaultEntry
 from softrig_core.scenario.scenario import FigureEntry, NodeEntry, PlotEntry, Scenario
-from told import check_told
 
 
 def said(function, *given, **words):
@@ -40,7 +40,7 @@ def said(function, *given, **words):
         return f"{type(error).__name__}: {error}"
 
 
-def test_what_may_be_declared_is_as_told():
+def test_what_may_be_declared_is_as_expected():
     lines = [
         f"run.{d.name} = {d.default!r}, {d.type.__name__}, {d.unit!r}, {d.lower} to {d.upper}{', live' * d.live}"
         for d in declarations(RunOptions)
@@ -78,7 +78,7 @@ def test_what_may_be_declared_is_as_told():
             ("duration", 1.1e9),
         )
     ]
-    check_told("declared", lines)
+    check_expected("declared", lines)
 
 
 # who speaks of the same thing ---------------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ def test_nodes_agree_but_for_the_last_digits():
     ):
         lines.append(f"{arguments} with {agreed}: {said(agreeing, reported, arguments, agreed)}")
         assert "n" not in arguments
-    check_told("agreement", lines)
+    check_expected("agreement", lines)
 
 
 class Sends(Plant[BlockParams]):
@@ -225,7 +225,7 @@ def test_what_a_package_offers_is_tried_with_its_own_defaults(monkeypatch):
             **{k.__name__: main(k) for k in (Sends, Hands, NoDefaults, Twice, Same, Random, Wrong)},
         }.items()
     ]
-    check_told("package_check", [line.replace("NaN", "nan") for line in lines])
+    check_expected("package_check", [line.replace("NaN", "nan") for line in lines])
     groups = ("console_scripts", "other", "softrig_figures")
     points = [importlib.metadata.EntryPoint(f"e{k}", "m:f", group) for k, group in enumerate(groups)]
     monkeypatch.setattr(importlib.metadata, "distribution", lambda package: SimpleNamespace(entry_points=points))
@@ -366,7 +366,7 @@ def test_each_mistake_on_a_command_line_is_one_line():
     lines += [f"{text}: {said(named, text, '--set', 'VALUE')}" for text in ("a=1", "a=", "=1", "a", "a=b=c")]
     for words in ("a b", "--ros-args -r x:=y", "a --ros-args -r x -- b", "a -- b", "--ros-args -- --ros-args x"):
         lines.append(f"{words}: {without_ros(words.split())}")
-    check_told("command_line", lines)
+    check_expected("command_line", lines)
 
 
 class Full:
@@ -432,7 +432,7 @@ def test_each_failure_has_its_line_and_status(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(gone)
     gone.rmdir()
     lines.append(f"no directory: {guarded(lambda: 0)} {capsys.readouterr().err}".rstrip())
-    check_told("failures", lines)
+    check_expected("failures", lines)
 
 
 def test_streams_words_and_silence(monkeypatch, capsys, tmp_path):

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import softrig_nodes
+from expected_text import check_expected
 from pydantic import ValidationError
 from setuptools.config.expand import canonic_data_files
 from softrig_bringup import cli
@@ -56,7 +57,6 @@ from softrig_core import (
 from softrig_core.scenario.scenario import Draft
 from softrig_core.verdict.findings import Finding
 from softrig_nodes.processes.placement import Listener, Placement
-from told import check_told
 
 LAG = """
 title: First-order lag
@@ -128,7 +128,7 @@ LAUNCHES = {
 }
 
 
-def test_the_processes_of_a_launch_are_as_told(launch, lag):
+def test_the_processes_of_a_launch_are_as_expected(launch, lag):
     messages = []
     for name, values in LAUNCHES.items():
         made = launch(**values)
@@ -146,7 +146,7 @@ def test_the_processes_of_a_launch_are_as_told(launch, lag):
             messages.append(f"  {' '.join(filter(None, about))} {more}".rstrip())
             if p.kind == "rig" and p.parameters:
                 messages.append(f"    {parameters(p)}")
-    check_told("verbs/launched", (line.replace(str(lag), "HERE") for line in messages))
+    check_expected("verbs/launched", (line.replace(str(lag), "HERE") for line in messages))
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def shape(value):
     return json.dumps(value).replace("rviz_default_plugins/", "").replace("rviz_common/", "")
 
 
-def test_the_file_of_a_viewer_is_as_told():
+def test_the_file_of_a_viewer_is_as_expected():
     """Of a rig with a robot and of one that draws markers; of one with neither."""
     plain = type("Plain", (), {"markers": Block.markers})
     robot = type("Robot", (), {"scene": staticmethod(lambda params: "a robot"), "markers": Block.markers})
@@ -222,7 +222,7 @@ def test_the_file_of_a_viewer_is_as_told():
         displays = manager["Visualization Manager"].pop("Displays")
         messages += [f"{len(classes)} nodes in {namespace!r} {viewer.seen(rig)}", *(f"  {shape(d)}" for d in displays)]
     messages.append(shape(manager))
-    check_told("verbs/viewer", messages)
+    check_expected("verbs/viewer", messages)
 
 
 # as a control engineer sees it ----------------------------------------------------------------------------------------
@@ -266,7 +266,7 @@ def view(n=2, **more):
     return SimpleNamespace(**about | more)
 
 
-def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
+def test_poles_and_margins_are_said_as_expected(monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("COLUMNS", "400")  # the folder's name may be long
     messages, asked = [], []
     cases = {
@@ -306,7 +306,7 @@ def test_poles_and_margins_are_said_as_told(monkeypatch, capsys, tmp_path):
             name,
             *(f"  {line.rstrip()}" for line in capsys.readouterr().out.replace(str(tmp_path), "HERE").splitlines()),
         ]
-    check_told("verbs/linear", messages)
+    check_expected("verbs/linear", messages)
     assert asked[0] == (("x", None), {"at": None, "inputs": None, "outputs": None, "overrides": {}})
     assert asked[4] == (("x", "u"), {"at": 2.0, "inputs": ["i"], "outputs": ["o"], "overrides": {"a.k": 1}})
     assert (tmp_path / "lin/linear.png").read_text() == "120"
@@ -397,7 +397,7 @@ def test_what_decides_the_bits_says_how_a_golden_bag_is_compared(monkeypatch, th
     assert golden.line(["python"]) == "another Python, and blocks of your own"
 
 
-def test_versions_of_python_are_told_apart_by_their_sums():
+def test_versions_of_python_are_reported_apart_by_their_sums():
     assert [golden._era(v) for v in ("3.11.9", "3.12.0", "3.13.1", "3.14.0", "4.0", "unknown")] == [0, 1, 1, 2, 2, -1]
 
 
@@ -669,7 +669,7 @@ def taken(monkeypatch, tmp_path_factory):
     monkeypatch.setattr(new, "find", lambda name: Path("lag.yaml") if name == "lag" else None)
 
 
-def test_a_new_package_is_as_told(lag, taken, monkeypatch, capsys):
+def test_a_new_package_is_as_expected(lag, taken, monkeypatch, capsys):
     """Its files, and the lines of them that say what it is; in a checkout and without one."""
     messages = []
     for kind, command in ((None, None), ("law", "/s/softrig"), ("plant", None)):
@@ -687,7 +687,7 @@ def test_a_new_package_is_as_told(lag, taken, monkeypatch, capsys):
         messages += [f"  {line.strip()}" for line in texts["setup.cfg"].splitlines() if ".main" in line]
         messages += [f"  {line.strip()}" for line in texts["README.md"].splitlines() if "softrig" in line]
         assert not [n for n, text in texts.items() if "$name" in text or "${" in text]
-    check_told("verbs/new", messages)
+    check_expected("verbs/new", messages)
     assert new.first("/a") == "pip install /a && softrig"
 
 
@@ -719,7 +719,7 @@ def test_names_of_packages(lag, taken):
 # a run ----------------------------------------------------------------------------------------------------------------
 
 
-def test_where_a_run_goes_is_as_told(lag, monkeypatch, capsys):
+def test_where_a_run_goes_is_as_expected(lag, monkeypatch, capsys):
     """A folder of its own, beside one that must stay, or refused; with why it cannot be made again if it breaks off."""
     rig, outside = (
         rig_of("lag"),
@@ -768,7 +768,7 @@ def test_where_a_run_goes_is_as_told(lag, monkeypatch, capsys):
     held = ResultsFolder(lag / "held")
     held.hold()
     go("lag", "--out", "held")
-    check_told(
+    check_expected(
         "verbs/where",
         (line.replace(str(lag), "HERE").replace(f"process {os.getpid()}", "process N") for line in messages),
     )
@@ -1117,7 +1117,7 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
     assert "pgf: no xelatex; it needs LaTeX (xelatex), pdf does not" in capsys.readouterr().err
 
 
-def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
+def test_a_golden_bag_lives_as_expected(tmp_path, monkeypatch, capsys):
     """Made, made again, another length, checked here and as if elsewhere, and the file that says how."""
     words = ["dc_motor_smc_b2", "--bags", str(tmp_path)]
     messages = []
@@ -1150,7 +1150,7 @@ def test_a_golden_bag_lives_as_told(tmp_path, monkeypatch, capsys):
     assert (made.recipe.seed, made.recipe.duration, made.bag) == (4, 0.01, bag)
     text = file.read_text().replace(made.recipe.made_with["softrig_core"], "V").splitlines()
     messages += ["golden.yaml", *(f"  {line}" for line in text[: text.index("made_with:")])]
-    check_told("verbs/golden", messages)
+    check_expected("verbs/golden", messages)
     assert max(map(len, text)) <= 110
     assert all(
         golden.load(tmp_path / "dc_motor_smc_b2").open_loop(m.name).equal
@@ -1273,7 +1273,7 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
     go(None, "--seed", "3")
     go("d", branched=[{"at_s": 0.02, "from_s": 0.03, "left": ""}])
     messages.append(f"drawn {drawn}")
-    check_told("verbs/kept", (line.replace(str(lag), "HERE") for line in messages))
+    check_expected("verbs/kept", (line.replace(str(lag), "HERE") for line in messages))
     assert run_verb.conclude(make_parser().parse_args(["run", "lag", "--no-plots"]), simulate("lag"), None) == 0
 
 
@@ -1374,7 +1374,7 @@ def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):
 # what is written down once --------------------------------------------------------------------------------------------
 
 
-def test_a_checkout_is_told_by_its_commit_and_its_lock_file(tmp_path, monkeypatch):
+def test_a_checkout_is_reported_by_its_commit_and_its_lock_file(tmp_path, monkeypatch):
     (tmp_path / "locks").mkdir()
     monkeypatch.setenv("SOFTRIG_COMMAND", str(tmp_path / "softrig"))
     messages = {"rev-parse": "abc\n", "status": " M x\n"}

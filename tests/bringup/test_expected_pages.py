@@ -7,6 +7,7 @@ from xml.etree.ElementTree import tostring
 
 import numpy as np
 import pytest
+from expected_text import check_expected, page_lines
 from softrig_bringup.page.citations import Citation, _name, _place, _plain, cited, listed, sources
 from softrig_bringup.page.html import e, mark, picture, table
 from softrig_bringup.page.junit import Case, Suite, write_reports
@@ -20,7 +21,6 @@ from softrig_bringup.verbs.results_page import by_system, counts
 from softrig_core import ScenarioError
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
-from told import check_told, page_lines
 
 
 def result(name="m", value=1.0, passed=True, **more):
@@ -161,7 +161,7 @@ RUNS = {
 }
 
 
-def test_what_stands_below_the_title_of_a_run_is_as_told():
+def test_what_stands_below_the_title_of_a_run_is_as_expected():
     messages = []
     for name, more in RUNS.items():
         of = run(**more | {"metrics": [m.model_dump(by_alias=True) for m in more.get("metrics", ())]})
@@ -171,7 +171,7 @@ def test_what_stands_below_the_title_of_a_run_is_as_told():
             f"  {text(run_page._facts(of))}",
         ]
         messages += [f"  {line}" for line in lines(run_page.metrics(of))]
-    check_told("pages/facts", messages)
+    check_expected("pages/facts", messages)
 
 
 @pytest.mark.parametrize(
@@ -350,13 +350,13 @@ def metrics(n, **more):
         ("eight_runs", [{"metrics": metrics(9)}] * 8),
     ],
 )
-def test_figures_of_several_runs_stand_side_by_side_as_told(name, runs):
+def test_figures_of_several_runs_stand_side_by_side_as_expected(name, runs):
     records = [run(**more) for more in runs]
     named = [f"run {k}" for k in range(len(records))]
-    check_told(f"pages/side_{name}", lines(*several.side_by_side(records, named)))
+    check_expected(f"pages/side_{name}", lines(*several.side_by_side(records, named)))
 
 
-def test_what_differs_between_runs_is_as_told():
+def test_what_differs_between_runs_is_as_expected():
     """A change that says what it is, one that nobody said, one of a node, an end, a version; and nothing."""
     two = {"gain": {"executable": "p/gain2", "period": 0.01, "outside": True}}
     pairs = {
@@ -379,7 +379,7 @@ def test_what_differs_between_runs_is_as_told():
         messages.append(name)
         records = [run(**more) for more in runs]
         messages += [f"  {line}" for line in lines(*several.differences(records, ["a", "b", "c"][: len(runs)]))]
-    check_told("pages/differences", messages)
+    check_expected("pages/differences", messages)
 
 
 # tables, papers, reports ----------------------------------------------------------------------------------------------
@@ -452,14 +452,14 @@ def test_of_two_entries_of_one_key_the_first_folders_counts_and_a_wrong_file_is_
         cited(["k"])
 
 
-def test_a_report_for_machines_is_as_told(tmp_path):
+def test_a_report_for_machines_is_as_expected(tmp_path):
     suites = [
         Suite("good", 1.5, [Case("a", text="1 V"), Case("b"), Case("c", "missed\x1b", "2 V")]),
         Suite("broke\x00", 0.25, [Case("a")], "gone"),
         Suite("empty", 0.125),
     ]
     write_reports(tmp_path / "x.xml", suites, tmp_path / "x.json", [{"a": 1}])
-    check_told(
+    check_expected(
         "pages/junit", [*(tmp_path / "x.xml").read_text().splitlines(), *(tmp_path / "x.json").read_text().splitlines()]
     )
     write_reports(None, suites, None, [])

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from softrig_core import ParameterError, Port, ScenarioError, array, joint_state, load_scenario, number, param, scalars
 from softrig_core.block.block import Block
 from softrig_core.block.params import BlockParams
@@ -23,7 +24,6 @@ from softrig_core.scenario.references import fill, fill_parameters, parameter_of
 from softrig_core.scenario.scenario import Draft, Scenario
 from softrig_core.scenario.scenario_file import inherit, list_scenarios, locate, merge, names, resolve
 from softrig_core.scenario.yaml_file import DEPTH, NODES, SIZE, read_mapping, read_yaml
-from told import check_told
 
 
 def said(function, *given, **words):
@@ -46,14 +46,14 @@ def test_words_and_numbers_are_those_of_yaml_1_2():
     lines = []
     for word in SCALARS.split():
         lines.append(f"{word}: {said(read_yaml, f'- {word}', 'here')[1:-1]}")
-    check_told("yaml", lines)
+    check_expected("yaml", lines)
 
 
 def nested(depth):
     return "[" * depth + "]" * depth
 
 
-def test_what_is_no_yaml_or_too_much_of_it_is_told():
+def test_what_is_no_yaml_or_too_much_of_it_is_expected():
     few = "a: &a [" + ",".join("1" * 99) + "]\n"
     cases = {
         "nothing": "",
@@ -88,7 +88,7 @@ def test_what_is_no_yaml_or_too_much_of_it_is_told():
     more = cases["as many values as may be"][:-2] + ",1]\n"
     lines.append(f"one more: {said(read_yaml, more, 'here.yaml')}")
     lines += [f"{n} characters: {said(read_yaml, '#' * n, 'here.yaml')}" for n in (SIZE, SIZE + 1)]
-    check_told("yaml_errors", lines)
+    check_expected("yaml_errors", lines)
 
 
 def test_a_mapping_is_read_from_a_file_in_utf_8(tmp_path):
@@ -221,7 +221,7 @@ def test_what_is_inherited_and_what_is_not():
     params = {"p": Some(), "q": Some(gain=3.0)}
     for node, name in (("q", "gain"), ("p", "gains"), ("r", "gain"), ("p", "row.1")):
         lines.append(f"${node}.{name}: {said(parameter_of, 'here: ', params, params.__getitem__, node, name)}")
-    check_told("inherited", lines)
+    check_expected("inherited", lines)
 
 
 class Some(BlockParams):
@@ -271,7 +271,7 @@ def test_changes_are_given_to_their_nodes_in_the_order_of_time():
         reported = said(script, "here", [ChangeEntry(at=at, set=values) for at, values in entries], members)
         lines.append(f"{entries}: {reported if reported != 'None' else ''}")
         lines += [f"  {m.name}: {list(m.changes)}" for m in members if m.changes]
-    check_told("changes", lines)
+    check_expected("changes", lines)
 
 
 # faults, ports as text ------------------------------------------------------------------------------------------------
@@ -324,7 +324,7 @@ def test_faults_are_put_between_a_sender_and_its_readers():
         f"{link!r}: {said(FaultEntry, link=link)[:60]!r}".replace("\\n", " ")
         for link in (" a/b -> c ", "a b", "a -> b -> c", "")
     ]
-    check_told("faults", lines)
+    check_expected("faults", lines)
 
 
 def test_ports_come_back_from_their_text():
@@ -437,7 +437,7 @@ def test_files_are_found_and_their_variants(folder):
     for name in ("bas", "child_lo", "none.yaml", "one/none", "loop", "list"):
         reported = said(lambda name=name: resolve(*locate(name)))
         lines.append(f"{name}: {reported}")
-    check_told("scenario_files", [line.replace(str(folder), "HERE") for line in lines])
+    check_expected("scenario_files", [line.replace(str(folder), "HERE") for line in lines])
 
 
 def test_where_a_key_is_written(folder):
@@ -475,7 +475,7 @@ def test_where_a_key_is_written(folder):
         ("child_low", child, ("plots", 1)),
         ("child_low", child, ("none",)),
     ]
-    check_told(
+    check_expected(
         "places", [f"{name} {'.'.join(map(str, keys))}: {place(name, path, keys)}" for name, path, keys in cases]
     )
 
@@ -554,7 +554,7 @@ def test_what_a_scenario_must_not_say_and_what_goes_over_it():
         result = said(lambda d=draft, o=overrides: d.filled(o).shared)
         lines.append(f"{overrides} of a draft: {result}")
         assert draft.raw["shared"] == more["shared"]
-    check_told("scenarios", lines)
+    check_expected("scenarios", lines)
     claims = {
         "one": claim,
         "two": claim | {"figure": "peak"},

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from rich.console import Console
 from softrig_bringup.cli import make_parser
 from softrig_bringup.terminal import console, parts, progress, tables
@@ -17,7 +18,6 @@ from softrig_core.scenario import index
 from softrig_core.solver.solver import UNFINISHED
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
-from told import check_told
 
 
 def shown(width, show):
@@ -37,15 +37,15 @@ ROWS = [
 ]
 
 
-def test_tables_of_verdicts_are_as_told_on_terminals_of_any_width():
+def test_tables_of_verdicts_are_as_expected_on_terminals_of_any_width():
     messages = []
     for width in (60, 49, 48, 20):
         messages.append(f"{width} wide")
         messages += [f"  {line}" for line in shown(width, lambda c: tables.print_judged(c, HEADS, ROWS))]
-    check_told("terminal/judged", messages)
+    check_expected("terminal/judged", messages)
 
 
-def test_tables_of_many_columns_go_on_below_as_told():
+def test_tables_of_many_columns_go_on_below_as_expected():
     heads = ["case", "law.gain_of_speed", "noise.k", "rise_time", "unit"]
     rows = [["0", "1.5", "0.001", "0.607", "s"], ["1", "12.25", "0.5", "", "s"]]
     messages = []
@@ -56,7 +56,7 @@ def test_tables_of_many_columns_go_on_below_as_told():
         ]
     messages.append("as it is by itself")
     messages += [f"  {line}" for line in shown(24, lambda c: tables.print_columns(c, heads, rows))]
-    check_told("terminal/columns", messages)
+    check_expected("terminal/columns", messages)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def listed(monkeypatch, tmp_path):
     return known
 
 
-def test_the_list_is_as_told(listed, monkeypatch, capsys):
+def test_the_list_is_as_expected(listed, monkeypatch, capsys):
     messages = []
     for columns, part in (
         ("70", ""),
@@ -143,7 +143,7 @@ def test_the_list_is_as_told(listed, monkeypatch, capsys):
         printed = capsys.readouterr()
         messages.append(f"{'in a pipe' if columns is None else f'COLUMNS {columns}'}, {part!r}: status {status}")
         messages += [f"  {line.rstrip()}" for line in (printed.out + printed.err).splitlines()]
-    check_told("terminal/list", messages)
+    check_expected("terminal/list", messages)
 
 
 def test_a_list_with_what_is_no_scenario_ends_with_2(listed, monkeypatch, capsys):
@@ -172,7 +172,7 @@ def test_lines_are_as_long_as_they_are_in_a_pipe(monkeypatch, terminal, columns,
     assert console.styled("a\x1b", ("b\x1b", "red")).plain == "a\\x1bb\\x1b"
 
 
-def test_signals_and_figures_are_listed_as_told(capsys):
+def test_signals_and_figures_are_listed_as_expected(capsys):
     messages = []
     for show in (lambda: parts.list_signals("dc_motor_smc_faults"), lambda: parts.list_figures("final_value")):
         assert show() == 0
@@ -180,7 +180,7 @@ def test_signals_and_figures_are_listed_as_told(capsys):
     (signature,) = (line for line in messages if line.startswith("final_value("))
     assert re.findall(r"\w+(?=:)", signature) == ["signals", "signal", "start", "end"]
     messages.remove(signature)  # Python writes annotations in its own way
-    check_told("terminal/signals", messages)
+    check_expected("terminal/signals", messages)
     assert parts.list_figures("") == 0
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
     assert {len(r) for r in rows} == {3}
@@ -321,14 +321,14 @@ CONTENT = {
         ("real_time", {}, {"epoch": 5, "results": JUDGED[2:3], "claims": [], "status": {}}),
     ],
 )
-def test_what_a_run_says_at_its_end_is_as_told(name, content, more, monkeypatch, tmp_path):
+def test_what_a_run_says_at_its_end_is_as_expected(name, content, more, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
     def show(console):
         monkeypatch.setattr(run_verb, "make_console", lambda: console)
         run_verb._print_figures(CONTENT | content, done(**more), tmp_path / "runs" / "x")
 
-    check_told(f"terminal/run_{name}", shown(100, show))
+    check_expected(f"terminal/run_{name}", shown(100, show))
 
 
 def options(*words):
@@ -357,7 +357,7 @@ def test_the_exit_status_of_a_run(words, kept, more, status):
     assert run_verb._judged(options(*words), run_verb._Kept(**about), run) == status
 
 
-def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_told(monkeypatch):
+def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_expected(monkeypatch):
     late = {
         "plant": {"ticks": 900, "missed_deadlines": 100},
         "law": {"ticks": 899, "missed_deadlines": 101},
@@ -384,7 +384,7 @@ def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_told(monkeypatch)
         messages.append(f"  {text or 'nothing'}")
     monkeypatch.setattr(run_verb, "tripped", lambda rig, status: {})
     messages.append(run_verb.too_slow(options(), None, late, container="place:=container"))
-    check_told("terminal/slow", messages)
+    check_expected("terminal/slow", messages)
 
 
 def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypatch, capsys, tmp_path):

@@ -11,13 +11,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from expected_text import check_expected
 from hypothesis import given, settings as trying, strategies as st
 from softrig_bringup.cli import _of_the_script, make_parser
 from softrig_bringup.options import grammar, params_file, repeat as repeating, run_options
 from softrig_bringup.verbs import declared, launched, set_verb
 from softrig_core import ScenarioError
 from softrig_core.command_line import Number
-from told import check_told
 
 KINDS = {argparse._StoreAction: "", argparse._StoreTrueAction: "switch", argparse._AppendAction: "several"}
 
@@ -60,8 +60,8 @@ def words(of, verb):
             yield f"  {', '.join(filter(None, messages))}"
 
 
-def test_all_verbs_and_options_are_as_told():
-    check_told("words", words(parser(), "softrig"))
+def test_all_verbs_and_options_are_as_expected():
+    check_expected("words", words(parser(), "softrig"))
 
 
 def answer(function, *arguments):
@@ -199,7 +199,7 @@ READ = [
 ]
 
 
-def test_what_is_typed_is_read_as_told():
+def test_what_is_typed_is_read_as_expected():
     messages = []
     for function, cases in READ:
         messages.append(f"{function.__module__.rpartition('.')[2]}.{function.__name__}")
@@ -208,7 +208,7 @@ def test_what_is_typed_is_read_as_told():
             if function is grammar.values and result.startswith("[") and result.count(",") > 20:
                 result = f"{result.count(',') + 1} values, {result[:10]} to {result[-12:]}"
             messages.append(f"  {case!r} -> {result or 'nothing'}")
-    check_told("words_read", messages)
+    check_expected("words_read", messages)
 
 
 @trying(max_examples=60, deadline=None)
@@ -223,7 +223,7 @@ def test_a_range_has_both_ends_and_equal_steps(low, count, tenths):
         assert grammar.values("n", f"{low}:{low + count}") == list(range(low, low + count + 1))
 
 
-def test_params_files_are_read_as_told(tmp_path):
+def test_params_files_are_read_as_expected(tmp_path):
     """Names dotted or nested, nodes with or without a namespace; what every ROS node has is left out."""
     cases = {
         "plain": "law: {ros__parameters: {k: 2.0, use_sim_time: true, run: {mode: lockstep}, a: {b: 1, c: {d: x}}}}",
@@ -243,7 +243,7 @@ def test_params_files_are_read_as_told(tmp_path):
             f"{name}: {answer(params_file.params_of, file, iter(['law', 'plant']))}".replace(str(tmp_path), "HERE")
         )
     messages.append(answer(params_file.params_of, tmp_path / "none", []).replace(str(tmp_path), "HERE"))
-    check_told("words_params", messages)
+    check_expected("words_params", messages)
 
 
 SAID = [
@@ -256,7 +256,7 @@ SAID = [
 ]
 
 
-def test_a_run_is_named_changed_and_repeated_as_told(monkeypatch):
+def test_a_run_is_named_changed_and_repeated_as_expected(monkeypatch):
     """Of each command what of the scenario it changes, where the results go, and the words that repeat it."""
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
     messages = []
@@ -271,12 +271,12 @@ def test_a_run_is_named_changed_and_repeated_as_told(monkeypatch):
         messages.append(
             f"  where: {placement}, domain {placement.domain}, wait {placement.wait}, restart {placement.restart}"
         )
-    check_told("words_again", messages)
+    check_expected("words_again", messages)
     long = parser().parse_args(["run", "x", *["--set", f"a.k={'1' * 200}"]])
     assert re.fullmatch(r"x-[0-9a-f]{8}", run_options.folder_name("x", long))  # no half of a number
 
 
-def test_what_the_options_change_of_a_scenario_is_as_told(tmp_path):
+def test_what_the_options_change_of_a_scenario_is_as_expected(tmp_path):
     """Nothing, its length, seed and nodes; what cannot be is refused by its name."""
     (tmp_path / "p.yaml").write_text("dc_motor_smc: {ros__parameters: {delta: 1.5, k: 70.0}}")
     messages = []
@@ -300,7 +300,7 @@ def test_what_the_options_change_of_a_scenario_is_as_told(tmp_path):
             law = scenario.nodes["dc_motor_smc"]
             result = f"{scenario.duration:g} s, seed {scenario.seed}, outside {law.external}, {dict(law.parameters)}"
         messages.append(f"{text} -> {result}".replace(str(tmp_path), "HERE"))
-    check_told("words_scenario", messages)
+    check_expected("words_scenario", messages)
 
 
 def test_a_command_of_a_later_version_does_not_end_the_process(monkeypatch):
