@@ -134,7 +134,7 @@ def in_memory(name: str, duration: float) -> float:
         rehearse(member.block_class, member.params, member.name)
     recording = Timed((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, rig.scenario.seed, recording)
-    return rig.ticks / (recording.spoke[-1] - recording.spoke[0])
+    return rig.ticks / (recording.published_at[-1] - recording.spoke[0])
 
 
 class Timed(Recording):
@@ -143,13 +143,13 @@ class Timed(Recording):
     def __init__(self, topics: Iterable[tuple[str, str]]) -> None:
         super().__init__(topics)
         self.clock = list(self.topics).index(CLOCK.topic)
-        self.spoke: list[float] = []
+        self.published_at: list[float] = []
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message."""
         super().add(topic, t, data)
         if topic == self.clock:
-            self.spoke.append(time.perf_counter())
+            self.published_at.append(time.perf_counter())
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
         """Return what appends one message of each of some topics."""
@@ -159,7 +159,7 @@ class Timed(Recording):
 
         def noted(t: int, values: Sequence[float]) -> None:
             add(t, values)
-            self.spoke.append(time.perf_counter())
+            self.published_at.append(time.perf_counter())
 
         return noted
 
