@@ -620,7 +620,7 @@ def test_a_bag_is_left_out_where_its_scenario_makes_it_again(run, monkeypatch, e
     monkeypatch.setattr(pack, "from_outside", lambda rig, recording: ["x"] * outside)
     before = recalled(run, epoch=epoch)
     if why:
-        with pytest.raises(ScenarioError, match=f"^--no-bag: {why}: that run is in its bag alone$"):
+        with pytest.raises(ScenarioError, match=rf"^--no-bag: the run cannot be repeated without its bag \({why}\)$"):
             pack._digests(before, run.rig.scenario, content)
     else:
         assert pack._digests(before, run.rig.scenario, content) == like.digests(run)

@@ -90,7 +90,7 @@ def test_a_film_has_two_frames_at_least_and_six_hundred_at_most():
     with pytest.raises(ScenarioError) as refused:
         film(shows(), signals, 0.0, 30.0, 1.0)
     assert str(refused.value) == (
-        "601 frames at 20 a second: expected at most 600; a speed of 5 or a shorter window does it"
+        "601 frames at 20 a second: expected at most 600; use a speed of 5 or a shorter window"
     )
     assert len(film(shows(), signals, 0.0, 0.03, 1.0).frames) == 2
     with pytest.raises(ScenarioError, match=r"^0.02 s at a speed of 1 are less than two frames of 1/20 s$"):

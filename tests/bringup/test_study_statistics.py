@@ -257,7 +257,7 @@ def test_a_summary_that_chooses_no_case_is_one_of_each():
         ("m (a)", 1.0, True, "m/s"), ("m (b)", 5.0, False, "m/s"), ("of_b", 5.0, True, "m/s"),
     ]  # fmt: skip
     claim = {"m": {"published": 1.0, "where": "Table I", "verdict": "reproduced"}}
-    with pytest.raises(ScenarioError, match=r"claims: m is of 2 cases; choose one: where: \{case: ...\}"):
+    with pytest.raises(ScenarioError, match=r"claims: m has 2 cases; choose one by where: \{case: ...\}"):
         study(cases={"a": {}, "b": {}}, summaries={"m": {"figure": "f"}}, claims=claim)
 
 

@@ -154,7 +154,7 @@ def test_ports_and_what_nodes_agree_on_do_not_change():
 
     with pytest.raises(ParameterError, match="size: the ports would be others"):
         permit(Odd, OfParams(), {"size": 2})
-    with pytest.raises(ParameterError, match="limit: tank/limit would change, on which the nodes of a rig must agree"):
+    with pytest.raises(ParameterError, match="limit: tank/limit would change, but all nodes of a rig must agree on it"):
         permit(Odd, OfParams(), {"limit": 2.0})
 
 

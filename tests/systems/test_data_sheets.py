@@ -194,7 +194,7 @@ BOTH, HALF = (-2.0, -1.0, 0.0, 1.0, 2.0), (0.0, 1.0, 2.0)
 @pytest.mark.parametrize(
     ("plant", "values", "text"),
     [
-        (PmsmPlant, {"R_s": 3600.0}, "R_s = 3600 ohm, L = 0.036 H: as fast as"),
+        (PmsmPlant, {"R_s": 3600.0}, "R_s = 3600 ohm, L = 0.036 H: its fastest time constant is"),
         (PmsmPlant, {"L_d": 36e-6, "L_q": 51e-6}, "check their units, or take 100 substeps"),
         (PmsmPlant, {"psi_f": 545.0}, "psi_f = 545 Wb"),
         (PmsmPlant, {"w_0": 1e6}, "w_0 = 1e[+]06 rad/s"),

@@ -91,7 +91,7 @@ def test_what_cannot_be_is_refused():
     for values, text in (
         ({"L_sat": 1.0, "i_sat": 1.0}, "at most L"),
         ({"load_times": (0.0, 0.0)}, "later than the one before"),
-        ({"C": 1e-10}, "C = 1e-10 F: as fast as"),
+        ({"C": 1e-10}, "C = 1e-10 F: its fastest time constant is"),
     ):
         with pytest.raises(ValueError, match=text):
             DcdcPlantParams(**values)

@@ -85,8 +85,8 @@ def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: flo
     count = 1 + round((end - start) / speed * FRAMES)
     if count > LONGEST:
         raise ScenarioError(
-            f"{count} frames at {FRAMES} a second: expected at most {LONGEST}; a speed of {comfortable(end - start):g} "
-            "or a shorter window does it"
+            f"{count} frames at {FRAMES} a second: expected at most {LONGEST}; use a speed of "
+            f"{comfortable(end - start):g} or a shorter window"
         )
     if count < 2:
         raise ScenarioError(f"{end - start:g} s at a speed of {speed:g} are less than two frames of 1/{FRAMES} s")

@@ -185,7 +185,7 @@ class Study(Entry):
         mixed = [name for name, s in self.summaries.items() if self.each_case(s)]
         for key, claim in self.claims.items():
             if (name := claim.figure or key) in mixed:
-                raise ValueError(f"claims: {name} is of {len(self.cases)} cases; choose one: where: {{case: ...}}")
+                raise ValueError(f"claims: {name} has {len(self.cases)} cases; choose one by where: {{case: ...}}")
         return self
 
     @property

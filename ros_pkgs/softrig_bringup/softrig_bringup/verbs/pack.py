@@ -352,7 +352,7 @@ def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -
         "it ended early" if content.get("stopped") or content.get("error") else "",
     ]
     if any(why):
-        raise ScenarioError(f"--no-bag: {', '.join(filter(None, why))}: that run is in its bag alone")
+        raise ScenarioError(f"--no-bag: the run cannot be repeated without its bag ({', '.join(filter(None, why))})")
     return digests(Run(rig, scenario.seed, before.recording))
 
 

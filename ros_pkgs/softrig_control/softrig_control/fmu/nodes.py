@@ -29,7 +29,7 @@ class FmuParams(BlockParams):
     inputs: tuple[str, ...] = param(
         (), "what it reads, each TOPIC/CHANNEL/FIELD [UNIT] = VARIABLE; without a unit that of the variable holds"
     )
-    outputs: tuple[str, ...] = param((), "what it says, likewise")
+    outputs: tuple[str, ...] = param((), "what it publishes, in the same form")
     values: tuple[str, ...] = param(
         (),
         "its parameters and start values, each VARIABLE = VALUE in the FMU's units; "

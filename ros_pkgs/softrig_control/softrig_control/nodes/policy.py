@@ -104,12 +104,12 @@ class PolicyParams(BlockParams):
     inputs: str = param(
         '[{"name": "state", "topic": "state", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
         ' "fields": ["position"], "units": ["m"]}]',
-        "the topics that come, each as a port, in JSON",
+        "the topics of the inputs, each as a port, in JSON",
     )
     outputs: str = param(
         '[{"name": "command", "topic": "command", "msgtype": "sensor_msgs/msg/JointState", "channels": ["x"],'
         ' "fields": ["effort"], "units": ["N"]}]',
-        "the topics that it says, likewise",
+        "the topics of the outputs, in the same form",
     )
     observe: tuple[str, ...] = param(("state/x/position",), "the signals of an observation: topic/channel/field")
     act: tuple[str, ...] = param(("command/x/effort",), "those of an action; the others keep their ports' safe values")

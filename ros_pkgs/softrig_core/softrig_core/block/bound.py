@@ -54,7 +54,9 @@ FAILED = """
         step.fail(error)
 """
 
-# of a block that says something on each output at each tick: nearly always the right number of floats
+# For a block that publishes on each output at each tick. Nearly always these are the right number of valid floats, and
+# one sum of squares shows that: if it is at most `bound`, each value is within its limit, and NaN fails the comparison.
+# Only if this test fails are the values checked one by one, which also describes what is wrong.
 PLAIN = """
         try:
             {rows} = rows = {found}
@@ -175,6 +177,7 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
         "sum_of_products": sum_of_products,
         "Sample": Sample,
     }
+    # Names of the step become globals of the generated function: a lookup there is faster than an attribute's.
     exec(code_of(text, "tick"), known)
     result: Callable[..., None] = known[name]
     return result

@@ -109,13 +109,15 @@ def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, A
         must agree on would differ.
     """
     revised = revise(params, values)
+    # Some errors appear only in `setup`, so a second block is set up: the running one must stay as it is if it fails.
     block_class(revised, name)
     what = ", ".join(values)
     if _known_to_others(block_class.ports(revised)) != _known_to_others(block_class.ports(params)):
         raise ParameterError(f"{what}: the ports would be others, which may not change while running")
     if issubclass(block_class, Fixing) and block_class.fixed(revised) != block_class.fixed(params):
         raise ParameterError(f"{what}: that part of it may not change while running")
+    # The rig was checked with the agreed values of all its nodes; a change of one would contradict the others.
     before, after = block_class.agreed(params), block_class.agreed(revised)
     if changed := [key for key in after if before.get(key) != after[key]]:
-        raise ParameterError(f"{what}: {changed[0]} would change, on which the nodes of a rig must agree")
+        raise ParameterError(f"{what}: {changed[0]} would change, but all nodes of a rig must agree on it")
     return revised

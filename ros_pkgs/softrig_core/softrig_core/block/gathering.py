@@ -67,6 +67,7 @@ class _Seen:
     def messages(self) -> ReceivedMessages:
         """Return what was collected, and start again."""
         stamps, values = np.frombuffer(self.stamps, np.int64), np.frombuffer(self.values)
+        # New arrays: an array whose memory numpy refers to cannot grow (BufferError).
         self.stamps, self.values = array("q"), array("d")
         return ReceivedMessages(stamps, values.reshape(len(stamps), self._size))
 
@@ -101,6 +102,7 @@ class Gathering(Link):
             stamp = stamps[name]()  # None: nothing was published, so it holds its initial value
             if type(value) is Sample:
                 stamp, value = value.stamp, value.data
+            # A value without a stamp, or with one from the future of this tick, counts from this tick on.
             if stamp is None or stamp > t:
                 stamp = t
             if stamp > seen.newest:

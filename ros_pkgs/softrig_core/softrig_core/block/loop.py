@@ -164,6 +164,7 @@ def _answer(steps: Sequence[Step], t: int) -> list[Step]:
     """Answer with all steps that lack nothing; return the others."""
     lacking: list[Step] = []
     for step in steps:
+        # A step that reads from a step of this process that has not answered yet must wait for it, too.
         behind = lacking and any(fill.source in lacking for fill in step.fed.values())
         if behind or (step.waits and step.waits.lacks(t)):
             lacking.append(step)

@@ -123,7 +123,9 @@ class Schedule:
         ns = self.period * SECOND
         self._n, self._d = ns.numerator, ns.denominator
         whole = self._n
-        if self._d == 1:  # nearly always; both are in the loop of every runner
+        # A period of whole nanoseconds is nearly always the case, and these functions are in the loop of every runner:
+        # a bound method of the integer and a lambda save the calls and the divisions of the general form.
+        if self._d == 1:
             self.time, self.tick = whole.__mul__, lambda t: (2 * t + whole) // (2 * whole)
             self.held = lambda t: t - t % whole
             self.next = lambda t: t - t % whole + whole
@@ -147,6 +149,7 @@ class Schedule:
         """Return the times of ticks first to last - 1, ns, shape (last - first,)."""
         import numpy as np
 
+        # numpy's integers overflow without an error, so long runs are computed with Python's.
         if self._d == 1 and last * self._n < 1 << 62:
             return np.arange(first * self._n, last * self._n, self._n, dtype=np.int64)
         if 2 * last * self._n + self._d < 1 << 62:
@@ -176,12 +179,14 @@ class Schedule:
         return self.tick(self.last) + 1
 
     def _time(self, k: int) -> int:
+        # To the nearest nanosecond, in integers: a float loses whole nanoseconds after 104 days.
         return (2 * k * self._n + self._d) // (2 * self._d)
 
     def _next(self, t: int) -> int:
         return self._time(self.tick(self._held(t)) + 1)
 
     def _held(self, t: int) -> int:
+        # The nearest tick may lie after t, and its time is rounded up to half a nanosecond, so it is compared.
         k = self.tick(t)
         result = self._time(k)
         return result if result <= t else self._time(k - 1)

@@ -109,7 +109,9 @@ def clocked(block: type[Block], entry: ClockEntry, params: Any, where: str) -> t
         return block
     inputs, outputs = block.ports(params)
     if issubclass(block, Plant):
-        raise ScenarioError(f"{where}: external: a plant owns the clock and cannot go by it; expected external: true")
+        raise ScenarioError(
+            f"{where}: external: clock is for controllers, because a plant owns the clock; use external: true"
+        )
     used = (*_used(inputs, entry.reads), *_used(outputs, entry.publishes))
     if odd := [p.topic for p in used if p.delayed or p.sporadic or p.partial or p.dims]:
         raise ScenarioError(

@@ -43,8 +43,8 @@ def resolving_step(period: float, substeps: int, *rates: tuple[float, str]) -> f
     needed = rate * period / RESOLVED * (1.0 - 1e-12)  # what rounding adds is no further step
     if needed > max(STEPS, substeps):
         raise ValueError(
-            f"{of}: as fast as {1.0 / rate:.2g} s, a period is {period:g} s: check their units, or take "
-            f"{math.ceil(min(needed, 1e9))} substeps"
+            f"{of}: its fastest time constant is {1.0 / rate:.2g} s, a period is {period:g} s; check the units, or "
+            f"use {math.ceil(min(needed, 1e9))} substeps"
         )
     return min(period / substeps, RESOLVED / rate) if rate > 0.0 else period / substeps
 

@@ -125,6 +125,8 @@ class Ways:
 
     def _literal(self, value: Static) -> str:
         result = value.value
+        # Numbers and tables of a block are arguments of the text, so one compiled text serves all values of a study.
+        # Small integers, texts and booleans are written out and guarded: they decide on branches and lengths of loops.
         if value.path is not None and (
             isinstance(result, (float, complex, np.ndarray, np.floating, list))
             or (isinstance(result, tuple) and result)
@@ -195,6 +197,7 @@ class Ways:
         if isinstance(value, Group):
             return list(value.items)
         if isinstance(value, Static) and isinstance(value.value, (tuple, list)):
+            # The text is written for each part, so it fits only values of this length.
             if value.path is not None:
                 self.program.guards[(*value.path, ("len", None))] = ("int", len(value.value))
             return [
