@@ -352,7 +352,7 @@ def options(*words):
     ],
 )
 def test_the_exit_status_of_a_run(words, kept, more, status):
-    about = {"content": {}, "same": True, "told": []} | kept
+    about = {"content": {}, "same": True, "remarks": []} | kept
     run = done(**{"results": JUDGED[:1], "claims": [], "status": {}} | more)
     assert run_verb._judged(options(*words), run_verb._Kept(**about), run) == status
 
@@ -397,7 +397,7 @@ def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypa
         (None, {"error": "gone"}),
         (Path("/else"), {"stopped": 2, "stopped_at": "stopped"}),
     ):
-        run_verb._speak(kept, done(**more), out)
+        run_verb._print_results(kept, done(**more), out)
     printed = capsys.readouterr()
     assert printed.out == "figures\n"
     assert printed.err.splitlines() == [

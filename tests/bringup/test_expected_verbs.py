@@ -246,8 +246,8 @@ def view(n=2, **more):
         "period": 0.01,
         "error": 1e-9,
         "worst": "a",
-        "variation": 0.5,
-        "heard": {"y": 2e-6},
+        "state_error": 0.5,
+        "output_errors": {"y": 2e-6},
         "left_out": {"z": "turns"},
         "stable": True,
         "values": {"u": 1.5},
@@ -276,7 +276,7 @@ def test_poles_and_margins_are_said_as_expected(monkeypatch, capsys, tmp_path):
             [],
         ),
         "eight modes": ({"n": 8, "link": ""}, []),
-        "not opened, not the rig": ({"n": 0, "link": "", "variation": 0.51}, []),
+        "not opened, not the rig": ({"n": 0, "link": "", "state_error": 0.51}, []),
         "written": (
             {},
             [

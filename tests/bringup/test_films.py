@@ -10,7 +10,7 @@ import pytest
 from expected_text import check_expected
 from PIL import Image
 from softrig_bringup.film import raster
-from softrig_bringup.film.film import LONGEST, Film, comfortable, film, said
+from softrig_bringup.film.film import LONGEST, Film, comfortable, film, speed_text
 from softrig_bringup.film.smil import animated
 from softrig_bringup.film.svg import element, number, sheet, still
 from softrig_core import ScenarioError
@@ -50,7 +50,7 @@ def test_twenty_frames_a_second_say_their_time_and_how_fast_they_go(speed, end, 
             Text((30.0, 94.0), f"t = {t} s", "muted"),
             Text((90.0, 94.0), words, "muted", 13.0, "end"),
         ]
-    assert said(speed) == words
+    assert speed_text(speed) == words
 
 
 def test_a_frame_has_the_newest_value_of_each_signal_and_none_before_its_first():

@@ -559,7 +559,7 @@ def test_where_there_is_no_operating_point_it_is_reported(least):
 
 def test_a_view_of_something_else_says_so(monkeypatch, capsys):
     view = linear_view("dc_motor_smc", overrides={"period": 0.01, "dc_motor_smc.delta": 5.0}, at=2.0)
-    monkeypatch.setattr("softrig_bringup.verbs.linear.linear_view", lambda *_, **__: replace(view, variation=0.6))
+    monkeypatch.setattr("softrig_bringup.verbs.linear.linear_view", lambda *_, **__: replace(view, state_error=0.6))
     assert main(["linearise", "dc_motor_smc"]) == 0
     assert "this is not the rig" in capsys.readouterr().out
 

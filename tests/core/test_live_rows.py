@@ -658,7 +658,7 @@ def test_of_two_who_command_a_plant_neither_is_believed_until_one_has_been_silen
 
 
 def test_a_law_waits_for_what_a_sender_that_may_be_silent_says_of_its_ticks():
-    links = {"base": "0.01", "inputs": {"a": linked(), "b": linked(sporadic=True, told=True)}}
+    links = {"base": "0.01", "inputs": {"a": linked(), "b": linked(sporadic=True, reports_silence=True)}}
     node = Node(Law(), links, epoch=START).join()
     row, tick = node.rows["b"], node.hand.heard["/other/tick"]
     assert type(row).__name__ == "Sporadic"
@@ -711,7 +711,7 @@ def test_a_law_waits_for_what_a_sender_that_may_be_silent_says_of_its_ticks():
 
 
 def test_a_message_of_who_may_be_silent_serves_before_its_tick_is_acknowledged_and_until_the_next():
-    links = {"base": "0.01", "inputs": {"a": linked(), "b": linked("0.02", sporadic=True, told=True)}}
+    links = {"base": "0.01", "inputs": {"a": linked(), "b": linked("0.02", sporadic=True, reports_silence=True)}}
     node = Node(Law(), links, epoch=START).join()
     node.hear("b", START, 7.0, at=START + MS)
     for k in range(3):
@@ -724,7 +724,7 @@ def test_a_message_of_who_may_be_silent_serves_before_its_tick_is_acknowledged_a
 def test_a_rig_begins_when_who_tells_of_silence_is_there_too():
     links = {
         "base": "0.01",
-        "inputs": {"a": linked(), "b": linked(sporadic=True, told=True)},
+        "inputs": {"a": linked(), "b": linked(sporadic=True, reports_silence=True)},
         "starter": "node",
         "starts": ["node", "other"],
         "grid": "0.01",
@@ -772,39 +772,39 @@ def test_what_a_neighbour_says_goes_into_the_row_as_if_it_had_come_over_a_wire()
     node = three()
     row, used = node.rows["a"], []
     node.drive.senders.on_value = lambda *text: used.append(text[1:])
-    tell = row.teller(None, False)
+    tell = row.receiver(None, False)
     tell(START + 10 * MS, (1.0,), START + 11 * MS)
     assert used == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
     assert (row.stamp, row.arrived, row.recent[-1]) == (START + 10 * MS, START + 11 * MS, (START + 10 * MS, (1.0,)))
     tell(START + 20 * MS, None, START + 21 * MS)  # silence, for which nobody waits here
     assert len(used) == 1
-    row.teller((1, 0), False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
+    row.receiver((1, 0), False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
     assert used[-1][2] == (2.0, 1.0)
     tell(START + 40 * MS, Sample(35 * MS, (3.0,)), START + 41 * MS)
     assert used[-1][:3] == (START + 40 * MS, START + 40 * MS, (3.0,))
-    row.teller(None, True)(START + 50 * MS, (math.nan,), START + 51 * MS)
+    row.receiver(None, True)(START + 50 * MS, (math.nan,), START + 51 * MS)
     assert (row.refused, row.last_refusal, row.bad) == (
         1,
         "q/position is nan, expected a finite number",
         START + 50 * MS,
     )
     assert len(used) == 3
-    row.teller(None, True)(START + 60 * MS, (4.0,), START + 61 * MS)
+    row.receiver(None, True)(START + 60 * MS, (4.0,), START + 61 * MS)
     assert used[-1][2] == (4.0,)
     row.local, row.outside = True, 1  # another process writes it, too
     tell(START + 70 * MS, (5.0,), START + 71 * MS)
     assert (len(used), row.refused) == (4, 2)
     late = Node(Lag(period=0.01), epoch=START).join()
     command_row = late.rows["command"]
-    command_row.teller(None, True)(START, (math.inf,), START + MS)
+    command_row.receiver(None, True)(START, (math.inf,), START + MS)
     assert (command_row.refused, command_row.bad) == (1, None)  # a plant waits for a good one
     begun = Node(Law(), {"base": "0.01", "inputs": {"a": linked(), "b": linked()}}).join()
-    begun.rows["a"].teller(None, False)(START + 13 * MS, (1.0,), START + 14 * MS)
+    begun.rows["a"].receiver(None, False)(START + 13 * MS, (1.0,), START + 14 * MS)
     assert begun.adapter.epoch == START + 10 * MS
     delayed = Node(Delays(), epoch=START).join()
-    delayed.rows["d"].teller(None, False)(START + 20 * MS, (1.0,), START + 31 * MS)
+    delayed.rows["d"].receiver(None, False)(START + 20 * MS, (1.0,), START + 31 * MS)
     assert delayed.rows["d"].recent[-1] == (START + 30 * MS, Sample(20 * MS, (1.0,)))
-    delayed.rows["d"].teller(None, False)(START + 20 * MS, Sample(7 * MS, (2.0,)), START + 41 * MS)
+    delayed.rows["d"].receiver(None, False)(START + 20 * MS, Sample(7 * MS, (2.0,)), START + 41 * MS)
     assert delayed.rows["d"].recent[-1] == (START + 40 * MS, Sample(7 * MS, (2.0,)))
 
 
