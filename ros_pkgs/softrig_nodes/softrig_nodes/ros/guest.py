@@ -31,7 +31,7 @@ from softrig_core.board.clocked import WAITS, ClockEntry
 from softrig_core.errors import RunError
 from softrig_core.guard import print_for
 
-from ..below.uses import taken, works
+from ..below.uses import pending_messages, works
 from ..processes.shared_memory import domain_id
 from .messages import message_class
 from .profile import RANGE, joining, watch_ports
@@ -201,7 +201,7 @@ class Guest:
         for _ in range(2):  # the first answer may be earlier than a callback, see above
             self._asked("use_sim_time", t)
         for name, subscription in self._subscriptions.items():
-            self._received[name] += taken(subscription)
+            self._received[name] += pending_messages(subscription)
         # Where messages cannot be taken directly, each turn of the executor takes one.
         for _ in range(0 if works("take_message") else QOS.depth):
             self._executor.spin_once(0.0)
