@@ -233,8 +233,8 @@ def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
     ("given", "says"),
     [
         ({"values": ("falt = 1",)}, r"motor2.fmu has no variable 'falt' \(did you mean 'fault'\?\); it has theta, w"),
-        ({"values": ("R = much",)}, "R = much: expected a number"),
-        ({"values": ("R = nan",)}, "R = nan: expected a number"),
+        ({"values": ("R = much",)}, "R = 'much', expected a number"),
+        ({"values": ("R = nan",)}, "R = 'nan', expected a number"),
         ({"values": ("R",)}, "'R': expected VARIABLE = VALUE"),
         ({"inputs": ("a/b/effort [A] = voltage",)}, "voltage is in 'V', expected 'A', which is another quantity"),
         ({"inputs": ("a/b/effort = w",)}, "w is output of motor2.fmu, expected an input; it has voltage"),
@@ -578,7 +578,7 @@ def test_one_that_cannot_write_its_state_is_reported_again(fmus, monkeypatch):
 
 
 def test_what_an_fmu_logs_need_not_be_text():
-    log = SimpleNamespace(_said=[])
+    log = SimpleNamespace(_log_lines=[])
     for text in (b"torn \xff", b"", None):
         Instance._log(log, 0, "instance", text)
     assert log._log_lines == ["torn \ufffd", "", ""]

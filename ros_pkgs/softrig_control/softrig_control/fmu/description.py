@@ -130,18 +130,25 @@ class Variable:
         ValueError
             One is none of its type, or there are neither one nor as many as elements.
         """
-        given: list[Any] = [_number(self.kind, text) for text in (self.start or "0").split()]
+        given: list[Any] = [number_in("start", self.kind, text) for text in (self.start or "0").split()]
         if len(given) not in (1, self.count):
             raise ValueError(f"{len(given)} start values, expected one or {self.count}")
         return given if len(given) == self.count else given * self.count
 
 
-def _number(kind: str, text: str) -> Any:
+def number_in(name: str, kind: str, text: str) -> float | int | bool:
+    """Read a number of a variable's kind, as the XML of an FMU writes it.
+
+    Raises
+    ------
+    ValueError
+        The text is none of the kind; the message begins with the name.
+    """
     if kind == "Boolean":
         if text not in ("true", "false", "1", "0"):
-            raise ValueError(f"start = {text!r}, expected true or false")
+            raise ValueError(f"{name} = {text!r}, expected true or false")
         return text in ("true", "1")
-    return _real("start", text) if kind in ("Real", "Float64", "Float32") else _whole("start", text)
+    return _real(name, text) if kind in ("Real", "Float64", "Float32") else _whole(name, text)
 
 
 def _example(dims: Sequence[int]) -> str:

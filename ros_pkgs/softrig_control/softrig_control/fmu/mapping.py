@@ -8,10 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from softrig_core import Port
-from softrig_core.kit.file_format import number_of
 
 from ..channels import FIELDS, port_of
-from .description import Description, Variable, conversion
+from .description import Description, Variable, conversion, number_in
 
 _ENTRY = re.compile(
     r"(?P<topic>\S+)/(?P<channel>[^\s/\[]+)/(?P<field>[a-z]+)\s*(\[(?P<unit>[^\]]*)\])?\s*=\s*(?P<name>\S.*)"
@@ -159,20 +158,15 @@ def start_values(unit: Description, entries: Sequence[str]) -> tuple[tuple[Varia
 def _value(variable: Variable, value: str) -> float | int | bool | str:
     if variable.kind == "String":
         return value
-    if variable.kind == "Boolean":
-        if value.lower() not in ("true", "false", "0", "1"):
-            raise ValueError(f"{variable.name} = {value}: expected true or false")
-        return value.lower() in ("true", "1")
-    real = variable.kind in ("Real", "Float64", "Float32")
     if variable.items:
         values = dict(variable.items)
         if value not in values and value not in map(str, values.values()):
             known = ", ".join(f"{name} ({number})" for name, number in variable.items)
             raise ValueError(f"{variable.name} = {value}: expected one of {known}")
         return values[value] if value in values else int(value)
-    if not re.fullmatch(r"[-+]?[0-9]{1,20}", value) and (not real or math.isnan(number_of(value))):
-        raise ValueError(f"{variable.name} = {value}: expected {'a number' if real else 'a whole number'}")
-    number = number_of(value) if real else int(value)
+    number = number_in(variable.name, variable.kind, value.lower())
+    if isinstance(number, bool):
+        return number
     low = -float("inf") if variable.least is None else variable.least
     high = float("inf") if variable.largest is None else variable.largest
     if not (abs(number) < float("inf") and low <= number <= high):
