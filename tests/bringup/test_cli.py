@@ -645,12 +645,12 @@ def test_closed_streams_are_opened_before_a_file_gets_their_number(folder):
 
 def test_a_full_disk_behind_the_output_and_a_reader_that_has_gone(folder):
     with open("/dev/full", "w") as full:
-        result = command("list", stdout=full, stderr=subprocess.PIPE, text=True)
+        result = command("--version", stdout=full, stderr=subprocess.PIPE, text=True)
     assert result.returncode == 3
     assert result.stderr == "softrig: [Errno 28] No space left on device\n"
     reader, writer = os.pipe()
     os.close(reader)
-    result = command("list", stdout=writer, stderr=subprocess.PIPE, text=True)
+    result = command("--version", stdout=writer, stderr=subprocess.PIPE, text=True)
     os.close(writer)
     assert (result.returncode, result.stderr) == (141, "")
 

@@ -122,8 +122,14 @@ def in_a_launch(monkeypatch, capsys):
     return launch
 
 
-@pytest.mark.parametrize("twice", [False, True], ids=["once", "twice"])
-@pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
+@pytest.mark.parametrize(
+    ("number", "twice"),
+    [
+        pytest.param(n, twice, id=f"{n.name}-{'twice' if twice else 'once'}", marks=marks)
+        for twice in (False, True)
+        for n, marks in ((SIGNALS[twice], ()), (SIGNALS[not twice], pytest.mark.long))
+    ],
+)
 @pytest.mark.parametrize(
     ("door", "phase"),
     [

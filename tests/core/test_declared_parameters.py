@@ -117,7 +117,7 @@ def served(node, block, state):
 
 
 @pytest.mark.parametrize("state", [pytest.param(s, marks=pytest.mark.long) for s in ("rest", "realtime")] + ["running"])
-@pytest.mark.parametrize("block", few(blocks(), 5))
+@pytest.mark.parametrize("block", few(blocks(), 3))
 def test_no_call_changes_type_range_or_existence(block, state, event):
     node = Stood()
     current, paces, adapter = served(node, block, state)

@@ -97,7 +97,7 @@ def test_a_headline_through_processes_and_in_a_container(name, tmp_path):
     assert differences(processes.recording, container.recording) == []
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", few(RIGS, 4))
 def test_rigs_of_all_shapes(name, tmp_path):
     nodes, duration = RIGS[name]
     outcome = run(rig(nodes, duration), tmp_path, 7)

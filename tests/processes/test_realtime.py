@@ -296,6 +296,7 @@ def test_a_button_is_also_a_service_that_presses_it_for_one_tick(bench):
     assert bench.signal("plant", APPLIED).x.sum() == 1.0
 
 
+@pytest.mark.long
 def test_a_realtime_rig_keeps_the_rate_of_the_wall_clock(tmp_path):
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 1.0))
     outcome = run_processes(rig, 0, tmp_path, Placement(clock="realtime"))

@@ -412,7 +412,7 @@ def test_what_no_interface_of_ours_can_run_is_refused_by_its_name(fmus, tmp_path
             (3, 4, "gave no answer within 0.1 s"),
             (2, 5, "fmi2DoStep: error; it says: the step is too hard for me"),
         ],
-        3,
+        2,
     ),
 )
 def test_what_goes_wrong_inside_ends_by_name_and_a_reset_begins_anew(fmus, version, fault, says):

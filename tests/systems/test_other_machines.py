@@ -211,6 +211,7 @@ def test_three_units_of_the_textbook_are_dispatched_as_there():
     assert lossy["fleet_output"] - 850 == pytest.approx((B * best.x**2).sum(), abs=0.01)
 
 
+@pytest.mark.long
 def test_the_generators_of_the_30_bus_system_are_dispatched_at_equal_slopes():
     result = simulate("economic_dispatch_ieee30").figures
     a = np.array([0.00375, 0.0175, 0.0625, 0.00834, 0.025, 0.025])

@@ -11,6 +11,7 @@ def rig(name, duration, overrides=None):
     return rig_of(load_scenario(name, overrides).model_copy(update={"duration": duration}))
 
 
+@pytest.mark.long
 def test_overspeed_ends_the_run_naming_plant_and_limit(tmp_path):
     wired = rig("manipulator_adsmc_s2", 2.0, {"manipulator_plant.speed_limit": 0.3})
     outcome = run_processes(wired, 0, tmp_path)
