@@ -1,35 +1,30 @@
-"""Layouts for people's own tools: those of the packages are as the plots say, and name what messages hold."""
+"""Layouts for people's own tools: they have the plots of a scenario, and name what messages hold."""
 
 import json
 import re
 from functools import cache
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 from conftest import few
 from docs.gallery import sentences
-from docs.outline import pages
 from softrig_bags.content.topics import typestore
 from softrig_bringup.cli import main
 from softrig_bringup.verbs.layouts import files
 from softrig_core import ScenarioError, load_scenario, rig_of, simulate
 
-ROOT = Path(__file__).parents[2]
 # of each system the scenario that the README names; where that one has no plots, the one called as the system
 SHOWN = {name: scenario if load_scenario(scenario).plots else name for name, (scenario, _) in sentences().items()}
 
 
-def folder(name):
-    return pages()[name].parent.parent / "layouts"
-
-
 @pytest.mark.parametrize("name", SHOWN)
-def test_layouts_of_a_package_are_as_the_plots_of_its_scenarios_say(name):
-    made = files(rig_of(SHOWN[name]))
-    held = {p.name: p.read_text() for p in folder(name).glob(f"{SHOWN[name]}.*")}
-    write = f"scripts/softrig draw layouts --out {folder(name).relative_to(ROOT)} {SHOWN[name]}"
-    assert held == made, f"out of date: run {write}"
+def test_each_system_has_layouts_with_all_its_plots(name):
+    rig = rig_of(SHOWN[name])
+    made = files(rig)
+    panels = json.loads(made[f"{SHOWN[name]}.foxglove.json"])["configById"].values()
+    tabs = [tab.get("tab_name") for tab in ElementTree.fromstring(made[f"{SHOWN[name]}.plotjuggler.xml"]).iter("Tab")]
+    for titles in ([panel.get("foxglovePanelTitle", "") for panel in panels], tabs):
+        assert all(any(title.startswith(entry.title) for title in titles) for entry in rig.scenario.plots), titles
 
 
 def test_legends_and_titles_have_units():
@@ -39,13 +34,6 @@ def test_legends_and_titles_have_units():
     assert labels["/joint_states.velocity[0]"] == "speed (rad/s)"
     assert labels["/currents.vector.x"].endswith("(A)")
     assert 'tab_name="Torque, N m"' in made["pmsm_foc.plotjuggler.xml"]
-
-
-def test_no_layout_is_left_of_what_is_gone():
-    held = {(p.parent, p.name.partition(".")[0]) for p in ROOT.glob("ros_pkgs/*/layouts/*")}
-    assert held == {(folder(name), scenario) for name, scenario in SHOWN.items()}
-    for package in {folder(name).parent for name in SHOWN}:
-        assert f"share/{package.name}/layouts = layouts/*" in (package / "setup.cfg").read_text()
 
 
 @cache
