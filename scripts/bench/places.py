@@ -23,7 +23,7 @@ ROOMS = (
 KINDS = {
     "order: plants publish, others answer, plants move": r"\bplants\b|for \w+ in \w+ if (not )?\w+\.(is_)?plant\b",
     "greatest common divisor of the periods": r"\bgcd\(",
-    "which nodes are due": r"(%|//|//=) \(?\w*(\.\w+)*_?every\b|%+ \{\w*(\.\w+)*every",
+    "which nodes are due": r"(%|//|//=) \(?(\w+\.)*\w*every\b|%+ \{(\w+\.)*\w*every",
     "the end": r"\bat_end\b|(schedule|self|clock)\.(last|end)\b|\.ticks is None",
     "an output fills an input": r"\.pick\b|\bpick(ed)?\b|\b(taking|taken|value_text)\(",
     "which node subscribes to which": r"\.(readers|doubters|fed|sources)\b(?! <)|\b(_readings|links|_source|fed)\(",

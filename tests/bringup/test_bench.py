@@ -9,7 +9,7 @@ from shutil import which
 from types import SimpleNamespace
 
 import pytest
-from bench import against, beside, induction, machines, native, realtime, rectifier, systems
+from bench import against, beside, induction, machines, native, places, realtime, rectifier, systems
 from bench.__main__ import PARTS, main
 from softrig_core import ScenarioError, bits
 from softrig_drives.induction_dtc.switching import VECTORS
@@ -186,3 +186,25 @@ def test_whole_runs_are_compared_by_their_least_times_without_the_round_that_com
         result
         == "<!-- plain -->\nold\n<!-- end -->\n<!-- default -->\n| a | b |\n| --- | --- |\n| 1 | 2 |\n<!-- end -->\n"
     )
+
+
+def test_what_states_a_part_of_a_tick_counts_and_who_asks_its_owner_does_not(tmp_path):
+    room = tmp_path / "softrig_core" / "softrig_core" / "block"
+    room.mkdir(parents=True)
+    (room / "schedule.py").write_text(
+        'def stride(all):\n    "Say which gcd(1, 2) it is."\n    return math.gcd(*all)  # p.sporadic\n'
+        "class Plan:\n    def due(self, k):\n        return k % self.every == 0\n"
+        "def asks(plan, k):\n    return plan.due(k)\n"
+    )
+    result = places.places(tmp_path)
+    assert {kind: names for kind, names in result.items() if names} == {
+        "greatest common divisor of the periods": ["schedule.stride"],
+        "which nodes are due": ["schedule.due"],
+    }
+
+
+@pytest.mark.long
+def test_each_part_of_a_tick_is_found_and_the_divisor_has_one_place():
+    result = places.places()
+    assert [kind for kind, names in result.items() if not names] == []
+    assert result["greatest common divisor of the periods"] == ["schedule.__init__"]
