@@ -27,7 +27,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +95,7 @@ def faults(page: str, tests: Path, run: Runs | None = None, others: str = "") ->
         Pages whose measured tables count, too.
     """
     known = [Tie(n).value for part in _GENERATED.finditer(page) if part[1] != "measured" for n in _in(part[0])]
-    table = _measured(others + page)
+    table = _measured(others) | _measured(page)
     for heading, section in _sections(page):
         ties = list(_ties(section))
         written = list(dict.fromkeys(_in(_CODE.sub(" ", _COMMENT.sub("", _GENERATED.sub("", section))))))
@@ -139,6 +139,7 @@ def _ties(section: str) -> Iterator[Tie]:
             yield from (Tie(number, source.strip()) for number in numbers.split(", "))
 
 
+@lru_cache(4)  # of the others, which are the same for each page of a set
 def _measured(page: str) -> dict[tuple[str, str], float]:
     """Read the measured tables of pages: (scenario, figure) to value."""
     result: dict[tuple[str, str], float] = {}

@@ -259,11 +259,16 @@ def test_every_package_of_a_set_up_stands_under_its_licence():
     assert entries["casadi"] == "LGPL-3.0-or-later"
 
 
+@cache
+def listed():
+    """Verbs, scenarios and studies."""
+    return set(make_parser()._subparsers._group_actions[0].choices), set(list_scenarios()), set(list_studies())
+
+
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
 def test_commands_and_links_of_a_page_exist(page):
     text = (ROOT / page).read_text()
-    verbs = set(make_parser()._subparsers._group_actions[0].choices)
-    names, studies = set(list_scenarios()), set(list_studies())
+    verbs, names, studies = listed()
     for verb, remaining in re.findall(r"^    scripts/softrig (\w+)([^#\n]*)", text, re.M):
         assert verb in verbs, verb
         word = remaining.split()[0] if remaining.split() else ""

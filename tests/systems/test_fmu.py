@@ -4,10 +4,13 @@ import dataclasses
 import hashlib
 import json
 import math
+import multiprocessing
 import random
 import re
+import signal
 import subprocess
 import sys
+import warnings
 import zipfile
 from pathlib import Path
 from types import SimpleNamespace
@@ -343,20 +346,28 @@ def test_one_that_is_not_isolated_takes_the_terminal_with_it_but_not_the_status(
 @pytest.mark.parametrize("ending", few(["kill", "end"], 1))
 def test_what_an_fmu_starts_ends_with_it(fmus, ending, tmp_path):
     """Also where the node that runs it is killed."""
-    code = f"""import sys, time
-sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[1])]!r}
-from test_fmu import strict, Path
-plant = strict(Path({str(fmus)!r}), values=("fault = 8",))
-plant.advance(0, u=(0.0,), n=(0.0,))
-print(int(plant.outputs(0)["to_pid"][0]), flush=True)
-sys.stdin.readline()
-"""
-    node = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    pid = int(node.stdout.readline())
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe()
+
+    def runs():
+        plant = strict(fmus, values=("fault = 8",))
+        plant.advance(0, u=(0.0,), n=(0.0,))
+        there.send(int(plant.outputs(0)["to_pid"][0]))
+        there.recv()
+
+    node = context.Process(target=runs)
+    with warnings.catch_warnings():  # the other threads are those of libraries that see to forks
+        warnings.simplefilter("ignore", DeprecationWarning)
+        node.start()
+    assert here.poll(PATIENCE)
+    pid = here.recv()
     assert Path(f"/proc/{pid}").exists()
     if ending == "kill":
         node.kill()
-    node.communicate("\n")
+    else:
+        here.send(None)
+    node.join(PATIENCE)
+    assert node.exitcode == (-signal.SIGKILL if ending == "kill" else 0)
     until(lambda: not Path(f"/proc/{pid}").exists(), "the end of what the FMU has started")
 
 
