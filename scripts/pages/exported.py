@@ -128,7 +128,7 @@ def _structured(done: Exported, node: str, rig: Rig) -> str:
 
 def _short(reason: str) -> str:
     """Return a reason without paths and line numbers."""
-    reason = reason.partition("cannot be exported as C: ")[2] or reason
+    reason = (reason.partition("cannot be exported as C: ")[2] or reason).partition("; instead, ")[0]
     match = re.fullmatch(r"[\w.]*?(\w+\.\w+|\w+), line \d+: (.*)", reason)
     return (f"{match[1]}: {match[2]}" if match else reason).replace("|", "/")
 

@@ -7,6 +7,7 @@ import math
 import multiprocessing
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -34,6 +35,8 @@ from softrig_bringup.view.serve import OneLine
 from softrig_bringup.view.sources import Live, Recorded
 from softrig_bringup.view.tracks import Track
 from softrig_core import Recording, Session, Signals, load_scenario, rig_of, simulate
+from softrig_core.export.check import FLAGS
+from softrig_core.firmware.files import export_firmware
 from softrig_core.wire.recording import read_shards
 from softrig_nodes.processes.placement import Placement
 
@@ -207,6 +210,37 @@ def test_two_pages_turn_one_knob(mode, tmp_path):
     again = ["run", "--like", tmp_path / "run", "--mode", "inprocess", "--no-plots", "--out", tmp_path / "again"]
     assert main([*map(str, again)]) in (0, 1)
     assert compare(signals(tmp_path / "run/bag"), signals(tmp_path / "again/bag"), bitwise=True).equal
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
+def test_a_gain_turned_on_the_page_is_that_of_the_board(tmp_path):
+    name, node, folder = "dc_motor_smc_b2", "dc_motor_smc", tmp_path / "firmware"
+    export_firmware(rig_of(name), node, folder, "host", rows=20, drawn=2)
+    build = ["cc", *FLAGS, "-D_POSIX_C_SOURCE=200809L", "-o", node, "main.c", f"{node}.c", f"{node}_link.c", "-lm"]
+    subprocess.run(build, cwd=folder, check=True)
+    link = {"port": f"program:{folder / node}", "firmware": f"{folder / node}.json"}
+    scenario = {"extends": name, "duration": 0.5, "nodes": {node: {"link": link}}}
+    (tmp_path / "board.yaml").write_text(json.dumps(scenario))
+    words = ("view", tmp_path / "board.yaml", "--mode", "inprocess", "--no-plots", "--out", tmp_path / "seen")
+    with running(*words) as process:
+        page = Browser(address(process))
+        page.until(lambda: "paused" in page["state"].text and not page[f"{node}.k_per_ref"].disabled)
+        for _ in range(3):
+            page.press("step")
+            page.says("step: one step")
+        page[f"{node}.k_per_ref"].value = "4.0"
+        page.says("k_per_ref = 4")
+        page.press("hold")
+        page.until(lambda: "the run is over" in page["state"].text)
+        page.close()
+        assert process.wait(PATIENCE) in (0, 1)
+    (change,) = json.loads((tmp_path / "seen/metrics.json").read_text())["changes"]
+    script = [{"at": change["at_s"], "set": {f"{node}.k_per_ref": 4.0}}]
+    (tmp_path / "python.yaml").write_text(json.dumps({"extends": name, "duration": 0.5, "changes": script}))
+    wanted = Signals(simulate(str(tmp_path / "python.yaml")).recording)
+    assert compare(signals(tmp_path / "seen/bag"), wanted, bitwise=True).equal
+    assert not compare(Signals(simulate(name, duration=0.5).recording), wanted, bitwise=True).equal
 
 
 @pytest.mark.long

@@ -1,9 +1,11 @@
 """Laws that are odd Python: exported C has their bits, or the export is refused with class and line."""
 
+import dataclasses
+import enum
 import math
 import shutil
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -118,10 +120,44 @@ class Loops(Law):
         return x._replace(n=(x.n + 1) % 7), looped(w, x.n, r, i)
 
 
+class Mode(enum.IntEnum):
+    IDLE = 0
+    RUN = 2
+
+
+@dataclass(frozen=True)
+class Größe:
+    v: float = 0.0
+    mode: int = Mode.IDLE
+
+
+@dataclass(frozen=True)
+class Outer:
+    inner: Größe = Größe()
+    pair: tuple[float, float] = (0.0, 1.0)
+    n: int = 0
+
+
+class Kinds(Law):
+    """Dataclasses in dataclasses, enumerations, operations on bits, names beyond ASCII, `//` and `%` of negatives."""
+
+    FACTORS = {Mode.IDLE: 0.5, Mode.RUN: 2.5}
+
+    def first(self):
+        return Outer()
+
+    def odd(self, x, w, r, i):
+        mode = Mode.RUN if w > 0.5 or (x.inner.mode == Mode.RUN and i > 0.0) else Mode.IDLE
+        größe = dataclasses.replace(x.inner, v=0.5 * x.inner.v + w, mode=mode)
+        k = (x.n << 3 >> x.n % 3 ^ 0x55) & ~(x.n % 7)
+        u = self.FACTORS[mode] * größe.v + k + (x.n - 5) // -3 + (x.n - 5) % -3 + w % -0.7 + math.fmod(-w, 0.3)
+        return Outer(größe, (x.pair[1], w), x.n + 1), u + x.pair[0] + (1.0 if x.inner == größe else 2.0)
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
 @pytest.mark.parametrize(
     "law",
-    [Names, *(pytest.param(law, marks=pytest.mark.long) for law in (Order, Whole, Loops))],
+    [Kinds, *(pytest.param(law, marks=pytest.mark.long) for law in (Names, Order, Whole, Loops))],
     ids=lambda c: c.__name__,
 )
 def test_odd_laws_have_the_bits_of_python(law, tmp_path):
@@ -211,7 +247,57 @@ class Leaving(Law):
         return x, v
 
 
+class Compared(NamedTuple):
+    a: float = 0.0
+
+    def __eq__(self, other):
+        return True
+
+    def __add__(self, other):
+        return Compared(self.a - other.a)
+
+
+class Equal(Law):
+    def odd(self, x, w, r, i):
+        return x, 1.0 if Compared(w) == Compared(r) else 2.0
+
+
+class Sum(Law):
+    def odd(self, x, w, r, i):
+        return x, (Compared(w) + Compared(r))[0]
+
+
+class Doubled(Kept):
+    def __new__(cls, a):
+        return super().__new__(cls, 2.0 * a)
+
+
+class Created(Law):
+    def odd(self, x, w, r, i):
+        return x, Doubled(w).a
+
+
+@dataclass(frozen=True)
+class Limited:
+    a: float = 0.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "a", min(self.a, 0.5))
+
+
+class Post(Law):
+    def first(self):
+        return Limited()
+
+    def odd(self, x, w, r, i):
+        return Limited(x.a + w), x.a
+
+
 REFUSED = {
+    Equal: r"Equal.odd, line \d+: Compared, which has __eq__ of its own",
+    Sum: r"Sum.odd, line \d+: Compared, which has __add__ of its own",
+    Created: r"Created.odd, line \d+: Doubled, which has a __new__ of its own",
+    Post: r"Post, line \d+: its state is of the type Limited, .*; instead, keep numbers",
     Alias: r"Alias.odd, line \d+: a may be a list with another name",
     Added: r"Added.odd, line \d+: a may be a list with another name",
     Pushed: r"push, line \d+: a may be a list with another name",
@@ -228,6 +314,22 @@ REFUSED = {
 def test_what_c_would_do_otherwise_is_refused(law):
     with pytest.raises(ScenarioError, match=REFUSED[law]):
         c_of(rig_of("dc_motor_smc_b2", classes={"dc_motor_smc": law}), "dc_motor_smc", rows=4, drawn=2)
+
+
+class Huge(Law):
+    def odd(self, x, w, r, i):
+        return x, float(int(w * 1e19) % 7)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
+def test_a_drawn_call_with_a_whole_number_beyond_64_bits_may_be_discarded(tmp_path):
+    done = export_c(
+        rig_of("dc_motor_smc_b2", classes={"dc_motor_smc": Huge}), "dc_motor_smc", tmp_path, rows=4, drawn=60
+    )
+    assert [reason.rpartition(" in ")[0] for reason in done.discards] == ["a whole number that has no place in 64 bits"]
+    result = replayed(tmp_path, done.name)
+    assert result.same
+    assert result.gave_up >= 1
 
 
 def test_a_field_that_does_not_exist_is_no_way_of_c():

@@ -21,6 +21,7 @@ from .kinds import (
     Number,
     Table,
     Tuple,
+    ascii_name,
     identifier,
     leaves,
     united,
@@ -42,9 +43,11 @@ class Base:
         if isinstance(function, str):
             tree = ast.parse(unit.texts[function]).body[0]
             self.title = function
+            self.origin = unit.texts[function].partition("\n")[0].partition("  # ")[2] or function
         else:
             tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
             self.title = function.__name__.strip("_")
+            self.origin = f"{function.__module__}.{function.__qualname__}"
         assert isinstance(tree, ast.FunctionDef)
         self.tree = tree
         self.kinds_of: dict[str, Kind] = {}  # of C's variables
@@ -61,11 +64,9 @@ class Base:
         """Return what C does not know here."""
         if not isinstance(self.function, str):
             line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
-            return NotNative(f"{self.function.__module__}.{self.function.__qualname__}, line {line}: {what}")
-        head, _, _ = self.unit.texts[self.function].partition("\n")
-        title = head.partition("  # ")[2] or self.title
+            return NotNative(f"{self.origin}, line {line}: {what}")
         shown = "" if node is None or isinstance(node, ast.FunctionDef) else f" in `{ast.unparse(node)[:SHOWN]}`"
-        return NotNative(f"{title}: {what}{shown}")
+        return NotNative(f"{self.origin}: {what}{shown}")
 
     def emit(self, line: str) -> None:
         """Add a line of C."""
@@ -92,7 +93,7 @@ class Base:
         if use != "t" and isinstance(self.function, str):
             name, own = name.removeprefix("v_"), name.startswith("v_")
             use = use if own else f"n{use}"
-        return f"{use}_{name}"
+        return f"{use}{'' if name.isascii() else 'z'}_{ascii_name(name)}"
 
     def _carried(self, name: str) -> str:
         """Return the variable that holds a name from turn to turn of a loop."""

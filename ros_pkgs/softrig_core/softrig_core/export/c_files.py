@@ -27,7 +27,7 @@ from ..solver.solver import Solver
 from .drawn import Beyond, Raised, asks_anew, drawn_calls
 from .golden import Call, Changed, keys_of, methods
 from .kinds import ABSENT, INT, REAL, Absent, Kind, Maybe, Number, Table, Tuple, identifier, kind_of, leaves, remark
-from .law import Form, Law, check_text, input_kind, law_of
+from .law import Form, Law, Text, as_answered, check_text, input_kind, law_of
 from .reader import Reader
 from .unit import Unit, Value, literal, reads
 
@@ -163,7 +163,7 @@ class _Files:
         single: bool,
     ) -> None:
         self.single = single
-        self.member, self.block, self.drawn = member, block, drawn
+        self.member, self.block = member, block
         self.name = re.sub(r"\W", "_", member.name)
         self.inputs, self.outputs = member.inputs, member.outputs
         self.methods = methods(block)
@@ -178,7 +178,9 @@ class _Files:
         self.settable = _settable(block, self.law, self.slots, self.values, states)
         self.golden, self.ends = self._replayable(golden)
         self.end = golden[len(self.golden)].t if self.ends else None
-        check_text(block, self.law, self.golden, self.inputs, self.outputs)
+        text = Text(block, self.law, self.inputs)
+        check_text(text, self.golden, self.outputs)
+        self.drawn, without = as_answered(text, drawn)
         self.held = [k for k, path in enumerate(self.slots) if self._is_held(k, path)]
         self.words = {  # constants that are compiled in, by their names in C
             f"{self.name.upper()}_K_{self.fields[k]}": k
@@ -210,7 +212,7 @@ class _Files:
         self.held_types = [self.unit.c(kind_of(self.values[k])) for k in self.held]
         self.in_header = len(self.unit.typedefs)
         newest = {f"a value that {written(path)} is asked for later" for path in self.law.program.newest}
-        self.discards = tuple(sorted({*self.law.program.seldom, *newest}))
+        self.discards = tuple(sorted({*self.law.program.seldom, *newest, *without}))
         self.roots = {form: self._root(form) for form in self.law.roots}
 
     def _is_held(self, k: int, path: Any) -> bool:
@@ -1021,7 +1023,7 @@ def _arrays(value: Any, path: str = "") -> list[tuple[str, Any]]:
     """Return the arrays in a state, each with its path in C."""
     if isinstance(value, np.ndarray):
         return [(path, value)]
-    if not isinstance(value, tuple):
+    if not isinstance(value, (tuple, list)):
         return []
     names = getattr(value, "_fields", None) or [f"f{k}" for k in range(len(value))]
     return [one for n, v in zip(names, value, strict=True) for one in _arrays(v, f"{path}.{identifier(n)}")]
@@ -1039,7 +1041,7 @@ def _initial(value: Any) -> str:
         return "NULL"
     if isinstance(value, complex):
         return f"{{ .real = {literal(value.real)}, .imag = {literal(value.imag)} }}"
-    if isinstance(value, tuple):
+    if isinstance(value, (tuple, list)):
         names = getattr(value, "_fields", None) or [f"f{k}" for k in range(len(value))]
         parts = [f".{identifier(n)} = {_initial(v)}" for n, v in zip(names, value, strict=True) if v is not None]
         return f"{{ {', '.join(parts) or '0'} }}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,6 +19,29 @@ from .rig_c import rig_files
 
 ROWS, DRAWN = 5000, 2000  # calls of the run, and of drawn inputs
 NOTED = 1e-3  # of a channel's scale: a difference of single precision that is named
+# What to write in place of Python that has no C. The first pattern that a reason has decides.
+ADVICE = {
+    r": its state": "keep numbers, named tuples and arrays of numbers in the state",
+    r"sum of numbers": "add them with + in a loop, because `sum` compensates errors of rounding",
+    r"no place in 64 bits": "keep whole numbers below 2**63, or compute with floats",
+    r"no value on every way": "assign it before the test",
+    r"with another name": "make a new list or tuple instead of changing one",
+    r"its arguments alone": "use the time `t`, and random numbers that the block draws by index",
+    r"rounded to digits|a text|str as a value": "use whole numbers for texts, and numbers that are not rounded",
+    r"else of a loop": "set a variable in the loop and test it after the loop",
+    r"\*\* of whole": "multiply, or write one of the two as a float",
+    r"step is computed": "use `while`",
+    r"`is` of": "compare with ==",
+    r"with words": "pass the arguments by position, or write out what it computes",
+    r": match\b": "use `if` and `elif`",
+    r": try\b": "test for the case before it occurs",
+    r": (lambda|functiondef)\b": "define the function in its module or class",
+    r": import\b": "import at the top of the module",
+    r": global\b": "keep the value in the state",
+    r": set\b": "use a tuple",
+    r"length|slice|something else than numbers|whole arrays": "compute the elements one by one",
+    r"\w\(\)|numpy\.\w+$": "compute it by arithmetic, functions of `math` and loops",
+}
 
 
 def export_c(
@@ -61,7 +85,14 @@ def c_of(rig: Rig, node: str, *, rows: int = ROWS, drawn: int = DRAWN, single: b
             raise NotNative(f"it has no tick in {rig.scenario.name}, so there is nothing to compare its C with")
         return c_of_member(member, golden, drawn, seed, single)
     except NotNative as reason:
-        raise ScenarioError(f"{node} cannot be exported as C: {reason}") from None
+        raise ScenarioError(f"{node} cannot be exported as C: {advised(str(reason))}") from None
+
+
+def advised(reason: str) -> str:
+    """Return the reason of a refusal with what to write instead, where something is known."""
+    return next(
+        (f"{reason}; instead, {text}" for pattern, text in ADVICE.items() if re.search(pattern, reason)), reason
+    )
 
 
 def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False) -> tuple[Exported, dict[str, str]]:
@@ -87,7 +118,10 @@ def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False
     ScenarioError
         A node that others read has no C.
     """
-    done, left = rig_files(rig, rows, single=single)
+    try:
+        done, left = rig_files(rig, rows, single=single)
+    except ScenarioError as reason:
+        raise ScenarioError(advised(str(reason))) from None
     _written(done, folder)
     return done, left
 

@@ -323,6 +323,8 @@ class Expressions(Base):
             return Value(both, f"({a.c} {ARITHMETIC[type(op)]} {b.c})")
         if type(op) in BITS and both != REAL:
             return Value(both, f"({a.c} {BITS[type(op)]} {b.c})")
+        if isinstance(op, (ast.LShift, ast.RShift)) and both == INT:
+            return self._shifted(isinstance(op, ast.LShift), self._simple(a), self._simple(b))
         if isinstance(op, (ast.Div, ast.FloorDiv, ast.Mod)):
             b = self._simple(b)
             if (self.python or both == INT) and not abs(self.unit.number(b.c)) > TINY:
@@ -332,6 +334,16 @@ class Expressions(Base):
             word = "mod" if isinstance(op, ast.Mod) else "floor_div"
             return Value(both, f"sr_{word}_{'int' if both == INT else 'real'}({a.c}, {b.c})")
         raise self.unknown(f"an operation {type(op).__name__.lower()}", node)
+
+    def _shifted(self, left: bool, a: Value, b: Value) -> Value:
+        """Return a shift of a whole number, which discards the tick where 64 bits are too few."""
+        if not left:
+            self._check(f"{b.c} < 0")
+            n = self.fresh(INT, f"({b.c} < 63) ? {b.c} : 63").c
+            return Value(INT, f"(({a.c} >= 0) ? ({a.c} >> {n}) : ~(~{a.c} >> {n}))")  # C may fill up with zeros
+        self._check(f"({b.c} < 0) || ({b.c} > 62)")
+        self._check(f"({a.c} > (INT64_MAX >> {b.c})) || ({a.c} < -(INT64_MAX >> {b.c}))")
+        return Value(INT, f"({a.c} * (INT64_C(1) << {b.c}))")
 
     def _each_item(self, op: ast.operator, table: Value, number: Value, node: ast.AST) -> Value:
         """Return an operation on each number of an array, as numpy computes it."""

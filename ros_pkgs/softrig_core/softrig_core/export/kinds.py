@@ -105,9 +105,14 @@ KEYWORDS = frozenset(
 )
 
 
+def ascii_name(name: str) -> str:
+    """Return a name with the numbers of letters that compilers for boards and PLCs do not know."""
+    return "".join(letter if letter.isascii() else f"u{ord(letter):x}_" for letter in name)
+
+
 def identifier(text: str) -> str:
     """Return a name of C for a name of Python or ROS."""
-    name = re.sub(r"\W+", "_", text).strip("_")
+    name = ascii_name(re.sub(r"\W+", "_", text).strip("_"))
     return f"{name}_" if name in KEYWORDS else f"n{name}" if name[:1].isdigit() else name
 
 

@@ -7,7 +7,7 @@ import traceback
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from ..native.twins import packed
 from ..native.value import Dynamic, Group, NotNative, Static, Value
 from ..native.words import TEXTS
 from ..native.writer import Writer
-from .drawn import Beyond, Drawn
+from .drawn import Beyond, Drawn, Raised
 from .golden import Call, Changed
 from .kinds import INT, REAL, Kind, Tuple, kind_of, leaves, room_of, roomy, tuple_of
 
@@ -227,9 +227,33 @@ class _Row:
         return 1 << 62
 
 
-def check_text(
-    block: Block, law: Law, calls: Sequence[Call | Changed], inputs: Sequence[Port], outputs: Sequence[Port]
-) -> None:
+class Text:
+    """The text of a block, which Python runs call by call.
+
+    Parameters
+    ----------
+    block : Block
+    law : Law
+    inputs : sequence of Port
+    """
+
+    def __init__(self, block: Block, law: Law, inputs: Sequence[Port]) -> None:
+        self.law, self.inputs = law, inputs
+        self.scope, self.handed = _scope(block, law)
+        self.roots = {(form.method, _sizeless(form.state), form.there): form for form in law.roots}
+        self.constants = law.program.constants([block, block])
+
+    def answer(self, call: Call) -> Any:
+        """Return the answer to a call; whatever this raises discards the call."""
+        x = packed(call.x)
+        form = self.roots[call.method, _sizeless(kind_of(x)), there_of(call)]
+        there = [] if form.method == "outputs" else [p for p in self.inputs if p.name in form.there]
+        arrays = [self.handed[name] for name in self.law.arrays[form]]
+        rows = [_row(call.inputs[p.name]) for p in there]
+        return self.scope[self.law.roots[form]](self.constants, [0, 0, 0], *arrays, x, call.t, *rows)
+
+
+def check_text(text: Text, calls: Sequence[Call | Changed], outputs: Sequence[Port]) -> None:
     """Run the text of a block on the calls of its run, up to the first change of parameters.
 
     Raises
@@ -237,23 +261,37 @@ def check_text(
     NotNative
         The text discards a call that Python answered, or gives another answer: names the time, and why if it is known.
     """
-    scope, handed = _scope(block, law)
-    roots = {(form.method, _sizeless(form.state), form.there): form for form in law.roots}
-    constants = law.program.constants([block, block])
     for call in calls:
         if isinstance(call, Changed):
             return
-        x = packed(call.x)
-        form = roots[call.method, _sizeless(kind_of(x)), there_of(call)]
-        rows = [] if form.method == "outputs" else [_row(call.inputs[p.name]) for p in inputs if p.name in form.there]
-        given = [constants, [0, 0, 0], *(handed[name] for name in law.arrays[form]), x, call.t, *rows]
         try:
-            result = scope[law.roots[form]](*given)
+            result = text.answer(call)
         except Exception as error:  # whatever it raises discards the call
-            why = "; ".join(sorted(set(law.program.seldom))) or _reason(error, law)
+            why = "; ".join(sorted(set(text.law.program.seldom))) or _reason(error, text.law)
             raise NotNative(f"its run takes a way that has no C at {call.t / 1e9:g} s: {why}") from None
         if not _answers(result, call, outputs):
             raise NotNative(f"its text gives another answer than Python at {call.t / 1e9:g} s: a defect of softrig")
+
+
+def as_answered(text: Text, drawn: Sequence[Sequence[Call | Raised]]) -> tuple[list[list[Call | Raised]], set[str]]:
+    """Return drawn calls up to the first of each sequence that the text discards although Python answers, and why."""
+    result: list[list[Call | Raised]] = []
+    reasons: set[str] = set()
+    for calls in drawn:
+        result.append([])
+        for call in calls:
+            result[-1].append(call)
+            if isinstance(call, Raised):
+                continue
+            try:
+                with np.errstate(all="ignore"):
+                    text.answer(call)
+            except Exception as error:
+                if not isinstance(call, Beyond):
+                    reasons.add(_reason(error, text.law))
+                result[-1][-1] = Beyond(**{f.name: getattr(call, f.name) for f in fields(call)})
+                break
+    return result, reasons
 
 
 def _reason(error: Exception, law: Law) -> str:
@@ -320,7 +358,7 @@ def _same(a: Any, b: Any) -> bool:
     """Return whether two values have the same bits, whole numbers and floats apart."""
     if hasattr(b, "python"):  # an object of Python in another form, which does not keep what nothing reads
         return True
-    if isinstance(a, tuple) and isinstance(b, tuple):
+    if isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
         return np.array_equal(a, b, equal_nan=True)

@@ -24,6 +24,8 @@ from .kinds import (
     Absent,
     Number,
     Table,
+    ascii_name,
+    remark,
     united,
 )
 from .unit import WHOLE, Signature, Value, bare, reads
@@ -50,7 +52,7 @@ class Reader(Calls):
             self.temporaries = 0
             self.loops = []
             for k, (given, kind) in enumerate(zip(names, self.kinds, strict=True)):
-                c = self.handed[k] if self.handed[k] is not None else f"p_{given.removeprefix('v_')}"
+                c = self.handed[k] if self.handed[k] is not None else self._argument(given)
                 self.env[given] = Value(kind, c, self.unit.by_name.get(c))
             self.block(self.tree.body)
             if not self.ended:
@@ -61,11 +63,12 @@ class Reader(Calls):
             raise self.unknown("types that do not settle", self.tree)
         result = self.result if self.result is not None else ABSENT
         heads = [
-            f"{self.unit.c(k)} p_{n.removeprefix('v_')}"
+            f"{self.unit.c(k)} {self._argument(n)}"
             for n, k, h in zip(names, self.kinds, self.handed, strict=True)
             if h is None and not isinstance(k, Absent)
         ]
-        head = f"static inline {self.unit.c(result)} {name}({', '.join([f'{self.unit.prefix} *s', *heads])})\n"
+        head = f"/* {remark(self.origin)} */\nstatic inline {self.unit.c(result)} {name}"
+        head += f"({', '.join([f'{self.unit.prefix} *s', *heads])})\n"
         self._without_unread()
         text = "\n".join(self.lines)
         if STRIDED in text:
@@ -84,6 +87,11 @@ class Reader(Calls):
         unused = [f"    (void){w};" for w in words if not re.search(rf"(?<![.\w]){w}\b", text)]
         body = [*variables, *unused, *(f"    {line.replace('@ZERO@', zero)}" for line in self.lines)]
         return head + "{\n" + "\n".join(body) + "\n}\n", Signature(name, result, self.discards)
+
+    @staticmethod
+    def _argument(name: str) -> str:
+        name = name.removeprefix("v_")
+        return f"p{'' if name.isascii() else 'z'}_{ascii_name(name)}"
 
     def _without_unread(self) -> None:
         """Remove assignments that are never read, and unused results of calls."""

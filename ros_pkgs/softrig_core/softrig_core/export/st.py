@@ -7,7 +7,7 @@ structured text: what C writes as one expression (a struct of its parts, a choic
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any
@@ -96,7 +96,8 @@ def structured_text(name: str, header: str, source: str, support: str, member: M
         raise NotNative("CasADi's C has no structured text")
     text = HEAD + _plain(support) + _plain(header) + _plain(source)
     params = re.findall(rf"#define {name.upper()}_PARAMS {{ (.*) }}", header)[0]
-    printer = _Printer(name, c_parser.CParser().parse(text))
+    titles = {own: title for title, own in re.findall(r"^/\* (.*) \*/\nstatic inline .*?(\w+)\(", source, re.MULTILINE)}
+    printer = _Printer(name, c_parser.CParser().parse(text), titles)
     units = printer.units()
     return [*units, printer.block_of(member, _numbers(params))]
 
@@ -122,8 +123,8 @@ def _plain(text: str) -> str:
 
 
 class _Printer:
-    def __init__(self, name: str, tree: Any) -> None:
-        self.name, self.tree = name, tree
+    def __init__(self, name: str, tree: Any, titles: Mapping[str, str]) -> None:
+        self.name, self.tree, self.titles = name, tree, titles
         self.structs: dict[str, dict[str, Any]] = {}
         self.functions: dict[str, tuple[Any, list[tuple[str, Any, bool]]]] = {}
         self.tables: dict[str, tuple[Any, str]] = {}
@@ -204,7 +205,11 @@ class _Printer:
                 self.tables[one.name] = self.type_of(one.type), f"[{numbers}]"
             elif isinstance(one, c_ast.FuncDef):
                 self.signature(one.decl)
-                self.function(one)
+                try:
+                    self.function(one)
+                except NotNative as reason:
+                    title = self.titles.get(one.decl.name, "")
+                    raise NotNative(f"{title}: {reason}" if "." in title else str(reason)) from None
         needed = self._needed(f"{self.word(f'{self.name}_init')}", *(self.word(f) for f in self.steps()))
         own = [u for u in self.done if u.kind == "TYPE" or u.name in needed]
         return [*_library(own), *own]

@@ -19,6 +19,7 @@ from .kinds import (
     Maybe,
     Number,
     Table,
+    ascii_name,
     identifier,
     kind_of,
     tuple_of,
@@ -132,7 +133,7 @@ class Unit:
             else:
                 pairs = zip(kind.items, kind.names, strict=True)
                 fields = [(self.c(k), identifier(n)) for k, n in pairs if not isinstance(k, Absent)]
-                title = kind.title.strip("_").lower() or "tuple"
+                title = ascii_name(kind.title.strip("_").lower()) or "tuple"
             name = f"{self.prefix}_{title}{len(self.structs)}_t"
             inner = "".join(f"    {c} {n};\n" for c, n in fields) or "    uint8_t nothing;\n"
             self.typedefs.append(f"typedef struct {{\n{inner}}} {name};\n")
@@ -199,7 +200,7 @@ class Unit:
         try:
             reader = self.reader(self, function, kinds, tables, python)
             self.count += 1  # a function may call another one of the same title
-            text, signature = reader.whole(f"{self.prefix}_{reader.title}_{self.count}")
+            text, signature = reader.whole(f"{self.prefix}_{ascii_name(reader.title)}_{self.count}")
         finally:
             self.under_way.discard(key)
         self.functions.append(text)

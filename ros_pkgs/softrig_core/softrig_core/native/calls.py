@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
 import operator
 import types
@@ -29,7 +30,7 @@ from .translate import (
     is_number_slot,
     made,
 )
-from .twins import class_of, is_twinned, twin, unpacked
+from .twins import OF, class_of, is_twinned, twin, unpacked
 from .value import (
     MADE_TEXT,
     NONE,
@@ -37,6 +38,7 @@ from .value import (
     Dynamic,
     GivesUp,
     Group,
+    NotNative,
     Path,
     Record,
     Static,
@@ -363,15 +365,8 @@ class Calls(Expressions):
         assert isinstance(node.func, ast.Attribute)
         name, sample = node.func.attr, sample_of(base)
         if name == "_replace" and isinstance(base, Dynamic) and hasattr(type(sample), "_fields"):
-            simple = self.simple(base)
             by_place, changed = self._arguments(node)
-            if by_place or not changed.keys() <= set(type(sample)._fields):
-                raise self.unknown(f"_replace of {kind_of(base)} by what is none of its fields", node)
-            parts = [
-                changed.get(f) or Dynamic(f"{simple.code}.{f}", getattr(sample, f), base.sure)
-                for f in type(sample)._fields
-            ]
-            return self.named(type(sample), parts, node)
+            return self._replaced(base, by_place, changed, node)
         if name == "conjugate" and isinstance(sample, complex) and isinstance(base, Dynamic):
             return Dynamic(f"{base.code}.conjugate()", sample.conjugate())
         if name == "tolist" and isinstance(base, Dynamic) and isinstance(sample, np.ndarray) and sample.ndim == 1:
@@ -398,6 +393,19 @@ class Calls(Expressions):
             words = {str(k.arg): self.value(k.value) for k in node.keywords}
             return made(self.program, method, [base, *(self.value(a) for a in node.args)], words, self.arrays)
         raise self.unknown(f".{name}() of {kind_of(base)}", node)
+
+    def _replaced(
+        self, base: Dynamic, by_place: Sequence[Value], changed: Mapping[str, Value], node: ast.AST
+    ) -> Dynamic:
+        """Return a named tuple with other values of some fields."""
+        kind = type(base.sample)
+        if by_place or not changed.keys() <= set(kind._fields):
+            raise self.unknown(f"_replace of {kind_of(base)} by what is none of its fields", node)
+        simple = self.simple(base)
+        parts = [
+            changed.get(f) or Dynamic(f"{simple.code}.{f}", getattr(base.sample, f), base.sure) for f in kind._fields
+        ]
+        return self.named(kind, parts, node)
 
     def call(self, function: Value, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
         """Call something."""
@@ -429,6 +437,8 @@ class Calls(Expressions):
         if isinstance(called, types.BuiltinMethodType) and isinstance(called.__self__, Mapping):
             table = Static(called.__self__, None if function.path is None else function.path[:-1])
             return self._of_mapping(called.__name__, table, given, node)
+        if called is dataclasses.replace and isinstance(given[0], Dynamic) and hasattr(type(given[0].sample), OF):
+            return self._replaced(given[0], given[1:], words, node)
         if isinstance(called, types.FunctionType):
             return made(self.program, called, given, words, self.arrays)
         if isinstance(called, type) and self.program.inferred and hasattr(called, "RING"):
@@ -436,6 +446,9 @@ class Calls(Expressions):
         if isinstance(called, type) and is_twinned(called):
             called = twin(called)
         if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
+            maker = next(kind for kind in called.__mro__ if "__new__" in vars(kind))
+            if "_fields" not in vars(maker):
+                raise self.unknown(f"{called.__name__}, which has a __new__ of its own", node)
             defaults = {k: Static(v) for k, v in called._field_defaults.items()}  # type: ignore[attr-defined]
             bound = dict(zip(called._fields, given, strict=False)) | dict(words)
             try:
@@ -602,6 +615,8 @@ class Calls(Expressions):
         if len(fixed) == len(given) and not any(v.path is not None and is_number_slot(v.value) for v in fixed):
             try:
                 return Static(called(*(self.program.guard(v) for v in fixed)))
+            except NotNative as error:
+                raise self.unknown(str(error), node) from None
             except Exception as error:
                 raise self.unknown(f"{type(error).__name__}: {error}", node) from None
         return self._computed(called, given, node)

@@ -7,7 +7,7 @@ import inspect
 import operator
 import types
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from .translate import (
     made,
     shape,
 )
-from .twins import class_of
+from .twins import ARITHMETIC, COMPARISONS, TRUTH, class_of, own_operator
 from .value import (
     MADE_TEXT,
     NONE,
@@ -213,7 +213,9 @@ class Expressions(Ways):
         name = f"look{len(self.program.functions)}"
         lines = [f"def {name}(k):"]
         for k, v in entries:
-            parts = [f"k[{i}] == {p!r}" for i, p in enumerate(k)] if isinstance(k, tuple) else [f"k == {k!r}"]
+            keys = k if isinstance(k, tuple) else (k,)
+            places = [f"k[{i}]" for i in range(len(keys))] if isinstance(k, tuple) else ["k"]
+            parts = [f"{place} == {self.code(Static(p))}" for place, p in zip(places, keys, strict=True)]
             lines += [f"    if {' and '.join(parts)}:", f"        return {self.code(Static(v))}"]
         last = GIVEN_UP if other is None else f"return {self.code(other)}"
         self.program.functions.append("\n".join([*lines, f"    {last}"]))
@@ -257,6 +259,8 @@ class Expressions(Ways):
             function = BINARY[type(op)][1] if type(op) in BINARY else FOLDED[type(op)]
             try:
                 return Static(function(*(self.program.guard(v) for v in both)))
+            except NotNative as error:
+                raise self.unknown(str(error), node) from None
             except Exception as error:
                 raise self.unknown(f"{type(error).__name__}: {error}", node) from None
         if (
@@ -269,15 +273,21 @@ class Expressions(Ways):
             x, y = self.dynamic(left), self.dynamic(right)
             sample = computed(pow, x.sample, y.sample)
             return Dynamic(f"power_({x.code}, float({y.code}))", x.sample if sample is UNKNOWN else sample)
+        if isinstance(op, (ast.LShift, ast.RShift)) and all(_is_whole(sample_of(v)) for v in (left, right)):
+            name = "left_" if isinstance(op, ast.LShift) else "right_"
+            self.program.words.add(name)
+            x, y = self.dynamic(left), self.dynamic(right)
+            return Dynamic(f"{name}({x.code}, {y.code})", computed(FOLDED[type(op)], x.sample, y.sample))
         if type(op) not in BINARY:
             raise self.unknown(
-                "** of whole or complex numbers" if isinstance(op, ast.Pow) else "an operation on bits", node
+                "** of whole or complex numbers" if isinstance(op, ast.Pow) else f"an operation {SIGNS[type(op)]}",
+                node,
             )
         a, b = sample_of(left), sample_of(right)
         if isinstance(a, (tuple, list)) or isinstance(b, (tuple, list)):
             return self._joined_tuples(op, left, right, node)
         if isinstance(a, str) or isinstance(b, str):
-            raise self.unknown("a text that is computed", node)
+            raise self.unknown("a text or a number that is rounded to digits in a calculation", node)
         text, function = BINARY[type(op)]
         x, y = self.dynamic(left), self.dynamic(right)
         sample = computed(function, x.sample, y.sample)
@@ -299,7 +309,15 @@ class Expressions(Ways):
             x, y = (replace(v, code=f"exact_({v.code})") if _is_large(v) else v for v in (x, y))
         return Dynamic(f"({x.code} {text} {y.code})", sample, is_sure(x) and is_sure(y))
 
+    def _check_operators(self, operators: str, *values: Value, node: ast.AST | None = None) -> None:
+        """Refuse values of a class whose operators are not those of a tuple."""
+        for value in values:
+            kind: Any = type(sample_of(value))
+            if (hasattr(kind, "_fields") or is_dataclass(kind)) and (name := own_operator(kind, operators)):
+                raise self.unknown(f"{kind_of(value)}, which has {name} of its own", node)
+
     def _joined_tuples(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
+        self._check_operators(ARITHMETIC, left, right, node=node)
         if isinstance(op, ast.Add):
             return Group((*self.parts(left, node), *self.parts(right, node)))
         if isinstance(op, ast.Mult) and isinstance(right, Static) and isinstance(right.value, int):
@@ -433,6 +451,7 @@ class Expressions(Ways):
             code = " or ".join(self.code(t) for t in tests)
             sample = computed(lambda *s: any(s), *map(sample_of, tests))
             return Dynamic(f"({code})" if isinstance(op, ast.In) else f"(not ({code}))", sample)
+        self._check_operators(COMPARISONS, left, right, node=node)
         text, function = COMPARE[type(op)]
         if isinstance(left, Static) and isinstance(right, Static):
             slots = [v for v in (left, right) if v.path is not None and is_number_slot(v.value)]
@@ -460,6 +479,7 @@ class Expressions(Ways):
                 return bool(self.program.guard(value))
         if isinstance(value, (Group, Record)):
             return bool(value.items)
+        self._check_operators(TRUTH, value)
         if isinstance(value.sample, tuple) and value.keys is None:
             if not is_sure(value) and self.program.inferred:
                 self.sampled = bool(value.sample)
@@ -508,6 +528,7 @@ def _is_large(value: Dynamic) -> bool:
     return not (value.code.lstrip("-").isdigit() and abs(int(value.code)) <= FEW)
 
 
+SIGNS = {ast.MatMult: "@", ast.LShift: "<<", ast.RShift: ">>", ast.Pow: "**"}
 WRAPS = {"+": "plus_", "-": "minus_", "*": "times_"}
 FOLDED: dict[type, Callable[[Any, Any], Any]] = {
     ast.Pow: lambda a, b: a**b,

@@ -140,7 +140,7 @@ class Program:
     def guard(self, value: Static) -> Any:
         """Return a fixed value that chooses the text."""
         if is_made_text(value):
-            raise NotNative("something that depends on a text that is made in a tick")
+            raise NotNative("something that depends on a text of a tick or on a number that is rounded to digits")
         if value.path is not None:
             self.guards[value.path] = signature(value.value)
         return value.value

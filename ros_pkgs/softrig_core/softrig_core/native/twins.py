@@ -24,12 +24,17 @@ Way = Callable[[Any], Any] | None  # to make another value of one; None: it stay
 
 @cache
 def is_twinned(kind: Hashable) -> bool:
-    """Return whether a class has a twin: a frozen dataclass that any module can find."""
+    """Return whether a class has a twin: a frozen dataclass that any module can find, made of its fields alone."""
     if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
         return False
-    frozen: bool = kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    about: Any = kind.__dataclass_params__  # type: ignore[attr-defined]
+    # A twin is made of one value a field, in their order: nothing may be computed or left out on the way.
+    plain = all(
+        f.init and not f.kw_only and f.default_factory is dataclasses.MISSING for f in dataclasses.fields(kind)
+    ) and not hasattr(kind, "__post_init__")
     # Only a class at the top of a module is found again by module and name.
-    return frozen and "<" not in kind.__qualname__ and "." not in kind.__qualname__
+    found = "<" not in kind.__qualname__ and "." not in kind.__qualname__
+    return bool(about.frozen and about.init and plain and kind.__new__ is object.__new__ and found)
 
 
 @cache
@@ -106,6 +111,23 @@ def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
         return own(*parts) if own else tuple(parts)
 
     return again
+
+
+ARITHMETIC, COMPARISONS, TRUTH = "add radd mul rmul", "eq ne lt le gt ge", "bool len"
+
+
+@cache
+def own_operator(kind: Hashable, operators: str) -> str:
+    """Return which of these operators a class of named tuples or dataclasses defines by itself; empty: none."""
+    own: Any = getattr(kind, OF, kind)
+    for base in own.__mro__:
+        if base in (tuple, object):
+            break
+        for name in (f"__{operator}__" for operator in operators.split()):
+            code = getattr(vars(base).get(name), "__code__", None)
+            if code is not None and code.co_filename != "<string>":  # where `dataclasses` makes its own
+                return name
+    return ""
 
 
 def form(value: Any) -> Any:

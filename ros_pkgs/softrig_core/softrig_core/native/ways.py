@@ -140,8 +140,10 @@ class Ways:
                 self.arrays.add(slot.code)
             return slot.code
         self.program.guard(value)
-        if result is None or isinstance(result, (bool, int)):
+        if result is None or isinstance(result, bool):
             return repr(result)
+        if isinstance(result, int):
+            return int.__repr__(result)  # a member of an enumeration shows its name
         if isinstance(result, float):
             if math.isfinite(result):
                 return repr(float(result))

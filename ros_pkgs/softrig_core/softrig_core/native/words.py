@@ -57,6 +57,10 @@ TEXTS: dict[str, str] = {
         f"        raise OverflowError\n    return x {sign} y\n"
         for name, sign, back, more, less in (("plus", "+", "-", ">", "<"), ("minus", "-", "+", "<", ">"))
     },
+    # numba takes the width of a shift modulo 64.
+    "left_": f"def left_(x, y):\n    if not 0 <= y <= 62 or not -({_LARGEST} >> y) <= x <= {_LARGEST} >> y:\n"
+    "        raise OverflowError\n    return x << y\n",
+    "right_": "def right_(x, y):\n    if y < 0:\n        raise ValueError\n    return x >> min(y, 63)\n",
     # Python compares a whole number and a float exactly; floats differ as the numbers do unless they are equal.
     "apart_": "def apart_(k, y):\n    d = float(k)\n    if d != y or not abs(y) < 9.2e18:\n        return d - y\n"
     "    return float(k - int(y))\n",
