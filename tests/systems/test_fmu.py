@@ -294,7 +294,7 @@ def test_the_tolerance_of_its_experiment_is_passed_and_discrete_inputs_jump_at_e
     ("version", "fault", "says"),
     [
         (2, 6, r"fmi2DoStep: asks to end the simulation at 0\.25 s"),
-        (3, 6, r"fmi3DoStep: asks to end the simulation at 0\.25 s"),
+        pytest.param(3, 6, r"fmi3DoStep: asks to end the simulation at 0\.25 s", marks=pytest.mark.long),
         (2, 7, "crashed: its process closed the pipe by which it is asked"),
     ],
 )

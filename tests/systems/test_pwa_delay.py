@@ -150,7 +150,7 @@ def test_theorem_1_on_the_pendulum_with_cell_terms():
             ("benchmark", 1, False, 6.0, 6.1, 6.0583, 6.0593),
             ("benchmark", 2, False, 6.1, 6.2, 6.1677, 6.1697),
         ],
-        2,
+        1,
     ),
 )
 def test_constant_delay_criterion(name, order, cell_terms, low, high, least, most):
