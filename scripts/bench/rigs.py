@@ -134,7 +134,7 @@ def in_memory(name: str, duration: float) -> float:
         rehearse(member.block_class, member.params, member.name)
     recording = Timed((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, rig.scenario.seed, recording)
-    return rig.ticks / (recording.published_at[-1] - recording.spoke[0])
+    return rig.ticks / (recording.published_at[-1] - recording.published_at[0])
 
 
 class Timed(Recording):

@@ -54,7 +54,7 @@ def answered(
         newest = [(published or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
         step.published_at = [None if t == NEVER else t for t in newest]
     for fill in step.readers:
-        # A silent tick must not overwrite what the reader holds; `Fitted.take` fills it where something was published.
+        # A silent tick must not overwrite what the reader holds; `Fitted.apply` fills it where something was published.
         if not (fill.checked or step.outputs[fill.output].sporadic):
             fill.set_value(answers[fill.output])  # type: ignore[arg-type]
 

@@ -334,7 +334,7 @@ class Fitted:
         return compile_
 
     def apply(self, first: int, last: int, after: Any) -> None:
-        """Create what native code has found that of the steps."""
+        """Store the states, answers and reports that native code has computed in the steps."""
         if (reports := self.kept.text.program.reports) is not None and self._reported[0]:
             reports.record(self._reported, self._steps)
         count = len(self._steps)

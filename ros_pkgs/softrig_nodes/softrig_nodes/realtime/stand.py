@@ -45,9 +45,9 @@ class Stand:
         self._clock = clock
         self._goes_by(clock)
 
-    def serve(self, say: Callable[[Sequence[str]], object]) -> None:
-        """Pause the rig when the node of its clock gets a request (`seam.hold`); `say` publishes it to the others."""
-        self._publish = say
+    def serve(self, publish: Callable[[Sequence[str]], object]) -> None:
+        """Pause the rig when the node of its clock gets a request (`seam.hold`); `publish` sends it to the others."""
+        self._publish = publish
         node = self._node
         node.hold.begin(node.middleware, self._turn)
         if node.hold.held:
