@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from softrig_core import Block, BlockParams, Level, Port, ScenarioError, param
-from softrig_core.block.held import Held
+from softrig_core.block.held import RunningBlock
 from softrig_core.block.params import ParameterError, build
 from softrig_core.kit.newest import KEPT, once, shared
 from softrig_core.run.expand import rig_of
@@ -108,13 +108,13 @@ class Odd(Block[Params]):
 def test_the_first_state_is_made_once_with_the_seed_and_reported_once():
     block = Odd.seeded(Params(), "odd", 3)
     assert (Odd.firsts, block.reports) == (1, {})
-    held = Held(block)
+    held = RunningBlock(block)
     by_hand = Odd(Params(), "odd")
     by_hand.reset(3)
     assert (held.x, held.reports["odd"]) == (by_hand.first(), (Level.WARN, "gain 1", 1))
-    assert Held(Odd.seeded(Params(), "odd", 4)).x != held.x
-    again = Held(block)  # of a block that has begun it is made anew
+    assert RunningBlock(Odd.seeded(Params(), "odd", 4)).x != held.x
+    again = RunningBlock(block)  # of a block that has begun it is made anew
     assert (again.x, again.reports["odd"][2]) == (held.x, 1)
     changed = Odd.seeded(Params(), "odd", 3)
     changed.change(Params(gain=2.0))
-    assert Held(changed).reports["odd"][1] == "gain 2"
+    assert RunningBlock(changed).reports["odd"][1] == "gain 2"

@@ -10,7 +10,7 @@ from pathlib import Path
 import faultrig
 import pytest
 import softrig_core
-from softrig_core import former, runners
+from softrig_core import RunningBlock, former, runners
 from softrig_core.errors import ScenarioError
 from softrig_core.rig.installed import block_of
 from test_walls import MIDDLEWARE
@@ -116,3 +116,12 @@ def test_earlier_names_work_and_say_what_has_replaced_them(monkeypatch):
         assert softrig_core.run_processes(1, x=2) == ("processes", (1,), {"x": 2})
     with pytest.warns(FutureWarning, match="use ros2 run softrig_nodes container"), pytest.raises(AssertionError):
         former.container()
+
+
+def test_a_class_is_found_by_its_former_name():
+    with pytest.warns(
+        FutureWarning, match=r"^softrig_core.Held will go in softrig 0.4; use softrig_core.RunningBlock$"
+    ):
+        assert former.Held is RunningBlock
+    with pytest.raises(AttributeError, match="no attribute 'holder'"):
+        _ = former.holder

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         steady as steady,
     )
     from .block.block import Block as Block, Level as Level, Observer as Observer, Plant as Plant, Values as Values
-    from .block.held import ByHand as ByHand, Held as Held
+    from .block.held import ByHand as ByHand, RunningBlock as RunningBlock
     from .block.params import (
         BlockParams as BlockParams,
         ParameterError as ParameterError,
@@ -87,7 +87,7 @@ else:
     _HOMES = {
         "errors": "RunError ScenarioError",
         "block.block": "Block Level Observer Plant Values",
-        "block.held": "ByHand Held",
+        "block.held": "ByHand RunningBlock",
         "kit.compiled": "Compiled",
         "kit.history": "History",
         "kit.jit": "jit",
@@ -102,7 +102,7 @@ else:
         "kit.state": "state_type",
         "timebase": "SECOND to_ns to_s",
         "solver.worker": "Work",
-        "former": "executable run_processes",
+        "former": "Held executable run_processes",
         "analysis.environment": "RigEnv",
         "analysis.environments": "RigVectorEnv",
         "verdict.figures": "Figure evaluate figures_of",

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from .block.block import Block
+from .block.held import RunningBlock
 from .runners import find_runner
 
 
@@ -38,6 +39,14 @@ def container() -> NoReturn:
     _warn("ros2 run softrig_core container", "ros2 run softrig_nodes container")
     find_runner("container")()
     raise AssertionError("a container ends its process")
+
+
+def __getattr__(name: str) -> Any:
+    """Return a class by its former name; deprecated."""
+    if name != "Held":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    _warn("softrig_core.Held", "softrig_core.RunningBlock")
+    return RunningBlock
 
 
 def _warn(old: str, new: str) -> None:

@@ -292,7 +292,7 @@ class Block(Generic[P]):
 
     @property
     def reports(self) -> Reports:
-        """Return the reports by key of a block without a holder; for a held block see `Held.reports`."""
+        """Return the reports by key of a block without a holder; of a running block see `RunningBlock.reports`."""
         result: Reports = {}
         for level, key, text, _ in self.events:
             note(result, level, key, text)

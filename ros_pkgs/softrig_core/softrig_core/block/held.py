@@ -25,13 +25,13 @@ class Kept(NamedTuple):
     params: BlockParams
     x: Any
     tables: Mapping[str, Any]
-    """By attribute, see `Held.TABLES`."""
+    """By attribute, see `RunningBlock.TABLES`."""
 
     values: Mapping[str, Any]
-    """See `Held.VALUES`."""
+    """See `RunningBlock.VALUES`."""
 
 
-class Held:
+class RunningBlock:
     """A block and its state.
 
     Parameters
@@ -126,7 +126,7 @@ class Held:
         self.drop()
 
 
-class ByHand(Held):
+class ByHand(RunningBlock):
     """A block that a person or a test steps, without a rig.
 
     Examples

@@ -15,7 +15,7 @@ from .block import Block, Level, Plant
 from .bound import answerer, mover
 from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
-from .held import Held
+from .held import RunningBlock
 from .link import Link
 from .loop import answer, move
 from .params import flatten
@@ -23,7 +23,7 @@ from .port import Port, Sample
 from .schedule import Schedule
 
 
-class Step(Held):
+class Step(RunningBlock):
     """One node at its ticks: its block, the block's state, and the values of its inputs.
 
     Parameters
@@ -76,7 +76,7 @@ class Step(Held):
         Number of ticks answered by native code, and why Python answered the others.
     """
 
-    TABLES = (*Held.TABLES, "values", "counts")
+    TABLES = (*RunningBlock.TABLES, "values", "counts")
     VALUES = ("last_answer", "numbers", "published_at", "t", "bad", "changes", "change_at", "unanswered", "begun")
 
     native: tuple[int, str] = (0, "")

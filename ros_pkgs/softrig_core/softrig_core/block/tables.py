@@ -12,7 +12,7 @@ Moment = Mapping[str, Kept]  # by name of the member
 
 
 class Tables:
-    """State of the nodes of a rig, or of some of them: one row a node, with the fields of `Held`.
+    """State of the nodes of a rig, or of some of them: one row a node, with the fields of `RunningBlock`.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..block.block import Level
-from ..block.held import Held
+from ..block.held import RunningBlock
 
 EXACT = 1 << 53  # whole numbers up to it are floats
 HEAD = 3  # of a place: how often, the number of the first one and of the newest among all; its numbers after them
@@ -47,7 +47,7 @@ class Reports:
         self.size += HEAD + count
         return self.places[-1].at
 
-    def record(self, table: Sequence[float], held: Sequence[Held]) -> None:
+    def record(self, table: Sequence[float], held: Sequence[RunningBlock]) -> None:
         """Record the reports of each block that a table holds, as if they had been reported one by one."""
         received = [p for p in self.places if table[p.at]]
         newest: dict[tuple[int, str], Place] = {}

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from ..bits import kernels
-from ..block.held import Held
+from ..block.held import RunningBlock
 from ..errors import Impure, RunError, ScenarioError
 from ..extras import need
 from ..judge.claims import NEVER
@@ -58,7 +58,7 @@ class Run:
         Why the run failed; empty when it did not.
     stopped : int
         Number of the signal that ended it before its time; 0 when none did.
-    blocks : dict of str to Held
+    blocks : dict of str to RunningBlock
         The blocks with their final states, after a run in process.
     begun : Rig or None
         For a run that `branch` returned: the rig of the first run, whose changes are the scenario's own.
@@ -83,7 +83,7 @@ class Run:
     status: dict[str, dict[str, Any]] = field(default_factory=dict)
     error: str = ""
     stopped: int = 0
-    blocks: Mapping[str, Held] = field(default_factory=dict)
+    blocks: Mapping[str, RunningBlock] = field(default_factory=dict)
     begun: Rig | None = None
     wanted: list[Figure] | None = None
     strict: bool = False

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from softrig_core.block.block import Observer
-from softrig_core.block.held import Held
+from softrig_core.block.held import RunningBlock
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2
 _renameat2 = getattr(ctypes.CDLL(None), "renameat2", None)  # glibc 2.28
@@ -36,7 +36,7 @@ class StatusFile:
         _exchange(new, self._path)
 
 
-def figures(held: Held) -> dict[str, Any]:
+def figures(held: RunningBlock) -> dict[str, Any]:
     """Return what an observer has measured, as far as it is a number."""
     if not isinstance(held.block, Observer):
         return {}
