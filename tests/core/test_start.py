@@ -463,6 +463,22 @@ def test_a_topic_of_another_type_is_reported_once_and_a_watch_writes_the_status(
     assert hand.logs[1:] == ["WARN it is late"]
 
 
+def test_an_external_node_that_is_not_seen_is_named_once_with_what_its_vendor_needs(tmp_path):
+    """Of a launch nobody else says it; `run` has `Guests`."""
+    hand, _, adapter = node(Gain(), law_links())
+    Group([adapter])
+    watch = next(t for t in hand.timers if t.call.__name__ == "watch").call
+    adapter.lacking = ["lag/command"]
+    for seconds in (0.0, 9.0, 2.0, 20.0):
+        hand.time += int(seconds * 1e9)
+        for _ in range(4):
+            watch()
+        assert len(hand.logs) == (hand.time > 10**10)
+    (text,) = hand.logs
+    assert text.startswith("WARN waits for the external node of lag/command: not seen for 10 s; where it runs on Cyclone")
+    assert "export CYCLONEDDS_URI='<CycloneDDS>" in text
+
+
 @pytest.mark.parametrize(("every", "written"), [(1, [1, 2, 3, 4, 5, 6, 7, 8]), (4, [4, 8])])
 def test_a_status_is_written_at_each_watch_or_against_the_wall_clock_at_each_fourth(every, written, tmp_path):
     hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))

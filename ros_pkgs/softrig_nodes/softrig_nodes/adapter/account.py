@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from softrig_core.block.block import Level
 from softrig_core.timebase import SECOND
 
+from ..processes.guests import HINT, UNSEEN
 from ..seam.endpoint import Input
 from ..seam.health import StatusFile, figures, peak_memory
 from ..seam.middleware import other_types
@@ -36,6 +37,7 @@ class Account:
     def __init__(self, node: Adapter) -> None:
         self._node = node
         self.watches = 0
+        self._since = node.middleware.steady()
         self._logged: set[str] = set()
         self._paused = False
         self._file = StatusFile(node.options.status)
@@ -67,6 +69,7 @@ class Account:
         node.drive.progress()
         if self.watches % CHECK_EVERY == 0:
             self._notice_types()
+            self._notice_unseen()
             if (why := node.middleware.deaf()) and node.state in ("starting", "running"):
                 node.fail(why)
         self.watches += 1
@@ -121,6 +124,14 @@ class Account:
         if key not in self._logged:
             self._logged.add(key)
             self._node.middleware.log(level, text)
+
+    def _notice_unseen(self) -> None:
+        """Log which external node the start waits for: under a launch nothing else does."""
+        node = self._node
+        if node.state == "starting" and node.lacking and node.middleware.steady() - self._since > UNSEEN:
+            topics = ", ".join(node.lacking)
+            text = f"waits for the external node of {topics}: not seen for {UNSEEN:g} s; {HINT}"
+            self._log_once("unseen", Level.WARN, text)
 
     def _notice_types(self) -> None:
         """Report a topic that is published with another type: its messages never arrive."""

@@ -18,6 +18,7 @@ CYCLONE = (
     '<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
     "</Domain></CycloneDDS>"
 )
+HINT = f"where it runs on Cyclone DDS: export CYCLONEDDS_URI='{CYCLONE}'"
 
 
 class Guests:
@@ -76,10 +77,7 @@ class Guests:
             self._name_strays(lacking, state.get("published", {}))
         if self._awaited and time.monotonic() - self._since > UNSEEN:
             who = ", ".join(self._awaited)
-            self._once(
-                "unseen",
-                f"{who}: not seen for {UNSEEN:g} s; where it runs on Cyclone DDS: export CYCLONEDDS_URI='{CYCLONE}'",
-            )
+            self._once("unseen", f"{who}: not seen for {UNSEEN:g} s; {HINT}")
 
     def _name_strays(self, lacking: Set[str], published: Mapping[str, list[tuple[str, str]]]) -> None:
         """Report nodes that publish the type of an awaited topic under a name that the rig does not know."""
