@@ -10,6 +10,7 @@ import re
 import shlex
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -29,6 +30,7 @@ WITHOUT_ROS = (
     "nodes, topics, recording and playing need ROS 2 (rclpy), which is not here: source a Jazzy installation; runs "
     "with --mode inprocess, studies, falsification, reports and bags need none"
 )
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 # the caller has named what cannot be read or written: bad input, nothing that broke
 _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 
@@ -48,6 +50,16 @@ def guarded(work: Callable[[], int]) -> int:
         softrig itself (its traceback is in a file); 128 plus the number of the signal that stopped it; 141: the reader
         of the output has closed it.
     """
+    usual = {number: signal.getsignal(number) for number in ENDING}
+    try:
+        return _guarded(work)
+    finally:
+        for number, handler in usual.items():
+            if handler is not None and signal.getsignal(number) is not handler:
+                signal.signal(number, handler)
+
+
+def _guarded(work: Callable[[], int]) -> int:
     global _incomplete
     secure_streams()
     _incomplete = False
@@ -74,6 +86,9 @@ def guarded(work: Callable[[], int]) -> int:
         print_line(error)
         return 3
     except KeyboardInterrupt as error:
+        if threading.current_thread() is threading.main_thread():
+            for number in ENDING:  # a second one would strike in the line, or in what is freed after it
+                signal.signal(number, signal.SIG_IGN)
         print_line(stopped_by(error))
         return 128 + int(getattr(error, "number", signal.SIGINT))
     except MemoryError:
