@@ -475,7 +475,7 @@ def test_an_external_node_that_is_not_seen_is_named_once_with_what_its_vendor_ne
             watch()
         assert len(hand.logs) == (hand.time > 10**10)
     (text,) = hand.logs
-    assert text.startswith("WARN waits for the external node of lag/command: not seen for 10 s; where it runs on Cyclone")
+    assert text.startswith("WARN waits for the external node of lag/command: not seen for 10 s; where it runs on Cy")
     assert "export CYCLONEDDS_URI='<CycloneDDS>" in text
 
 
