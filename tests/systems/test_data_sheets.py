@@ -195,7 +195,7 @@ BOTH, HALF = (-2.0, -1.0, 0.0, 1.0, 2.0), (0.0, 1.0, 2.0)
     ("plant", "values", "text"),
     [
         (PmsmPlant, {"R_s": 3600.0}, "R_s = 3600 ohm, L = 0.036 H: its fastest time constant is"),
-        (PmsmPlant, {"L_d": 36e-6, "L_q": 51e-6}, "check their units, or take 100 substeps"),
+        (PmsmPlant, {"L_d": 36e-6, "L_q": 51e-6}, "check the units, or use 100 substeps"),
         (PmsmPlant, {"psi_f": 545.0}, "psi_f = 545 Wb"),
         (PmsmPlant, {"w_0": 1e6}, "w_0 = 1e[+]06 rad/s"),
         (FocController, {"psi_f": 0.0, "L_q": 0.036}, "such a machine makes no torque"),
