@@ -396,6 +396,12 @@ class Given:
     def declare_parameter(self, name, value, descriptor):
         self.declared.append((name, value, descriptor.description))
 
+    def timer(self, ns, callback):
+        """Never fire."""
+
+    def serve_by(self, timer):
+        assert timer == self.timer  # by one of the node's own
+
 
 @pytest.fixture
 def session(monkeypatch):

@@ -20,12 +20,15 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from services import Client, judge
+from rcl_interfaces.msg import Parameter
+from rcl_interfaces.srv import SetParameters
+from services import Client, judge, value
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import environment
 from std_srvs.srv import Trigger
 
 LENGTH = 8.0  # s of a flood
+PACE = 5.0  # of a container in lockstep: by itself it writes some GB in the time of a case
 STANDS = 2.0  # s of a rig without a tick after which it has to say why
 CLIENT = """
 import os, random, sys, time
@@ -97,6 +100,9 @@ def attack(seed: int, directory: Path) -> None:
     try:
         watch = Watch(call)
         watch.until(lambda: watch.ticks > 10, 120.0, "the first ticks")
+        if place == ("container",):
+            pace = Parameter(name="run.pace", value=value("DOUBLE", double_value=PACE))
+            call(SetParameters, "/dc_motor_plant/set_parameters", parameters=[pace])
         before = watch.rate(4.0)
         clients: list[subprocess.Popen] = []
         during = watch.rate(LENGTH, lambda: _flood(clients, what, random.Random(seed)))

@@ -5,7 +5,6 @@
 
 import math
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,9 +32,8 @@ from softrig_core.rig.options import Links, RunOptions
 from softrig_nodes.adapter.adapter import Adapter
 from softrig_nodes.face.tuning import Tuning
 from softrig_nodes.main import _parameters
-from softrig_nodes.ros.ros import Credit, ServingNode, plain
+from softrig_nodes.ros.ros import ServingNode, plain
 from softrig_nodes.seam.monitor import Monitor
-from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 from services import HOSTILE, STRANGE
@@ -66,8 +64,7 @@ class Stood(ServingNode):
             setattr(self, f"_{kind}_parameters_callbacks", [])
         self._parameter_event_publisher = SimpleNamespace(publish=lambda event: None)
         self._clock = SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: None))
-        self.monitor, self._credit, self._answers = Monitor(lambda: None), Credit(), []
-        self._credit.wanting = lambda: 0.0
+        self.monitor, self._answering = Monitor(lambda: None), {}
 
     def get_name(self):
         return "node"
@@ -87,7 +84,7 @@ def event(monkeypatch):
     def offer(self, kind, name, answer, **_):
         self.offered[kind] = lambda **request: answer(kind.Request(**request), kind.Response())
         self.kept = _["qos_profile"].depth
-        return SimpleNamespace(send_response=None, srv_name=name)
+        return name
 
     monkeypatch.setattr(Node, "create_service", offer)
 
@@ -166,22 +163,3 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
         )
         assert (d.type, d.read_only, str(d.floating_point_range), str(d.integer_range)) == then, n
     assert adapter.state != "failed"
-
-
-def test_requests_beyond_their_share_wait_asleep_while_ticks_are_answered(event, monkeypatch):
-    """A flood leaves Python's lock to the ticks; a paused rig has none, and its timers wait behind the requests."""
-    node, naps = Stood(), []
-    monkeypatch.setattr("softrig_nodes.ros.ros.time", SimpleNamespace(sleep=naps.append, monotonic=time.monotonic))
-    node.create_service(Trigger, "press", lambda request, response: response)
-    press = node.offered[Trigger]
-    press()
-    node._credit.wanting = lambda: 1.0
-    press()  # in a container: its loop takes one request a turn
-    node.beside = True
-    assert naps == []
-    press()
-    assert naps == [0.005]
-    node.paused = lambda: True
-    press()
-    assert naps == [0.005]
-    assert node.kept == 100  # requests of a service

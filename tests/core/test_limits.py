@@ -17,9 +17,9 @@ LIMITS = {
     "softrig_nodes.adapter.departure": {"LEAD": 500 * MS, "CLOCKS": 500 * MS, "REPEAT": 5},
     "softrig_nodes.face.frames": {"PERIOD": 33_333_333},
     "softrig_nodes.face.simulation": {"LOOK": 5 * MS, "APART": 1e-6},
-    "softrig_nodes.ros.ros": {"LOOK": 20 * MS, "SEARCH": 250 * MS, "OVERDUE": 0.1, "PATIENCE": 2.0, "LAST": 10.0},
-    "softrig_nodes.ros.ros.Credit": {"SHARE": 0.2, "MOST": 2.0},
-    "softrig_nodes.ros.ros.Answers": {"MOST": 100},
+    "softrig_nodes.ros.ros": {"LOOK": 20 * MS, "SEARCH": 250 * MS, "PATIENCE": 2.0, "LAST": 10.0},
+    "softrig_nodes.ros.requests.Credit": {"SHARE": 0.2, "MOST": 2.0},
+    "softrig_nodes.ros.requests": {"MOST": 100, "IDLE": 20 * MS, "BUSY": 2 * MS, "PATIENCE": 2.0, "UNKNOWN": 2.0},
     # a run in lockstep: ticks, messages, s without progress
     "softrig_nodes.lockstep.comeback": {"SAID": 2},
     "softrig_nodes.lockstep.lockstep": {"FEW": 2, "REPORT_AFTER": 250},

@@ -337,7 +337,7 @@ class Serving(ServingNode):
         self._parameters["empty"] = Parameter("empty", Parameter.Type.NOT_SET)
         self._descriptors = {n: SimpleNamespace(floating_point_range=[], type=0) for n in self._parameters}
         self._descriptors["empty"].floating_point_range = [1]
-        self._credit, self.taken, self.refuses = ros.Credit(), [], ()
+        self.taken, self.refuses = [], ()
 
     def get_name(self):
         return "law"
@@ -387,8 +387,7 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
     assert node.ask(n=4.0)[2] == [{"n": 4}]
     assert node.ask(n=4.5) == ([False], ["parameter n = 4.5: expected a whole number"], [])
     assert node.ask(words=["a"])[2] == []
-    node._credit.left = -1.0
-    (result,) = node._set([Parameter("k", value=5.0).to_parameter_msg()])
+    (result,) = node._set([Parameter("k", value=5.0).to_parameter_msg()], wait=5.0)
     assert (result.successful, result.reason) == (
         False,
         "more is set than fits between the ticks, expected a pause of 5.0 s",
@@ -403,26 +402,6 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
     ]
     assert guessed("[1, 2]").type == 7
     assert guessed(None).string_value == "None"
-
-
-def test_sets_take_a_fifth_of_the_time_and_two_seconds_in_a_row(monkeypatch):
-    clock = SimpleNamespace(now=100.0)
-    monkeypatch.setattr(ros, "time", SimpleNamespace(monotonic=lambda: clock.now))
-    credit = ros.Credit()
-    assert (credit.left, credit.wanting()) == (2.0, 0.0)
-    with credit.spent():
-        clock.now += 2.5
-    assert credit.left == -0.5
-    assert credit.wanting() == 2.5
-    clock.now += 2.0
-    assert credit.wanting() == pytest.approx(0.5)
-    clock.now += 0.5
-    assert credit.wanting() == pytest.approx(0.0)
-    with credit.spent():
-        clock.now += 100.0
-    assert (credit.left, credit.wanting()) == (-2.0, 10.0)
-    clock.now += 1000.0
-    assert (credit.wanting(), credit.left) == (0.0, 2.0)
 
 
 # ---- timers and callbacks ----
@@ -472,7 +451,7 @@ class RclTimer:
 def test_a_timer_that_has_its_period_is_drawn_along_and_not_reset():
     """So that the call after the next one is where it was asked for, give or take whole periods; none is doubled."""
     inner = RclTimer()
-    timer = ros._RosTimer(inner)
+    timer = ros.RosTimer(inner)
     timer.again(5000)
     assert (inner.due, inner.timer_period_ns, inner.resets) == (5000, 5000, 1)
     timer.again(2, 10_000)
@@ -533,6 +512,11 @@ class Rcl:
         )
         self._subscriptions.append(made)
         return made
+
+    timer = ServingNode.timer
+
+    def serve_by(self, timer):
+        """Answer no requests."""
 
     def create_timer(self, seconds, call, clock):
         timer = RclTimer()
@@ -1132,45 +1116,17 @@ def pointer_of(capsule):
     return pointer(capsule, name(capsule))
 
 
-# ---- answers ----
-
-
-def test_answers_take_their_share_and_those_to_nobody_are_dropped():
-    """A client that has gone costs the middleware 0.1 s an answer; here each one sent does."""
-    credit, sent, later, clients = ros.Credit(), [], [], [1]
-
-    def send(response, header):
-        credit.left -= 0.1  # as `spent` would find
-        sent.append(response)
-
-    answers = ros.Answers(send, lambda: clients[0], credit, lambda: later.append("asked"))
-    credit.wanting = lambda: max(0.0, -credit.left / credit.SHARE)
-    credit.spent = nullcontext
-    for k in range(200):
-        answers(k, None)
-    assert sent == list(range(len(sent)))
-    assert 20 <= len(sent) <= 21  # two seconds' worth in a row
-    assert set(later) == {"asked"}
-    credit.left = 0.25
-    answers.go_on()
-    assert sent[-3:] == [100, 101, 102]  # the oldest were dropped: a hundred may wait
-    credit.left, clients[0] = 2.0, 0
-    later.clear()
-    answers.go_on()
-    assert len(answers._waiting) == 0
-    assert sent[-1] == 102
-    assert later == []
-
-
 def test_a_set_that_is_refused_for_want_of_time_is_reported():
     node, _hand, adapter, shown = face(Lag(gain=2.0))
     node.readers["/diagnostics"] = 1
     Tuning(node, adapter)
     serving = Serving(k=1.0)
     serving.overdrawn = node.overdrawn
-    serving._credit.left = -1.0
-    assert serving.ask(k=2.0)[0] == [False]
+    assert not serving._set([Parameter("k", value=2.0).to_parameter_msg()], wait=5.0)[0].successful
+    node.dropped()
+    node.dropped()
     shown._publish_diagnostics()
     (status,) = node.topics["/diagnostics"].pop().status
     messages = {v.key: v.value for v in status.values}
     assert messages["services"].startswith("1 x more is set than fits between the ticks")
+    assert messages["answers"] == "2 x an answer is dropped: its client has left"

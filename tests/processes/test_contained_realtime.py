@@ -98,6 +98,7 @@ class Contained:
             resolve_topic_name=resolve,
             monitor=Monitor(lambda: None),
             _parameter_overrides={},
+            serve_by=lambda timer: None,
         )
         given = {
             k.removeprefix("run."): v

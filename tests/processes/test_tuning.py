@@ -18,7 +18,6 @@ from softrig_core import load_scenario, rig_of
 from softrig_core.block.params import flatten
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import find_executable
-from softrig_nodes.ros.ros import Credit
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaign"))
 import services
@@ -167,24 +166,6 @@ def test_no_call_of_a_live_node_changes_type_range_or_existence(seed, tmp_path, 
     for name, value in os.environ.items():
         monkeypatch.setenv(name, value)  # the attack sets some
     services.attack(seed, tmp_path)
-
-
-def test_sets_may_take_a_share_of_the_time(monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr("softrig_nodes.ros.ros.time.monotonic", lambda: now[0])
-    credit = Credit()
-    for _ in range(4):
-        assert credit.wanting() == 0.0
-        with credit.spent():
-            now[0] += 0.5
-        now[0] += 0.1
-    assert credit.left == pytest.approx(Credit.MOST - 2.0 + Credit.SHARE * 0.3)
-    with credit.spent():
-        now[0] += 60.0  # one long one
-    wait = credit.wanting()
-    assert 0.0 < wait <= Credit.MOST / Credit.SHARE
-    now[0] += wait
-    assert credit.wanting() == pytest.approx(0.0, abs=1e-9)
 
 
 LISTER = (

@@ -20,12 +20,15 @@ from simulated_outside import SimulatedOutside
 from softrig_core import rig_of
 from softrig_core.rig.options import RunOptions
 from softrig_nodes.adapter.adapter import Adapter
+from softrig_nodes.below import uses
 from softrig_nodes.group import Group
 from softrig_nodes.lockstep import turns
 from softrig_nodes.processes import supervision
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.guests import Guests
+from softrig_nodes.ros import requests
 from softrig_nodes.ros.ros import RosMiddleware, ServingNode, quiet_after_shutdown
+from std_srvs.srv import Trigger
 from test_discovery import KINDS, rig_and_record, with_guests
 
 MS, SECOND = 1_000_000, 1_000_000_000
@@ -135,6 +138,37 @@ def test_the_graph_tells_which_readers_ask_for_more_than_a_writer_offers():
             node.destroy_node()
             context.shutdown()
     assert result == [("ours", "Volatile publisher and transient local subscription")]
+
+
+def test_an_answer_goes_to_a_client_that_is_there_and_to_none_that_has_left(monkeypatch):
+    """The middleware would wait for 0.1 s at each of the others; the header of a request tells whose it is."""
+    monkeypatch.setattr(requests, "UNKNOWN", 0.0)
+    contexts, sent, dropped = [Context() for _ in range(3)], [], []
+    with free_domain() as domain:
+        for context in contexts:
+            rclpy.init(context=context, domain_id=domain)
+        node = ServingNode("ours", context=contexts[0])
+        here, left = (rclpy.create_node(f"stranger{k}", context=contexts[k]) for k in (1, 2))
+        try:
+            node.dropped = lambda: dropped.append(1)
+            node.serve_by(lambda period, serve: SimpleNamespace(period=period))
+            service = node.create_service(Trigger, "~/press", lambda request, response: response)
+            monkeypatch.setattr(node._requests._offers[-1], "send", lambda response, header: sent.append(header))
+            for stranger, known, count in ((here, 1, 2), (left, 2, 3)):
+                client = stranger.create_client(Trigger, "/ours/press")
+                assert client.wait_for_service(60.0)
+                until(lambda known=known: len(uses.answer_readers(node, service)) == known)
+                for _ in range(count):
+                    client.call_async(Trigger.Request())
+            left.destroy_node()
+            until(lambda: len(uses.answer_readers(node, service)) == 1)
+            until(lambda: len(sent) + len(dropped) == 5 or (node._requests.serve(), None)[1])
+        finally:
+            here.destroy_node()
+            node.destroy_node()
+            for context in contexts:
+                context.shutdown()
+    assert ([h.request_id.sequence_number for h in sent], len(dropped)) == ([1, 2], 3)
 
 
 def test_in_real_time_the_start_is_after_the_controller_has_come():
@@ -270,7 +304,11 @@ def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
 def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_does(monkeypatch):
     ros = RosMiddleware(
         SimpleNamespace(
-            monitor=None, get_name=lambda: "a", get_fully_qualified_name=lambda: "/a", _parameter_overrides={}
+            monitor=None,
+            get_name=lambda: "a",
+            get_fully_qualified_name=lambda: "/a",
+            _parameter_overrides={},
+            serve_by=lambda timer: None,
         )
     )
     before = ros.now()

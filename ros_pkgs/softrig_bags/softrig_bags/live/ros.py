@@ -92,6 +92,7 @@ class Session:
         for declaration, value in parameters:
             self.node.declare_parameter(declaration.name, value, range_descriptor(declaration))
         watch_ports(self.node)
+        self.node.serve_by(self.node.timer)
         self._executor: Any = uses.executor()
         self._executor.add_node(self.node)
 

@@ -120,7 +120,10 @@ class ShardWriter:
         """Pass everything to the operating system; raises OSError (disk full), never drops silently."""
         while self._buffer:
             # An unbuffered file may write less than it is given, for instance on a disk that is nearly full.
-            written = self._file.write(self._buffer)
+            try:
+                written = self._file.write(self._buffer)
+            except OSError as error:  # its own does not name the file
+                raise OSError(error.errno, error.strerror, str(self._file.name)) from error
             del self._buffer[: written or 0]
         self._limit = self.LIMIT
 

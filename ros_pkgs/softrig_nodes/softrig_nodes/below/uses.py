@@ -7,9 +7,11 @@ numbers; it takes longer or reports less.
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import inspect
 import os
+import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from functools import cache
@@ -22,6 +24,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 VARIABLE = "SOFTRIG_PUBLIC"
 SEEN = "rclpy 7.1 (Jazzy), 9.1 (Kilted)"
+HEADER = struct.Struct("qq16sq")  # rmw_service_info_t: two times in ns, the client, the number of the request
 OF_ROS = ("use_sim_time", "start_type_description_service")  # which every node declares itself
 
 
@@ -95,7 +98,16 @@ USES = {
         "the executor takes all messages: a third of a lockstep loop's rate",
         lambda: _assigns(Node, "_subscriptions"),
     ),
-    "send_response": Use(SEEN, "an answer to a client that has gone takes 0.1 s of a tick's time", _service),
+    "requests": Use(
+        SEEN,
+        "the executor takes all requests: a flood delays timers, an answer to a client that has gone takes 0.1 s",
+        lambda: _assigns(Node, "_services") and callable(_c().Service.service_take_request) and _service(),
+    ),
+    "client": Use(
+        SEEN,
+        "an answer is sent while any client is there: one to a client that has gone may take 0.1 s of a tick's time",
+        lambda: callable(_c().rmw_service_info_t) and callable(_c().rclpy_get_subscriptions_info_by_topic),
+    ),
     "events_executor": Use(
         SEEN,
         "SingleThreadedExecutor: six times the processor time of a message",
@@ -238,10 +250,46 @@ def executor() -> Any:
     return importlib.import_module("rclpy.executors").SingleThreadedExecutor()
 
 
-def answer_by(service: Any, wrap: Callable[[Any], Any]) -> None:
-    """Let a service send its answers by `wrap` of its own send function."""
-    if works("send_response"):
-        service.send_response = wrap(service.send_response)
+def leave_requests_to_us(node: Node, service: Any) -> None:
+    """Remove a service from the executor's wait set; see `works("requests")` first."""
+    node._services.remove(service)
+
+
+def services(node: Node) -> list[Any]:
+    """Return the services that the executor serves."""
+    return list(node.services)
+
+
+def next_request(service: Any) -> tuple[Any, Any]:
+    """Return the oldest request of a service and its header; twice None if there is none."""
+    with service.handle:
+        return service.handle.service_take_request(service.srv_type.Request)  # type: ignore[no-any-return]
+
+
+def client_of(header: Any) -> bytes:
+    """Return the identity of the reader that waits for the answer to a request; empty if it is not known.
+
+    The header of a request holds it, but rclpy does not show it. What is read is compared with what rclpy shows.
+    """
+    if not works("client"):
+        return b""
+    # A pybind11 object is the head of a Python object and the address of a structure of C.
+    place = ctypes.c_void_p.from_address(id(header) + object.__basicsize__).value
+    if not place:
+        return b""
+    sent, received, reader, number = HEADER.unpack(ctypes.string_at(place, HEADER.size))
+    shown = header.source_timestamp, header.received_timestamp, header.request_id.sequence_number
+    return reader if (sent, received, number) == shown else b""
+
+
+def answer_readers(node: Node, service: Any) -> set[bytes]:
+    """Return the identities of the readers of a service's answers that the graph shows."""
+    if not works("client"):
+        return {b"a client"} if node.count_clients(service.srv_name) else set()
+    topic = f"rr{service.service_name}Reply"  # as rmw_fastrtps names it
+    with node.handle:
+        rows = _c().rclpy_get_subscriptions_info_by_topic(node.handle, topic, True)
+    return {bytes(row["endpoint_gid"]) for row in rows}
 
 
 def news(node: Node, handlers: Iterable[Any]) -> list[tuple[Callable[[Any], None], Any]]:

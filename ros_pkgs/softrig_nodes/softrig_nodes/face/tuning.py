@@ -31,6 +31,7 @@ class Tuning:
         node.paused = lambda: adapter.hold.held
         # in /diagnostics, and logged with the next tick
         node.overdrawn = lambda text: adapter.step.note(Level.WARN, "services", text)
+        node.dropped = lambda: adapter.step.note(Level.OK, "answers", "an answer is dropped: its client has left")
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         adapter = self._adapter

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rclpy.node import Node
-
 from ..seam.exchange import Exchange, ExchangeTimer
 from ..seam.middleware import Matched, Place, Reader, Receive
-from .ros import RosMiddleware
+from .ros import RosMiddleware, ServingNode
 
 
 class ContainedMiddleware(RosMiddleware):
@@ -16,15 +14,15 @@ class ContainedMiddleware(RosMiddleware):
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    node : ServingNode
         Node of a participant that does not match its own endpoints with each other (`profile.exclusive`).
     exchange : Exchange
         Exchange of the container.
     """
 
-    def __init__(self, node: Node, exchange: Exchange) -> None:
-        super().__init__(node)
+    def __init__(self, node: ServingNode, exchange: Exchange) -> None:
         self._exchange = exchange
+        super().__init__(node)
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Receive:
         """Offer a topic; it is published by DDS while it has subscribers in another process."""

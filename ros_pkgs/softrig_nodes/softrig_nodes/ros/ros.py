@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from ast import literal_eval
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
@@ -38,7 +37,6 @@ from yaml import YAMLError
 from ..below.arrival import Arrival, library
 from ..below.uses import (
     RCLError,
-    answer_by,
     descriptors,
     endpoints,
     keep_overrides,
@@ -49,6 +47,8 @@ from ..below.uses import (
     overrides,
     parameters,
     sending,
+    services,
+    works,
 )
 from ..processes.shared_memory import Ears, domain_id
 from ..seam.middleware import Matched, Middleware, Numbered, Peer, Place, Reader, Receive, Send
@@ -56,6 +56,7 @@ from ..seam.monitor import Monitor
 from .garbage import Garbage
 from .messages import message_class
 from .processor import Processor
+from .requests import BUSY, IDLE, MOST, Credit, Periodic, Requests
 
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -78,9 +79,6 @@ SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have l
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
 LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
 
-NAP = 0.005  # s before each answer while services have used up their time; Python leaves its lock to a thread as long
-OVERDUE = 0.1  # s between two tries to send answers that wait for their share of the time
-
 # A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
 NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
 LISTS = (Parameter.Type.INTEGER_ARRAY, Parameter.Type.STRING_ARRAY, Parameter.Type.STRING)
@@ -100,78 +98,8 @@ KINDS = {
     Parameter.Type.STRING_ARRAY: "a list of texts",
 }
 
+Answer = Callable[..., Any]  # gets a request, an empty response and perhaps for how many seconds there is no time
 SEVERITY = {Level.OK: LoggingSeverity.INFO, Level.WARN: LoggingSeverity.WARN, Level.ERROR: LoggingSeverity.ERROR}
-
-
-class Credit:
-    """Wall-clock time that services may still use: a share of the elapsed time, with an upper limit."""
-
-    SHARE, MOST = 0.2, 2.0  # s; a timeout of a rig is longer
-
-    def __init__(self) -> None:
-        self.left, self._since = self.MOST, time.monotonic()
-
-    def wanting(self) -> float:
-        """Return how long to wait until there is some again, s; zero if there is."""
-        now = time.monotonic()
-        self.left = min(self.MOST, self.left + self.SHARE * (now - self._since))
-        self._since = now
-        return max(0.0, -self.left / self.SHARE)
-
-    @contextmanager
-    def spent(self) -> Iterator[None]:
-        """Subtract the time of the block within."""
-        start = time.monotonic()
-        try:
-            yield
-        finally:
-            self._since = time.monotonic()
-            self.left = max(-self.MOST, self.left - (self._since - start))
-
-
-class Answers:
-    """Answers of one service, sent within a share of the time: an answer to a client that has left blocks for 0.1 s.
-
-    The middleware (rmw_fastrtps of Jazzy) waits that long for the reader of each answer. If the service has no clients
-    left, no answer is sent. While it has others, answers wait for their share of the time, and the oldest are dropped.
-
-    Parameters
-    ----------
-    send : callable
-        Sends a response by the header of its request.
-    clients : callable
-        Returns the number of clients.
-    later : callable
-        Arranges that `go_on` is called from time to time, from the first call on.
-    """
-
-    MOST = 100  # that wait; so many requests of a service are kept
-
-    def __init__(
-        self,
-        send: Callable[[Any, Any], None],
-        clients: Callable[[], int],
-        credit: Credit,
-        later: Callable[[], object],
-    ) -> None:
-        self._send, self._clients, self._credit, self._later = send, clients, credit, later
-        self._waiting: deque[tuple[Any, Any]] = deque(maxlen=self.MOST)
-
-    def __call__(self, response: Any, header: Any) -> None:
-        """Send an answer, now or later."""
-        self._waiting.append((response, header))
-        self.go_on()
-
-    def go_on(self) -> None:
-        """Send what waits, as far as there is time."""
-        while self._waiting:
-            if self._credit.wanting():
-                self._later()
-                return
-            response, header = self._waiting.popleft()
-            with self._credit.spent():
-                if self._clients():
-                    self._send(response, header)
 
 
 class ServingNode(Node):  # type: ignore[misc]
@@ -179,8 +107,8 @@ class ServingNode(Node):  # type: ignore[misc]
 
     Parameters that are set in one request are set together if all are valid; otherwise each is set by itself (`ros2
     param load` of a whole file). An integer is accepted for a real number. A read-only parameter may be set to the
-    value that it has. The ticks of the nodes have priority: all services, answers included, share one part of the
-    time. A request that does not fit beside the ticks is refused, and the answer states when to try again.
+    value that it has. The ticks of the nodes have priority: all services share one part of the time (see `serve_by`). A
+    set that has waited too long for it is refused, and the answer states when to try again.
 
     Attributes
     ----------
@@ -188,23 +116,23 @@ class ServingNode(Node):  # type: ignore[misc]
         Remark on an accepted set; rclpy reports only the reason of a refusal.
     overdrawn : callable
         Gets the reason why a set was refused for lack of time.
+    dropped : callable
+        Called for each answer that is dropped because its client has left.
     monitor : Monitor
         Monitor of all calls of the node: no service is answered during a tick.
-    beside : bool
-        Whether ticks run in another thread than the services.
     paused : callable
         Returns whether the rig is paused here.
     """
 
     remark = ""
-    beside = False
     paused: Callable[[], bool] = staticmethod(lambda: False)
     overdrawn: Callable[[str], object] = staticmethod(lambda text: None)
+    dropped: Callable[[], object] = staticmethod(lambda: None)
     _credit = Credit()  # one for all nodes of a process
+    _requests: Requests | None = None
 
     def __init__(self, *names: Any, **options: Any) -> None:
-        self._answers: list[Answers] = []
-        self._overdue: Any = None  # the timer of answers that wait
+        self._answering: dict[Any, Answer] = {}
         self.monitor = Monitor(self._wake)
         super().__init__(*names, **options | made_with())
         keep_overrides(self)
@@ -215,70 +143,74 @@ class ServingNode(Node):  # type: ignore[misc]
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
         """Offer a service; a call that fails is refused with the reason."""
+        answering = self._refusing(srv_type, srv_name, callback)
 
-        def answer(request: Any, response: Any) -> Any:
-            # To take a request and to refuse it costs time, too: of a flood more than there is. Asleep, this thread
-            # leaves the lock of Python to the ticks. A paused rig has none, and the timer that tells the other nodes
-            # to be patient waits behind all requests.
-            if self.beside and not self.paused() and self._credit.wanting():
-                time.sleep(NAP)
+        def answer(request: Any, response: Any) -> Any:  # called by an executor
             with self.monitor:
-                return answered(request, response)
+                return answering(request, response)
 
-        def answered(request: Any, response: Any) -> Any:
+        options["qos_profile"] = copy(options.get("qos_profile", qos_profile_services_default))
+        options["qos_profile"].depth = MOST
+        service = super().create_service(srv_type, srv_name, answer, **options)
+        self._answering[service] = answering
+        if self._requests is not None:
+            self._requests.add(service, answering)
+        return service
+
+    def _refusing(self, srv_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Answer:
+        """Return what answers a request, and refuses it if that fails."""
+
+        def answering(request: Any, response: Any, wait: float = 0.0) -> Any:
             try:
-                with self._credit.spent():
-                    if srv_type is SetParameters:
-                        response.results = self._set(request.parameters)
-                    elif srv_type is SetParametersAtomically:
-                        response.result = self._set_together(request.parameters)
-                    else:
-                        return callback(request, response)
-                return response
+                if srv_type is SetParameters:
+                    response.results = self._set(request.parameters, wait)
+                elif srv_type is SetParametersAtomically:
+                    response.result = self._set_together(request.parameters, wait)
+                else:
+                    return callback(request, response)
             except Exception as error:
-                self.get_logger().error(f"{srv_name}: {type(error).__name__}: {error}", once=True)
+                self.get_logger().error(f"{name}: {type(error).__name__}: {error}", once=True)
                 refusal = SetParametersResult(successful=False, reason=str(error))
                 if srv_type is SetParameters:
                     response.results = [refusal] * len(request.parameters)
                 elif srv_type is SetParametersAtomically:
                     response.result = refusal
-                return response
+            return response
 
-        options["qos_profile"] = copy(options.get("qos_profile", qos_profile_services_default))
-        options["qos_profile"].depth = Answers.MOST
-        service = super().create_service(srv_type, srv_name, answer, **options)
+        return answering
 
-        def send_by(send: Callable[[Any, Any], None]) -> Answers:
-            self._answers.append(
-                Answers(send, lambda: self.count_clients(service.srv_name), self._credit, self._send_overdue)
-            )
-            return self._answers[-1]
+    def timer(self, ns: int, callback: Callable[[], None]) -> RosTimer:
+        """Call back every `ns`, by a clock that nobody sets."""
+        return RosTimer(self.create_timer(ns / 1e9, callback, clock=Clock(clock_type=ClockType.STEADY_TIME)))
 
-        answer_by(service, send_by)  # the executor asks the service for it at each answer (rclpy 7.1 to 10)
-        return service
+    def serve_by(self, timer: Callable[[int, Callable[[], None]], Periodic]) -> None:
+        """Answer requests when a timer fires, so that a flood of them delays neither other timers nor ticks.
 
-    def _send_overdue(self) -> None:
-        """Send waiting answers from time to time, from now on.
-
-        There is one permanent timer. Each new timer, like each reset, makes the executor check all timers again. If one
-        of them is always due, it does so forever (see `_RosTimer`).
+        Parameters
+        ----------
+        timer : callable
+            Gets a period in ns and what to call; its calls are in the node's monitor.
         """
-        if self._overdue is None:
-            clock = Clock(clock_type=ClockType.STEADY_TIME)
-            self._overdue = self.create_timer(OVERDUE, self._try_overdue, clock=clock)
+        if not works("requests"):
+            return
+        requests = self._requests = Requests(self, self._credit, lambda: self.paused(), lambda: self.dropped())
+        for service in services(self):  # that of type descriptions is rclpy's own
+            answering = self._answering.get(service)
+            requests.add(service, answering or self._refusing(service.srv_type, service.srv_name, service.callback))
 
-    def _try_overdue(self) -> None:
-        for answers in self._answers:
-            answers.go_on()
+        def serve() -> None:
+            periodic.period = BUSY if requests.serve() else IDLE
 
-    def _set(self, messages: Sequence[Any]) -> list[SetParametersResult]:
-        together = self._set_together(messages)
+        periodic = timer(IDLE, serve)
+
+    def _set(self, messages: Sequence[Any], wait: float = 0.0) -> list[SetParametersResult]:
+        together = self._set_together(messages, wait)
         if together.successful or len(messages) < 2:
             return [together] * len(messages)
-        return [self._set_together([one]) for one in messages]
+        return [self._set_together([one], wait) for one in messages]
 
-    def _set_together(self, messages: Sequence[Any]) -> SetParametersResult:
-        if wait := self._credit.wanting():
+    def _set_together(self, messages: Sequence[Any], wait: float) -> SetParametersResult:
+        if wait:
             text = f"more is set than fits between the ticks, expected a pause of {wait:.1f} s"
             self.overdrawn(text)
             return SetParametersResult(successful=False, reason=text)
@@ -404,11 +336,24 @@ def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
     return receive_numbered
 
 
-class _RosTimer:
+class RosTimer:
+    """A timer of rclpy; see `Timer`."""
+
     def __init__(self, timer: Any) -> None:
         self._timer, self._period = timer, 0
 
+    @property
+    def period(self) -> int:
+        """Its period in ns; a new one is in force when the present one has ended."""
+        return int(self._timer.timer_period_ns)
+
+    @period.setter
+    def period(self, ns: int) -> None:
+        if ns != self._timer.timer_period_ns:
+            self._timer.timer_period_ns = ns
+
     def again(self, ns: int, period: int = 0) -> None:
+        """Fire after `ns` and then with a period."""
         # A reset makes rclpy's executor look at the timers once more (7.1 to 10: `UpdateTimers` of its timers manager),
         # each look that finds one due calls it, and each call looks once more by itself: a late one was called for ever
         # more often, and no message came through. One that has the period already is thus not reset but drawn along.
@@ -424,6 +369,7 @@ class _RosTimer:
             timer.timer_period_ns = period
 
     def cancel(self) -> None:
+        """Never fire again, unless `again` is called."""
         self._timer.cancel()
 
 
@@ -445,8 +391,8 @@ class RosMiddleware(Middleware):
         self.full_name: str = node.get_fully_qualified_name()
         self._processor: Processor | None = None
         self._posted: list[Callable[[], object]] = []
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
+        node.serve_by(self.timer)
 
     @property
     def processor(self) -> int | None:  # type: ignore[override]
@@ -536,7 +482,7 @@ class RosMiddleware(Middleware):
             for handler in subscription.event_handlers:
                 self.node.remove_waitable(handler)
             self._arrivals.append(Arrival(rcl, subscription, reader.receive, reader.matched, self.monitor.arrive))
-        self.prompt = self.node.beside = bool(self._arrivals)
+        self.prompt = bool(self._arrivals)
         if self.prompt:
             self.timer(LOOK, self._check_arrivals)
             self.timer(SEARCH, Garbage(off=True).step)
@@ -593,10 +539,9 @@ class RosMiddleware(Middleware):
         for call in posted:
             call()
 
-    def timer(self, ns: int, callback: Callable[[], None]) -> _RosTimer:
+    def timer(self, ns: int, callback: Callable[[], None]) -> RosTimer:
         """Call back every `ns`."""
-        fire = self._in_turn(callback)
-        return _RosTimer(self.node.create_timer(ns / 1e9, fire, clock=self._steady))
+        return self.node.timer(ns, self._in_turn(callback))
 
     def now(self) -> int:
         """Wall-clock time in ns."""
