@@ -783,7 +783,7 @@ def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
     assert done.recording.topics == simulate(rig).recording.topics
 
     def failing(error):
-        def run(*_):
+        def run(*_, **__):
             raise error
 
         monkeypatch.setattr(runs, "run_inprocess", run)
@@ -791,7 +791,7 @@ def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
 
     assert failing(RunError("gone")).error == "gone"
     assert (failing(KeyboardInterrupt()).stopped, failing(KeyboardInterrupt()).error) == (signal.SIGINT, "")
-    monkeypatch.setattr(runs, "run_inprocess", lambda *_: {})
+    monkeypatch.setattr(runs, "run_inprocess", lambda *_, **__: {})
     assert "first gap at t = 0 s" in runs.execute(rig, inprocess, tmp_path).error
     outcome = SimpleNamespace(
         recording=Recording((t, p.msgtype) for t, p in rig.topics.items()),

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from softrig_core.judge import measures
+from softrig_core.wire import times
 from softrig_core.wire.cdr import Layout
 from softrig_core.wire.recording import Columns, Topic
 
@@ -426,3 +427,33 @@ def test_the_end_of_a_record_is_its_newest_message_however_its_parts_came():
     topic.times.append(9)
     topic.data.append(b"")
     assert topic.newest() == 9
+
+
+def test_what_follows_from_equal_times_is_computed_once(monkeypatch):
+    monkeypatch.setattr(times, "_kept", times._Kept())
+    calls = []
+
+    @times.once
+    def gaps(t, stop):
+        calls.append(stop)
+        return np.diff(t, append=stop)
+
+    first, again, other = (times.common(np.arange(50.0) * step) for step in (1.0, 1.0, 2.0))
+    assert again is first
+    assert other is not first
+    assert gaps(first, 50.0) is gaps(again, 50.0)
+    assert gaps(first[10:], 50.0) is gaps(again[10:], 50.0)
+    assert gaps(first[10:20], 50.0)[-1] == 31.0  # another part of the same array
+    assert gaps(first, 60.0)[-1] == 11.0
+    assert len(calls) == 4
+    assert gaps(gaps(first, 50.0), 9.0) is gaps(gaps(first, 50.0), 9.0)  # a result is kept, too
+    lone = np.arange(50.0)
+    assert gaps(lone, 50.0) is not gaps(lone, 50.0)  # nobody has given it away, so that it may change
+    with pytest.raises(ValueError, match="read-only"):
+        first[0] = 1.0
+    monkeypatch.setattr(times, "MOST", 1)
+    assert times.common(np.arange(50.0)) is not first
+    monkeypatch.setattr(times, "LARGEST", 1)
+    big = np.arange(7.0)
+    assert times.common(big) is big
+    assert big.flags.writeable

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from conftest import in_process, make_scenario
 from faultrig import COMMAND, REFERENCE, STATE, Gain, Lag, Source
-from softrig_core import ByHand, Figure, Rig, Signals, Watch, WatchParams, rig_of, run_inprocess
+from softrig_core import ByHand, Figure, Recording, Rig, Signals, Watch, WatchParams, rig_of, run_inprocess
 from softrig_core.judge import measures
+from softrig_core.run import live_figures
 
 X, U, R = "lag/state/x/position", "lag/command/u/effort", "lag/reference/x/position"
 
@@ -132,3 +133,18 @@ def test_a_figure_counts_from_the_newest_step_of_its_reference():
     assert measured(measures.mean_error, reference="r", end=0.0) == 2.0
     with pytest.raises(ValueError, match="r has 0 samples"):
         Figure("it", measures.mean, {"signal": "y"}, "", 1.0, "r")({**signals, "r": (np.array([]), np.array([]))})
+
+
+@pytest.mark.parametrize("window", [60.0, 0.015])
+def test_a_recording_has_the_figures_of_a_node_that_kept_the_messages(window):
+    """Windows that are shorter than the run, too: what has left the window counts for neither."""
+    rig = rig_of("induction_dtc_short", duration=0.05, overrides={"flux_monitor.window": window})
+    recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
+    kept = run_inprocess(rig, 1, recording)["flux_monitor"].status()
+    node = next(m for m in rig.members if m.name == "flux_monitor")
+    assert live_figures.is_recorded(node)
+    assert dict(live_figures.measured(node, Signals(recording))) == dict(kept)
+    assert len(kept) >= 3
+    assert "flux_monitor" not in run_inprocess(rig, 1, without={"flux_monitor"})
+    rare = rig_of("induction_dtc_short", overrides={"flux_monitor.period": 0.001})
+    assert not live_figures.is_recorded(next(m for m in rare.members if m.name == "flux_monitor"))

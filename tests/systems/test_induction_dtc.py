@@ -31,7 +31,7 @@ from softrig_core.wire.cdr import Layout
 from softrig_drives.induction_dtc.adc import ROW, AdcParams, Converter, draw
 from softrig_drives.induction_dtc.dtc import DtcController
 from softrig_drives.induction_dtc.estimator import EstimatorParams, Flux, make_estimator
-from softrig_drives.induction_dtc.figures import circle, last_revolution, leg_transitions, slope
+from softrig_drives.induction_dtc.figures import circle, largest, last_revolution, leg_transitions, slope
 from softrig_drives.induction_dtc.machine import STATES, MachineConstants
 from softrig_drives.induction_dtc.plant import ImPlant
 from softrig_drives.induction_dtc.ports import SWITCHES
@@ -111,6 +111,15 @@ def test_quantisation_is_a_random_walk_and_dither_doubles_it():
 
 
 @pytest.mark.long  # their entries are held against the field's rules below
+@pytest.mark.parametrize("size", [1.0, 1e-200, 1e200, 1e-320])
+def test_the_largest_magnitude_is_that_of_all(size):
+    rng = np.random.default_rng(1)
+    for spread in (1.0, 1e-15):
+        psi = size * (1.0 + spread * rng.standard_normal(500)) * np.exp(2j * np.pi * rng.random(500))
+        assert largest(psi) == np.abs(psi).max() > 0.0
+    assert np.isnan(largest(np.array([1.0, np.nan])))
+
+
 def test_tables_give_the_same_states_with_fewer_transitions():
     printed, minimal = (recorded(load_scenario(n)) for n in ("induction_dtc_s0", "induction_dtc_s7"))
     for topic in ("joint_states", "flux_true", "flux_estimate", "currents_true", "torque_ref"):

@@ -39,8 +39,10 @@ from softrig_core.block.port import CLOCK
 from softrig_core.block.scene import scene_of
 from softrig_core.block.step import Step
 from softrig_core.guard import naming
+from softrig_core.native.engine import WATCHES
 from softrig_core.rig.code import fingerprints
 from softrig_core.rig.members import other_names
+from softrig_core.run import live_figures
 from softrig_core.timebase import SECOND
 from softrig_core.verdict.figures import Result
 from softrig_core.wire.parameter_event import recorded
@@ -83,10 +85,12 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
             if listener.progress is not None:
                 listener.progress(t)
 
+        measured = {m.name: m for m in rig.members if live_figures.is_recorded(m)}
+        steps = dict[str, Step]()
         try:
             with stoppable():
-                steps = run_inprocess(rig, seed, shards, progress)
-            run.blocks, run.status = steps, {name: status_of(step) for name, step in steps.items()}
+                steps = run_inprocess(rig, seed, shards, progress, without=measured)
+            run.blocks = steps
         except RunError as broken:
             run.error = str(broken)
         except KeyboardInterrupt as interrupt:
@@ -98,6 +102,14 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
         except OSError as full:
             run.error = run.error or f"{directory}: {full.strerror or full}"
         run.recording = shards.recording()
+        if steps:
+            native = _native_of_watching(steps)
+            run.status = {
+                m.name: {"reports": {}, "native": native} | _figures(live_figures.measured(m, run.signals))
+                if m.name in measured
+                else status_of(steps[m.name])
+                for m in rig.members
+            }
     else:
         from softrig_nodes import run_processes  # runs in process do without what it imports
 
@@ -116,9 +128,17 @@ def status_of(step: Step) -> dict[str, Any]:
         "reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
         "native": step.native,
     }
-    if isinstance(step.block, Observer):
-        status["figures"] = {k: [v, unit] for k, (v, unit) in step.status().items() if math.isfinite(v)}
-    return status
+    return status | (_figures(step.status()) if isinstance(step.block, Observer) else {})
+
+
+def _figures(figures: Mapping[str, tuple[float, str]]) -> dict[str, Any]:
+    return {"figures": {k: [v, unit] for k, (v, unit) in figures.items() if math.isfinite(v)}}
+
+
+def _native_of_watching(steps: Mapping[str, Step]) -> tuple[int, str]:
+    """Return how a node ran natively that only watches what is recorded: as such nodes in a native run do."""
+    natively = any(step.native[0] for step in steps.values())
+    return 0, WATCHES if natively else next(step.native[1] for step in steps.values())
 
 
 def tripped(rig: Rig, status: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

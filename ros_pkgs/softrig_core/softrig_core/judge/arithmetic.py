@@ -41,17 +41,39 @@ ARITHMETIC: Mapping[str, Callable[..., Array]] = {
 }  # fmt: skip
 
 
+# Operations of which a number results from numbers alone: what is none stays visible in the result.
+_CARRY = frozenset({"Add", "Sub", "Mul", "abs", "sqrt", "floor", "ceil"})
+
+
 def arithmetic(tree: Tree, samples: Samples) -> Any:
     """Return an expression's values; NaN where it, or a part of it, is undefined or beyond all numbers."""
+    with np.errstate(all="ignore"):
+        if _carries(tree) and np.isfinite(result := _calculated(tree, samples, lambda values: values)).all():
+            return result
+        return _calculated(tree, samples, sure)
+
+
+def _calculated(tree: Tree, samples: Samples, check: Callable[[Any], Any]) -> Any:
     ((kind, body),) = tree.items()
     if kind == "Literal":
         return np.float64(body)
     if kind == "Variable":
         return samples[body]
-    name, given = (body[0], body[1]) if kind == "Call" else (body[0], body[1:])
-    with np.errstate(all="ignore"):
-        result = ARITHMETIC[name](*(arithmetic(part, samples) for part in given))
-    return sure(result)
+    name, given = _called(kind, body)
+    return check(ARITHMETIC[name](*(_calculated(part, samples, check) for part in given)))
+
+
+def _called(kind: str, body: Any) -> tuple[str, Any]:
+    """Return the name and the operands of an operation."""
+    return (body[0], body[1]) if kind == "Call" else (body[0], body[1:])
+
+
+def _carries(tree: Tree) -> bool:
+    ((kind, body),) = tree.items()
+    if kind in ("Literal", "Variable"):
+        return True
+    name, given = _called(kind, body)
+    return name in _CARRY and all(map(_carries, given))
 
 
 def sure(values: Any) -> Any:

@@ -41,6 +41,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wire.times import once
+
 __all__ = [
     "error_overshoot", "error_settling_time", "final_value", "growth_rate", "integral_absolute", "maximum", "mean",
     "mean_absolute", "mean_error", "mean_square", "minimum", "overshoot", "peak", "peak_to_peak", "reach_time",
@@ -507,9 +509,20 @@ def held(
     first = int(np.searchsorted(whole, t[0]))
     # The value from before the window holds until its first sample, so it belongs to a mean over time.
     if start is not None and first and t[0] - start > HALF_NS:
-        t, x = np.append(start, t), np.append(values[first - 1], x)
+        t, x = _from(float(start), t), np.append(values[first - 1], x)
     stop = max(float(t[-1]), min(_record_end(signals), math.inf if end is None else end))
-    return t, x, np.rint(np.diff(t, append=stop) / NS)
+    return t, x, _gaps(t, stop)
+
+
+@once
+def _from(start: float, t: Array) -> Array:
+    return np.append(start, t)
+
+
+@once
+def _gaps(t: Array, stop: float) -> Array:
+    """Return the time from each sample to the next, and from the last one to `stop`, ns."""
+    return np.rint(np.diff(t, append=stop) / NS)
 
 
 def _record_end(signals: SignalMap) -> float:
@@ -526,13 +539,17 @@ def mean_over(x: Array, gaps: Array) -> float:
     x, gaps : array, shape (n,)
         Values; ns, as `held` returns them.
     """
+    weights = _weights(gaps)
+    return float(np.mean(x)) if weights is None else float(np.average(x, weights=weights))
+
+
+@once
+def _weights(gaps: Array) -> Array | None:
     # The last sample of a record holds for no time, yet it must count: a final error would be lost.
     if gaps[-1] == 0.0:
         gaps = np.append(gaps[:-1], np.min(gaps[:-1], initial=np.inf))
     # Equal gaps weigh nothing, and without weights the bits do not depend on the period.
-    if (gaps == gaps[0]).all():
-        return float(np.mean(x))
-    return float(np.average(x, weights=gaps))
+    return None if (gaps == gaps[0]).all() else gaps
 
 
 def interval(t: Array, signal: str) -> float:
@@ -560,6 +577,10 @@ def interval(t: Array, signal: str) -> float:
     return float((t[-1] - t[0]) / (t.size - 1))
 
 
+Places = NDArray[np.intp] | slice
+
+
+@once
 def newest(times: Array, at: Array) -> NDArray[np.intp]:
     """Return for each of many instants which of some times is the newest not after it; -1 before the first.
 
@@ -575,6 +596,13 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
         return _one_each(times, at) if len(at) > SIDE_BY_SIDE else np.searchsorted(times, at, side="right") - 1
     arrived = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
     return np.cumsum(arrived) - 1
+
+
+def places(at: NDArray[np.intp]) -> Places:
+    """Return some places as a slice where they follow one another, so that values there need no copy."""
+    if len(at) and at[0] >= 0 and (np.diff(at) == 1).all():
+        return slice(int(at[0]), int(at[-1]) + 1)
+    return at
 
 
 def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
@@ -686,11 +714,14 @@ def _unpaired(t: Array, when: Array) -> bool:
     return bool(when.size > 1 and t[-1] > 2.0 * when[-1] - when[-2] - HALF_NS)
 
 
-def _known(signal: str, reference: str, t: Array, when: Array) -> NDArray[np.intp]:
+def _known(signal: str, reference: str, t: Array, when: Array) -> Places:
     at = newest(when, t)
     if at.size and at[0] < 0:
         raise ValueError(f"{reference} has no value yet at {t[0]:g} s, where {signal} begins")
-    return at
+    return _places(at)
+
+
+_places = once(places)
 
 
 def _held_error(
@@ -718,10 +749,15 @@ def _aligned(
     if not isinstance(reference, str):
         return t, x - reference, gaps
     when, values = signals[reference]
-    stop = float(t[-1]) + float(gaps[-1]) * NS
+    both, at, gaps = _union(t, when, float(t[-1]) + float(gaps[-1]) * NS)
+    return both, x[at] - values[_known(signal, reference, both, when)], gaps
+
+
+@once
+def _union(t: Array, when: Array, stop: float) -> tuple[Array, Places, Array]:
+    """Return all times of two signals up to `stop`, the places among `t` that they belong to, and their gaps, ns."""
     own = when[(when > t[0]) & (when < stop - HALF_NS)]
     # A reference sample at a time of the signal is covered already; a second one would count for no time.
     own = own[own - t[newest(t, own + HALF_NS)] > HALF_NS]
     both = np.sort(np.concatenate([t, own]))
-    e = x[newest(t, both)] - values[_known(signal, reference, both, when)]
-    return both, e, np.rint(np.diff(both, append=stop) / NS)
+    return both, places(newest(t, both)), np.rint(np.diff(both, append=stop) / NS)

@@ -90,7 +90,10 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
         ``np.minimum`` or ``np.maximum``.
     """
     if len(first) == 1:
-        return pick.reduce(values[..., first[0] : last[0] + 1], axis=-1, keepdims=True, initial=none)
+        window = values[..., first[0] : last[0] + 1]
+        if not any(values.strides[:2]):
+            return np.broadcast_to(pick.reduce(window[0, 0], initial=none), (*values.shape[:2], 1))
+        return pick.reduce(window, axis=-1, keepdims=True, initial=none)
     count = last - first + 1
     result = np.full((*values.shape[:-1], len(first)), none)
     # values[..., j] covers span samples from j on. Doubling span needs n log n steps for windows of any length.
@@ -213,7 +216,9 @@ class Record:
             inner = np.broadcast_to(inner[1:] if least else inner[:1], inner.shape)
         pick, none = (np.minimum, INF) if least else (np.maximum, -INF)
         result = extremes(inner, first, last, pick, none)
-        result[0 if least else 1][:, over] = -none
+        if over.any():
+            result = np.array(result)
+            result[0 if least else 1][:, over] = -none
         return result
 
     def _compared(self, body: Any) -> Array:
@@ -232,8 +237,9 @@ class Record:
         return np.array((result, result))
 
     def _distance(self, body: Any) -> Array:
+        compare, sides = COMPARED[body["op"]], (body["lhs"], body["rhs"])
         with np.errstate(all="ignore"):
-            result = COMPARED[body["op"]](*(arithmetic(body[side], self._samples) for side in ("lhs", "rhs")))
+            result = compare(*(arithmetic(side, self._samples) for side in sides))
         return np.broadcast_to(sure(result), (len(self.times),))
 
     def _window(
@@ -306,6 +312,8 @@ class Record:
         for kind, body in self._outermost(tree):
             if kind in FUTURE and limits(body)[1] == INF:
                 inner = self.bounds(body[1])
+                if not any(inner.strides[:2]):  # all four are one number, so each instant is decided
+                    continue
                 still = (inner[0, 0] < 0.0) & (inner[1, 1] >= 0.0) & (self.times >= self.times[0] + limits(body)[0])
                 result = min(result, float(self.times[np.argmax(still)]) if still.any() else INF)
         return result
@@ -348,9 +356,8 @@ class Record:
         bad = (self.bounds(body[1])[1, 1] < 0.0) & inside
         # The zeros at both ends close a violation that begins or ends with the record.
         edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.astype(np.int8), [0]))))
-        return tuple(
-            (float(self.times[a] / SECOND), float(self.times[b - 1] / SECOND)) for a, b in edges.reshape(-1, 2)
-        )
+        first, last = (self.times[edges[::2]] / SECOND).tolist(), (self.times[edges[1::2] - 1] / SECOND).tolist()
+        return tuple(zip(first, last, strict=True))
 
 
 def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:

@@ -62,10 +62,15 @@ class Draws:
         Returns a generator at the beginning of the stream.
     kind : {"standard_normal", "random"}
         Normal with mean 0 and variance 1, or uniform in [0, 1).
+
+    Attributes
+    ----------
+    at_hand : array, shape (n,), optional
+        The first numbers, as `first` returned them to a caller that keeps them for a time: they are not drawn again.
     """
 
     # A number depends on its index alone; these are a cache.
-    SCRATCH = frozenset({"_generator", "_draw", "_before", "_rows"})
+    SCRATCH = frozenset({"_generator", "_draw", "_before", "_rows", "at_hand"})
 
     def __init__(self, stream: Callable[[], np.random.Generator], kind: Literal["standard_normal", "random"]) -> None:
         self._stream, self._kind = stream, kind
@@ -73,10 +78,13 @@ class Draws:
         self._draw: Callable[[int], Any] = getattr(self._generator, kind)
         self._before = [self._generator.bit_generator.state]
         self._rows: dict[int, list[float]] = {}
+        self.at_hand: NDArray[np.float64] | None = None
 
     def __call__(self, k: int) -> float:
         """Return the k-th number, from 0 on."""
         row = self._rows.get(k // SIZE)
+        if row is None and self.at_hand is not None and k < len(self.at_hand):
+            return float(self.at_hand[k])
         return (self._drawn(k // SIZE) if row is None else row)[k % SIZE]
 
     @property

@@ -23,8 +23,10 @@ from .rig_text import RigText
 from .value import NotNative
 
 LONGEST = 1 << 20  # ticks that are answered in one go, at most
+ANSWERS = 1 << 24  # bytes of their answers, at most: a long run has to stay small in memory
 GO = 0.05  # s: how long one call may last, since a run can be stopped only between two calls
 SHORT_GO = 0.005  # s: the same where messages are to be served in between
+WATCHES = "it watches what is recorded"  # why an observer is not native
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
 RARE = 8  # ticks of the others for each of a member that Python answers
 PATIENCE = 64  # given up before that is judged
@@ -129,7 +131,7 @@ class Engine:
         left = [f"{count:,} of its ticks {what}" for what, count in ticks.items() if count]
         reason = result.reason or ", ".join(left)
         for s in self.steps if self._typed else ():
-            why = "it watches what is recorded" if s in self._watchers else self._aside.get(s.name, reason)
+            why = WATCHES if s in self._watchers else self._aside.get(s.name, reason)
             s.native = s.native[0], why
 
     def _run(self, k: int) -> Iterator[int | None]:
@@ -175,7 +177,7 @@ class Engine:
                 if fit and reached == until and until == k + go:
                     elapsed = time.perf_counter() - started
                     if elapsed < self._longest / 2:
-                        fit.kept.go = min(LONGEST, go * 2)
+                        fit.kept.go = min(max(SHORTEST, int(ANSWERS / (fit.size + 1.0))), LONGEST, go * 2)
                     elif elapsed > self._longest:
                         fit.kept.go = max(SHORTEST, go // 2)
                 k = reached

@@ -205,6 +205,11 @@ class Fitted:
         """Return whether a block has made constants again, so that the text may be another."""
         return [one.key for one in self._newest] != self._keys
 
+    @property
+    def size(self) -> float:
+        """Return the bytes of answers of a tick of the clock, on average."""
+        return sum(8.0 * (size + stamps) / self._plan.every(s.schedule) for _, s, size, stamps in self._written)
+
     def under_way(self) -> str:
         """Describe the tick that a call has reached: for another thread, while it does not return (`run.stuck`)."""
         loaded = [s.name for s in self._steps if isinstance(s.block, FromFiles)]  # code that nobody here has read
@@ -212,11 +217,15 @@ class Fitted:
         return f"the tick at t = {self._plan.clock.time(int(self._n[0])) / SECOND:.9g} s of {names} (compiled)"
 
     def drop(self) -> None:
-        """Release the arrays of answers, which are large; the recording has its own copy."""
+        """Release the arrays of answers and of random numbers, which are large; the recording has its own copy."""
         self._arrays = ()
+        for draws in self._sources.values():
+            draws.at_hand = None
 
     def _drawn(self, draws: Any, count: int) -> Any:
         result = draws.first(count)
+        # Python answers the last tick, and would otherwise draw all numbers before those of this tick again.
+        draws.at_hand = result
         return result if self._typed else result.tolist()
 
     def _guess(self) -> int:

@@ -41,6 +41,7 @@ def run_inprocess(
     runs: int = 1,
     topics: Container[str] | None = None,
     thorough: bool = False,
+    without: Container[str] = (),
 ) -> dict[str, Step]:
     """Run a rig in this process.
 
@@ -60,6 +61,8 @@ def run_inprocess(
     thorough : bool
         Compare what the blocks hold beside x also after the run, not only after the first ticks of a class. Of several
         runs this is done for blocks that are not softrig's own.
+    without : container of str
+        Observers that are left out, too.
 
     Returns
     -------
@@ -78,6 +81,7 @@ def run_inprocess(
     if runs > 1:
         _keep_memory()
     idle = {m.name for m in rig.members if runs > 1 and issubclass(m.block_class, Observer) and not m.outputs}
+    idle |= {m.name for m in rig.members if m.name in without}
     steps = wired(rig, {m.name: m.block(seed) for m in rig.members if m.name not in idle})
     if sink is not None:
         record(

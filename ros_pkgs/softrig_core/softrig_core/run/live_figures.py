@@ -1,8 +1,12 @@
-"""The figures of a scenario while its rig runs, or together with hardware that publishes on the same topics."""
+"""The figures of a scenario while its rig runs, or together with hardware that publishes on the same topics.
+
+In a run of which all is recorded in this process nobody asks for them before its end. The node then keeps nothing while
+the run is under way, which would be a second copy of the recording: its figures are measured from the recording.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import Any, Self
 
@@ -11,9 +15,12 @@ from pydantic import model_validator
 from ..block.params import param
 from ..block.port import Port
 from ..errors import ScenarioError
+from ..rig.members import Member
 from ..scenario.port_text import ports_of
+from ..timebase import SECOND
 from ..verdict.figures import Figure, figure_parameters, figures_in
-from ..verdict.watch import Watch, WatchParams
+from ..verdict.watch import Watch, WatchParams, status_of
+from ..wire.signals import Signal, Signals, topic_of
 from .expand import rig_of
 
 
@@ -74,3 +81,62 @@ class Figures(Watch[FiguresParams]):
 @cache
 def _of(scenario: str) -> dict[str, str]:
     return figure_parameters(rig_of(scenario))
+
+
+def is_recorded(member: Member) -> bool:
+    """Return whether the recording of a run in process has all messages that a node of figures would receive."""
+    own, _ = member.block_class.ports(member.params)
+    links = [(port, link) for port in member.inputs if (link := member.links.get(port.name)) is not None]
+    return (
+        member.block_class is Figures
+        and not member.external
+        and not member.changes
+        and member.schedule.every == 1
+        and [p.topic for p in own] == [p.topic for p in member.inputs]
+        and all(p.labels == k.port.labels and not k.port.delayed and not k.port.partial for p, k in links)
+    )
+
+
+def measured(member: Member, signals: Signals) -> Mapping[str, tuple[float, str]]:
+    """Return what `Step.status` of a node of figures would be at the end of a run of which all was recorded."""
+    assert isinstance(member.params, FiguresParams)
+    assert member.schedule.last is not None
+    since = member.schedule.last - round(member.params.window * SECOND)
+    return status_of(figures_in(member.params.given()["figures"]), _Newest(signals, member.inputs, since / SECOND))
+
+
+class _Newest(Mapping[str, Signal]):
+    """The signals of some ports from a time on, in s."""
+
+    def __init__(self, signals: Signals, ports: Iterable[Port], since: float) -> None:
+        self._signals, self._since = signals, since
+        self._names = [f"{p.topic}/{label}" for p in ports for label in p.labels]
+        self._topics = [p.topic for p in ports]
+
+    @property
+    def end(self) -> float:
+        """Time of the newest message, s."""
+        return max(float(t[-1]) for topic in self._topics if (t := self._signals.table(topic).t).size)
+
+    @property
+    def forgot(self) -> set[str]:
+        """Topics of which there are older messages."""
+        tables = ((topic, self._signals.table(topic).t) for topic in self._topics)
+        return {topic for topic, t in tables if t.size and t[0] < self._since}
+
+    def topic(self, name: str) -> str:
+        """Topic of a signal; empty where there is none."""
+        return topic_of(name, self._topics)
+
+    def __getitem__(self, name: str) -> Signal:
+        if name not in self._names:
+            raise KeyError(name)
+        t, x = self._signals[name]
+        first = int(t.searchsorted(self._since))
+        return Signal(t[first:], x[first:])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)

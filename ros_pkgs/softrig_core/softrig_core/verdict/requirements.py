@@ -29,7 +29,7 @@ from ..judge.formula import (
     variables,
     with_names,
 )
-from ..judge.measures import UNMEASURED, SignalMap, newest
+from ..judge.measures import UNMEASURED, Places, SignalMap, newest, places
 from ..judge.requirement_entry import Requirement
 from ..judge.robustness import Margin, Record, truth
 from ..rig.members import Members
@@ -37,6 +37,7 @@ from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from ..timebase import SECOND
 from ..wire.signals import full_name
+from ..wire.times import common, once
 
 Items = tuple[tuple[str, Any], ...]
 _bounds: dict[tuple[Any, ...], bool] = {}
@@ -111,7 +112,7 @@ class Judge:
         if not len(ticks):
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
         grid = _grid(self.clock, ticks[-1])
-        held, truths, late = {}, {}, {}
+        held, truths, late = {}, {}, dict[str, NDArray[np.bool_]]()
         tree = self.tree
         if self.again is not None:
             tree = self.again({name: _measured(name, figure, signals) for name, figure in self.timed.items()})
@@ -121,11 +122,13 @@ class Judge:
                 continue
             condition = self.conditions.get(name)
             times, values = results[condition.signal if condition else name]
-            now, none = _newest(np.rint(times * SECOND), values, grid)
+            now, none = _newest(_whole_ns(times), values, grid)
             if condition:
                 truths[name] = truth(condition, now, np.concatenate((now[:1], now[:-1])))
             else:
-                held[name], late[name] = now, none
+                held[name] = now
+                if none is not None:
+                    late[name] = none
         after = self.clock.next(int(grid[-1]))
         return Record(grid, held, truths=truths, late=late, after=after, ended=ended).margin(tree)
 
@@ -143,16 +146,35 @@ def _measured(name: str, figure: Measured, signals: SignalMap) -> float:
 
 def _grid(clock: Schedule, end: float) -> Array:
     """Ticks of the clock up to the record's end, ns."""
-    last = clock.tick(clock.held(round(end * SECOND)))
-    return clock.times(0, last + 1).astype(np.float64)
+    return _ticks(clock, clock.tick(clock.held(round(end * SECOND))))
 
 
-def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return for each tick the newest of the values with these times (0 before the first), and its index."""
+@lru_cache(maxsize=8)
+def _ticks(clock: Schedule, last: int) -> Array:
+    return common(clock.times(0, last + 1).astype(np.float64))
+
+
+@once
+def _whole_ns(times: Array) -> Array:
+    return np.rint(times * SECOND)
+
+
+def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np.bool_] | None]:
+    """Return for each tick the newest of the values that came at these times, 0 before the first, and where that is."""
+    at, before = _arrived(times, grid)
+    if before is None:
+        return values[at], None
+    return np.where(before, 0.0, values[at]) if len(values) else np.zeros(len(grid)), before
+
+
+@once
+def _arrived(times: Array, grid: Array) -> tuple[Places, NDArray[np.bool_] | None]:
+    """Return which of some times is the newest at each tick, and at which ticks none has come, if there are any."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
-        return values[: len(grid)], np.zeros(len(grid), dtype=bool)
+        return slice(0, len(grid)), None
     at = newest(times, grid)
-    return np.where(at < 0, 0.0, values[at]) if len(values) else np.zeros(len(grid)), at < 0
+    before = at < 0
+    return (at, before) if before.any() else (places(at), None)
 
 
 def names_of(rig: Members, units: Mapping[str, str]) -> tuple[dict[str, float], dict[str, str]]:

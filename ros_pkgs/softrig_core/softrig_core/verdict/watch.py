@@ -207,20 +207,23 @@ class Watch(Observer[W]):
 
     def status(self, x: Any) -> Mapping[str, tuple[float, str]]:
         """Return the figures that can be measured so far; none of a step that the window has left behind."""
-        signals = Seen(self._ports, dict(zip(self._ports, x.seen, strict=True)))
-        forgot = {p.topic for p, kept in zip(self._ports.values(), x.seen, strict=True) if kept.forgot}
-        result = {}
-        for figure in self.figures(x):
-            try:
-                value = math.nan if left_behind(figure.since, signals, forgot) else figure(signals)
-            except UNMEASURED:  # not enough samples yet
-                continue
-            if math.isfinite(value):
-                result[figure.name] = (value, figure.unit)
-        return result
+        return status_of(self.figures(x), Seen(self._ports, dict(zip(self._ports, x.seen, strict=True))))
 
 
-def left_behind(since: str, signals: Seen, forgot: Container[str]) -> bool:
+def status_of(figures: Iterable[Figure], signals: Any) -> Mapping[str, tuple[float, str]]:
+    """Return value and unit of the figures that can be measured in a window (`Seen`), by name."""
+    forgot, result = signals.forgot, {}
+    for figure in figures:
+        try:
+            value = math.nan if left_behind(figure.since, signals, forgot) else figure(signals)
+        except UNMEASURED:  # not enough samples yet
+            continue
+        if math.isfinite(value):
+            result[figure.name] = (value, figure.unit)
+    return result
+
+
+def left_behind(since: str, signals: Any, forgot: Container[str]) -> bool:
     """Return whether the newest steps of signals were before what is kept of them: a first sample is none then."""
     return all(
         signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
@@ -239,6 +242,11 @@ class Seen(Mapping[str, Signal]):
     def end(self) -> float:
         """Time of the newest message, s: up to it the last sample of each signal is held."""
         return max(kept.stamp for _, kept in self._ports.values()) / SECOND
+
+    @property
+    def forgot(self) -> set[str]:
+        """Topics of which messages have left the window."""
+        return {topic for topic, (_, kept) in self._ports.items() if kept.forgot}
 
     def topic(self, name: str) -> str:
         """Topic of a signal; empty where there is none."""

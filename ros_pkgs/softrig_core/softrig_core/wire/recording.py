@@ -112,9 +112,15 @@ class ShardWriter:
         """Append many such rows: their times, shape (n,), and their numbers, (n, size of all)."""
         rows = np.empty(len(times), row_type(values.shape[1]))
         rows["t"], rows["mark"], rows["values"] = times, _ROW, values
-        self._buffer += rows.tobytes()
-        if len(self._buffer) > self._limit:
-            self.flush()
+        if rows.nbytes <= self.LIMIT:
+            self._buffer += rows.tobytes()
+            if len(self._buffer) > self._limit:
+                self.flush()
+            return
+        self.flush()
+        content = memoryview(rows.view(np.uint8))
+        while content:
+            content = content[self._file.write(content) or 0 :]
 
     def flush(self) -> None:
         """Pass everything to the operating system; raises OSError (disk full), never drops silently."""

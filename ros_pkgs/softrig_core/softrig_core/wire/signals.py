@@ -13,6 +13,7 @@ from ..timebase import SECOND
 from .cdr import Layout, Message, parse
 from .columns import Columns, Stored
 from .recording import Recording, Topic
+from .times import common, once
 from .types import TYPES
 
 Array = NDArray[np.float64]
@@ -64,6 +65,31 @@ class _OnDisk(Mapping[str, Array]):
     def renamed(self, name: Callable[[str], str]) -> _OnDisk:
         """Return the same columns by other labels; what softrig recorded has no two with one name."""
         return _OnDisk(self._stored, [name(label) for label in self._places], self._flags, self._recent)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+class _InParts(Mapping[str, Array]):
+    """The columns of a topic by label, each joined from its parts when it is first read."""
+
+    def __init__(self, parts: Sequence[Columns | Stored], labels: Sequence[str], flags: Sequence[bool]) -> None:
+        self._parts, self._flags = parts, flags
+        self._places = {label: k for k, label in enumerate(labels)}
+        self._joined: dict[int, Array] = {}
+
+    def __getitem__(self, label: str) -> Array:
+        k = self._places[label]
+        if k not in self._joined:
+            self._joined[k] = _as_carried(_column([part.column(k) for part in self._parts]), self._flags[k])
+        return self._joined[k]
+
+    def renamed(self, name: Callable[[str], str]) -> _InParts:
+        """Return the same columns by other labels; what softrig recorded has no two with one name."""
+        return _InParts(self._parts, [name(label) for label in self._places], self._flags)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
@@ -162,7 +188,7 @@ class Signals(Mapping[str, Signal]):
             channel, _, field = label.rpartition("/")
             return names.get(label) or (f"{names.get(channel, channel)}/{field}" if channel else label)
 
-        if isinstance(table.columns, _OnDisk):
+        if isinstance(table.columns, (_OnDisk, _InParts)):
             return table._replace(columns=table.columns.renamed(own_name))
         for label, x in table.columns.items():
             own = own_name(label)
@@ -187,9 +213,7 @@ class Signals(Mapping[str, Signal]):
         t = self._clock(parts)
         if len(parts) == 1 and isinstance(parts[0], Stored):
             return Table(t, t, _OnDisk(parts[0], labels, flags, self._recent))
-        columns = [_column([part.column(k) for part in parts]) for k, _ in enumerate(flags)]
-        columns = [_as_carried(x, flag) for x, flag in zip(columns, flags, strict=True)]
-        return Table(t, t, dict(zip(labels, columns, strict=True)))
+        return Table(t, t, _InParts(parts, labels, flags))
 
     def _clock(self, parts: Sequence[Columns | Stored]) -> Array:
         """Return the times of messages in s; one array for all topics that were published together."""
@@ -199,7 +223,7 @@ class Signals(Mapping[str, Signal]):
             key = (*parts[0].rows.even, parts[0].number)
         if key not in self._times:
             # The parts are kept, so that no other object can get the id of their clock.
-            self._times[key] = parts, (_column([part.times for part in parts]) - self._epoch) / SECOND
+            self._times[key] = parts, _seconds(common(_column([part.times for part in parts])), self._epoch)
         return self._times[key][1]
 
     def __getitem__(self, name: str) -> Signal:
@@ -220,7 +244,7 @@ class Signals(Mapping[str, Signal]):
         if label not in table.columns:
             have = f"it has {', '.join(table.columns)}" if table.columns else "no message was published on it"
             raise KeyError(f"no signal {label!r} on {topic}; {have}")
-        return Signal(table.t, table.columns[label]), isinstance(table.columns, dict)
+        return Signal(table.t, table.columns[label]), not isinstance(table.columns, _OnDisk)
 
     def __iter__(self) -> Iterator[str]:
         for topic in self.recording.topics.values():
@@ -229,6 +253,11 @@ class Signals(Mapping[str, Signal]):
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
+
+
+@once
+def _seconds(times: NDArray[np.int64], epoch: int) -> Array:
+    return (times - epoch) / SECOND
 
 
 def _decode(topic: Topic, epoch: int) -> Table:
