@@ -311,8 +311,9 @@ def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monke
 
 
 def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys):
-    def stopping(rig, seed, recording, progress):
-        run_inprocess(rig, seed, recording, lambda t: os.kill(os.getpid(), signal.SIGTERM) if t >= 5e8 else None)
+    def stopping(rig, seed, recording, progress, **keys):
+        stop = lambda t: os.kill(os.getpid(), signal.SIGTERM) if t >= 5e8 else None  # noqa: E731
+        run_inprocess(rig, seed, recording, stop, **keys)
 
     monkeypatch.setattr("softrig_bringup.run.run.run_inprocess", stopping)
     assert run("lag", "--mode", "inprocess", "--no-record") == 143
