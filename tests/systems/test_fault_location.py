@@ -1014,7 +1014,7 @@ def test_ctrl_c_stops_the_study_tool_without_its_stack(monkeypatch, capsys):
 
     monkeypatch.setattr(study_tool, "run", interrupted)
     assert study_tool.main([]) == 130
-    assert capsys.readouterr().err == "softrig: stopped\n"
+    assert capsys.readouterr().err == "softrig: stopped by SIGINT\n"
 
 
 def rows_by_formula():
