@@ -67,6 +67,7 @@ HOSTILE = (
     ParameterValue(type=77),
     ParameterValue(type=255, double_value=1.0),
 )
+NUMBER_OR_NONE = (Type.PARAMETER_NOT_SET, Type.PARAMETER_DOUBLE)
 STRANGE = ("no.such", "", "run", "run.", ".", "a" * 5000, "\x00", "é")  # names that no node has
 FIELDS = ("", "bool_value", "integer_value", "double_value", "string_value")
 FIELDS += ("byte_array_value", "bool_array_value", "integer_array_value", "double_array_value", "string_array_value")
@@ -157,9 +158,10 @@ class Target:
                 assert len(result.reason) < 3000, where
                 assert "Error" not in result.reason, f"{where}: {result.reason}"
             now = self.get([name]).get(name)
-            if now is None or kept is None:
-                assert now is None or result.successful, where
-                kept = kept or now
+            if now is None or kept is None or kept.type == Type.PARAMETER_NOT_SET:  # an optional one may get a value
+                assert now is None or now == kept or result.successful, where
+                assert now is None or not descriptor.floating_point_range or now.type in NUMBER_OR_NONE, where
+                self.values[name] = kept = now or kept
                 continue
             check(where, now, kept, descriptor, result)
             if content(now) != content(kept):
