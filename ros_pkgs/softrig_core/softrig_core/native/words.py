@@ -83,7 +83,8 @@ TEXTS: dict[str, str] = {
     "remainder": "def remainder(x, y):\n    if x != x or y != y:\n        return x + y\n"
     "    if x - x != 0.0 or y == 0.0:\n        raise ValueError\n    if y - y != 0.0:\n        return x\n"
     "    a, b = abs(x), abs(y)\n    r = a % b\n    c = b - r\n    if r > c:\n        r = -c\n"
-    "    elif r == c:\n        r = r - 2.0 * (0.5 * (a - r) % b)\n    return math.copysign(1.0, x) * r\n",
+    "    elif r == c:\n        r = r - 2.0 * (0.5 * (a - r) % b)\n    if x == 0.0:\n        return x\n"
+    "    return -r if x < 0.0 else r\n",
     "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
     "    return float(row[k])\n",
 }
