@@ -212,6 +212,56 @@ SCALE = "@jit\ndef f(x):\n    return x * {}\n"
 LARGE = "D = np.zeros(5000)\nD[2000] = {}\n"
 
 
+# `slope` has to be too large to be inlined: its symbol is then looked up where the code is loaded.
+FACTORY = """
+import sys
+import numpy as np
+from softrig_core.kit.jit import jit
+
+def factory(rates):
+    @jit
+    def slope(x, step):
+        y = x
+LINES
+        return y
+
+    @jit
+    def advance(x, steps):
+        for k in range(steps):
+            x[0] = slope(x[0], 0.25) if k % 2 else slope(x[0], 0.5)
+        return x[0]
+
+    return advance
+
+@jit
+def up(x):
+    return 1.0
+
+@jit
+def down(x):
+    return -2.0
+
+for name in sys.argv[1:]:
+    print(name, factory(globals()[name])(np.zeros(1), 3))
+""".replace("LINES", "        y += rates(y) * step if y < 1e9 else 0.0\n" * 60)
+
+
+def test_functions_of_one_factory_from_two_processes_keep_their_own_code(tmp_path):
+    """The second process would otherwise have the symbols of the first; a third one loads both from the cache."""
+    (tmp_path / "factory.py").write_text(FACTORY)
+    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    results = [
+        subprocess.run([sys.executable, "factory.py", *names], cwd=tmp_path, env=env, capture_output=True, text=True)
+        for names in (["up"], ["down"], ["up", "down"], ["down", "up"])
+    ]
+    assert [r.stdout for r in results[2:]] == [
+        results[0].stdout + results[1].stdout,
+        results[1].stdout + results[0].stdout,
+    ]
+    steps = 60 * (0.5 + 0.25 + 0.5)
+    assert results[2].stdout == f"up {1.0 * steps}\ndown {-2.0 * steps}\n"
+
+
 @pytest.mark.parametrize(
     ("inner", "outer"),
     [

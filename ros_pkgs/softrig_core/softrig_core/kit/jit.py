@@ -26,7 +26,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # The most parts of the arguments of a call that are handed over one by one.
 MOST_PARTS = 100
 # Part of the digest. Change it with the way of compiling, so that no older code is taken from the cache.
-HOW = b"borrowed: parts"
+HOW = b"borrowed: parts, symbols by digest"
 SVML = "NUMBA_DISABLE_INTEL_SVML"
 
 _NUMPY = """abs array ceil complex128 empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum
@@ -118,10 +118,7 @@ class Jit:
             function = cast(types.FunctionType, self.py_func)
             scope = dict(function.__globals__)
             cells = [types.CellType(cell.cell_contents) for cell in function.__closure__ or ()]
-            self._straight = types.FunctionType(
-                function.__code__, scope, function.__name__, function.__defaults__, tuple(cells)
-            )
-            self._straight.__kwdefaults__ = function.__kwdefaults__
+            self._straight = _copy(function, scope, tuple(cells))
             for name in {name for code in _codes(function.__code__) for name in code.co_names}:
                 if isinstance(scope.get(name), Jit):
                     scope[name] = scope[name].straight()
@@ -167,8 +164,15 @@ class Jit:
             from ._borrowed import Borrowing
             from ._jit_cache import Cache
 
-            made = numba.njit(fastmath=False, error_model="numpy", pipeline_class=Borrowing)(self.py_func)
-            made._cache = Cache(self.py_func.__qualname__, self.digest())
+            digest = self.digest()
+            # numba makes the symbols of the native code from this name and a count of the process that compiled it. If
+            # two functions of one factory were compiled by two processes, both can have the same symbols in the cache,
+            # and a process that loads both would run the first in the place of the second.
+            function = cast(types.FunctionType, self.py_func)
+            named = _copy(function, function.__globals__, function.__closure__)
+            named.__qualname__ = f"{self.py_func.__qualname__}_{digest[:32]}"
+            made = numba.njit(fastmath=False, error_model="numpy", pipeline_class=Borrowing)(named)
+            made._cache = Cache(self.py_func.__qualname__, digest)
             self._dispatcher = made
         return self._dispatcher
 
@@ -228,6 +232,14 @@ def _parts(value: Any, path: str, kinds: dict[str, type]) -> _Parts:
         f"{'' if kind is tuple else f't{word}'}({''.join(f'{part.made}, ' for part in own)})",
         tests + [test for part in own for test in part.tests],
     )
+
+
+def _copy(
+    function: types.FunctionType, scope: dict[str, Any], cells: tuple[types.CellType, ...] | None
+) -> types.FunctionType:
+    result = types.FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells)
+    result.__kwdefaults__ = function.__kwdefaults__
+    return result
 
 
 def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
