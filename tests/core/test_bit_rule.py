@@ -63,6 +63,7 @@ EXEMPT = {
     "softrig_core.judge.measures.shared": COUNT,
     "softrig_core.kit.exact": INTEGERS,
     "softrig_core.native.calls": "the word itself: of whole numbers it is translated, of others it stays Python's",
+    "softrig_core.native.fitted.Fitted.size": COUNT,
     "softrig_core.native.turns": COUNT,
     "softrig_core.run.simulate.Run.__repr__": COUNT,
     "softrig_core.scenario.yaml_file": COUNT,

@@ -77,6 +77,8 @@ NUMBERS = {  # that stand in figure functions; no node has any of them
     100.0: "%",
     4194304: "bytes, above which a result is not shared",
     1000.0: "m in a km",
+    1e-250: "of squares, below which digits are lost",
+    0.999999999999: "of the largest square: those whose root may be the largest",
 }
 
 

@@ -209,7 +209,7 @@ def test_currents_beyond_the_flux_tables_are_reported():
         ({"table_i_d": (0.0, 1.0), "table_i_q": (0.0, 1.0), "table_psi_d": (0.0,) * 4, "table_psi_q": (0.0,) * 4},
          "without a fold"),
         ({"T_static": 0.1, "T_coulomb": 0.2}, "at least T_coulomb"),
-        ({"T_coulomb": 10.0, "w_stick": 1e-4}, "friction, w_stick and J: as fast as"),
+        ({"T_coulomb": 10.0, "w_stick": 1e-4}, "friction, w_stick and J: its fastest time constant is 1.5e-07 s"),
         ({"load_times": (0.0, 1e-5), "load_torques": (0.0, 1.0)}, "at least a period"),
         ({"load_torques": (0.0, 1.0)}, "2 values for 1 times"),
         ({"dead_time": 9e-5}, "less than half the period"),

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     )
     from .block.scene import Marker as Marker, Pose as Pose, Scene as Scene
     from .errors import RunError as RunError, ScenarioError as ScenarioError
-    from .former import executable as executable, run_processes as run_processes
+    from .former import Held as Held, executable as executable, run_processes as run_processes
     from .judge.measures import SignalMap as SignalMap, figure as figure, window as window
     from .kit.compiled import Compiled as Compiled
     from .kit.history import History as History
