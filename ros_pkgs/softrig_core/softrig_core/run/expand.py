@@ -57,7 +57,7 @@ def rig_of(
         what = read_draft(str(what))
     if isinstance(what, Draft):
         what, overrides = what.filled(overrides), None
-    if overrides or duration is not None:
+    if overrides or duration not in (None, what.duration):
         what = what.changed(duration=duration, overrides=overrides)
     return _expanded(what, classes or {}, live)
 
