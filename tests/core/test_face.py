@@ -18,9 +18,9 @@ def typed():
 
 def test_every_name_is_typed_and_is_the_one_of_its_module():
     assert typed() == softrig_core._HOME
-    for name, module in typed().items():
+    for name, module in typed().items() - {("Held", "softrig_core.former")}:  # a former name of another module's class
         value = getattr(softrig_core, name)
-        assert value is getattr(sys.modules[module], name), name
+        assert value is vars(sys.modules[module])[name], name
         written = getattr(value, "__module__", module)
         assert written == module or not written.startswith("softrig"), name  # where it is written, not passed on
 
