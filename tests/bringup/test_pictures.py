@@ -605,7 +605,7 @@ def test_the_pictures_of_several_systems_stand_under_their_own_each_with_its_run
 
     monkeypatch.setattr("softrig_bringup.report.several.draw_overlay", drawn)
     monkeypatch.setattr("softrig_bringup.report.several.picture", lambda data, title: title)
-    monkeypatch.setattr("softrig_bringup.report.several._signals", lambda folder, run: None if folder.name == "e" else {})
+    monkeypatch.setattr("softrig_bringup.report.several._signals", lambda d, run: None if d.name == "e" else {})
     systems = {"a": "lag", "b": "motor", "c": "lag", "d": "motor", "e": "motor"}
     runs = [(tmp_path / name, run_of(system=system)) for name, system in systems.items()]
     messages = ["".join(element.itertext()) for element in overlaid(runs, [*systems])]
