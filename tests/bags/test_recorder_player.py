@@ -559,7 +559,9 @@ def test_names_that_ros_does_not_have_are_not_played(tmp_path, capsys, name):
     [
         (main_record, ["--output", "bag"], "exists already"),
         (main_record, ["--output", "new", "--regex", "["], "regular expression"),
-        (main_record, ["--output", "new", "--ros-args", "--unknown"], "ROS arguments --ros-args --unknown"),
+        (main_record, ["--output", "new", "--ros-args", "--unknown"], "unknown ROS arguments ['--unknown']"),
+        (main_record, ["--output", "new", "--ros-args", "-r", "__ns:=a"], "expected __ns:=/NAMESPACE"),
+        (main_record, ["--output", "new", "--ros-args", "-r", "__ns:=/a/"], "no slash at the end"),
         (main_record, ["--output", "new", "__ns:=/a"], "'__ns:=/a' is not the name of a topic"),
         (main_record, ["--output", "new", "--max-size", "-1"], "--max-size: expected a number from 0 to 1e+09"),
         (main_record, ["--outptu", "new"], "unexpected option '--outptu' (did you mean '--output'?)"),

@@ -68,6 +68,7 @@ def test_parameters_flatten_and_build_back():
         ({"period": -1.0}, "parameter period = -1.0"),
         ({"period": 1e-10}, "parameter period = 1e-10"),
         ({"rig": 5, "rig.bits": 8}, "parameter rig.bits: rig has the value 5 as well"),
+        ({"rig.bits": 8, "rig": 5}, "parameter rig.bits: rig has the value 5 as well"),
     ],
 )
 def test_a_bad_parameter_is_named(values, text):

@@ -26,6 +26,7 @@ from softrig_nodes.group import Group
 from softrig_nodes.lockstep import comeback as comebacks, turns as turns_module
 from softrig_nodes.lockstep.comeback import Comeback, LastPublished
 from softrig_nodes.lockstep.turns import Turns
+from softrig_nodes.ros.arguments import non_ros_arguments
 from softrig_nodes.seam.endpoint import Input, Output
 from softrig_nodes.seam.exchange import Exchange
 from softrig_nodes.seam.tick import TICK, TickReader, TickWriter
@@ -37,6 +38,33 @@ JOINT = "sensor_msgs/msg/JointState"
 
 def state(name):
     return joint_state(name, name, ["q"], position="m")
+
+
+# ---- what a node is started with ----
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["-r", "__ns:=~/x"], "rule: '-r __ns:=~/x': expected __ns:=/NAMESPACE, which begins with a slash"),
+        (["-r", "__node:=3law"], "rule: '-r __node:=3law': expected FROM:=TO or __node:=NAME, "),
+        (["-r", "x:=a//b"], "rule: '-r x:=a//b': expected FROM:=TO"),
+        (["-p", "x := 1.0"], "rule: '-p x := 1.0': expected NAME:=VALUE without spaces"),
+        (["-p", "x:=[1, 2.5]"], "rule: '-p x:=[1, 2.5]'. Error: Sequence should be of same type."),
+        (["-p", "x:=\udcff"], "argument 'x:=\\udcff': expected text in UTF-8"),
+        (["--params-file", "/nowhere.yaml"], "'--params-file /nowhere.yaml'. Error: Error opening YAML file"),
+        (["--frob"], "unknown ROS arguments ['--frob']: expected -p NAME:=VALUE, "),
+    ],
+)
+def test_an_argument_that_rcl_refuses_is_one_line_with_the_form_that_is_expected(arguments, text, capfd):
+    with pytest.raises(ValueError, match=re.escape(text)) as error:
+        non_ros_arguments(["node", "--ros-args", *arguments])
+    assert not re.search(r"\n|\.c:|lexeme|not set", str(error.value))
+    assert capfd.readouterr() == ("", "")  # rcl logs some of it
+
+
+def test_arguments_of_others_are_those_outside_of_rclpys():
+    assert non_ros_arguments(["node", "a", "--ros-args", "-p", "x:=1", "--", "b"]) == ["a", "b"]
 
 
 # ---- who is not there yet ----

@@ -31,6 +31,7 @@ from .below import uses
 from .below.leave import leave
 from .group import Group
 from .main import make_adapter
+from .ros.arguments import non_ros_arguments, plain_errors
 from .ros.contained import ContainedMiddleware
 from .ros.garbage import Garbage
 from .ros.profile import joining
@@ -53,7 +54,10 @@ class Container:
     def add(self, group: Sequence[str]) -> None:
         """Create one node; `group` is its package, executable and ROS arguments."""
         package, executable, *arguments = group
-        node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
+        if stray := non_ros_arguments(group[1:]):
+            raise RunError(f"unexpected argument {stray[0]!r}: expected PACKAGE EXECUTABLE [--ros-args ...]")
+        with plain_errors():
+            node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
         self.nodes.append(node)
         middleware = ContainedMiddleware(node, self.exchange)
         with interrupt.leaving(partial(leave, self.nodes, 0)):  # to compile takes seconds

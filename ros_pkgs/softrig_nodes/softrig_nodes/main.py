@@ -12,7 +12,6 @@ import rclpy
 from pydantic import ValidationError
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.utilities import remove_ros_args
 from softrig_core.block.block import Block, Plant
 from softrig_core.block.params import Declaration, build, declarations, flatten
 from softrig_core.block.port import require_distinct
@@ -29,10 +28,11 @@ from .adapter.spin import spin
 from .below.leave import leave
 from .below.uses import make_empty, overrides
 from .face.faces import Faces
-from .face.tuning import Tuning
+from .face.tuning import Tuning, run_options
 from .group import Group
 from .processes.executables import LOOPBACK, given_profile
 from .rehearsal import rehearse
+from .ros.arguments import non_ros_arguments, plain_errors
 from .ros.messages import range_descriptor
 from .ros.profile import joining
 from .ros.ros import RosMiddleware, ServingNode
@@ -58,13 +58,12 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         leave([], 0)
     node = None
     try:
-        stray = remove_ros_args(list(argv))[1:]
-        if stray:
+        if stray := non_ros_arguments(argv):
             raise ValueError(
                 f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                 "--help shows the parameters"
             )
-        with joining(silence=RunOptions().timeout):  # its own is known only when it has joined
+        with plain_errors(), joining(silence=RunOptions().timeout):  # its own is known only when it has joined
             rclpy.init(args=list(argv))
             interrupt.early = False
             node = ServingNode(name)
@@ -156,14 +155,14 @@ def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     for name in ("use_sim_time", "start_type_description_service"):
         given.pop(name, None)
     given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}
-    run = {k.removeprefix("run."): v for k, v in given.items() if k.startswith("run.")}
+    run = {k: v for k, v in given.items() if k.startswith("run.")}
     own = {k: v for k, v in given.items() if not k.startswith("run.")}
     params: Any = build(block_class.Params, own)
-    options = build(RunOptions, run)
+    options = run_options(run)
     _declare(node, declarations(block_class.Params), flatten(params))
     ours = [d for d in declarations(RunOptions, "run.") if d.name not in RUNNERS]
     _declare(node, ours, flatten(options, "run."))
-    return params, options  # type: ignore[return-value]
+    return params, options
 
 
 def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -> None:

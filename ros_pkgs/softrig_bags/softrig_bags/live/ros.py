@@ -22,6 +22,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from softrig_core import SECOND
 from softrig_core.block.params import Declaration
 from softrig_nodes.below import uses
+from softrig_nodes.ros.arguments import non_ros_arguments, plain_errors
 from softrig_nodes.ros.messages import range_descriptor
 from softrig_nodes.ros.profile import joining, watch_ports
 from softrig_nodes.ros.ros import ServingNode
@@ -68,15 +69,14 @@ class Session:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._signalled)
         try:
-            with joining():
-                try:
-                    rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-                except RuntimeError as error:
-                    raise BagError(f"ROS arguments {' '.join(argv)}: {str(error).splitlines()[0]}") from None
+            non_ros_arguments([name, *argv])
+            with joining(), plain_errors():
+                rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
                 # whose parameters may be set to what they are, as `ros2 param load` of its own dump does
                 self.node = ServingNode(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
-        # The profile of the middleware could not be read.
+        # An argument is invalid, or the profile of the middleware could not be read.
         except ValueError as error:
+            rclpy.try_shutdown()  # a name that is none is refused after the start
             raise BagError(str(error)) from None
         Session.opened = self
         options = {declaration.name: value for declaration, value in parameters}

@@ -233,8 +233,11 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
         for part in path:
             level = level.setdefault(part, {})
             if not isinstance(level, dict):
-                raise ParameterError(f"parameter {name}: {part} has the value {level!r} as well")
-        if isinstance(value, Mapping) and isinstance(level.get(last), dict):
+                raise ParameterError(f"parameter {name}: {part} has the value {_shown(level)} as well")
+        if isinstance(level.get(last), dict):
+            if not isinstance(value, Mapping):
+                below = next(iter(level[last]), "")
+                raise ParameterError(f"parameter {name}.{below}: {last} has the value {_shown(value)} as well")
             level[last] |= value
         else:
             level[last] = dict(value) if isinstance(value, Mapping) else value

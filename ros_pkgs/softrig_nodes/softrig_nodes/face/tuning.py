@@ -45,7 +45,7 @@ class Tuning:
                 raise ParameterError(f"parameter {removed[0]} has no value, expected one")
             if pace is not None and not adapter.hold.has_pace:
                 raise ParameterError("run.pace is that of the node of the clock, in lockstep, once it has begun")
-            run: Any = _options({p.name: plain(p) for p in parameters if p.name.startswith("run.")})
+            run: Any = run_options({p.name: plain(p) for p in parameters if p.name.startswith("run.")})
             replaced = adapter.step.set(values) if values else []
             if pace is not None:  # last: all of it holds, or nothing
                 adapter.hold.go_at(run.pace)
@@ -56,8 +56,8 @@ class Tuning:
         return SetParametersResult(successful=True)
 
 
-def _options(values: Mapping[str, Any]) -> RunOptions:
-    """Check values of the parameters that each node has besides those of its block."""
+def run_options(values: Mapping[str, Any]) -> RunOptions:
+    """Return the options with these values of the parameters ``run.*``; a ParameterError names the parameter."""
     try:
         return build(RunOptions, {name.removeprefix("run."): value for name, value in values.items()})  # type: ignore[return-value]
     except ParameterError as error:
