@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import Literal
 
-from softrig_core import Rig, ScenarioError, list_scenarios, rig_of
+from softrig_core import Rig, RunError, ScenarioError, list_scenarios, rig_of
 from softrig_core.export.c_files import Exported
 from softrig_core.export.check import replayed
 from softrig_core.export.command import export_c, export_rig
@@ -79,6 +79,8 @@ def _on_board(node: str, rig: Rig, board: Literal["arduino", "cortex-m4"]) -> st
             missing = re.search(r"undefined reference to `(\w+)'", str(reason))
             text = f"its C library lacks `{missing[1]}`" if missing else str(reason).partition(f"{name} ")[2]
             return f"{text[:MOST].rstrip()} |  |  | "
+        except RunError as reason:  # such as a stack that grows into the state: only the simulated board shows it
+            return f"{str(reason).rpartition(': ')[2][:MOST].rstrip()} |  |  | "
     differ = f" ({result.differing} of {result.rows} differ)" if result.differing else ""
     return f"{result.longest}{differ} | {result.flash} | {result.ram} | {result.stack}"
 
