@@ -120,18 +120,21 @@ class ShardWriter:
         self.flush()
         content = memoryview(rows.view(np.uint8))
         while content:
-            content = content[self._file.write(content) or 0 :]
+            content = content[self._write(content) :]
 
     def flush(self) -> None:
         """Pass everything to the operating system; raises OSError (disk full), never drops silently."""
         while self._buffer:
-            # An unbuffered file may write less than it is given, for instance on a disk that is nearly full.
-            try:
-                written = self._file.write(self._buffer)
-            except OSError as error:  # its own does not name the file
-                raise OSError(error.errno, error.strerror, str(self._file.name)) from error
-            del self._buffer[: written or 0]
+            del self._buffer[: self._write(self._buffer)]
         self._limit = self.LIMIT
+
+    def _write(self, content: bytearray | memoryview) -> int:
+        """Write as much as the operating system accepts; return the number of bytes."""
+        # An unbuffered file may write less than it is given, for instance on a disk that is nearly full.
+        try:
+            return self._file.write(content) or 0
+        except OSError as error:  # its own does not name the file
+            raise OSError(error.errno, error.strerror, str(self._file.name)) from error
 
     def close(self) -> None:
         """Flush and close."""
