@@ -108,7 +108,8 @@ def stopped_by(error: KeyboardInterrupt) -> str:
     """Return one line with the signal received and its notes: what is missing because of it, and how to create it."""
     notes = getattr(error, "__notes__", ())
     number = int(getattr(error, "number", signal.SIGINT))
-    return ": ".join((f"stopped by {signal.Signals(number).name}", *(["; ".join(notes)] if notes else [])))
+    stopped = f"stopped by {signal.Signals(number).name}"
+    return f"{stopped}: {'; '.join(notes)}" if notes else stopped
 
 
 def _full() -> int:

@@ -21,10 +21,10 @@ from .kinds import (
     Number,
     Table,
     Tuple,
-    ascii_name,
     identifier,
     leaves,
     united,
+    used_as,
 )
 from .unit import FIXED, WHOLE, Unit, Value, literal
 
@@ -93,7 +93,7 @@ class Base:
         if use != "t" and isinstance(self.function, str):
             name, own = name.removeprefix("v_"), name.startswith("v_")
             use = use if own else f"n{use}"
-        return f"{use}{'' if name.isascii() else 'z'}_{ascii_name(name)}"
+        return used_as(use, name)
 
     def _carried(self, name: str) -> str:
         """Return the variable that holds a name from turn to turn of a loop."""

@@ -110,6 +110,11 @@ def ascii_name(name: str) -> str:
     return "".join(letter if letter.isascii() else f"u{ord(letter):x}_" for letter in name)
 
 
+def used_as(use: str, name: str) -> str:
+    """Return C's name for one of Python, by its use; letters beyond ASCII give it a prefix that no others have."""
+    return f"{use}{'' if name.isascii() else 'z'}_{ascii_name(name)}"
+
+
 def identifier(text: str) -> str:
     """Return a name of C for a name of Python or ROS."""
     name = ascii_name(re.sub(r"\W+", "_", text).strip("_"))

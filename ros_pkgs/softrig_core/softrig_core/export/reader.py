@@ -24,9 +24,9 @@ from .kinds import (
     Absent,
     Number,
     Table,
-    ascii_name,
     remark,
     united,
+    used_as,
 )
 from .unit import WHOLE, Signature, Value, bare, reads
 
@@ -52,7 +52,7 @@ class Reader(Calls):
             self.temporaries = 0
             self.loops = []
             for k, (given, kind) in enumerate(zip(names, self.kinds, strict=True)):
-                c = self.handed[k] if self.handed[k] is not None else self._argument(given)
+                c = self.handed[k] if self.handed[k] is not None else _argument(given)
                 self.env[given] = Value(kind, c, self.unit.by_name.get(c))
             self.block(self.tree.body)
             if not self.ended:
@@ -63,7 +63,7 @@ class Reader(Calls):
             raise self.unknown("types that do not settle", self.tree)
         result = self.result if self.result is not None else ABSENT
         heads = [
-            f"{self.unit.c(k)} {self._argument(n)}"
+            f"{self.unit.c(k)} {_argument(n)}"
             for n, k, h in zip(names, self.kinds, self.handed, strict=True)
             if h is None and not isinstance(k, Absent)
         ]
@@ -87,11 +87,6 @@ class Reader(Calls):
         unused = [f"    (void){w};" for w in words if not re.search(rf"(?<![.\w]){w}\b", text)]
         body = [*variables, *unused, *(f"    {line.replace('@ZERO@', zero)}" for line in self.lines)]
         return head + "{\n" + "\n".join(body) + "\n}\n", Signature(name, result, self.discards)
-
-    @staticmethod
-    def _argument(name: str) -> str:
-        name = name.removeprefix("v_")
-        return f"p{'' if name.isascii() else 'z'}_{ascii_name(name)}"
 
     def _without_unread(self) -> None:
         """Remove assignments that are never read, and unused results of calls."""
@@ -366,6 +361,10 @@ class Reader(Calls):
         self._turn_over()
         self.emit("continue;")
         self.ended = True
+
+
+def _argument(name: str) -> str:
+    return used_as("p", name.removeprefix("v_"))
 
 
 def _hint(test: str, then: Sequence[str], orelse: Sequence[str]) -> str:

@@ -86,11 +86,11 @@ def _left_out(left: dict[str, str], member: Member) -> Iterator[None]:
 
 def _check_read(rig: Rig, left: dict[str, str]) -> None:
     """Refuse a plant without C, and a node without C that others need; an observer of such a node is left out, too."""
+    read = {link.source.name for member in rig.members for link in member.links.values()}
     for member in rig.members:
         for link in member.links.values():
             if member.name not in left and link.source.name in left:
                 why = left[link.source.name]
-                read = {other.source.name for one in rig.members for other in one.links.values()}
                 if not member.is_plant and member.name not in read:
                     left[member.name] = f"it reads {link.source.name}, which has no C: {why}"
                     break
