@@ -411,6 +411,36 @@ def test_signals_that_are_asked_for_are_recorded_with_what_figures_read():
     assert not any(topic.times for topic in none.recording.topics.values())
 
 
+@pytest.mark.parametrize("seed", ["1", -1, 1.5, True, 2**63, [1]])
+def test_what_is_no_seed_is_refused(seed):
+    for begin in (simulate, Session):
+        with pytest.raises(ScenarioError, match=r"seed = .*: expected a whole number from 0 to 2\^63 - 1"):
+            begin(wired(), seed=seed)
+    assert simulate(wired(), seed=np.int64(3)).seed == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"what": 3}, "expected a scenario's name or file, a draft, a scenario or a rig, got int"),
+        ({"overrides": ["law.gain=1"]}, "overrides: expected a mapping of 'node.parameter' to value, got"),
+        ({"overrides": {1: 2}}, "overrides: expected a mapping"),
+        ({"signals": ["lag/command/v"]}, r"no signal 'lag/command/v' \(did you mean 'lag/command/u/effort'\?\)"),
+    ],
+)
+def test_a_wrong_argument_of_simulate_is_named(given, message):
+    with pytest.raises(ScenarioError, match=message):
+        simulate(**{"what": wired(), **given})
+
+
+def test_one_signal_may_be_a_text():
+    topics = [
+        {name for name, topic in simulate(judged(), signals=s).recording.topics.items() if topic.times}
+        for s in ("lag/command/u", ["lag/command/u"])
+    ]
+    assert topics[0] == topics[1]
+
+
 def test_figures_that_are_measured_while_it_runs_are_reported_what_and_how_often():
     """Unless they are told otherwise, or nobody asks them."""
     live = dict(zip(("package", "executable"), FIGURES, strict=True))

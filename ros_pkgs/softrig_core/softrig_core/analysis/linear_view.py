@@ -418,7 +418,7 @@ def linear_view(
     messages = list(dict.fromkeys([*observed, *([opened] if opened else [])]))
     if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
-    number = rig.scenario.seed if seed is None else seed
+    number = rig.scenario.seed_of(seed)
     given = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
     result = StateMap(rig, at, number, messages, [*given, *([opened] if opened else [])], FOLLOWED)
     if opened:
@@ -527,7 +527,7 @@ def linear_along(
     if not messages:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
     given = [signal_of(rig, name) for name in inputs] if inputs is not None else _source_inputs(rig, messages)
-    number = rig.scenario.seed if seed is None else seed
+    number = rig.scenario.seed_of(seed)
     result = StateMap(rig, at, number, messages, given, max(FOLLOWED, periods))
     return Differences(result, messages, given, "").along(periods)
 

@@ -111,7 +111,7 @@ def steady(
     observed = plant_outputs(rig) if outputs is None else [signal_of(rig, name) for name in outputs]
     if not observed:
         raise ScenarioError(f"{rig.scenario.name}: no plant publishes at each of its ticks; name outputs")
-    number = rig.scenario.seed if seed is None else seed
+    number = rig.scenario.seed_of(seed)
     whole: dict[str, Member] = {}
     for name in observed:
         upstream(place_of(rig, name).member, whole)

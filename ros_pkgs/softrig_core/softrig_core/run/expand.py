@@ -50,6 +50,11 @@ def rig_of(
     ScenarioError
         Bad input of any kind, in one line.
     """
+    if not isinstance(what, str | Path | Draft | Scenario | Rig):
+        kind = type(what).__name__
+        raise ScenarioError(f"expected a scenario's name or file, a draft, a scenario or a rig, got {kind}")
+    if overrides is not None and not (isinstance(overrides, Mapping) and all(isinstance(k, str) for k in overrides)):
+        raise ScenarioError(f"overrides: expected a mapping of 'node.parameter' to value, got {overrides!r}")
     if isinstance(what, Rig):
         classes = {m.name: m.block_class for m in what.members} | dict(classes or {})
         what = what.scenario

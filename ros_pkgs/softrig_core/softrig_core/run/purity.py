@@ -53,7 +53,7 @@ def check_pure(rig: Rig, seed: int | None = None) -> None:
     new = {m.name: _key(m) for m in rig.members if _key(m) not in _pure}
     if not new or any(issubclass(m.block_class, Solver) for m in rig.members):
         return
-    blocks = {m.name: m.block(rig.scenario.seed if seed is None else seed) for m in rig.members}
+    blocks = {m.name: m.block(rig.scenario.seed_of(seed)) for m in rig.members}
     copies = [name for m in rig.members if m.name in new for name in _watched(m, blocks[m.name])]
     try:
         ticks = Loop(list(wired(rig, blocks).values())).run()

@@ -79,7 +79,7 @@ class Session:
     ) -> None:
         self.rig = rig_of(what, duration=duration, overrides=overrides)
         check_here(self.rig)
-        self.seed = self.rig.scenario.seed if seed is None else seed
+        self.seed = self.rig.scenario.seed_of(seed)
         self._turned: list[_Turned] = []
         self._kept: dict[int, Moment] = {}
         # The reason why no state can be kept, if so; the run itself is not affected.

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..bits import kernels
 from ..block.held import RunningBlock
-from ..errors import Impure, RunError, ScenarioError
+from ..errors import Impure, RunError, ScenarioError, closest
 from ..extras import need
 from ..judge.claims import NEVER
 from ..rig.members import other_names, signal_units
@@ -312,9 +312,9 @@ def simulate(
     0.6941...
     >>> t, speed = run.signals["motor/state/shaft/velocity"]
     """
-    # Nobody watches one of many runs, so observers without outputs are left out.
+    # Observers without outputs are left out of many runs, since these are not watched.
     rig = rig_of(what, duration=duration, overrides=overrides, live=runs == 1)
-    number = rig.scenario.seed if seed is None else seed
+    number = rig.scenario.seed_of(seed)
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     # A figure that does not fit the rig is an error before the run, not after it.
     wanted = figures_of(rig)
@@ -341,5 +341,9 @@ def simulate(
 def _topics(rig: Rig, figures: list[Figure], signals: Collection[str]) -> set[str]:
     """Return the topics of signals, and of what figures and requirements read."""
     units = signal_units(rig)
-    read = read_by(figures, units) | {full_name(name, units) for name in signals}
+    wanted = {full_name(name, units) for name in ([signals] if isinstance(signals, str) else signals)}
+    if unknown := sorted(wanted - units.keys()):
+        near = closest(unknown[0], units)
+        raise ScenarioError(f"signals: no signal {unknown[0]!r}{near}; {rig.scenario.name} has {', '.join(units)}")
+    read = read_by(figures, units) | wanted
     return {topic_of(name, rig.topics) for name in read}

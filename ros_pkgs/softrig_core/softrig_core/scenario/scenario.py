@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -198,6 +199,14 @@ class Scenario(Entry):
         """Remember where all that is in it is written."""
         self._file = file
         return self
+
+    def seed_of(self, seed: int | None = None) -> int:
+        """Return the seed of a run: its own when none is given; a ScenarioError refuses what is no seed."""
+        if seed is None:
+            return self.seed
+        if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed < 2**63:
+            raise ScenarioError(f"{self.name}: seed = {seed!r}: expected a whole number from 0 to 2^63 - 1")
+        return int(seed)
 
     def written(self, *keys: str) -> str:
         """Describe where one of its keys is written, as the end of a message; empty where that is not known."""
