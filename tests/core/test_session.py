@@ -433,6 +433,14 @@ def test_a_wrong_argument_of_simulate_is_named(given, message):
         simulate(**{"what": wired(), **given})
 
 
+def test_signals_cannot_be_changed_in_place():
+    """Times are those of other signals, too, and bags and figures are made of the same columns."""
+    for part in simulate(wired()).signals["lag/state/x/position"]:
+        with pytest.raises(ValueError, match="read-only"):
+            part *= 60.0
+        assert part.copy().flags.writeable
+
+
 def test_one_signal_may_be_a_text():
     topics = [
         {name for name, topic in simulate(judged(), signals=s).recording.topics.items() if topic.times}

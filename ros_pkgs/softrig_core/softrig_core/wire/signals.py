@@ -132,6 +132,8 @@ def topic_of(name: str, topics: Iterable[str]) -> str:
 class Signals(Mapping[str, Signal]):
     """Signals by name ``topic/channel/field``, decoded on demand; the field may be left out if there is only one.
 
+    Their arrays are read-only; `numpy.copy` makes one that can be changed.
+
     Parameters
     ----------
     epoch : int
@@ -244,7 +246,10 @@ class Signals(Mapping[str, Signal]):
         if label not in table.columns:
             have = f"it has {', '.join(table.columns)}" if table.columns else "no message was published on it"
             raise KeyError(f"no signal {label!r} on {topic}; {have}")
-        return Signal(table.t, table.columns[label]), not isinstance(table.columns, _OnDisk)
+        # Read-only: times belong to many signals, and figures and bags are made of the same columns afterwards.
+        result = Signal(table.t, table.columns[label])
+        result.t.flags.writeable = result.x.flags.writeable = False
+        return result, not isinstance(table.columns, _OnDisk)
 
     def __iter__(self) -> Iterator[str]:
         for topic in self.recording.topics.values():
