@@ -372,6 +372,8 @@ def test_each_mistake_on_a_command_line_is_one_line():
 class Full:
     """A standard output that cannot be written to."""
 
+    closed = False
+
     def flush(self):
         raise OSError(errno.ENOSPC, "no space")
 

@@ -337,7 +337,7 @@ def test_no_number_that_people_write_into_a_file_may_be_none():
 
 def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():
     port = number("x", "x", "m")
-    for wrong in (5.0, None, ("a",), (1j,), [[1.0]], (10**400,)):
+    for wrong in (5.0, None, ("a",), (1j,), [[1.0]], (10**400,), ("1.0",), "1", b"1", (b"1",)):
         with pytest.raises(RunError, match="law: x is no row of numbers at t = 0 s"):
             admit({"x": wrong}, port, "law", 0)
 

@@ -490,6 +490,22 @@ def test_a_run_ends_with_its_last_tick_or_a_second_after_it_without_one():
     assert law.adapter.state == "done"
 
 
+def test_a_process_that_stood_over_the_end_answers_its_last_tick_before_it_ends():
+    node = plant(epoch=START, time=START, duration=0.03)
+    timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
+    timer_at(node, timer, 0)
+    node.hand.time = START + 3 * SECOND
+    node.drive.progress()
+    assert (node.adapter.state, node.drive.t, node.adapter.ticks, node.drive.missed) == ("done", 30 * MS, 2, 2)
+    law = three(time=START, duration=0.05)
+    for name in ("a", "b"):
+        law.hear(name, START, 1.0)
+    assert (law.drive.t, law.drive.missed) == (0, 0)
+    law.hand.time = START + 3 * SECOND
+    law.drive.progress()
+    assert (law.adapter.state, law.drive.missed) == ("done", 5)
+
+
 def test_a_source_says_its_ticks_from_the_next_point_of_the_grid_on():
     node = Node(Source(period=0.01), time=START + 4 * MS).join()
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
@@ -968,7 +984,7 @@ class Beats:
         Beat(self.nodes, [(self.law, self.row, self.nodes[0])])
         (self.timer,) = self.hand.timers
 
-    def follows(self, begun):
+    def follows(self, begun, newest):
         self.begins.append(begun)
 
     def begin(self):

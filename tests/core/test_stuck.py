@@ -7,12 +7,14 @@ import sys
 import threading
 import time
 import warnings
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from conftest import PATIENCE, make_scenario
 from faultrig import Gain
-from softrig_core import rig_of, run_inprocess
+from softrig_bringup import cli
+from softrig_core import RunError, ScenarioError, rig_of, run_inprocess
 from softrig_core.run import stuck
 
 
@@ -82,6 +84,88 @@ def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypa
     assert ended[0] == 143
     assert lines[0].startswith("gain: `update` at t = 0.02 s has not returned 0.2 s after SIGTERM (")
     assert lines[0].endswith("): the process is ended, and what it has not written is lost")
+
+
+class Ends(Gain):
+    """Ends Python, or fails, where it is asked to."""
+
+    where, error = "", Exception()
+
+    def raise_in(self, where):
+        if where == self.where:
+            raise self.error
+
+    def setup(self):
+        self.raise_in("setup")
+
+    def reset(self, seed):
+        self.raise_in("reset")
+        super().reset(seed)
+
+    @classmethod
+    def ports(cls, params):
+        cls.raise_in(cls, "ports")
+        return super().ports(params)
+
+    @classmethod
+    def agreed(cls, params):
+        cls.raise_in(cls, "agreed")
+        return super().agreed(params)
+
+    def update(self, x, t, **inputs):
+        if t == 20_000_000:
+            self.raise_in("update")
+        return super().update(x, t, **inputs)
+
+
+@pytest.mark.parametrize("error", [SystemExit(0), GeneratorExit(), KeyError("k")], ids=lambda e: type(e).__name__)
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ("update", r"^gain: failed at t = 0\.02 s: {}"),
+        ("setup", r"node gain: set-up failed: {}"),
+        ("reset", r"node gain: set-up failed: {}"),
+        ("ports", r"node gain: {}"),
+        ("agreed", r"`agreed` of Ends\w+: {}"),
+    ],
+)
+def test_code_of_a_block_that_raises_anything_is_named_and_does_not_end_python(where, message, error):
+    """`sys.exit(0)` in a law ended a run with status 0, without figures and without a bag."""
+    block = type(f"Ends{where}{type(error).__name__}", (Ends,), {"where": where, "error": error})
+    scenario = make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.1)
+    with pytest.raises((RunError, ScenarioError), match=message.format(type(error).__name__)):
+        run_inprocess(rig_of(scenario, classes={"gain": block}), 0)
+
+
+def test_a_verb_whose_code_ends_python_or_closes_its_output_says_so(monkeypatch, capsys):
+    for error, message in (
+        (SystemExit(0), "code that `softrig list` called has ended it: SystemExit: 0 ("),
+        (None, "standard output: closed by code that ran; what it prints is lost"),
+    ):
+
+        def verb(options, error=error):
+            if error is not None:
+                raise error
+            monkeypatch.setattr(sys, "stdout", StringIO())
+            sys.stdout.close()
+            print("figures")
+
+        monkeypatch.setattr(cli, "_late", lambda function, options, verb=verb: verb(options))
+        assert cli.main(["list"]) == 3
+        assert capsys.readouterr().err.startswith(f"softrig: {message}")
+
+
+def test_a_thread_that_goes_on_is_not_waited_for():
+    text = """if True:
+        import sys, threading
+        from softrig_core.guard import end_within
+        threading.Thread(target=threading.Event().wait, name="law").start()
+        print("figures")
+        end_within(0.05, 1)
+        sys.exit(1)"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    line = "softrig: law, started by code that ran, goes on; softrig ends without waiting for it\n"
+    assert (done.returncode, done.stderr) == (1, line)
 
 
 def test_who_waits_for_a_compiler_or_is_in_no_block_is_let_alone(lines):

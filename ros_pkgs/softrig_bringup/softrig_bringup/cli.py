@@ -16,6 +16,7 @@ from typing import Any
 from softrig_core import ScenarioError
 from softrig_core.bits import pin
 from softrig_core.command_line import Parser, check_text, without_ros
+from softrig_core.errors import RunError, describe
 from softrig_core.guard import guarded, print_line, quietly
 from softrig_core.needs import join_prefix
 
@@ -161,7 +162,10 @@ def _verb(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     options.words = arguments
     with quietly() if getattr(options, "quiet", False) else nullcontext():
-        return int(options.verb(options))
+        try:
+            return int(options.verb(options))
+        except SystemExit as error:  # raised in code of a user: its status would be that of this command
+            raise RunError(f"code that `softrig {options.words[0]}` called has ended it: {describe(error)}") from error
 
 
 def _judging(arguments: list[str]) -> list[str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sysconfig
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -22,6 +23,8 @@ class Impure(RunError):
     """The answers of a block depend on more than x, t and inputs, so a run may depend on earlier runs."""
 
 
+# What a user's code raises ends a run with a message; `sys.exit` would end it in silence, with a status of its own.
+FAILURES = (Exception, SystemExit, GeneratorExit)
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _OURS = str(Path(__file__).parent)
 
@@ -31,12 +34,36 @@ def describe(error: BaseException) -> str:
 
     The place is the last one outside Python's libraries and softrig_core; of a syntax error, the line itself.
     """
-    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    try:
+        text = str(error)
+    except Exception as other:  # in the code of a class of the user's
+        text = f"(no text: {type(other).__name__})"
+    what = f"{type(error).__name__}: {text}" if text else type(error).__name__
     if isinstance(error, SyntaxError) and error.filename:
         return f"{type(error).__name__}: {error.msg} ({error.filename}, line {error.lineno})"
     ours = (*_LIBRARIES, _OURS, "<")
     places = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(ours)]
     return f"{what} ({places[-1].filename}, line {places[-1].lineno})" if places else what
+
+
+@contextmanager
+def blaming(where: str) -> Iterator[None]:
+    """Raise what a user's code raises within the ``with`` block as bad input of a place.
+
+    Raises
+    ------
+    ScenarioError
+        One that the code has raised itself is passed on. The text of a ValueError is for people; of all others the
+        message names the type and the line.
+    """
+    try:
+        yield
+    except ScenarioError:
+        raise
+    except ValueError as error:
+        raise ScenarioError(f"{where}: {error}") from None
+    except FAILURES as error:
+        raise ScenarioError(f"{where}: {describe(error)}") from error
 
 
 def closest(name: str, known: Iterable[str]) -> str:

@@ -112,6 +112,24 @@ def stopped_by(error: KeyboardInterrupt) -> str:
     return f"{stopped}: {'; '.join(notes)}" if notes else stopped
 
 
+def end_within(seconds: float, status: int) -> None:
+    """End the process after some time although a user's threads or processes go on, for which Python would wait."""
+    known: Any = sys.modules.get("multiprocessing")  # else there are none of its processes
+    others = [one for one in threading.enumerate() if one is not threading.main_thread()]
+    others += known.active_children() if known else []
+    names = ", ".join(one.name for one in others if not one.daemon)
+    if not names:
+        return
+
+    def end() -> None:
+        print_line(f"{names}, started by code that ran, goes on; softrig ends without waiting for it")
+        os._exit(status)
+
+    last = threading.Timer(seconds, end)
+    last.daemon = True
+    last.start()
+
+
 def _full() -> int:
     print_line("out of memory; a shorter run or a smaller size may fit")
     return 3
@@ -225,8 +243,11 @@ def _need_directory() -> None:
 
 def _flush() -> None:
     try:
+        if sys.stdout is None or sys.stdout.closed:
+            raise OSError(errno.EBADF, "closed by code that ran; what it prints is lost", "standard output")
         sys.stdout.flush()
-    except OSError:
+    except OSError as error:
+        error.filename = error.filename or "standard output"
         # what is still in the buffer would be tried, and fail, again when Python ends
         with suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

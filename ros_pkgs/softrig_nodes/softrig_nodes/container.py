@@ -17,7 +17,7 @@ from typing import NoReturn
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
-from softrig_core.errors import RunError
+from softrig_core.errors import FAILURES, RunError
 from softrig_core.guard import print_for, secure_streams
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.installed import load_block
@@ -84,7 +84,7 @@ class Container:
                     adapter.middleware.drain()
         except (KeyboardInterrupt, ExternalShutdownException):
             stopped = True
-        except Exception as error:
+        except FAILURES as error:
             if rclpy.ok():
                 self._broke(error)
             else:  # a signal has shut the context down under a node that was about to publish
@@ -112,7 +112,7 @@ class Container:
             executor.spin_once((remaining - SPIN // 2) / SECOND if remaining > SPIN else 0.0)
         return False
 
-    def _broke(self, error: Exception) -> None:
+    def _broke(self, error: BaseException) -> None:
         """End the run with an error of the node whose code was running."""
         adapter = next((a for a in self.adapters if a.middleware.name == self.exchange.culprit()), None)
         if adapter is None:
@@ -156,7 +156,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
             container.connect()
     except KeyboardInterrupt:
         leave(container.nodes, 0)
-    except Exception as error:  # every start-up error ends in one line: what was wrong and where
+    except FAILURES as error:  # every start-up error ends in one line: what was wrong and where
         if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under them
             leave(container.nodes, 0)
         name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where

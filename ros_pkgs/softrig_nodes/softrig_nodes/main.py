@@ -18,6 +18,7 @@ from softrig_core.block.port import require_distinct
 from softrig_core.board.clocked import ClockEntry, clocked
 from softrig_core.board.entry import LinkEntry
 from softrig_core.board.link import linked
+from softrig_core.errors import FAILURES
 from softrig_core.guard import print_for, secure_streams
 from softrig_core.interrupt import interrupt
 from softrig_core.rig.options import RunOptions
@@ -75,7 +76,7 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             node.get_logger().info(introduction(adapter.block, adapter.options) + reach)
     except KeyboardInterrupt:
         leave([node] if node else [], 0)
-    except Exception as error:  # every start-up error ends in one line: what was wrong and where
+    except FAILURES as error:  # every start-up error ends in one line: what was wrong and where
         if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under it
             leave([node] if node else [], 0)
         where = node.get_name() if node is not None else name

@@ -9,6 +9,7 @@ from typing import Any
 
 from softrig_core.block.block import Block, Plant
 from softrig_core.block.held import ByHand
+from softrig_core.errors import FAILURES
 from softrig_core.kit.jit import Jit
 from softrig_core.solver.solver import Solver
 
@@ -31,7 +32,7 @@ def rehearse(block_class: type[Block], params: Any, name: str, always: bool = Fa
     """
     if issubclass(block_class, Solver) or not (always or _native(block_class)):
         return False
-    with suppress(Exception), warnings.catch_warnings():
+    with suppress(*FAILURES), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the values are no real ones
         block = block_class(params, name)
         spare = ByHand(block)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 Row = tuple[float, ...] | Sample  # what an output says at a tick
 Rows = tuple[Row | None, ...]  # of each output: what it publishes; None for the silence of a sporadic one
+TEXT = (str, bytes, bytearray)
 MAPPINGS = (dict, Mapping)  # the first is recognised fastest
 
 
@@ -75,6 +76,8 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
         return None
     data: Sequence[float] = given.data if isinstance(given, Sample) else given
     try:
+        if isinstance(data, TEXT) or any(isinstance(value, TEXT) for value in data):
+            raise TypeError(f"{data!r:.200} is text")  # which `float` would read
         values = tuple(map(float, data))
     except (TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{node}: {port.name} is no row of numbers at t = {t / 1e9:.9g} s: {error}") from None

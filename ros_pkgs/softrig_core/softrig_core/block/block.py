@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, Protocol, Se
 
 from typing_extensions import TypeVar
 
-from ..errors import RunError, ScenarioError
+from ..errors import FAILURES, RunError, ScenarioError
 from ..kit.draws import Draws
 from ..runners import run_node
 from .params import BlockParams, ParameterError, build, differing
@@ -157,9 +157,7 @@ class Block(Generic[P]):
             self._open = False
         except (ParameterError, ScenarioError, RunError):
             raise
-        except (
-            Exception
-        ) as error:  # an overflow, a singular matrix, no memory: each value is in bounds, but not together
+        except FAILURES as error:  # an overflow, a singular matrix: each value is in bounds, but not together
             raise ParameterError(f"set-up failed{differing(self.p)}: {type(error).__name__}: {error}") from error
 
     @classmethod

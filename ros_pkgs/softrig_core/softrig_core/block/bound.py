@@ -13,6 +13,7 @@ from keyword import iskeyword
 from types import CodeType
 from typing import TYPE_CHECKING, Any
 
+from ..errors import FAILURES
 from .answer import sum_of_products
 from .fill import value_text
 from .link import Link
@@ -50,7 +51,7 @@ def advance(t, values=values):
 """
 
 FAILED = """
-    except Exception as error:
+    except FAILURES as error:
         step.fail(error)
 """
 
@@ -176,6 +177,7 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
         "events": step.block.events,
         "sum_of_products": sum_of_products,
         "Sample": Sample,
+        "FAILURES": FAILURES,
     }
     # Names of the step become globals of the generated function: a lookup there is faster than an attribute's.
     exec(code_of(text, "tick"), known)

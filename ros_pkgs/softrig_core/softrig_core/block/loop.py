@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from ..errors import ScenarioError
+from ..errors import FAILURES, ScenarioError
 from .schedule import Plan
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def answer(step: Step, t: int) -> None:
         x, result = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
         rows = step.checked(result)  # size, finite, within Port.limits
         step.x, step.last_answer = x, rows
-    except Exception as error:
+    except FAILURES as error:
         step.fail(error)
     step.store_reports()  # only now counts what the block has reported
     step.hand_on(t, rows)  # to the inputs that they fill in this process, then to the link
@@ -53,7 +53,7 @@ def move(step: Step, t: int, values: Mapping[str, Any] | None = None) -> None:
     step.t = t
     try:
         step.x = step.move(step.x, t, **(step.values if values is None else values))
-    except Exception as error:
+    except FAILURES as error:
         step.fail(error)
     step.store_reports()
     if step.link is not None:

@@ -328,7 +328,7 @@ class Step(RunningBlock):
             self.bad = True
             self.note(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
 
-    def fail(self, error: Exception) -> NoReturn:
+    def fail(self, error: BaseException) -> NoReturn:
         """Raise what the block has raised as an error that names the step and the time; what it reported counts."""
         # What the block reported before it failed may explain the failure.
         self.store_reports()

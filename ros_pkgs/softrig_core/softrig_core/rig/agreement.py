@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from ..block.block import Block
-from ..errors import ScenarioError
+from ..errors import ScenarioError, blaming
 from ..kit.newest import once
 
 
@@ -22,7 +22,8 @@ class Named(Protocol):
 @once
 def agreed(block: type[Block], params: Any) -> Mapping[str, Any]:
     """Return the values that a block declares by `Block.agreed`."""
-    return block.agreed(params)
+    with blaming(f"`agreed` of {block.__name__}"):
+        return block.agreed(params)
 
 
 def require_agreement(where: str, members: Iterable[Named]) -> None:

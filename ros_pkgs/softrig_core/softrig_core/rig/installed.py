@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from ..block.block import Block
-from ..errors import ScenarioError, closest, describe
+from ..errors import FAILURES, ScenarioError, closest, describe
 from ..renamed import executable_of, executables
 
 _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the C library and its loader
@@ -33,7 +33,7 @@ def load_main(package: str, executable: str) -> Any:
         return point.load()
     except MemoryError:
         raise
-    except (Exception, SystemExit) as error:
+    except FAILURES as error:
         if isinstance(error, OSError | ImportError) and _NO_MEMORY.search(str(error)):
             raise MemoryError(str(error)) from error
         raise ScenarioError(f"{package}/{executable} cannot be loaded: {describe(error)}") from error

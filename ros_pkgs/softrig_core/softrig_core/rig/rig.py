@@ -17,7 +17,7 @@ from ..block.port import Port, Refused, require_distinct
 from ..block.schedule import schedule_of
 from ..board.clocked import ClockEntry, clocked
 from ..board.entry import require_own_ports
-from ..errors import ScenarioError
+from ..errors import ScenarioError, blaming
 from ..judge.expectation import Expectation
 from ..judge.units import misfit
 from ..kit.newest import KEPT, once
@@ -193,10 +193,8 @@ def _member(scenario: Scenario, name: str, block: type[Block], parameters: NodeP
     params: Any = parameters(name)  # its errors name the node already
     if isinstance(entry.external, ClockEntry):
         block = clocked(block, entry.external, params, where)
-    try:
+    with blaming(where):
         inputs, outputs = _ports(block, params)
-    except ValueError as error:
-        raise ScenarioError(f"{where}: {error}") from None
     if entry.link is not None:
         if entry.external:
             raise ScenarioError(f"{where}: it is external and has a link; remove one of the two")

@@ -8,7 +8,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
-from softrig_core.errors import RunError, describe
+from softrig_core.errors import FAILURES, RunError, describe
 from softrig_core.guard import print_for
 from softrig_core.run.stuck import watched
 from softrig_core.timebase import SECOND
@@ -42,7 +42,7 @@ def spin(node: Node, adapter: Adapter) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         stopped = True
     # A controller or plant has failed; the executor has printed the traceback.
-    except Exception as error:
+    except FAILURES as error:
         if rclpy.ok() or isinstance(error, RunError | OSError):
             adapter.error, adapter.state = failure(adapter, error), "failed"
         # A signal has shut the context down under a callback that was about to publish.
@@ -51,7 +51,7 @@ def spin(node: Node, adapter: Adapter) -> int:
     return conclude(adapter, stopped)
 
 
-def failure(adapter: Adapter, error: Exception) -> Exception:
+def failure(adapter: Adapter, error: BaseException) -> Exception:
     """Return the error that ends a run when a node's code has raised one."""
     if isinstance(error, RunError | OSError):
         return error

@@ -146,15 +146,26 @@ class Answering:
         if self._pending:
             self._deadline.again(self._patience)
 
+    def count_missed(self, end: int) -> None:
+        """Count the ticks up to the end of the run for which nothing has come."""
+        if self._last_stamp is not None and end > self._last_stamp:
+            self.missed += self._between(end) + 1
+            self._last_stamp = end
+
+    def _between(self, stamp: int) -> int:
+        """Return the number of ticks between the newest that was answered and another one."""
+        node, last = self._node, self._last_stamp
+        # Stamps are rounded to ns, so neighbouring ticks may be 1 ns further apart than the period.
+        if last is None or stamp - last <= self._period + 1:
+            return 0
+        return node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
+
     def _answer_tick(self, stamp: int) -> None:
         """Answer the tick of a stamp with the newest values up to it."""
         node, now = self._node, self._table.clock()
-        last, self._last_stamp = self._last_stamp, stamp
-        missed = 0
-        # Stamps are rounded to ns, so neighbouring ticks may be 1 ns further apart than the period.
-        if last is not None and stamp - last > self._period + 1:
-            missed = node.schedule.tick(stamp - node.epoch) - node.schedule.tick(last - node.epoch) - 1
-            self.missed += missed
+        missed = self._between(stamp)
+        self.missed += missed
+        self._last_stamp = stamp
         for row in self._used:
             if (value := row.value_at(stamp)) is not None:
                 node.values[row.name] = value

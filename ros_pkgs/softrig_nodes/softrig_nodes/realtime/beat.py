@@ -37,7 +37,7 @@ class Beat:
         self._timer = drives[0].node.middleware.timer(SOON, self._tick)
         self._timer.cancel()
         for drive in drives:
-            drive.follow(self._begin)
+            drive.follow(self._begin, self._tick)
 
     def _begin(self) -> None:
         """Start the timer when all nodes run."""

@@ -89,6 +89,7 @@ class Realtime(Link):
         self._fed: list[Live] = []  # inputs that neighbours fill
         self._rivals: list[Live] = []  # those of them that other processes write, too
         self._begun: Callable[[], object] | None = None
+        self._newest: Callable[[], object] | None = None  # runs its newest tick, unless messages make it answer
         self.departure: Departure | None = None
         self._over = False  # the last tick is answered
 
@@ -96,9 +97,9 @@ class Realtime(Link):
         """Pass an output to a node of this process, too."""
         self._local_readers.setdefault(reader, []).append((output.number, row.receiver(pick, output.port.unchecked)))
 
-    def follow(self, begun: Callable[[], object]) -> None:
+    def follow(self, begun: Callable[[], object], newest: Callable[[], object]) -> None:
         """Follow the ticks of a `Beat`: it fills the inputs and triggers the ticks; the node waits for no message."""
-        self._begun = begun
+        self._begun, self._newest = begun, newest
         self._fed = [f for f in self.senders.rows if f.local]
 
     def _by_itself(self) -> Callable[[], object]:
@@ -111,6 +112,7 @@ class Realtime(Link):
         self._paired = [f for f in senders.rows if f.paired]
         self._timer = node.middleware.timer(SOON, self._tick)
         self._timer.cancel()
+        self._newest = self._tick
         return lambda: self._timer.again(SOON)
 
     def join(self, local: Set[str]) -> None:
@@ -171,7 +173,13 @@ class Realtime(Link):
         # A plant that has not been commanded moves its t = 0 with the clock, so its run would never end by that.
         end, begun = node.schedule.end, self._started if self._idle else node.epoch or self._started
         if end is not None and node.state == "running" and self.now() > begun + end + END_GRACE:
-            node.finish()
+            # A process that stood over the end may look here before the timer of its last tick fires.
+            if self._newest is not None:
+                self._newest()
+            if self._answering is not None:
+                self._answering.count_missed(node.epoch + end)
+            if node.state == "running":
+                node.finish()
 
     def _report_unreceived(self) -> None:
         """Report inputs that a controller has never received although they have a publisher."""

@@ -39,6 +39,9 @@ from .profile import RANGE, joining, watch_ports
 QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 CLOCKED = "a subscription of its clock"
 LOOK = 0.05  # s between two looks at the graph
+# s after which a time is published again: rclpy and rclcpp subscribe to /clock with best effort, so it may be lost, and
+# the same time twice makes no timer fire twice
+AGAIN = 0.5
 REPORT_AFTER = 1.0  # s without a change after which it is said what is waited for
 
 
@@ -112,13 +115,13 @@ class Guest:
             if value is not None:
                 self._publishers[port.name].publish(port.layout().encode(t, value))
                 self._settle(t)  # one after the other: which of them it answers is its own matter
+        now = CLOCK.layout().encode(t, ())
+        self._clock.publish(now)
         if not answers:
-            self._clock.publish(CLOCK.layout().encode(t, ()))
             self._settle(t)
             self._check_silent(t)
             return {}
-        self._clock.publish(CLOCK.layout().encode(t, ()))
-        self._wait(lambda: all(self._received.values()), t)
+        self._wait(lambda: all(self._received.values()), t, again=lambda: self._clock.publish(now))
         self._settle(t)
         return {port.name: self._values_of(port, t) for port in self._outputs}
 
@@ -211,10 +214,16 @@ class Guest:
         self._wait(future.done, t, "answers no call of its parameter service: its executor does not spin")
         return future.result()
 
-    def _wait(self, done: Callable[[], bool], t: int, what: str = "") -> None:
-        end = time.monotonic() + self._seconds
+    def _wait(
+        self, done: Callable[[], bool], t: int, what: str = "", again: Callable[[], object] | None = None
+    ) -> None:
+        begin = time.monotonic()
+        end, repeat = begin + self._seconds, begin + AGAIN
         while not done():
             self._executor.spin_once(LOOK)
+            if again is not None and time.monotonic() > repeat:
+                again()
+                repeat += AGAIN
             gone = [p for p in self._outputs if not self._node.count_publishers(self._topic(p))]
             if gone and not done():
                 raise RunError(f"{self.who} has gone at t = {t / 1e9:.9g} s")
