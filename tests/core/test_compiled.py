@@ -68,3 +68,17 @@ def test_wrong_use_is_refused():
     x = ca.SX.sym("x", ca.Sparsity.diag(2))
     with pytest.raises(ValueError, match="input i0 of f is sparse"):
         Compiled(ca.Function("f", [x], [ca.sum1(ca.diag(x))]))
+
+
+def test_a_call_of_another_thread_in_the_middle_changes_nothing():
+    """Runs of one robot share their functions, also when a user's threads run them at the same time."""
+    step, here, there = Compiled(pendulum()), (0.1, 1.0, 0.05), (0.7, -2.0, 3.0)
+    alone, pack = {x: step(x) for x in (here, there)}, step._pack
+
+    def interrupted(*given):
+        pack(*given)
+        step._pack = pack
+        assert step(there) == alone[there]
+
+    step._pack = interrupted
+    assert step(here) == alone[here] != alone[there]

@@ -62,6 +62,9 @@ def _loaded(shim: str, library: str) -> ctypes.CDLL:
 class Called(Compiled):
     """One of a user's functions, in this process; native code calls it by its address."""
 
+    # Each call writes the arguments before it reads the results, so nothing of a tick is left in them.
+    SCRATCH = frozenset({"_arguments", "_results"})
+
     def __init__(self, built: Built, method: str) -> None:
         self._entry = getattr(_loaded(str(built.shim), str(built.library)), f"sr_{method}")
         self.native = True

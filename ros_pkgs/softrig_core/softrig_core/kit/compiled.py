@@ -35,6 +35,27 @@ FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
 TEMPORARY = Path("/tmp")
 
 
+class _Buffer:
+    """Memory for one call of a casadi function at a time: flat arguments and results."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.arguments = bytearray(8 * function.nnz_in())
+        self.results = bytearray(8 * function.nnz_out())
+        self._buffer, self.run = function.buffer()
+        # casadi keeps bare addresses: the memoryviews must live as long as the buffer
+        self._views = [memoryview(self.arguments).cast("d"), memoryview(self.results).cast("d")]
+        at = 0
+        for i in range(function.n_in()):
+            self._views.append(self._views[0][at : at + function.nnz_in(i)])
+            self._buffer.set_arg(i, self._views[-1])  # type: ignore[call-arg, arg-type]
+            at += function.nnz_in(i)
+        at = 0
+        for i in range(function.n_out()):
+            self._views.append(self._views[1][at : at + function.nnz_out(i)])
+            self._buffer.set_res(i, self._views[-1])  # type: ignore[call-arg, arg-type]
+            at += function.nnz_out(i)
+
+
 class Compiled:
     """A casadi function called with one flat sequence of numbers, giving one flat tuple.
 
@@ -60,8 +81,8 @@ class Compiled:
     >>> x = step((*x, *u, 1e-3))
     """
 
-    # Each call writes all of these before it reads them, so nothing of a tick is left in them.
-    SCRATCH = frozenset({"_arguments", "_results", "_views", "_buffer"})
+    # Each call writes the whole buffer before it reads it, so nothing of a tick is left in it.
+    SCRATCH = frozenset({"_spare"})
 
     def __init__(self, function: ca.Function) -> None:
         for i in range(function.n_in()):
@@ -81,24 +102,11 @@ class Compiled:
             self.source = _source(function)
             function = ca.external(function.name(), str(library))
         n_in, n_out = self.n_in, self.n_out
-        self._arguments = bytearray(8 * n_in)
-        self._results = bytearray(8 * n_out)
         self._pack = struct.Struct(f"{n_in}d").pack_into
         self._library = library
         self._unpack = struct.Struct(f"{n_out}d").unpack
-        self._function, (self._buffer, self._run) = function, function.buffer()
-        # casadi keeps bare addresses: the memoryviews must live as long as the buffer
-        self._views = [memoryview(self._arguments).cast("d"), memoryview(self._results).cast("d")]
-        at = 0
-        for i in range(function.n_in()):
-            self._views.append(self._views[0][at : at + function.nnz_in(i)])
-            self._buffer.set_arg(i, self._views[-1])  # type: ignore[call-arg, arg-type]
-            at += function.nnz_in(i)
-        at = 0
-        for i in range(function.n_out()):
-            self._views.append(self._views[1][at : at + function.nnz_out(i)])
-            self._buffer.set_res(i, self._views[-1])  # type: ignore[call-arg, arg-type]
-            at += function.nnz_out(i)
+        self._function = function
+        self._spare: list[_Buffer] = []
 
     def __call__(self, values: Sequence[float]) -> tuple[float, ...]:
         """Evaluate.
@@ -118,9 +126,15 @@ class Compiled:
         struct.error
             Wrong number of values.
         """
-        self._pack(self._arguments, 0, *values)
-        self._run()
-        return self._unpack(self._results)
+        try:
+            buffer = self._spare.pop()
+        except IndexError:  # another thread is using it, since runs of one robot share its functions
+            buffer = _Buffer(self._function)
+        self._pack(buffer.arguments, 0, *values)
+        buffer.run()
+        result = self._unpack(buffer.results)
+        self._spare.append(buffer)
+        return result
 
     @cached_property
     def places(self) -> tuple[int, int, int, int]:
