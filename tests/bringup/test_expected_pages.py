@@ -16,8 +16,8 @@ from softrig_bringup.page.wording import accepted, difference, in_words, measure
 from softrig_bringup.plots.curves import Curve
 from softrig_bringup.report import apart, run_page, several
 from softrig_bringup.report.record import RunRecord
-from softrig_bringup.report.redraw import _table
-from softrig_bringup.verbs.results_page import by_system, counts
+from softrig_bringup.results.page import by_system, counts
+from softrig_bringup.verbs.plot_verb import _table
 from softrig_core import ScenarioError
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding

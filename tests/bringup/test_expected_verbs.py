@@ -18,31 +18,29 @@ import softrig_nodes
 from expected_text import check_expected
 from pydantic import ValidationError
 from setuptools.config.expand import canonic_data_files
-from softrig_bringup import cli
+from softrig_bringup import cli, launched
 from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import ResultsFolder
 from softrig_bringup.options.naming import folder_of
 from softrig_bringup.pack import packed
 from softrig_bringup.page.citations import Citation
 from softrig_bringup.page.wiring import Node, Wire, Wiring
-from softrig_bringup.report import redraw
 from softrig_bringup.report.record import RunRecord
+from softrig_bringup.results import page as results_page, results
 from softrig_bringup.run import notebook, part, run as runs
 from softrig_bringup.terminal import completion, progress
 from softrig_bringup.verbs import (
     animate,
     check,
     golden,
-    launched,
     linear,
     new,
-    results,
-    results_page,
+    plot_verb,
     run_verb,
     set_verb,
     view_verb,
-    viewer,
 )
+from softrig_bringup.view import rviz as viewer
 from softrig_core import (
     Block,
     NoOperatingPoint,
@@ -1086,8 +1084,8 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
             savefig=lambda file, format, dpi, metadata: file.write(f"{dpi} {format} {metadata}".encode())
         )
 
-    monkeypatch.setattr(redraw, "rig_of_run", lambda path, namespace: (plotted, run.signals))
-    monkeypatch.setattr(redraw, "plot_entry", drawn)
+    monkeypatch.setattr(plot_verb, "rig_of_run", lambda path, namespace: (plotted, run.signals))
+    monkeypatch.setattr(plot_verb, "plot_entry", drawn)
     more = ["--width", "50.8", "--font", "8", "--format", "svg", "--csv", "--window", "0", "0.02", "--out", "p"]
     for words in ([name], [name, *more], [], ["--no-title"]):
         assert main(["draw", "plot", ".", *words]) == 0
@@ -1112,7 +1110,7 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
     def latex(file, format, dpi, metadata):
         raise RuntimeError("no xelatex\nmore")
 
-    monkeypatch.setattr(redraw, "plot_entry", lambda *what, **how: SimpleNamespace(savefig=latex))
+    monkeypatch.setattr(plot_verb, "plot_entry", lambda *what, **how: SimpleNamespace(savefig=latex))
     assert main(["draw", "plot", ".", name, "--format", "pgf"]) == 2
     assert "pgf: no xelatex; it needs LaTeX (xelatex), pdf does not" in capsys.readouterr().err
 

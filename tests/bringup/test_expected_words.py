@@ -13,9 +13,10 @@ from types import SimpleNamespace
 import pytest
 from expected_text import check_expected
 from hypothesis import given, settings as trying, strategies as st
+from softrig_bringup import launched
 from softrig_bringup.cli import _of_the_script, make_parser
 from softrig_bringup.options import grammar, params_file, repeat as repeating, run_options
-from softrig_bringup.verbs import declared, launched, set_verb
+from softrig_bringup.verbs import declared, set_verb
 from softrig_core import ScenarioError
 from softrig_core.command_line import Number
 

@@ -346,7 +346,7 @@ def test_a_search_in_which_nothing_runs_has_no_verdict(file, tmp_path, monkeypat
     task = falsification_of(str(file), {"over": {"dc_motor_plant.R": "0.6..0.7"}, "strict": True, "budget": 2})
     prepared = engine.prepare(task)
     monkeypatch.setattr("softrig_bringup.study.work.simulate", breaks)
-    monkeypatch.setattr("softrig_bringup.falsify.outcome.prepare", lambda _: prepared)
+    monkeypatch.setattr("softrig_bringup.verbs.falsify_verb.prepare", lambda _: prepared)
     few = ["--over", "dc_motor_plant.R=0.6..0.7", "--budget", "2", "--workers", "1", "--no-plots", "--strict"]
     assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 3
 

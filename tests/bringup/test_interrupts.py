@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import pytest
 from conftest import in_process
 from launching import nodes_of
+from softrig_bringup import launched
 from softrig_bringup.cli import main
 from softrig_bringup.terminal import progress
-from softrig_bringup.verbs import launched
 from softrig_bringup.view import here as here_module
 from softrig_core import RunError, rig_of
 from softrig_core.guard import quietly, stopped_by
@@ -144,7 +144,7 @@ def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
 ):
     where, reported = (BEFORE | PHASES)[phase]
     if door == "launch":
-        where = where.replace(f"{VERB}.checked", "softrig_bringup.verbs.launched.checked")
+        where = where.replace(f"{VERB}.checked", "softrig_bringup.launched.checked")
     call = in_a_run if door == "run" else request.getfixturevalue(f"in_a_{door}")
     strike(monkeypatch, where, number, twice)
     usual = [signal.getsignal(n) for n in SIGNALS]
@@ -198,7 +198,7 @@ def test_a_launch_that_is_interrupted_in_mid_run_is_no_success(record, text, in_
 
 
 def test_a_launch_that_is_interrupted_while_it_reads_its_scenario_is_no_success(monkeypatch):
-    strike(monkeypatch, "softrig_bringup.verbs.launched.checked", signal.SIGINT, False)
+    strike(monkeypatch, "softrig_bringup.launched.checked", signal.SIGINT, False)
     with pytest.raises(RunError, match=r"^stopped by SIGINT: nothing was run or written$"):
         nodes_of({"scenario": "lag"})
 

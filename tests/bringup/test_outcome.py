@@ -159,7 +159,7 @@ def test_the_outcome_is_printed_as_expected(space, name, capsys, monkeypatch):
         "none": {"case": False, "least": math.inf},
     }[name]
     files = {"worst": Path("out/demo_worst.yaml")} if name == "violated" else {}
-    outcome_module._print(task(), found(space, **keys), Path("out"), files)
+    outcome_module.print_outcome(task(), found(space, **keys), Path("out"), files)
     check_expected(f"falsified/{name}", [line.rstrip() for line in capsys.readouterr().out.splitlines()])
 
 

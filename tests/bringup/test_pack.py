@@ -13,7 +13,7 @@ from softrig_bags.read import signals
 from softrig_bringup.cli import main
 from softrig_bringup.options.like import first_version
 from softrig_bringup.pack import packed
-from softrig_bringup.report.redraw import rig_of_run
+from softrig_bringup.report.run_rig import rig_of_run
 from softrig_bringup.verbs.pack import raw_alone, standing_alone
 from softrig_core import ScenarioError, load_scenario
 

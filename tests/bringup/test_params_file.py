@@ -190,3 +190,15 @@ def test_what_every_node_has_is_left_out_as_the_table_says(tmp_path):
     assert len(ignored) == 4
     file.write_text(yaml.safe_dump({"law": {"ros__parameters": {"k": 1, **{name: {"x": 1} for name in ignored}}}}))
     assert params_of(file, NODES) == {"law.k": 1}
+
+
+def test_another_length_changes_only_that():
+    """A changed run is judged as a changed one, and what the options leave alone is not validated again."""
+    words = ["dc_motor_smc", "--set", "dc_motor_smc.delta=20", "--external", "dc_motor_plant"]
+    before = run_options.scenario_of(run_options.Again().parse_args(words[:3]))
+    after = run_options.scenario_of(run_options.Again().parse_args([*words, "--duration", "0.5", "--seed", "7"]))
+    assert (after.duration, after.seed, after.nodes["dc_motor_plant"].external) == (0.5, 7, True)
+    assert after.changed_from == before.changed_from == {"dc_motor_smc.delta": None}
+    assert after.nodes | {"dc_motor_plant": None} == before.nodes | {"dc_motor_plant": None}
+    with pytest.raises(ScenarioError, match="--external motor: no such node"):
+        run_options.scenario_of(run_options.Again().parse_args([*words[:1], "--external", "motor"]))

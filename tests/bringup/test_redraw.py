@@ -12,7 +12,7 @@ from softrig_bringup.cli import main
 from softrig_bringup.plots.pictures import plot_entry
 from softrig_bringup.report.apart import names
 from softrig_bringup.report.record import read_run
-from softrig_bringup.report.redraw import rig_of_run
+from softrig_bringup.report.run_rig import rig_of_run
 
 SIGNAL = "motor/applied/armature"
 SCENARIO = """title: Two pictures

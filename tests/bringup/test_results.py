@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 import pytest
 from expected_text import check_expected, page_lines
 from softrig_bringup.cli import main
-from softrig_bringup.verbs.results import claiming, gather
-from softrig_bringup.verbs.results_page import counts, html, markdown
+from softrig_bringup.results.page import counts, html, markdown
+from softrig_bringup.results.results import claiming, gather
 
 LAG = """
 title: First-order lag
@@ -54,7 +54,7 @@ def test_pages_show_each_claim_with_its_measurement(folder):
 
 def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch, capsys):
     monkeypatch.setattr(
-        "softrig_bringup.verbs.results.gather", lambda *_: pytest.fail("runs before it looks at the folder")
+        "softrig_bringup.results.results.gather", lambda *_: pytest.fail("runs before it looks at the folder")
     )
     assert main(["check", "--claims", "lag", "--out", "lag.yaml"]) == 2
     assert "lag.yaml" in capsys.readouterr().err

@@ -461,9 +461,9 @@ def test_the_page_of_a_study_and_what_is_printed_are_as_expected(name, keys, mad
     held, over = claims(demo, result), statistics(demo, rows, UNITS)
     monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
     monkeypatch.delenv("COLUMNS", raising=False)
-    page._print(demo, rows, result, held, over, Path("out"))
+    page.print_study(demo, rows, result, held, over, Path("out"))
     printed = capsys.readouterr().out.replace(str(folder), "HERE").splitlines()
-    text = make_page("Demo", page._page(demo, rows, result, held, over, [], UNITS)).replace(str(folder), "HERE")
+    text = make_page("Demo", page.body_of(demo, rows, result, held, over, [], UNITS)).replace(str(folder), "HERE")
     check_expected(f"studies/page_{name}", [*printed, *page_lines(text)])
 
 

@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
-from softrig_bringup.verbs.launched import ARGUMENTS
-from softrig_bringup.verbs.viewer import viewer
+from softrig_bringup.launched import ARGUMENTS
+from softrig_bringup.view.rviz import viewer
 from softrig_core import ByHand, list_scenarios, load_scenario, rig_of
 from softrig_core.block.port import WORLD
 from softrig_core.block.scene import scene_of, standing

@@ -248,8 +248,6 @@ def test_what_does_not_fit_is_expected():
         lines.append(f"partial {names}: {said(Decoder(partial), message)}")
     lines.append(f"cut: {said(Decoder(two), two.layout().encode(3, (1.0, 2.0))[:-3])}")
     lines.append(f"too large: {said(Decoder(two), two.layout().encode(3, (1.0, 2e9)))}")
-    lines.append(f"pick: {said(Decoder(two).pick, joint_state('a', 't', ['y', 'x'], position='m').layout()) != 'None'}")
-    lines.append(f"pick of the same: {said(Decoder(two).pick, two.layout())}")
     check_expected("refused", lines)
 
 

@@ -8,7 +8,7 @@ import pytest
 from softrig_core import Block, BlockParams, Level, Port, ScenarioError, param
 from softrig_core.block.held import RunningBlock
 from softrig_core.block.params import ParameterError, build
-from softrig_core.kit.newest import KEPT, once, shared
+from softrig_core.kit.newest import KEPT, once_for_objects, shared
 from softrig_core.run.expand import rig_of
 from softrig_core.scenario.scenario import Scenario, read_draft
 
@@ -77,7 +77,7 @@ def test_equal_numbers_of_other_types_are_other_values():
 def test_an_answer_is_kept_by_the_identity_of_the_arguments():
     calls: list[Any] = []
 
-    @once
+    @once_for_objects
     def answer(*arguments: Any) -> int:
         calls.append(arguments)
         return len(calls)

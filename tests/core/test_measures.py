@@ -433,7 +433,7 @@ def test_what_follows_from_equal_times_is_computed_once(monkeypatch):
     monkeypatch.setattr(times, "_kept", times._Kept())
     calls = []
 
-    @times.once
+    @times.once_for_times
     def gaps(t, stop):
         calls.append(stop)
         return np.diff(t, append=stop)

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import pytest
 from softrig_bringup.falsify.definition import Falsification
 from softrig_bringup.falsify.engine import falsify, prepare
+from softrig_bringup.results.results import measure
 from softrig_bringup.study.definition import Study
 from softrig_bringup.study.engine import run_study
 from softrig_bringup.verbs.check import Judged, judge
-from softrig_bringup.verbs.results import measure
 from softrig_core import Block, BlockParams, Rig, RunError, ScenarioError, param, scalars, simulate
 from softrig_core.run import purity
 from softrig_core.run.purity import check_pure

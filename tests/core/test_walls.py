@@ -24,7 +24,8 @@ ROOMS = {
         "live cli"
     ),
     "softrig_bringup": (
-        "folder terminal pack options page plots film report run study falsify view new verbs cli __main__"
+        "folder terminal pack options page plots film report run study falsify view new results verbs launched cli "
+        "__main__"
     ),
 }
 LAYERS = {f"{package}.{room}": k for package, rooms in ROOMS.items() for k, room in enumerate(rooms.split())}

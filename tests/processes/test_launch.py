@@ -15,8 +15,8 @@ from conftest import PATIENCE, differences, in_process, until
 from launching import AsyncSafeSignalManager, launch, nodes_of
 from softrig_bags.read import read_bag
 from softrig_bringup.cli import main
+from softrig_bringup.launched import strange
 from softrig_bringup.run.run import status_of, tripped
-from softrig_bringup.verbs.launched import strange
 from softrig_core import ScenarioError, load_scenario, rig_of, run_inprocess
 from softrig_core.scenario.scenario_file import list_scenarios
 from softrig_core.wire.recording import relative

@@ -15,7 +15,7 @@ from launch.events import Shutdown as Ending
 from launch.substitutions import LaunchConfiguration
 from launch.utilities.signal_management import AsyncSafeSignalManager
 from launch_ros.actions import Node
-from softrig_bringup.verbs.launched import ARGUMENTS, begin, strange
+from softrig_bringup.launched import ARGUMENTS, begin, strange
 from softrig_nodes.below.uses import signal_manager
 
 

@@ -116,7 +116,7 @@ MEANT = {
     "install": "softrig setup",
     "ros2": "softrig env ros2",
 }
-_STOPPABLE = ("study.page", "verbs.check", "falsify.outcome")  # others listen where they run a rig
+_STOPPABLE = ("verbs.study_verb", "verbs.check", "verbs.falsify_verb")  # others listen where they run a rig
 
 
 def main(argv: Sequence[str] | None = None) -> int:

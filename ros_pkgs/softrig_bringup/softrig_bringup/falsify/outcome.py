@@ -1,8 +1,7 @@
-"""`softrig falsify`: the search, what it found in words, and its runs as scenario files that anybody reruns."""
+"""The outcome of a search: in words, as data, and its runs as scenario files that anybody can run again."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from pathlib import Path
@@ -11,18 +10,16 @@ from typing import Any
 
 import yaml
 from softrig_core import Run, Scenario, figures_of, load_scenario, rig_of
-from softrig_core.command_line import named
 from softrig_core.scenario.scenario_file import find
 from softrig_nodes.processes.placement import Placement
 
-from ..folder import FALSIFICATION, ResultsFolder, replace
-from ..options.naming import folder_of
+from ..folder import ResultsFolder, replace
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
 from ..terminal.console import console as make_console, styled
 from ..terminal.tables import print_columns
-from .definition import Falsification, falsification_of, list_falsifications
-from .engine import Outcome, falsify, prepare
+from .definition import Falsification
+from .engine import Outcome
 from .page import lead
 from .picture import draw_worst
 from .shrink import Case
@@ -31,37 +28,7 @@ from .words import number, shown
 PICTURE = "worst.svg"
 
 
-def main(options: argparse.Namespace) -> int:
-    """Search and write the results; return 1 for a violation or a missed margin, 3 when no run could be judged."""
-    if options.what == "list":
-        print("\n".join(sorted(list_falsifications())))
-        return 0
-    keys = ("budget", "seed", "sampler", "duration", "first", "strict")
-    changes = {k: v for k in keys if (v := getattr(options, k)) is not None}
-    changes |= {"requirements": options.requirement} if options.requirement else {}
-    changes["over"] = dict(named(text, "--over", "LOW..HIGH") for text in options.over)
-    written = not any(changes.values())
-    task = falsification_of(options.what, changes)
-    messages = [*options.over, *options.requirement, *(f"{k}_{changes[k]}" for k in keys if k in changes)]
-    out = options.out or Path("runs") / folder_of([f"falsify_{task.name}", *messages])
-    folder = ResultsFolder(out, FALSIFICATION)
-    # Input that is refused must leave no folder behind.
-    prepared = prepare(task)
-    with folder.alone():
-        try:
-            outcome = falsify(task, prepared, out, workers=options.workers, scheduler=options.scheduler)
-            files = _write(task, outcome, out, not options.no_plots, options.format)
-        finally:
-            folder.close()
-    _print(task, outcome, out, files)
-    if outcome.case is None:
-        return 3
-    if task.expect is not None and written:
-        return 0 if task.expect.holds(outcome.search.least) else 1
-    return 1 if outcome.violated else 0
-
-
-def _write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: str) -> dict[str, Path]:
+def write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: str) -> dict[str, Path]:
     """Write the runs that matter, their scenario files and the page; return the files."""
     files: dict[str, Path] = {}
     nominal = outcome.space.scenario.having(faults=_kept(outcome))
@@ -186,7 +153,8 @@ def _units(outcome: Outcome) -> dict[str, str]:
     return {f.name: f.unit for f in figures_of(rig_of(outcome.space.scenario))}
 
 
-def _print(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
+def print_outcome(task: Falsification, outcome: Outcome, out: Path, files: dict[str, Path]) -> None:
+    """Print the margins, the changes of the worst case, and the files."""
     console = make_console()
     rig_units = _units(outcome)
     console.print(styled((f"{task.name}: {outcome.search.runs} runs", "italic")))

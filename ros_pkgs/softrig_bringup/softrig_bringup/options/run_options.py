@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -150,7 +150,6 @@ class Again(argparse.ArgumentParser):
 def scenario_of(options: argparse.Namespace) -> Scenario:
     """Return the scenario with what the options change of it."""
     from softrig_core import ScenarioError, load_scenario
-    from softrig_core.scenario.scenario import merge
 
     from .grammar import settings
 
@@ -165,15 +164,19 @@ def scenario_of(options: argparse.Namespace) -> Scenario:
         nodes = load_scenario(options.scenario).nodes
         given = params_of(options.params_file, nodes, options.namespace, lambda node, name: _has(nodes[node], name))
     scenario = load_scenario(options.scenario, given | settings(options.set, options.scenario))
-    changes: dict[str, Any] = {}
-    for key in ("duration", "seed"):
-        if getattr(options, key) is not None:
-            changes[key] = getattr(options, key)
-    for name in options.external:
-        changes = merge(changes, {"nodes": {name: {"external": True}}})
-    if changes:
-        scenario = _changed(scenario, changes)
-    return scenario
+    changes: dict[str, Any] = {k: v for k in ("duration", "seed") if (v := getattr(options, k)) is not None}
+    if options.external:
+        changes["nodes"] = scenario.nodes | {n: _external(scenario.nodes, n) for n in options.external}
+    return scenario.having(**changes) if changes else scenario
+
+
+def _external(nodes: Mapping[str, NodeEntry], name: str) -> dict[str, Any]:
+    """Return the entry of a node that runs outside."""
+    from softrig_core.errors import closest
+
+    if name not in nodes:
+        raise ScenarioError(f"--external {name}: no such node{closest(name, nodes)}; the nodes are {', '.join(nodes)}")
+    return nodes[name].model_dump(exclude_unset=True) | {"external": True}
 
 
 def _has(node: NodeEntry, parameter: str) -> bool:
@@ -211,7 +214,7 @@ def _repeated(options: argparse.Namespace) -> Scenario:
         )
     run = options.recalled = recall(path, parser.parse_args)
     scenario = continued(scenario_of(run.options), run, at, settings(options.set))
-    return scenario if options.duration is None else _changed(scenario, {"duration": options.duration})
+    return scenario if options.duration is None else scenario.having(duration=options.duration)
 
 
 def begun(options: argparse.Namespace) -> dict[str, Any]:
@@ -282,21 +285,3 @@ def repeat(options: argparse.Namespace) -> list[str]:
         if getattr(options, name) not in (None, ""):
             arguments += [f"--{name}", str(getattr(options, name))]
     return arguments + (["--out", str(options.out.absolute())] if options.out else [])
-
-
-def _changed(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
-    from pydantic import ValidationError
-    from softrig_core.errors import closest
-    from softrig_core.scenario.places import explain
-    from softrig_core.scenario.scenario import merge
-
-    for name in changes.get("nodes", {}):
-        if name not in scenario.nodes:
-            raise ScenarioError(
-                f"--external {name}: no such node{closest(name, scenario.nodes)}; the nodes are "
-                f"{', '.join(scenario.nodes)}"
-            )
-    try:
-        return type(scenario).model_validate(merge(scenario.model_dump(exclude_unset=True), changes))
-    except ValidationError as error:
-        raise ScenarioError(f"--{explain(error)}") from None

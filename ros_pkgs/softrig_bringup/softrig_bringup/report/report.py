@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from softrig_core import ScenarioError
 from softrig_core.guard import print_line
-from softrig_core.verdict.figures import Result
 
-from ..folder import MARKS, list_too
+from ..folder import MARKS
 from ..pack.packed import is_pack, opened
 from ..page.html import e, write_page
-from ..page.paper_table import Column, write_paper_table
-from ..page.wording import NEVER
 from .apart import names
 from .looked import contradictions, record_of_pack
 from .record import RunRecord, read_run
@@ -24,24 +19,6 @@ from .run_page import run_section
 from .several import differences, index, overlaid, side_by_side
 
 MARK = "metrics.json"  # of the folder of a run
-
-
-def main(options: argparse.Namespace) -> int:
-    """Write the page that is asked for."""
-    runs, named = write_report(options.runs, options.out, options.label, check=True)
-    list_too(options.out)
-    print(f"wrote {options.out}")
-    if options.table is not None:
-        measures = dict.fromkeys((m.name, m.unit) for run in runs for m in run.metrics)
-        have = [{(m.name, m.unit): _number(m) for m in run.metrics} for run in runs]
-        columns = [Column(*key, [own.get(key, math.nan) for own in have]) for key in measures]
-        write_paper_table(options.table, "run", named, columns)
-        print(f"wrote {options.table}")
-    return 0
-
-
-def _number(metric: Result) -> float:
-    return metric.value if metric.value is not None else math.inf if metric.error == NEVER else math.nan
 
 
 def _with_their_runs(directories: Sequence[Path]) -> list[Path]:

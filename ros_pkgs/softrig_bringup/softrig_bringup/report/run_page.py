@@ -22,7 +22,7 @@ from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import NEVER, accepted, difference, measured, number
 from ..plots.pictures import OVERVIEW, plot_name
 from .record import RunRecord
-from .redraw import draw_missing
+from .run_rig import draw_missing
 
 PHONE = 360  # px of a page on a narrow screen
 ELSEWHERE = (

@@ -34,6 +34,7 @@ from softrig_core import (
     run_inprocess,
 )
 from softrig_core.bits import kernels, math_digest
+from softrig_core.block.block import Reports
 from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.block.scene import scene_of
@@ -105,7 +106,7 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
         if steps:
             native = _native_of_watching(steps)
             run.status = {
-                m.name: {"reports": {}, "native": native} | _figures(live_figures.measured(m, run.signals))
+                m.name: _status({}, native, live_figures.measured(m, run.signals))
                 if m.name in measured
                 else status_of(steps[m.name])
                 for m in rig.members
@@ -124,15 +125,16 @@ def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener 
 
 def status_of(step: Step) -> dict[str, Any]:
     """Return a block's status at the end of a run in process, as in a node's status file."""
-    status: dict[str, Any] = {
-        "reports": {k: [int(level), text, n] for k, (level, text, n) in step.reports.items()},
-        "native": step.native,
-    }
-    return status | (_figures(step.status()) if isinstance(step.block, Observer) else {})
+    return _status(step.reports, step.native, step.status() if isinstance(step.block, Observer) else None)
 
 
-def _figures(figures: Mapping[str, tuple[float, str]]) -> dict[str, Any]:
-    return {"figures": {k: [v, unit] for k, (v, unit) in figures.items() if math.isfinite(v)}}
+def _status(
+    reports: Reports, native: tuple[int, str], figures: Mapping[str, tuple[float, str]] | None
+) -> dict[str, Any]:
+    content = {"reports": {k: [int(level), text, n] for k, (level, text, n) in reports.items()}, "native": native}
+    if figures is not None:
+        content["figures"] = {k: [v, unit] for k, (v, unit) in figures.items() if math.isfinite(v)}
+    return content
 
 
 def _native_of_watching(steps: Mapping[str, Step]) -> tuple[int, str]:

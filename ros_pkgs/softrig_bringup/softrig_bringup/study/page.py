@@ -1,118 +1,38 @@
-"""`softrig study`: run, table, numbers, pictures, page."""
+"""A study in words: on the terminal and as a page."""
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from softrig_core import ScenarioError, figures_of, load_scenario, rig_of
+from softrig_core import figures_of, load_scenario, rig_of
 from softrig_core.block.params import declarations
-from softrig_core.extras import need
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
 from softrig_core.wire.signals import short_name
 
-from ..folder import STUDY, ResultsFolder
-from ..pack.trust import admitted
 from ..page.citations import cited, sources
-from ..page.html import NONE, e, mark, picture, table, write_page
-from ..page.paper_table import write_paper_table
+from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import NEVER, accepted, short
 from ..terminal.console import console as make_console, styled
 from ..terminal.tables import Cell, print_columns, print_judged
-from .definition import Study, list_studies
-from .engine import beyond, run_study
-from .options import folder_name, study_of
-from .packed import FILE, differing, saved, unpacked
-from .pictures import chosen, draw_study
-from .statistics import Statistics, not_judged, statistics
-from .table import Row, claims, command, in_short, label, results, without_signals, write_table
-from .tabled import Tabled, for_paper, tables
+from .definition import Study
+from .engine import beyond
+from .pictures import chosen
+from .statistics import Statistics, not_judged
+from .table import Row, command, in_short, label
+from .tabled import Tabled, tables
 from .work import absent, value_of
 
 FEW = 20  # runs whose figures are printed where a study has no summaries
 MOST = 60  # rows of statistics that are printed
 # The most rows on the page; the table files have them all.
 LONGEST = 200
-
-
-def main(options: argparse.Namespace) -> int:
-    """Run a study and write its results; 1 when an expectation or a claim does not hold, 3 when a run broke."""
-    if options.study == "list":
-        print("\n".join(sorted(list_studies())))
-        return 0
-    if options.like is not None and (status := admitted(options)) is not None:
-        return status  # of a sandbox
-    study, before = (study_of(options), None) if options.like is None else _again(options)
-    name = f"study_{study.name}-again" if before is not None else folder_name(study.name, options)
-    out = options.out or Path("runs") / name
-    widths = dict(map(_width, options.width))
-    # A missing package is an error before hours of runs, not after them.
-    need("pyarrow", "the table of a study")
-    log = run_study(
-        study,
-        out,
-        workers=options.workers,
-        scheduler=options.scheduler,
-        distinct=not (options.force or before is not None),
-    )
-    rows = without_signals(log.rows())
-    units = units_of(rows)
-    result = results(study, rows, units)
-    held = claims(study, result)
-    over = statistics(study, rows, units, widths)
-    content = {
-        "study": study.name,
-        "runs": len(rows),
-        "broken": sum(bool(r["error"]) for r in rows),
-        "not_judged": not_judged(rows),
-        "summaries": [r.model_dump(by_alias=True) for r in result],
-        "claims": [c.model_dump() for c in held],
-    } | over.content()
-    folder = ResultsFolder(out, STUDY)
-    with folder.alone(), folder.anew() as new:
-        write_table(rows, new, study.duration)
-        (new / FILE).write_text(saved(study))
-        pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units, options.format)
-        if over.lines:
-            for ending in ("csv", "tex"):
-                write_paper_table(new / f"statistics.{ending}", "case", *for_paper(over))
-        (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
-        write_page(new / "report.html", study.title, list(_page(study, rows, result, held, over, pictures, units)))
-    _print(study, rows, result, held, over, out)
-    if before is not None:
-        other = list(differing(before, rows))
-        text = f"repeats {options.like} row for row" if not other else f"{len(other)} of {len(before)} rows are others"
-        print("; ".join([text, *other[:3]]))
-        return 1 if other else 0
-    if any(row["error"] for row in rows):
-        return 3
-    return 0 if all(r.passed for r in result) and all(c.holds is not False for c in held) else 1
-
-
-def _again(options: argparse.Namespace) -> tuple[Study, list[dict[str, Any]]]:
-    given = ("grid", "draw", "against", "subject_to", "figures", "signals", "seeds", "duration", "search", "study")
-    if wrong := [name for name in given if getattr(options, name)]:
-        raise ScenarioError(f"--like repeats a study as it was: expected no {wrong[0]} beside it")
-    return unpacked(options.like)
-
-
-def _width(text: str) -> tuple[str, float]:
-    name, _, width = text.rpartition("=")
-    try:
-        result = float(width) if name else math.nan
-    except ValueError:
-        result = math.nan
-    if not 0.0 < result < math.inf:
-        raise ScenarioError(f"--width {text!r}: expected FIGURE=W, a width above 0")
-    return name.strip(), result
 
 
 def units_of(rows: Sequence[Row]) -> dict[str, str]:
@@ -159,9 +79,10 @@ def _figure(row: Row, name: str) -> str:
     return f"{value:.6g}" if math.isfinite(value) else NEVER if value == math.inf else "" if row["error"] else NONE
 
 
-def _print(
+def print_study(
     study: Study, rows: Sequence[Row], gathered: Sequence[Result], held: Sequence[Finding], over: Statistics, out: Path
 ) -> None:
+    """Print summaries or figures, statistics, notes, the best run, and what broke."""
     console = make_console()
     console.print(styled((study.title, "italic")))
     cells: list[list[Cell]] = []
@@ -216,7 +137,7 @@ def _cell(value: Any) -> str:
     return short(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
-def _page(
+def body_of(
     study: Study,
     rows: Sequence[Row],
     gathered: Sequence[Result],
@@ -225,6 +146,7 @@ def _page(
     pictures: Sequence[Path],
     units: dict[str, str],
 ) -> list[Element]:
+    """Return the elements of the page of a study."""
     wall = sum(row["wall_s"] for row in rows)
     facts = [
         ("runs", str(len(rows))),

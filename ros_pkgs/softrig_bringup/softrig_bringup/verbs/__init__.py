@@ -1,1 +1,1 @@
-"""Verbs without a room of their own, and `run`, `new`, `view`, which need rooms above theirs."""
+"""The verbs of the command line: each module has the function that runs a verb, and returns its exit status."""

@@ -12,7 +12,7 @@ from softrig_core.drawing import Drawing, drawing_for
 from ..film.film import Film, film
 from ..film.smil import animated
 from ..folder import replace
-from ..report.redraw import rig_of_run
+from ..report.run_rig import rig_of_run
 
 FORMS = ("svg", "gif", "webp", "png")
 

@@ -46,7 +46,7 @@ def main(options: argparse.Namespace) -> int:
             of = f"--{other}" if other else "scenarios"
             raise ScenarioError(f"--{wrong[0].replace('node', 'with')} belongs to `check` of {of}")
     if kind == "claims":
-        from . import results
+        from ..results import results
 
         return results.main(options)
     if kind == "golden":

@@ -97,7 +97,7 @@ def _run_and_view(verb: Verb) -> None:
         "0.1, 10, ..., or full: as fast as it goes; the page changes it",
     )
     view.set_defaults(mode="container")
-    report = verb("report", "report.report:main", "one self-contained HTML page from one or more runs")
+    report = verb("report", "verbs.report_verb:main", "one self-contained HTML page from one or more runs")
     report.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="its folder, or a file of `pack`")
     report.add_argument("--out", type=Path, default=Path("report.html"))
     report.add_argument(
@@ -113,7 +113,7 @@ def _run_and_view(verb: Verb) -> None:
     draw = verb("draw", "cli:main", "pictures of a run for a paper, its plant in motion, layouts for other viewers")
     kinds = draw.add_subparsers(required=True, metavar="WHAT")
     text = "pictures of a run that is over, for a paper: size, letters, data"
-    plot = verb("plot", "report.redraw:main", text, kinds)
+    plot = verb("plot", "verbs.plot_verb:main", text, kinds)
     plot.add_argument(
         "what",
         nargs="+",
@@ -199,7 +199,7 @@ def _pace(word: str) -> float:
 def _vary(verb: Verb) -> None:
     study = verb(
         "study",
-        "study.page:main",
+        "verbs.study_verb:main",
         "a scenario over grids, draws, seeds or a search; the next call resumes an interrupted study",
         **ONE,
     )
@@ -273,7 +273,7 @@ def _vary(verb: Verb) -> None:
     study.add_argument("--out", type=Path, metavar="DIR", help="results go here (runs/study_NAME and what is varied)")
     _workers(study)
     falsify = verb(
-        "falsify", "falsify.outcome:main", "look for the run that violates a requirement, made small and kept"
+        "falsify", "verbs.falsify_verb:main", "look for the run that violates a requirement, made small and kept"
     )
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
     falsify.add_argument(

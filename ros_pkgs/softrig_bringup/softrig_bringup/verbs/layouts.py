@@ -19,7 +19,7 @@ from ..folder import replace
 from ..page.html import e
 from ..plots.curves import check_plots
 from ..plots.style import COLOURS, axis_title
-from .viewer import rviz_file, seen
+from ..view.rviz import rviz_file, seen
 
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _POINT = {"position": "positions", "velocity": "velocities", "acceleration": "accelerations", "effort": "effort"}

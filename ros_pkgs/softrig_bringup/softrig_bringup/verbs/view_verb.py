@@ -11,7 +11,7 @@ from softrig_core.extras import need
 from softrig_nodes.processes.stopping import stoppable
 
 from ..pack.packed import is_pack
-from ..report.redraw import rig_of_run
+from ..report.run_rig import rig_of_run
 from . import run_verb
 
 

@@ -113,14 +113,12 @@ class Block(Generic[P]):
     TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
     # attributes that a tick may change in place because no answer depends on them: caches, buffers, handles
     SCRATCH: ClassVar[frozenset[str]] = frozenset()
-    FINISHES: ClassVar[bool] = False  # whether it is `Finishing`: asked at each start, which the protocol makes slow
     _seed = 0
     _open = True  # whether every attribute may be written: while the block is made
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        cls.FINISHES = issubclass(cls, Finishing)
         for name in ("outputs", "advance", "update", "finish", "refused"):
             code = getattr(cls.__dict__.get(name), "__code__", None)
             if code is not None and code.co_varnames[1:2] == ("t",):
@@ -306,7 +304,7 @@ class Block(Generic[P]):
     @classmethod
     def ticks_at_end(cls) -> bool:
         """Return whether the block has a tick at the end time of a run: plants, observers, and blocks with `finish`."""
-        return cls.FINISHES or issubclass(cls, Plant | Observer)
+        return finishes(cls) or issubclass(cls, Plant | Observer)
 
     def health(self, *x: Any) -> Mapping[str, str]:
         """Return name to text of what /diagnostics shows beside the reports, about once a second; gets x."""
@@ -366,6 +364,11 @@ class Finishing(Protocol):
 
         The inputs are the last outputs of the plants, and the commands of the previous tick.
         """
+
+
+def finishes(block: type[Block]) -> bool:
+    """Return whether a block is `Finishing`; a protocol that is asked at each start of a run would be slow."""
+    return hasattr(block, "finish")
 
 
 class Plant(Block[P]):

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from ..errors import FAILURES
 from .answer import sum_of_products
 from .fill import value_text
-from .link import Link
 from .port import Port, Sample
 
 if TYPE_CHECKING:
@@ -86,7 +85,7 @@ def answerer(step: Step) -> Callable[[int], None]:
 
 def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
     """Write what a step calls of its links when it has answered: only those methods that do something of their own."""
-    sends, over = _overriding(step, "send"), _overriding(step, "over")
+    sends, over = step.overriding("send"), step.overriding("over")
     results: list[str] = []
     if sends is not None and sends.add_row is not None and step.plain:
         known["add_row"] = sends.add_row
@@ -98,10 +97,6 @@ def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
         known["over"] = over.over
         results.append("    over(t)")
     return tuple(results)
-
-
-def _overriding(step: Step, method: str) -> Link | None:
-    return None if step.link is None else step.link.overriding(method)
 
 
 @lru_cache(maxsize=256)
@@ -150,7 +145,7 @@ def _answer_text(
 
 def mover(step: Step) -> Callable[..., None]:
     """Create the function that moves a plant on; see `Step.advance`."""
-    over = _overriding(step, "over")
+    over = step.overriding("over")
     known = {"move": step.move} | ({} if over is None else {"over": over.over})
     return _made("advance", _move_text(tuple(step.values), over is not None), step, known)
 

@@ -45,17 +45,6 @@ class Decoder:
             self._check(values)
         return result
 
-    def pick(self, layout: Layout) -> Picker | None:
-        """Describe how the numbers of messages of a layout become those of the port; None when they are the same.
-
-        Raises
-        ------
-        Refused
-            Such messages do not carry what the port needs.
-        """
-        order = self._order(self._parse(layout.encode(0, (0.0,) * layout.size)))
-        return None if order == tuple(range(layout.size)) else getter(order)
-
     def _check(self, values: tuple[float, ...]) -> None:
         if reason := self._port.beyond(values):
             raise Refused(reason)

@@ -36,13 +36,6 @@ class Link:
         self.step, self.inner = step, step.link
         step.link = self
 
-    def overriding(self, method: str) -> Link | None:
-        """Return the outermost link, from this one inwards, that does something of its own in a method."""
-        link: Link | None = self
-        while link is not None and getattr(type(link), method) is getattr(Link, method):
-            link = link.inner
-        return link
-
     def lacks(self, t: int) -> bool:
         """Return whether a message that tick `t` needs is missing; the step's values contain the arrived messages."""
         return self.inner is not None and self.inner.lacks(t)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import count
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 from ..errors import FAILURES, ScenarioError
 from .schedule import Plan
@@ -67,6 +67,20 @@ class Named(Protocol):
 
 
 Node = TypeVar("Node", bound=Named)
+Act = Literal["outputs", "update", "advance"]  # the method of a block that a node calls
+
+
+def acts(nodes: Sequence[Any], is_plant: Callable[[Any], bool]) -> list[tuple[Any, Act]]:
+    """Return what the nodes of a rig do at a tick, in order: plants publish, then the others answer, then plants move.
+
+    Parameters
+    ----------
+    nodes : sequence
+        In the order of `in_order`.
+    """
+    plants, others = ([node for node in nodes if is_plant(node) is kind] for kind in (True, False))
+    order: list[tuple[Act, list[Any]]] = [("outputs", plants), ("update", others), ("advance", plants)]
+    return [(node, act) for act, members in order for node in members]
 
 
 def in_order(

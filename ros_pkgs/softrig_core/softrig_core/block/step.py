@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from ..errors import RunError, describe
 from .answer import Row, Rows, answers, flat
-from .block import Block, Level, Plant
+from .block import Block, Level, Plant, finishes
 from .bound import answerer, mover
 from .change import Change, permit, revise
 from .fill import Fill, Pick, Stamp
@@ -122,11 +122,17 @@ class Step(RunningBlock):
     @link.setter
     def link(self, link: Link | None) -> None:
         self._link = link
-        self._asking = None if link is None else link.overriding("respond")
-        self.waits = None if link is None else link.overriding("lacks")
+        self._asking, self.waits = self.overriding("respond"), self.overriding("lacks")
         # The text of a turn names what is wired, and more may be wired up to the first tick; that tick goes through the
         # loop's own functions (`loop.answer`), so that each run holds both forms against each other once.
         self.answer, self.advance = self._first_answer, self._first_advance
+
+    def overriding(self, method: str) -> Link | None:
+        """Return the outermost link that does something of its own in a method; None if there is none."""
+        link = self._link
+        while link is not None and getattr(type(link), method) is getattr(Link, method):
+            link = link.inner
+        return link
 
     @property
     def unanswered(self) -> int:
@@ -149,7 +155,7 @@ class Step(RunningBlock):
         block = self.block
         if isinstance(block, Plant):
             return block.outputs
-        return self._finish_or_update if block.FINISHES else block.update
+        return self._finish_or_update if finishes(type(block)) else block.update
 
     @property
     def move(self) -> Callable[..., Any]:

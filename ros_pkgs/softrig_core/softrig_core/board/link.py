@@ -13,7 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ..block.block import Block, Level, Plant
+from ..block.block import Block, Level, Plant, finishes
 from ..block.params import flatten
 from ..block.port import Sample
 from ..errors import RunError, ScenarioError
@@ -215,7 +215,7 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
     """
     if issubclass(block, Linked):  # of a rig that is made again, with other parameters
         block = block.__bases__[1]
-    if block.FINISHES:
+    if finishes(block):
         raise ScenarioError(f"{where}: link: a block with a last answer at the end of a run runs in this process alone")
     file, known = _of_signals(block, entry, params) if entry.shared else _of_board(block, entry, params, where)
     absolute = entry.model_copy(update={"firmware": str(file.resolve()), "port": absolute_port(entry.port)})

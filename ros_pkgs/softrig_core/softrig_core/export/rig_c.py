@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from ..block.loop import Loop
+from ..block.loop import Act, Loop, acts
 from ..block.port import Sample
 from ..block.schedule import Plan
 from ..block.step import Step
@@ -222,8 +222,6 @@ class _RigFiles:
         time = f"k * INT64_C({num})"
         if den != 1:
             time = f"((2 * k * INT64_C({num})) + INT64_C({den})) / INT64_C({2 * den})"
-        plants = [m for m in self.members if m.is_plant]
-        others = [m for m in self.members if not m.is_plant]
         lines = [
             f"/* {n}.c: see {n}.h. Written by `softrig export c`. */",
             f'#include "{n}.h"',
@@ -243,9 +241,7 @@ class _RigFiles:
             f"    const int64_t t = {time};",
             "    int status = SR_DONE;",
             "    s->t_ns = t;",
-            *(f"    {line}" for m in plants for line in self._turn(m, "outputs")),
-            *(f"    {line}" for m in others for line in self._turn(m, "step")),
-            *(f"    {line}" for m in plants for line in self._turn(m, "advance")),
+            *(f"    {line}" for m, act in acts(self.members, lambda m: m.is_plant) for line in self._turn(m, act)),
             "    s->k = k + 1;",
             "    return status;",
             "}",
@@ -265,16 +261,16 @@ class _RigFiles:
             lines += [f"s->{own}_in.{identifier(port.name)}[{i}] = {literal(v)};" for i, v in enumerate(data) if v]
         return lines
 
-    def _turn(self, member: Member, what: str) -> list[str]:
+    def _turn(self, member: Member, act: Act) -> list[str]:
         """Write one act of a node, where it is due, then what it fills."""
         own, every = self._c(member), self.plan.every(member.schedule)
-        given = {
-            "outputs": f"&s->{own}_out",
-            "step": f"&s->{own}_in, &s->{own}_out",
-            "advance": f"&s->{own}_in",
-        }[what]
+        what, given = {
+            "outputs": ("outputs", f"&s->{own}_out"),
+            "update": ("step", f"&s->{own}_in, &s->{own}_out"),
+            "advance": ("advance", f"&s->{own}_in"),
+        }[act]
         lines = [f"if (SR_RARELY({own}_{what}(&s->{own}, {given}, t) != SR_DONE)) {{", "    status = SR_GAVE_UP;", "}"]
-        if what != "advance":
+        if act != "advance":
             for reader in self.members:
                 for name, link in reader.links.items():
                     if link.source is member:

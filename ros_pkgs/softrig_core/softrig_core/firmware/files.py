@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
-from ..block.block import Plant
+from ..block.block import Plant, finishes
 from ..board.layout import Layout
 from ..errors import ScenarioError
 from ..export.check import BOARDS
@@ -51,7 +51,7 @@ def export_firmware(
         There is no such node, or it has no C.
     """
     member = member_of(rig, node)
-    if member.block_class.FINISHES:
+    if finishes(member.block_class):
         raise ScenarioError(f"{node} cannot run on a board: it has a last answer at the end of a run")
     single = board == "arduino"
     done = export_c(rig, node, folder, rows=rows, drawn=drawn, single=single)

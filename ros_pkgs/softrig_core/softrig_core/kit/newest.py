@@ -48,7 +48,7 @@ class Newest(Generic[K, V]):
         return self.answer  # type: ignore[no-any-return]
 
 
-def once(function: Callable[S, A]) -> Callable[S, A]:
+def once_for_objects(function: Callable[S, A]) -> Callable[S, A]:
     """Store the results of a function by the identity of its arguments: comparing contents takes longer than it saves.
 
     The result must depend only on the arguments; neither it nor the arguments may be changed. Errors are not stored.

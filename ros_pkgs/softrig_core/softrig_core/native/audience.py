@@ -9,7 +9,7 @@ import numpy as np
 
 from ..block.answer import Messages, ReceivedMessages, Where, part, parted, places
 from ..block.block import Observer
-from ..block.fill import Fill, picked
+from ..block.fill import Fill
 from ..block.gathering import takes_batches
 from ..block.port import Sample
 from ..block.schedule import Plan
@@ -65,12 +65,6 @@ class Answers(NamedTuple):
     numbers: Any
     stamps: Any
 
-    def listed(self) -> tuple[list[Any], list[Any]]:
-        """Return both as lists of rows."""
-        if isinstance(self.numbers, list):
-            return self.numbers, self.stamps or [()] * len(self.numbers)
-        return self.numbers.tolist(), self.stamps.tolist()
-
     def put(self, k: int, numbers: Sequence[float], stamps: Sequence[int]) -> None:
         """Store the answer of one more tick in row k."""
         for table, row in ((self.numbers, numbers), (self.stamps, stamps)):
@@ -78,6 +72,11 @@ class Answers(NamedTuple):
                 table.append(row)
             else:
                 table[k] = row
+
+
+def nothing(count: int) -> Answers:
+    """Return the answers of a step without outputs."""
+    return Answers(np.empty((count, 0)), np.empty((count, 0), np.int64))
 
 
 def numbers_of(step: Step) -> tuple[float, ...]:
@@ -132,9 +131,7 @@ class Audience:
                 continue
             if (ticks := (s.schedule.period, own)) not in times:
                 times[ticks] = s.schedule.times(own.start, own.stop)
-            numbers = np.asarray(rows[id(s)].numbers) if s.outputs else np.empty((len(own), 0))
-            stamps = np.asarray(rows[id(s)].stamps if s.outputs else (), np.int64).reshape(len(own), -1)
-            s.link.send_all(times[ticks], numbers, stamps)
+            s.link.send_all(times[ticks], *(rows[id(s)] if s.outputs else nothing(len(own))))
 
     def watch(self, recorded: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:
         """Show the answers to blocks that only watch, tick after tick."""
@@ -154,7 +151,7 @@ class Audience:
                         s,
                         self._plan.every(s.schedule),
                         self._plan.own(s.schedule, first, last).start,
-                        rows[id(s)].listed(),
+                        [table.tolist() for table in rows[id(s)]],
                         readers,
                     )
                 )
@@ -193,8 +190,7 @@ class Audience:
         t = watcher.schedule.time(ticks[-1])
         watcher.x, watcher.t = watcher.block.at_once(watcher.x, t, messages), t  # type: ignore[attr-defined]
         if watcher.link is not None:
-            nothing = np.empty((len(ticks), 0))
-            watcher.link.send_all(watcher.schedule.times(ticks.start, ticks.stop), nothing, nothing.astype(np.int64))
+            watcher.link.send_all(watcher.schedule.times(ticks.start, ticks.stop), *nothing(len(ticks)))
         return True
 
     def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
@@ -206,17 +202,11 @@ class Audience:
         if readings and max(every, often) % min(every, often):
             return None
         seen = slice(-own.start % step, None, step)
-        for fill, (low, high, _, flag) in readings:
+        for fill, (low, _, _, flag) in readings:
             # Stamps are not in the table of numbers, and with silences the newest message is not at an even spacing.
             if fill.stamp != "none" or (flag is not None and step > 1):
                 return None
             stamps, table = source.schedule.times(own.start, own.stop)[seen], numbers[seen]
-            if isinstance(table, list):
-                rows = zip(stamps.tolist(), table, strict=True)
-                result[fill.port.name] = tuple(
-                    [(t, picked(fill.pick, n[low:high])) for t, n in rows if flag is None or n[flag]]
-                )
-                continue
             if flag is not None:
                 stamps, table = stamps[table[:, flag] != 0.0], table[table[:, flag] != 0.0]
             values = [table[:, low + p] if type(p) is int else np.full(len(table), p) for p in fill.places]

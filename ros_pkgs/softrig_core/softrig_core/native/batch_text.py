@@ -144,16 +144,12 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
         raise NotNative(f"{odd[0]}: what is silent at times, or late, has no form in batches yet")
     turns.check_times()
     program = turns.program
-    plants = [line for k, s in enumerate(steps) if s.plant for line in turns.show(k)]
     before: list[str] = []
     body: list[str] = []
-    for k, s in enumerate(steps):
-        if s is agent:
+    for k, act in turns.acts():
+        if steps[k] is agent:
             before = list(body)
-            body += turns.act(k, texts)
-        elif not s.plant:
-            body += turns.answer(k, turns.inputs(k))
-    body += [line for k, s in enumerate(steps) if s.plant for line in turns.move(k, turns.inputs(k))]
+        body += turns.given(k, texts) if steps[k] is agent else turns.turn(k, act)
     states, last = form.tree[1]
     handed = sorted(turns.arrays)
     at = [0, *accumulate(len(s.numbers) for s in steps)]
@@ -172,13 +168,13 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
         "        a = A[i]",
         f"        for k in range(K[i], K[i] + {every}):",
         f"            t = {turns.time('k')}",
-        *(f"            {line}" for line in (*plants, *body)),
+        *(f"            {line}" for line in body),
         # A row keeps what is before the agent's tick; what follows is only for R and is computed again in the next
         # call.
         f"        z_ = ({kept})",
         f"        k = K[i] + {every}",
         f"        t = {turns.time('k')}",
-        *(f"        {line}" for line in (*plants, *before)),
+        *(f"        {line}" for line in before),
         "        K[i] = k",
         *(f"        R[{at[k] + j}, i] = r{k}[{j}]" for k, s in enumerate(steps) for j, _ in enumerate(s.numbers)),
         *(f"        {line}" for line in form.write("z_")),

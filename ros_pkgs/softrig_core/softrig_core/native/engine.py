@@ -140,25 +140,26 @@ class Engine:
         # From here on a plant that is due would be moved beyond the end, so Python answers these ticks.
         end = min((self._plan.newest(s.schedule, last) for s in self.steps if s.plant), default=last)
         failures = 0
-        # The first tick runs in Python, because it gives the states the types that they keep. `fresh` means that these
-        # types may have changed since the text was looked for.
-        fits, fresh = False, True  # whether there is a text, and it is to be looked at again
+        # The first tick runs in Python, because it gives the states the types that they keep.
+        yield from self._in_python(k)
+        k += 1
+        # Whether there is a text, and whether it is to be looked for again, because these types may have changed.
+        fits, fresh = False, True
         while k <= last:
-            if k and not self._free():
+            if not self._free():
                 for t in self._not_free(k):
                     k += t is not None
                     yield t
                 fresh = True
                 continue
-            if k and fresh:
-                fits, fresh = self._fit_text(), False
+            if fresh:
+                fits = self._fit_text()
                 failures += not fits
-                if fits and self._compile_in_thread(k):
-                    fresh = True
+                if fresh := fits and self._compile_in_thread(k):
                     continue
             # A state may change its type in the first ticks, as None until a message has come; later it is taken to
             # keep its type.
-            if k and not fits and (k > LATEST or failures > TRIES):
+            if not fits and (k > LATEST or failures > TRIES):
                 break
             fit = self._fit
             go = fit.kept.go if fit else SHORTEST
@@ -181,7 +182,7 @@ class Engine:
                     elif elapsed > self._longest:
                         fit.kept.go = max(SHORTEST, go // 2)
                 k = reached
-                yield self._time(k - 1) if k else 0
+                yield self._time(k - 1)
                 if k == until and k < last:
                     continue
                 if k < until and not (fit and fit.discarded):
@@ -192,11 +193,8 @@ class Engine:
                         self.native.reason = "many ticks are given up"
                         break
             # Python applies the change in this tick, and with it constants and guards of the text may be others.
-            fresh = fresh or (bool(k) and self._next_change(k) <= k)
-            for t in self.loop.run(k):
-                yield t
-                if t is not None:
-                    break
+            fresh = self._next_change(k) <= k
+            yield from self._in_python(k)
             k += 1
             if until and fit and fit.odd:
                 # Python has answered the tick that failed in the text: the text is wrong, not the block
@@ -207,17 +205,24 @@ class Engine:
         if k <= last:
             yield from self.loop.run(k)
 
+    def _in_python(self, k: int) -> Iterator[int | None]:
+        """Run one tick in Python."""
+        for t in self.loop.run(k):
+            yield t
+            if t is not None:
+                return
+
+    def _is_compiling(self) -> bool:
+        return self._compiling is not None and self._compiling.is_alive()
+
     def _free(self) -> bool:
         """Return whether native code may answer the next ticks."""
-        if self._compiling is not None and self._compiling.is_alive():
-            return False
-        return self._alone is None or self._alone()
+        return not self._is_compiling() and (self._alone is None or self._alone())
 
     def _not_free(self, k: int) -> Iterator[int | None]:
         """Run ticks in Python until native code may continue."""
-        compiling = self._compiling is not None and self._compiling.is_alive()
         outside = "somebody outside of this process, or a person, has a part in its ticks"
-        self.native.reason = "its text is being compiled" if compiling else outside
+        self.native.reason = "its text is being compiled" if self._is_compiling() else outside
         for number, t in enumerate(self.loop.run(k), 1):
             yield t
             if number % LOOK == 0 and t is not None and self._free():
@@ -320,8 +325,9 @@ class Engine:
             for s, before in zip(self._core.steps, published, strict=True):
                 s.published_at = before
             if reached > first:
-                answers = fit.places(first, reached)
-                _, after = fit.call(first, first, reached, answers)
+                rows = fit.places(first, reached)
+                _, after = fit.call(first, first, reached, rows)
+                answers = fit.answers_of(rows, first, reached)
                 self._audience.watch(fit.recorded, first, reached, answers)
         if reached > first:
             self._apply(fit, first, reached, after)

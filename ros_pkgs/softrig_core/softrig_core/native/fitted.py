@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from ..block.block import Observer
 from ..block.loop import Loop
 from ..block.params import FromFiles
 from ..block.schedule import Plan
@@ -40,8 +41,8 @@ class Kept:
 
     Attributes
     ----------
-    wiring : object
-        Of the rig for which it was made, see `softrig_core.native.turns.wiring`.
+    kinds : tuple
+        See `kinds_of`.
     go : int
         Ticks that are answered in one call.
     made : bool
@@ -51,8 +52,7 @@ class Kept:
     kinds: tuple[Any, ...]
     text: RigText
     function: Callable[..., Any] = field(repr=False)
-    wiring: Any
-    go: int
+    go: int = SHORTEST
     made: bool = False
 
 
@@ -88,16 +88,14 @@ class Core:
 
 
 def kinds_of(core: Core, recorded: Sequence[Step], make: Make) -> tuple[Any, ...]:
-    """Return the key of a text: classes, schedules and forms of the members, which are recorded, and how it is made."""
-    *forms, holding = core.forms()
+    """Return the key of a text: classes, how it is made, names, schedules, forms, wiring, and which are recorded."""
     return (
-        *(
-            (type(s.block), s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks, *kind)
-            for s, kind in zip(core.steps, forms, strict=True)
-        ),
-        holding,
-        tuple(s.name for s in recorded),
+        tuple(type(s.block) for s in core.steps),
         make,
+        tuple((s.name, s.schedule.every, s.schedule.clock, s.schedule.ticks) for s in core.steps),
+        tuple(core.forms()),
+        wiring(core.steps),
+        tuple(s.name for s in recorded),
     )
 
 
@@ -112,9 +110,7 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
     if kinds in _refused:
         raise NotNative(_refused[kinds])
     roots = [s.block for s in core.steps]
-    wired = wiring(core.steps)
-    fitting = (n for n in _texts if n.kinds == kinds and n.wiring == wired)
-    result = next((n for n in fitting if not n.text.program.differs(roots)), None)
+    result = next((n for n in _texts if n.kinds == kinds and not n.text.program.differs(roots)), None)
     if result is None and _worth_another(kinds):
         try:
             text = rig_text(core.steps, recorded, typed)
@@ -122,7 +118,7 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
             # Without reports in the text a tick in which something is reported is discarded, which is better than no
             # text.
             text = rig_text(core.steps, recorded, typed, reports=False)
-        result = Kept(kinds, text, make(text), wired, SHORTEST)
+        result = Kept(kinds, text, make(text))
         _texts.insert(0, result)
         del _texts[KEPT:]
     return result
@@ -141,9 +137,10 @@ def _worth_another(kinds: Any) -> bool:
     return worth
 
 
-def known(kinds: Sequence[type], make: Make) -> bool:
+def known(steps: Sequence[Step], make: Make) -> bool:
     """Return whether there is a text, made so, for members of such classes, those that only watch left out."""
-    return any(tuple(kinds) == tuple(k[0] for k in kept.kinds[:-3]) for kept in _texts if kept.kinds[-1] is make)
+    classes = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
+    return any(kept.kinds[:2] == (classes, make) for kept in _texts)
 
 
 def _with_line(error: Exception) -> str:
@@ -195,9 +192,9 @@ class Fitted:
         self._newest = [follow(path, roots) for path in program.newest]
         self._keys = [one.key for one in self._newest]
         self._written = [(core.steps.index(s), s, len(numbers_of(s)), len(stamps_of(s))) for s in recorded]
-        self._n: Any  # tick under way, random numbers that are missing, tick with which the places begin
-        self._when: Any
-        self._reported: Any
+        self._n = self._zeros(3, int)  # tick under way, random numbers that are missing, tick with which places begin
+        self._when = self._zeros(1 + len(core.holdings) + len(core.speakers), int)
+        self._reported = self._zeros(program.reports.size if program.reports else 0, float)
         self._arrays: tuple[Any, ...] = ()  # what the function gets after its state, as `RigText.arrays`
 
     @property
@@ -228,31 +225,28 @@ class Fitted:
         draws.at_hand = result
         return result if self._typed else result.tolist()
 
+    def _zeros(self, count: int, kind: type) -> Any:
+        return np.zeros(count, kind) if self._typed else [kind()] * count
+
     def _guess(self) -> int:
         return min(1 << 20, 2 * (self._plan.ticks or 0) + (1 << 13))
 
     def places(self, first: int, last: int) -> dict[int, Answers]:
         """Return buffers for native answers of the ticks `first` to `last`, and pass them to native code."""
-        counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self.recorded}
         rows = {
-            id(s): Answers(np.empty((size, counts[id(s)])).T, np.empty((counts[id(s)], stamps), np.int64))
             # The memory holds column after column, because the tables are read by columns.
+            key: Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
             if self._typed
             else Answers([], [])
-            for _, s, size, stamps in self._written
+            for key, count, size, stamps in self._tables_of(first, last)
         }
-        reports = self.kept.text.program.reports
-        sizes = 1 + len(self._core.holdings) + len(self._core.speakers), reports.size if reports else 0
-        if self._typed:
-            self._n, self._when, self._reported = (
-                np.zeros(3, np.int64),
-                np.zeros(sizes[0], np.int64),
-                np.zeros(sizes[1]),
-            )
-        else:
-            self._n, self._when, self._reported = [0] * 3, [0] * sizes[0], [0.0] * sizes[1]
         self._name(rows)
         return rows
+
+    def _tables_of(self, first: int, last: int) -> Iterator[tuple[int, int, int, int]]:
+        """Yield of each recorded step: its identity, and how many ticks, numbers and stamps its tables have."""
+        for _, s, numbers, stamps in self._written:
+            yield id(s), len(self._plan.own(s.schedule, first, last)), numbers, stamps
 
     def _name(self, rows: dict[int, Answers]) -> None:
         """Order the arguments of native code."""
@@ -262,9 +256,12 @@ class Fitted:
         self._arrays = tuple(named[name] for name in self.kept.text.arrays)
 
     def answers_of(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
-        """Return the answers of ticks from `first`, where their places begin, up to `last`."""
-        counts = {id(s): len(self._plan.own(s.schedule, first, last)) for s in self.recorded}
-        return {key: Answers(*(table[: counts[key]] for table in answers)) for key, answers in rows.items()}
+        """Return the answers of ticks from `first`, where their places begin, up to `last`, as arrays."""
+        result = {}
+        for key, count, *sizes in self._tables_of(first, last):
+            tables = zip(rows[key], sizes, (np.float64, np.int64), strict=True)
+            result[key] = Answers(*(np.asarray(table[:count], kind).reshape(count, n) for table, n, kind in tables))
+        return result
 
     def _handed(self, begin: int) -> tuple[Any, ...]:
         """Return the arguments of the function after its ticks; the places of answers begin at a tick."""
@@ -305,9 +302,9 @@ class Fitted:
                 self.odd = _with_line(error) if isinstance(error, TypeError) else ""
                 # The text stops at its tick: tables of numpy have no row of it, lists have grown by those of the ticks
                 # before. All is computed again up to that tick, as states are handed back at the end only.
-                if not self._typed:
-                    rows |= self.answers_of(rows, begin, first)
-                    self._name(rows)
+                for key, count, *_ in self._tables_of(begin, first) if not self._typed else ():
+                    for table in rows[key]:
+                        del table[count:]
                 # The random numbers that were drawn in advance have run out.
                 if n[1]:
                     for name, draws in self._sources.items():
@@ -359,7 +356,9 @@ class Fitted:
             answered(s, own[-1], after[count + k], stamps.get(k, ()), newest)
             if self._typed:
                 s.native = s.native[0] + len(own), ""
-            for one, value in zip(self._core.holdings, after[len(after) - len(self._core.holdings) :], strict=True):
-                fill = one.fill
-                if one.source == k and newest.get(fill.output, s.t) >= self._plan.clock.time(first):
-                    fill.reader.values[fill.port.name] = unpacked(value)
+        for one, value in zip(self._core.holdings, after[len(after) - len(self._core.holdings) :], strict=True):
+            fill = one.fill
+            if one.source is None:
+                continue
+            if published.get((one.source, fill.output), fill.source.t) >= self._plan.clock.time(first):
+                fill.reader.values[fill.port.name] = unpacked(value)

@@ -57,12 +57,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     turns = Turns(steps, recorded, typed)
     program, kept = turns.program, turns.kept
     program.reports = Reports() if reports else None
-    inputs = [turns.inputs(k) for k, _ in enumerate(steps)]
-    plants = [k for k, s in enumerate(steps) if s.plant]
-    others = [k for k, s in enumerate(steps) if not s.plant]
-    body = [line for k in plants for line in turns.show(k)]
-    body += [line for k in others for line in turns.answer(k, inputs[k])]
-    body += [line for k in plants for line in turns.move(k, inputs[k])]
+    body = [line for k, act in turns.acts() for line in turns.turn(k, act)]
     stamped = tuple(k for k, s in enumerate(steps) if any(p.delayed for p in s.outputs))
     state = ", ".join(
         [

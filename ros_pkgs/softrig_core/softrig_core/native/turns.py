@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from ..block.answer import places
 from ..block.fill import Fill
+from ..block.loop import Act, acts
 from ..block.port import LONGEST, Port, Sample
 from ..block.schedule import Plan
 from ..block.step import Step
@@ -78,13 +79,13 @@ def wiring(steps: Sequence[Step]) -> Any:
         fill = step.fed.get(port.name)
         return fill and (number.get(id(fill.source)), fill.output, fill.pick, fill.stamp)
 
-    return [
+    return tuple(
         (
-            [(p.name, p.held, p.size, p.limits, link(s, p)) for p in s.inputs],
-            [(p.size, p.bound, p.sporadic, p.delayed, p.unchecked) for p in s.outputs],
+            tuple((p.name, p.held, p.size, p.limits, link(s, p)) for p in s.inputs),
+            tuple((p.size, p.bound, p.sporadic, p.delayed, p.unchecked) for p in s.outputs),
         )
         for s in steps
-    ]
+    )
 
 
 @runtime_checkable
@@ -155,22 +156,20 @@ class Turns:
 
     # the turns ----------------------------------------------------------------------------------------------------
 
-    def show(self, k: int) -> list[str]:
-        """Write the code for the outputs of a plant at a tick."""
-        return self._due(k, self._answered(k, self._asked(k, "outputs", {}), None) + self._handed_on(k))
+    def acts(self) -> list[tuple[int, Act]]:
+        """Return what the members do at a tick, in order, by their numbers."""
+        return acts(range(len(self.steps)), lambda k: self.steps[k].plant)
 
-    def answer(self, k: int, inputs: Mapping[str, Value]) -> list[str]:
-        """Write what another one answers."""
-        return self._due(k, self._answered(k, self._asked(k, "update", inputs), f"x{k}") + self._handed_on(k))
-
-    def move(self, k: int, inputs: Mapping[str, Value]) -> list[str]:
-        """Write how a plant moves on."""
-        value = self._asked(k, "advance", inputs)
+    def turn(self, k: int, act: Act) -> list[str]:
+        """Write what a member does: call its block, check and distribute the answer."""
+        value = self._asked(k, act, {} if act == "outputs" else self._inputs(k))
+        if act != "advance":
+            return self._due(k, self._answered(k, value, f"x{k}" * (act == "update")) + self._handed_on(k))
         if not isinstance(value, Dynamic):
             raise NotNative(f"{self.steps[k].name}: its state stays as it is")
         return self._due(k, [self._state(k, value)])
 
-    def act(self, k: int, texts: Sequence[str]) -> list[str]:
+    def given(self, k: int, texts: Sequence[str]) -> list[str]:
         """Write the code of a node with given outputs."""
         return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in texts)})"])
 
@@ -184,14 +183,12 @@ class Turns:
                 lines += self._due(k, [*writer.lines, f"if {test}:", f"    return ({state},)"])
         return lines
 
-    def inputs(self, k: int) -> dict[str, Value]:
-        """Describe the sources of a member's inputs: which members, and which numbers."""
-        step, result = self.steps[k], {}
-        for port in step.inputs:
-            result[port.name] = self._input(step, port)
-        return result
-
     # its parts ----------------------------------------------------------------------------------------------------
+
+    def _inputs(self, k: int) -> dict[str, Value]:
+        """Describe the sources of a member's inputs: which members, and which numbers."""
+        step = self.steps[k]
+        return {port.name: self._input(step, port) for port in step.inputs}
 
     def _due(self, k: int, lines: list[str]) -> list[str]:
         every = self.every(k)
@@ -271,12 +268,12 @@ class Turns:
         given = [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)]
         return made(program, getattr(type(step.block), name), given, inputs, self.arrays)
 
-    def _answered(self, k: int, value: Value, state: str | None) -> list[str]:
+    def _answered(self, k: int, value: Value, state: str) -> list[str]:
         """Process an answer: its state, and its checked numbers, which are written into the table."""
         step, typed, writer = self.steps[k], self.typed, self._writer(k)
         x, size = Dynamic(""), sum(p.width for p in step.outputs)
         try:
-            if state is not None:
+            if state:
                 first, value = writer.parts(value, NOWHERE)
                 x = writer.dynamic(first)
                 writer.emit(f"y{k} = {x.code}")
@@ -299,7 +296,7 @@ class Turns:
             lines.append(f"r{k} = q{k}")
         if stamps:
             lines.append(f"z{k} = ({''.join(f'{z}, ' for z in stamps)})")
-        if state is not None:
+        if state:
             lines.append(self._state(k, replace(x, code=f"y{k}")))
         if any(s is step for s in self.recorded) and not typed:
             lines += [f"o{k}.append(q{k})", *([f"p{k}.append(z{k})"] if stamps else [])]

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from ..block.block import Block
 from ..errors import ScenarioError, blaming
-from ..kit.newest import once
+from ..kit.newest import once_for_objects
 
 
 class Named(Protocol):
@@ -19,7 +19,7 @@ class Named(Protocol):
     params: Any
 
 
-@once
+@once_for_objects
 def agreed(block: type[Block], params: Any) -> Mapping[str, Any]:
     """Return the values that a block declares by `Block.agreed`."""
     with blaming(f"`agreed` of {block.__name__}"):

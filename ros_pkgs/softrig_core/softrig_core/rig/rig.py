@@ -20,7 +20,7 @@ from ..board.entry import require_own_ports
 from ..errors import ScenarioError, blaming
 from ..judge.expectation import Expectation
 from ..judge.units import misfit
-from ..kit.newest import KEPT, once
+from ..kit.newest import KEPT, once_for_objects
 from ..scenario.changes import script
 from ..scenario.node_parameters import NodeParameters
 from ..scenario.places import explain
@@ -174,7 +174,7 @@ def members_of(
     return [_member(scenario, n, known[n], parameters) for n in (known if names is None else names)]
 
 
-@once
+@once_for_objects
 def _ports(block: type[Block], params: Any) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
     """Return the inputs and outputs of a block with these parameters; raise a ValueError if they are invalid."""
     inputs, outputs = block.ports(params)
@@ -182,7 +182,7 @@ def _ports(block: type[Block], params: Any) -> tuple[tuple[Port, ...], tuple[Por
     return inputs, outputs
 
 
-@once
+@once_for_objects
 def _remapped(ports: tuple[Port, ...], remap: Mapping[str, str]) -> tuple[Port, ...]:
     return tuple([p.renamed(remap.get(p.topic, p.topic)) for p in ports])
 
@@ -287,18 +287,13 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
     return scenario.model_copy(update={"figures": figures, "plots": plots})
 
 
-@once
-def _signals(*ports: Port) -> frozenset[str]:
-    return _same(frozenset(f"{p.topic}/{label}" for p in ports for label in p.labels))
-
-
 @lru_cache(maxsize=KEPT)
-def _same(signals: frozenset[str]) -> frozenset[str]:
-    """Return one object for equal sets: a block may make its ports again for each value of its parameters."""
-    return signals
+def _signals(*ports: Port) -> frozenset[str]:
+    """Return the names of the signals of ports: one object for equal ports, which a block may make again."""
+    return frozenset(f"{p.topic}/{label}" for p in ports for label in p.labels)
 
 
-@once
+@once_for_objects
 def _named(
     figures: Mapping[str, FigureEntry], plots: tuple[PlotEntry, ...], known: frozenset[str]
 ) -> tuple[dict[str, FigureEntry], tuple[PlotEntry, ...]]:

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
-from ..block.block import Observer
 from ..block.gathering import MANY, gather
 from ..block.loop import Loop
 from ..block.step import Step
@@ -130,14 +129,8 @@ def writes(steps: Sequence[Step], left: float) -> bool:
 
     ``SOFTRIG_JIT=0`` forbids it.
     """
-    enough = READY if _known(steps, plain) else WRITING - _spent.get(_classes(steps), 0.0)
+    enough = READY if known(steps, plain) else WRITING - _spent.get(_classes(steps), 0.0)
     return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > enough
-
-
-def _known(steps: Sequence[Step], make: Callable[..., Any]) -> bool:
-    """Return whether there is a text of such members."""
-    kinds = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
-    return known(kinds, make)
 
 
 def forbidden() -> str:
@@ -160,5 +153,5 @@ def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:
     """
     if reason := forbidden():
         return reason
-    enough = READY if _known(steps, compiled) else MAKING
+    enough = READY if known(steps, compiled) else MAKING
     return "" if left * runs > enough else SHORT

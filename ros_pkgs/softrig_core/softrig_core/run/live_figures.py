@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import model_validator
 
 from ..block.params import param
@@ -19,8 +21,8 @@ from ..rig.members import Member
 from ..scenario.port_text import ports_of
 from ..timebase import SECOND
 from ..verdict.figures import Figure, figure_parameters, figures_in
-from ..verdict.watch import Watch, WatchParams, status_of
-from ..wire.signals import Signal, Signals, topic_of
+from ..verdict.watch import Recent, Watch, WatchParams, status_of
+from ..wire.signals import Signal, Signals
 from .expand import rig_of
 
 
@@ -105,38 +107,28 @@ def measured(member: Member, signals: Signals) -> Mapping[str, tuple[float, str]
     return status_of(figures_in(member.params.given()["figures"]), _Newest(signals, member.inputs, since / SECOND))
 
 
-class _Newest(Mapping[str, Signal]):
+class _Newest(Recent):
     """The signals of some ports from a time on, in s."""
 
     def __init__(self, signals: Signals, ports: Iterable[Port], since: float) -> None:
+        super().__init__(ports)
         self._signals, self._since = signals, since
-        self._names = [f"{p.topic}/{label}" for p in ports for label in p.labels]
-        self._topics = [p.topic for p in ports]
+
+    def _times(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        return ((topic, t) for topic in self.ports if (t := self._signals.table(topic).t).size)
 
     @property
     def end(self) -> float:
-        """Time of the newest message, s."""
-        return max(float(t[-1]) for topic in self._topics if (t := self._signals.table(topic).t).size)
+        """See `Recent`."""
+        return max(float(t[-1]) for _, t in self._times())
 
     @property
     def forgot(self) -> set[str]:
-        """Topics of which there are older messages."""
-        tables = ((topic, self._signals.table(topic).t) for topic in self._topics)
-        return {topic for topic, t in tables if t.size and t[0] < self._since}
-
-    def topic(self, name: str) -> str:
-        """Topic of a signal; empty where there is none."""
-        return topic_of(name, self._topics)
+        """See `Recent`."""
+        return {topic for topic, t in self._times() if t[0] < self._since}
 
     def __getitem__(self, name: str) -> Signal:
-        if name not in self._names:
-            raise KeyError(name)
+        self.place(name)
         t, x = self._signals[name]
         first = int(t.searchsorted(self._since))
         return Signal(t[first:], x[first:])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)

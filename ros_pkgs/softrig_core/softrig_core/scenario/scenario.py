@@ -259,8 +259,9 @@ class Scenario(Entry):
 
     def having(self, **keys: Any) -> Scenario:
         """Return the scenario with other values of some keys, checked; a ScenarioError names an invalid value."""
+        known = {key: value for key, value in self if key in self.model_fields_set}
         try:
-            return Scenario.model_validate({**dict(self), **keys}).changing(self._changed_from)
+            return Scenario.model_validate(known | keys).changing(self._changed_from)
         except ValidationError as error:
             raise ScenarioError(f"{self.name}: {explain(error, Scenario)}") from None
 

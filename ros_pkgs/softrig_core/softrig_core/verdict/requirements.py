@@ -37,7 +37,7 @@ from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from ..timebase import SECOND
 from ..wire.signals import full_name
-from ..wire.times import common, once
+from ..wire.times import common, once_for_times
 
 Items = tuple[tuple[str, Any], ...]
 _bounds: dict[tuple[Any, ...], bool] = {}
@@ -154,7 +154,7 @@ def _ticks(clock: Schedule, last: int) -> Array:
     return common(clock.times(0, last + 1).astype(np.float64))
 
 
-@once
+@once_for_times
 def _whole_ns(times: Array) -> Array:
     return np.rint(times * SECOND)
 
@@ -167,7 +167,7 @@ def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np
     return np.where(before, 0.0, values[at]) if len(values) else np.zeros(len(grid)), before
 
 
-@once
+@once_for_times
 def _arrived(times: Array, grid: Array) -> tuple[Places, NDArray[np.bool_] | None]:
     """Return which of some times is the newest at each tick, and at which ticks none has come, if there are any."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from abc import abstractmethod
 from collections.abc import Container, Iterable, Iterator, Mapping
 from functools import cache
 from types import MappingProxyType
@@ -210,8 +211,48 @@ class Watch(Observer[W]):
         return status_of(self.figures(x), Seen(self._ports, dict(zip(self._ports, x.seen, strict=True))))
 
 
-def status_of(figures: Iterable[Figure], signals: Any) -> Mapping[str, tuple[float, str]]:
-    """Return value and unit of the figures that can be measured in a window (`Seen`), by name."""
+class Recent(Mapping[str, Signal]):
+    """The signals of some ports from some time on, for figure functions.
+
+    Parameters
+    ----------
+    ports : iterable of Port
+    """
+
+    def __init__(self, ports: Iterable[Port]) -> None:
+        self.ports = {port.topic: port for port in ports}
+
+    @property
+    @abstractmethod
+    def end(self) -> float:
+        """Time of the newest message, s: up to it the last sample of each signal is held."""
+
+    @property
+    @abstractmethod
+    def forgot(self) -> set[str]:
+        """Topics that have older messages, too."""
+
+    def topic(self, name: str) -> str:
+        """Return the topic of a signal; empty where there is none."""
+        return topic_of(name, self.ports)
+
+    def __iter__(self) -> Iterator[str]:
+        for topic, port in self.ports.items():
+            yield from (f"{topic}/{label}" for label in port.labels)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def place(self, name: str) -> tuple[Port, int]:
+        """Return the port of a signal and its index there; raise a KeyError if there is none."""
+        port = self.ports.get(self.topic(name))
+        if port is None or (k := port.places.get(name[len(port.topic) + 1 :])) is None:
+            raise KeyError(name)
+        return port, k
+
+
+def status_of(figures: Iterable[Figure], signals: Recent) -> Mapping[str, tuple[float, str]]:
+    """Return value and unit of the figures that can be measured, by name."""
     forgot, result = signals.forgot, {}
     for figure in figures:
         try:
@@ -223,7 +264,7 @@ def status_of(figures: Iterable[Figure], signals: Any) -> Mapping[str, tuple[flo
     return result
 
 
-def left_behind(since: str, signals: Any, forgot: Container[str]) -> bool:
+def left_behind(since: str, signals: Recent, forgot: Container[str]) -> bool:
     """Return whether the newest steps of signals were before what is kept of them: a first sample is none then."""
     return all(
         signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
@@ -231,40 +272,28 @@ def left_behind(since: str, signals: Any, forgot: Container[str]) -> bool:
     )
 
 
-class Seen(Mapping[str, Signal]):
+class Seen(Recent):
     """The stored messages of a `Watch`, as signals for figure functions."""
 
     def __init__(self, ports: Mapping[str, Port], seen: Mapping[str, Kept]) -> None:
-        self._ports = {port.topic: (port, seen[name]) for name, port in ports.items()}
+        super().__init__(ports.values())
+        self._kept = {port.topic: seen[name] for name, port in ports.items()}
         self._times: dict[str, Any] = {}
 
     @property
     def end(self) -> float:
-        """Time of the newest message, s: up to it the last sample of each signal is held."""
-        return max(kept.stamp for _, kept in self._ports.values()) / SECOND
+        """See `Recent`."""
+        return max(kept.stamp for kept in self._kept.values()) / SECOND
 
     @property
     def forgot(self) -> set[str]:
-        """Topics of which messages have left the window."""
-        return {topic for topic, (_, kept) in self._ports.items() if kept.forgot}
-
-    def topic(self, name: str) -> str:
-        """Topic of a signal; empty where there is none."""
-        return topic_of(name, self._ports)
+        """See `Recent`: those whose messages have left the window."""
+        return {topic for topic, kept in self._kept.items() if kept.forgot}
 
     def __getitem__(self, name: str) -> Signal:
-        topic = self.topic(name)
-        if not topic or name[len(topic) + 1 :] not in self._ports[topic][0].labels:
-            raise KeyError(name)
-        port, kept = self._ports[topic]
+        port, k = self.place(name)
+        topic, kept = port.topic, self._kept[port.topic]
         if topic not in self._times:
             self._times[topic] = kept.stamps(port.size) / SECOND
         times = self._times[topic]
-        return Signal(times, kept.column(port.size, port.labels.index(name[len(topic) + 1 :]), len(times)))
-
-    def __iter__(self) -> Iterator[str]:
-        for topic, (port, _) in self._ports.items():
-            yield from (f"{topic}/{label}" for label in port.labels)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
+        return Signal(times, kept.column(port.size, k, len(times)))

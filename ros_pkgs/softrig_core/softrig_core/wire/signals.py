@@ -13,7 +13,7 @@ from ..timebase import SECOND
 from .cdr import Layout, Message, parse
 from .columns import Columns, Stored
 from .recording import Recording, Topic
-from .times import common, once
+from .times import common, once_for_times
 from .types import TYPES
 
 Array = NDArray[np.float64]
@@ -260,7 +260,7 @@ class Signals(Mapping[str, Signal]):
         return sum(1 for _ in self)
 
 
-@once
+@once_for_times
 def _seconds(times: NDArray[np.int64], epoch: int) -> Array:
     return (times - epoch) / SECOND
 

@@ -71,7 +71,7 @@ def common(times: _T) -> _T:
     return result
 
 
-def once(function: _F) -> _F:
+def once_for_times(function: _F) -> _F:
     """Keep the results of a function of arrays of times and of hashable values.
 
     Results for arrays that are not kept here (`common`, or results of such functions, and parts of them) are computed

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SignalMap, figure, window
 from softrig_core.judge.measures import HALF_NS, Places, held, mean_over, newest, places, shared
-from softrig_core.wire.times import once
+from softrig_core.wire.times import once_for_times
 
 Array = NDArray[np.float64]
 Vectors = NDArray[np.complex128]
@@ -206,7 +206,7 @@ def _same(signals: SignalMap, name: str, t: Array) -> tuple[Places, Places, Arra
     return at, both, times
 
 
-@once
+@once_for_times
 def _together(when: Array, t: Array) -> tuple[Places, Places, Array]:
     at = newest(when, t + HALF_NS)
     both = at >= 0

@@ -340,11 +340,13 @@ class RosTimer:
     """A timer of rclpy; see `Timer`."""
 
     def __init__(self, timer: Any) -> None:
-        self._timer, self._period = timer, 0
+        # The grid is the period that `again` was last called with. The period of rclpy's timer is another one for as
+        # long as a late timer is drawn along to its grid.
+        self._timer, self._grid = timer, 0
 
     @property
     def period(self) -> int:
-        """Its period in ns; a new one is in force when the present one has ended."""
+        """The time to the call after the next one, ns."""
         return int(self._timer.timer_period_ns)
 
     @period.setter
@@ -358,11 +360,11 @@ class RosTimer:
         # each look that finds one due calls it, and each call looks once more by itself: a late one was called for ever
         # more often, and no message came through. One that has the period already is thus not reset but drawn along.
         timer = self._timer
-        left = timer.time_until_next_call() if period and period == self._period else None
+        left = timer.time_until_next_call() if period and period == self._grid else None
         if left is not None:
             timer.timer_period_ns = period + (ns - left + period // 2) % period - period // 2
             return
-        self._period = period
+        self._grid = period
         timer.timer_period_ns = max(1000, ns)
         timer.reset()
         if period:

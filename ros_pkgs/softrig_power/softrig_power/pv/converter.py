@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from softrig_core import Params, jit, param
-from softrig_core.kit.newest import once
+from softrig_core.kit.newest import once_for_objects
 
 from .module import Array
 from .string import Characteristic
@@ -43,7 +43,7 @@ def seen_resistance(p: ConverterParams, d: Array) -> Array:
     return (p.R_L * (1.0 - d) ** 2 + p.r) / d**2
 
 
-@once  # each run of a study begins with it
+@once_for_objects  # each run of a study begins with it
 def steady_state(p: ConverterParams, source: Characteristic, d: float) -> Circuit:
     """Return the steady state of the averaged model under the duty d."""
     (v,), (i,) = source.under_load(seen_resistance(p, np.array([d])))

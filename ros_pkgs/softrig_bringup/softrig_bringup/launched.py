@@ -28,10 +28,10 @@ from softrig_nodes.processes.spawning import container_arguments, groups, node_p
 from softrig_nodes.processes.stopping import stoppable, undisturbed
 from softrig_nodes.processes.supervision import left_early
 
-from ..options import run_options
-from ..run.run import checked, gaps, tripped
-from . import run_verb
-from .viewer import ROOTED, Process, viewer
+from .options import run_options
+from .run.run import checked, gaps, tripped
+from .verbs import run_verb
+from .view.rviz import ROOTED, Process, viewer
 
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 UNASKED = "the run did not reach its end, and nothing of it was recorded or judged (record:=true, judge:=true)"

@@ -30,7 +30,7 @@ from ..run.run import illustrate, save, summary, versions
 from ..study.definition import list_studies, load_study
 from ..study.engine import OtherContentError, made_of, run_study
 from ..study.table import claims, results, without_signals
-from .results_page import command, counts, html, markdown
+from .page import command, counts, html, markdown
 
 RESULTS = Path("runs/results")
 

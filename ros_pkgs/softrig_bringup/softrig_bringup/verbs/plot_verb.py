@@ -1,122 +1,35 @@
-"""Pictures of a run that is over, drawn from its bag: for a paper, or where the run drew none."""
+"""The verb `draw plot`: pictures of runs that are over, drawn from their bags for a paper."""
 
 from __future__ import annotations
 
 import argparse
 import csv
 import os
-import shlex
 from collections.abc import Iterator, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from softrig_bags.files.reader import BagReader
-from softrig_bags.read import BagSignals, signals
-from softrig_core import Rig, ScenarioError, Signals, rig_of
-from softrig_core.command_line import Parser
-from softrig_core.errors import nearby
-from softrig_core.guard import print_line
-from softrig_core.rig.members import other_names
+from softrig_core import ScenarioError, Signals
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire.signals import short_name
 
 from ..folder import replace
 from ..options.naming import folder_of
-from ..options.run_options import arguments, scenario_of
-from ..pack.packed import ABOUT, is_pack, opened
+from ..pack.packed import is_pack, opened
 from ..plots.curves import Curve, Source, inside, shown, with_plots
 from ..plots.overlay import Overlay, overlay_figures
-from ..plots.pictures import plot_entry, plot_name, plot_run, write_figure
+from ..plots.pictures import plot_entry, plot_name, write_figure
 from ..plots.style import PAPERS
-from .apart import names as run_names
-from .bag_rig import rig_of_bag
-from .looked import record_of_pack, rig_of_pack
-from .record import read_run
+from ..report.apart import names as run_names
+from ..report.looked import record_of_pack
+from ..report.record import read_run
+from ..report.run_rig import rig_of_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MM = 25.4  # in an inch
-
-
-def rig_of_run(directory: Path, namespace: str = "") -> tuple[Rig, BagSignals]:
-    """Return the rig of a run and its signals.
-
-    Parameters
-    ----------
-    directory : Path
-        The directory of a run, any bag (a directory or a single file), or a pack.
-    namespace : str
-        For a bag: only topics in this namespace are read, and their names are given without it.
-
-    Returns
-    -------
-    (Rig, BagSignals)
-        The rig that ran. If the bag does not name its scenario, or the scenario is unknown here, the rig has only the
-        bag's topics, without units.
-
-    Raises
-    ------
-    ScenarioError
-        There is no bag, or the scenario of the run is unknown here.
-    """
-    rig, result = _recalled(directory, namespace)
-    return rig, result.known_as(other_names(rig))
-
-
-def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
-    if namespace and (is_pack(directory) or (directory / ABOUT).is_file()):
-        raise ScenarioError(f"{directory}: a pack has one rig, without a namespace; leave out --namespace")
-    if is_pack(directory):
-        try:
-            return rig_of_pack(opened(directory))
-        except ScenarioError as error:
-            raise ScenarioError(f"{directory}: {error}") from None
-    if (directory / ABOUT).is_file():  # a pack that somebody has unpacked
-        return rig_of_pack(directory)
-    if not directory.exists():
-        raise ScenarioError(f"{directory}: no such file or folder, expected a run, a bag or a pack{nearby(directory)}")
-    bag = directory / "bag" if (directory / "metrics.json").is_file() else directory
-    if not bag.exists():
-        raise ScenarioError(
-            f"{directory}: no bag in it, expected the directory of a run or a bag; pictures are drawn from the bag"
-        )
-    result = signals(bag, namespace)
-    if bag.is_dir() and (bag.parent / "metrics.json").is_file():
-        return _as_it_ran(read_run(bag.parent).made_by), result
-    with BagReader(bag) as reader:
-        data = reader.custom_data
-    scenario, command = data.get("scenario", ""), data.get("command", "")
-    if not scenario:
-        return rig_of_bag(bag, result), result
-    try:
-        return _as_it_ran(command) if command else rig_of(scenario), result
-    except ScenarioError as error:
-        print_line(f"{bag}: shown without its rig, scenario {scenario} cannot be made here: {error}")
-        return rig_of_bag(bag, result), result
-
-
-def _parser() -> Parser:
-    parser = Parser(prog="softrig run")
-    arguments(parser)
-    return parser
-
-
-def _as_it_ran(command: str) -> Rig:
-    """Build the rig that a run's command describes."""
-    try:
-        words = shlex.split(command)
-        words = words[words.index("run") + 1 :]
-    except ValueError:
-        raise ScenarioError(f"metrics.json: command: expected that of a run, got {command!r}"[:200]) from None
-    return rig_of(scenario_of(_parser().parse_args(words)))
-
-
-def draw_missing(directory: Path, into: Path) -> list[Path]:
-    """Draw the pictures of a run that has none; returns their files."""
-    rig, result = rig_of_run(directory)
-    return plot_run(result, rig, into)
 
 
 class Style(NamedTuple):

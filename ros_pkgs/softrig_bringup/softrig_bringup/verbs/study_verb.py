@@ -1,0 +1,98 @@
+"""The verb `study`: run, table, numbers, pictures, page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from softrig_core import ScenarioError
+from softrig_core.extras import need
+
+from ..folder import STUDY, ResultsFolder
+from ..pack.trust import admitted
+from ..page.html import write_page
+from ..page.paper_table import write_paper_table
+from ..study.definition import Study, list_studies
+from ..study.engine import run_study
+from ..study.options import folder_name, study_of
+from ..study.packed import FILE, differing, saved, unpacked
+from ..study.page import body_of, print_study, units_of
+from ..study.pictures import draw_study
+from ..study.statistics import not_judged, statistics
+from ..study.table import claims, results, without_signals, write_table
+from ..study.tabled import for_paper
+
+
+def main(options: argparse.Namespace) -> int:
+    """Run a study and write its results; 1 when an expectation or a claim does not hold, 3 when a run broke."""
+    if options.study == "list":
+        print("\n".join(sorted(list_studies())))
+        return 0
+    if options.like is not None and (status := admitted(options)) is not None:
+        return status  # of a sandbox
+    study, before = (study_of(options), None) if options.like is None else _again(options)
+    name = f"study_{study.name}-again" if before is not None else folder_name(study.name, options)
+    out = options.out or Path("runs") / name
+    widths = dict(map(_width, options.width))
+    # A missing package is an error before hours of runs, not after them.
+    need("pyarrow", "the table of a study")
+    log = run_study(
+        study,
+        out,
+        workers=options.workers,
+        scheduler=options.scheduler,
+        distinct=not (options.force or before is not None),
+    )
+    rows = without_signals(log.rows())
+    units = units_of(rows)
+    result = results(study, rows, units)
+    held = claims(study, result)
+    over = statistics(study, rows, units, widths)
+    content = {
+        "study": study.name,
+        "runs": len(rows),
+        "broken": sum(bool(r["error"]) for r in rows),
+        "not_judged": not_judged(rows),
+        "summaries": [r.model_dump(by_alias=True) for r in result],
+        "claims": [c.model_dump() for c in held],
+    } | over.content()
+    folder = ResultsFolder(out, STUDY)
+    with folder.alone(), folder.anew() as new:
+        write_table(rows, new, study.duration)
+        (new / FILE).write_text(saved(study))
+        pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units, options.format)
+        if over.lines:
+            for ending in ("csv", "tex"):
+                write_paper_table(new / f"statistics.{ending}", "case", *for_paper(over))
+        (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
+        write_page(new / "report.html", study.title, list(body_of(study, rows, result, held, over, pictures, units)))
+    print_study(study, rows, result, held, over, out)
+    if before is not None:
+        other = list(differing(before, rows))
+        text = f"repeats {options.like} row for row" if not other else f"{len(other)} of {len(before)} rows are others"
+        print("; ".join([text, *other[:3]]))
+        return 1 if other else 0
+    if any(row["error"] for row in rows):
+        return 3
+    return 0 if all(r.passed for r in result) and all(c.holds is not False for c in held) else 1
+
+
+def _again(options: argparse.Namespace) -> tuple[Study, list[dict[str, Any]]]:
+    given = ("grid", "draw", "against", "subject_to", "figures", "signals", "seeds", "duration", "search", "study")
+    if wrong := [name for name in given if getattr(options, name)]:
+        raise ScenarioError(f"--like repeats a study as it was: expected no {wrong[0]} beside it")
+    return unpacked(options.like)
+
+
+def _width(text: str) -> tuple[str, float]:
+    name, _, width = text.rpartition("=")
+    try:
+        result = float(width) if name else math.nan
+    except ValueError:
+        result = math.nan
+    if not 0.0 < result < math.inf:
+        raise ScenarioError(f"--width {text!r}: expected FIGURE=W, a width above 0")
+    return name.strip(), result
