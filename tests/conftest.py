@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import time
@@ -44,6 +43,7 @@ from softrig_core.wire.recording import shard_topics  # noqa: E402
 from softrig_nodes.processes.domain import free_domain  # noqa: E402
 from softrig_nodes.processes.executables import environment, find_executable  # noqa: E402
 from softrig_nodes.processes.fork_server import start_node  # noqa: E402
+from softrig_nodes.processes.shared_memory import PORT  # noqa: E402
 
 CLOCKS = {name: getattr(time, name) for name in ("monotonic", "perf_counter", "time", "time_ns", "sleep")}
 
@@ -267,8 +267,8 @@ def replay(folder, bag, answered, node, *options):
 
 def ears(process):
     """Ports in shared memory on which a process listens."""
-    opened = {Path(os.path.realpath(f)) for f in Path(f"/proc/{process.pid}/fd").iterdir()}
-    return {f.with_name(f.name.removesuffix("_el")) for f in opened if re.fullmatch(r"fastrtps_port\d+_el", f.name)}
+    opened = {os.path.realpath(f) for f in Path(f"/proc/{process.pid}/fd").iterdir()}
+    return {Path(f.removesuffix("_el")) for f in opened if f.endswith("_el") and PORT.search(f)}
 
 
 def processes_of(directory):

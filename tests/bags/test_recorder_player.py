@@ -42,7 +42,7 @@ from softrig_core import Recording, RunError
 from softrig_core.wire.cdr import Layout, parse
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import PROFILE, environment, find_executable
-from softrig_nodes.processes.shared_memory import _judged
+from softrig_nodes.processes.shared_memory import judged
 from softrig_nodes.ros.messages import message_class
 from std_srvs.srv import Trigger
 
@@ -677,7 +677,7 @@ def test_a_tool_says_in_its_ports_that_it_lives(rig):
     recorder = rig.recorder("--output", "copy")
     for port in until(lambda: len(result := ears(recorder)) == 2 and result):
         began, before = time.monotonic(), port.read_bytes()
-        place = _judged(before, port)
+        place = judged(before, port)
         assert place > 0
         until(lambda port=port, place=place, before=before: port.read_bytes()[place:][:8] != before[place:][:8])
         assert time.monotonic() - began < 15.0

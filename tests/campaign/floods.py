@@ -106,8 +106,7 @@ def attack(seed: int, directory: Path) -> None:
         before = watch.rate(4.0)
         clients: list[subprocess.Popen] = []
         during = watch.rate(LENGTH, lambda: _flood(clients, what, random.Random(seed)))
-        for client in clients:
-            client.wait(30.0)
+        watch.until(lambda: all(c.poll() is not None for c in clients), 60.0, "the end of a flooding client")
         if what in ("pauses", "steps", "simulation"):
             call(Trigger, "/dc_motor_plant/resume")
         after = watch.rate(4.0)

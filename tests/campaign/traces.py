@@ -9,7 +9,7 @@ from pathlib import Path
 
 from softrig_core import RunError
 from softrig_nodes.processes.domain import free_domain
-from softrig_nodes.processes.shared_memory import AGE, _is_abandoned, remove_leftovers
+from softrig_nodes.processes.shared_memory import AGE, FAST, _is_abandoned, remove_leftovers
 
 SHARED = Path("/dev/shm")
 
@@ -43,7 +43,7 @@ def orphans(directory: Path, seconds: float = 15.0) -> list[int]:
 
 def segments() -> set[str]:
     """Give the names of what the middleware has in shared memory now."""
-    return {p.name for p in SHARED.glob("*fastrtps_*")}
+    return {p.name for fast in FAST for p in SHARED.glob(f"*{fast}*")}
 
 
 def left_in_memory(before: set[str], domain: int | None) -> list[str]:
@@ -59,7 +59,7 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
         except RunError:
             domain = None
         first = 7400 + 250 * (-1000 if domain is None else domain)
-        ours = {f"fastrtps_port{n}" for n in range(first, first + 250)}
+        ours = {f"{fast}port{n}" for fast in FAST for n in range(first, first + 250)}
         for _ in range(3):
             time.sleep(AGE + 0.1)  # the clearing itself leaves alone what is younger
             remove_leftovers(domain)

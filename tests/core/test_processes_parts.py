@@ -407,6 +407,8 @@ class Watched:
             most=most, counts={}, check=lambda children: self.failed, why=lambda member: "; again"
         )
         self.announced = []
+        self.domains = []
+        monkeypatch.setattr(supervision, "DeadLocks", lambda: SimpleNamespace(release=self.domains.append))
         self.failed, self.looks, self.stopping, self.logs = [], [], SimpleNamespace(number=0, check=lambda: None), {}
         self.rig = SimpleNamespace(scenario=SimpleNamespace(start_timeout=30.0, timeout=10.0, duration=5.0))
         clock = SimpleNamespace(monotonic=lambda: self.now, time=lambda: 1000.0 + self.now, sleep=self._pass)
@@ -453,8 +455,10 @@ class Watched:
             self.stopping,
             self.restarts,
             SimpleNamespace(update=lambda: None),
+            7,
             self.announced.append,
         )
+        assert set(self.domains) == {7}
         return text, round(self.now - 100.0, 1)
 
 

@@ -63,7 +63,7 @@ class Stage:
             made.append(child)
         return made
 
-    def _supervise(self, rig, children, progress, guests, realtime, stopping, restarts, clock, announce):
+    def _supervise(self, rig, children, progress, guests, realtime, stopping, restarts, clock, domain, announce):
         self.asked.append(("watch", [c.member.name for c in children], realtime, restarts.most))
         if self.failing:
             raise self.failing
@@ -297,7 +297,7 @@ def test_where_a_port_keeps_the_time_of_its_last_look_is_found_or_nothing_is_wri
         (port_of_fast_dds(8, size=43), -1),  # cut
         (struct.pack("=I", 7411) + port_of_fast_dds(12), 16),  # the number stands elsewhere, too
     ):
-        assert shared_memory._judged(segment, path) == place
+        assert shared_memory.judged(segment, path) == place
         path.write_bytes(segment)
         ears = shared_memory.Ears()
         ears._good = {path: path.stat().st_ino}

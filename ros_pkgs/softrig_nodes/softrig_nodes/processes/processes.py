@@ -140,6 +140,7 @@ def run_processes(
                         stopping,
                         restarts,
                         clock,
+                        domain,
                         listener.announce,
                     )
                 except KeyboardInterrupt as interrupt:

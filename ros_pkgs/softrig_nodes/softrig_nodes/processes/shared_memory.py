@@ -20,6 +20,8 @@ LOOKS = 100  # in AGE, and in as much longer as this process is kept from lookin
 SIZE = 1_250_000  # bytes that the segments and ports of a node take
 RECENT = 1e9  # s: a time within so much of now is one
 MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
+FAST = ("fastrtps_", "fastdds_")  # names of Fast DDS 2 (Jazzy) and Fast DDS 3 (Kilted) begin so
+PORT = re.compile(r"(?:fastrtps|fastdds)_port(\d+)")
 
 
 def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
@@ -39,15 +41,16 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
         A ROS_DOMAIN_ID in which no node runs or starts: its ports are removed, even those that were never locked.
     """
     removed = 0
-    locked = {p.name[:-3] for p in (*folder.glob("fastrtps_*_el"), *folder.glob("fastrtps_*_sl"))}
-    ports = {p.name for p in folder.glob("fastrtps_port*") if p.name[-3:] not in ("_el", "_sl")}
-    stems = {s for s in locked if not s.startswith("fastrtps_port")}
-    stems |= {p for p in ports if _unfinished(folder / p) and _older(folder / p, ABANDONED)}
-    # a reader who is making one of these has it before he locks it
-    stems |= {
-        p for n in FLOWS if (p := f"fastrtps_port{n}") in locked or (p in ports and _older(folder / p, ABANDONED))
-    }
-    stems |= {f"fastrtps_port{n}" for n in (of_domain(domain) if domain is not None else ())} & (ports | locked)
+    files = {name for name in listed(folder) if name.startswith(FAST)}
+    locked = {name[:-3] for name in files if name.endswith(("_el", "_sl"))}
+    ports = {name: int(match[1]) for name in files | locked if (match := PORT.fullmatch(name))}
+    stems = {s for s in locked if s not in ports}
+    for name in ports:
+        old = name in files and _older(folder / name, ABANDONED)
+        # a reader that creates a port of `FLOWS` has created its file before it locks it
+        if (old and _unfinished(folder / name)) or (ports[name] in FLOWS and (name in locked or old)):
+            stems.add(name)
+    stems |= {name for name, number in ports.items() if domain is not None and number in of_domain(domain)}
     for stem in sorted(stems):
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
         # the locks last, and held until then: a node that starts now must not take the port meanwhile
@@ -72,12 +75,9 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
     domain : int
         ROS_DOMAIN_ID; others may be in it.
     """
-    # of the whole host those of nodes that are not ours, too: they do not look, and would hang
-    ours = {f"fastrtps_port{n}" for n in (*range(FLOWS[0], BASE), *of_domain(domain))}
     counts: dict[tuple[str, int], int] = {}
     while True:
-        there = os.listdir(folder) if folder.is_dir() else []
-        unfinished = [folder / name for name in there if name in ours and _unfinished(folder / name)]
+        unfinished = [path for path in map(Path, ports_of(domain, folder)) if _unfinished(path)]
         counts = {key: counts.get(key, 0) + 1 for key in ((p.name, _inode(p)) for p in unfinished)}
         for port in (
             folder / name for (name, inode), n in counts.items() if n > LOOKS and _inode(folder / name) == inode
@@ -94,8 +94,23 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
 
 def numbers(folder: Path = FOLDER) -> set[int]:
     """Return the numbers of all ports that have a file, of any process."""
-    there = os.listdir(folder) if folder.is_dir() else []
-    return {int(match[1]) for name in there if (match := re.match(r"fastrtps_port(\d+)", name))}
+    return {int(match[1]) for name in listed(folder) if (match := PORT.match(name))}
+
+
+def ports_of(domain: int, folder: Path = FOLDER) -> list[str]:
+    """Return the paths of the ports at which nodes of a domain may listen.
+
+    Some of them belong to no domain, so those of other domains are among these. Nodes that are not ours do not check
+    their ports; a half-created one stops them, too.
+    """
+    own, others = of_domain(domain), range(FLOWS[0], BASE)
+    found = [(name, int(match[1])) for name in listed(folder) if "_port" in name and (match := PORT.fullmatch(name))]
+    return [f"{folder}/{name}" for name, number in found if number in own or number in others]
+
+
+def listed(folder: Path) -> list[str]:
+    """Return the names of the files of a folder; none if it does not exist."""
+    return os.listdir(folder) if folder.is_dir() else []
 
 
 def lacking(processes: int, folder: Path = FOLDER) -> str:
@@ -161,18 +176,18 @@ class Ears:
         for path, inode in self._good.items():
             with suppress(OSError), path.open("r+b", buffering=0) as file:
                 if (place := self._places.get((path, inode))) is None:
-                    place = self._places[path, inode] = _judged(file.read(), path)
+                    place = self._places[path, inode] = judged(file.read(), path)
                 if place >= 0 and os.fstat(file.fileno()).st_ino == inode:
                     os.pwrite(file.fileno(), struct.pack("=q", time.time_ns() // 1_000_000), place)
 
 
-def _judged(segment: bytes, path: Path) -> int:
+def judged(segment: bytes, path: Path) -> int:
     """Return where a port stores the time (ms) of the last look at its readers; -1 if this cannot be found.
 
-    In Fast DDS 2.14 (`SharedMemGlobal::PortNode`) the number of the port, its readers, the time after which it is
-    judged and a third of that time are stored 20 bytes further on.
+    In Fast DDS 2.14 and 3.2 (`SharedMemGlobal::PortNode`) the number of the port, its readers, the time after which it
+    is judged and a third of that time are stored 20 bytes further on.
     """
-    number = struct.pack("=I", int(path.name.removeprefix("fastrtps_port")))
+    number = struct.pack("=I", int(path.name.partition("_port")[2]))
     for result in re.finditer(re.escape(number), segment):
         at = result.start() - 20
         if at < 0 or at % 8 or at + 36 > len(segment):
@@ -197,7 +212,7 @@ def _own() -> set[Path]:
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):
             target = os.readlink(entry).removesuffix(" (deleted)")
-            if "/fastrtps_port" in target and target.endswith("_el"):
+            if target.endswith("_el") and PORT.search(target):
                 result.add(Path(target.removesuffix("_el")))
     return result
 
@@ -206,7 +221,7 @@ def _mapped() -> dict[Path, set[int]]:
     """Return the inodes of the ports that this process has mapped, by the names they had."""
     result: dict[Path, set[int]] = {}
     for line in Path("/proc/self/maps").read_text().splitlines():
-        if "/fastrtps_port" in line:
+        if PORT.search(line):
             *_, inode, name = line.removesuffix(" (deleted)").split(maxsplit=5)
             result.setdefault(Path(name), set()).add(int(inode))
     return result

@@ -14,6 +14,7 @@ from softrig_core.rig.rig import Rig
 from softrig_core.run.stuck import STUCK
 
 from .children import Child, is_held, last_line, read_status
+from .dead_locks import DeadLocks
 from .guests import Guests
 from .peers import starter
 from .restarting import Restarts
@@ -32,6 +33,7 @@ def supervise(
     stopping: Stopping,
     restarts: Restarts,
     clock: SystemClock,
+    domain: int,
     announce: Callable[[str], object] | None = None,
 ) -> str:
     """Wait until all nodes have ended or one has failed; return the reason of a failure.
@@ -44,11 +46,12 @@ def supervise(
     """
     comes_up = time.monotonic() + rig.scenario.start_timeout
     late = math.inf if realtime else time.monotonic() + rig.scenario.timeout
-    first = starter(rig)
+    first, locks = starter(rig), DeadLocks()
     last, before, moved, logged = -1, dict[str, Any](), time.monotonic(), set[str]()
     while True:
         stopping.check()
         clock.update()
+        locks.release(domain)
         running = [c for c in children if c.process.poll() is None]
         started = dict(restarts.counts)
         if failed := restarts.check(children):

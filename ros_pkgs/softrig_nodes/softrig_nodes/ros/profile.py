@@ -16,13 +16,14 @@ import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from tempfile import NamedTemporaryFile
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from softrig_core.kit.resource import prefixes
 
+from ..processes.dead_locks import DeadLocks
 from ..processes.executables import LOOPBACK, NO_MEMORY, PROFILE, given_profile, leased
 from ..processes.ports import chosen
 from ..processes.shared_memory import Ears, clear_ports, domain_id, lacking, numbers
@@ -97,8 +98,12 @@ def third() -> bool:
 
 
 def watch_ports(node: Node) -> None:
-    """Check the ports of a tool's node each second, so that a process that opens one knows that it is alive."""
-    node.create_timer(1.0, Ears().lost, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    """Check the ports of a tool's node each second, so that a process that opens one knows that it is alive.
+
+    Locks that killed processes held in ports of its domain are freed, too.
+    """
+    for check in (Ears().lost, partial(DeadLocks().release, domain_id())):
+        node.create_timer(1.0, check, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def own(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> bytes:

@@ -50,6 +50,7 @@ from ..below.uses import (
     services,
     works,
 )
+from ..processes.dead_locks import DeadLocks
 from ..processes.shared_memory import Ears, domain_id
 from ..seam.middleware import Matched, Middleware, Numbered, Peer, Place, Reader, Receive, Send
 from ..seam.monitor import Monitor
@@ -378,7 +379,7 @@ class RosTimer:
 class RosMiddleware(Middleware):
     """One rclpy node; see `Middleware` for the methods."""
 
-    _ears = Ears()  # one for all nodes of a process
+    _ears, _locks = Ears(), DeadLocks()  # one for all nodes of a process
 
     def __init__(self, node: ServingNode) -> None:
         self.node = node
@@ -583,7 +584,8 @@ class RosMiddleware(Middleware):
         return dict(self.node.get_topic_names_and_types())
 
     def deaf(self) -> str:
-        """Report that a port in shared memory was taken away."""
+        """Report that a port in shared memory was taken away, and free the ports of killed processes."""
+        self._locks.release(domain_id())
         lost = self._ears.lost()
         return (
             f"receives no messages any more: its port {lost} in shared memory was removed by another process"
