@@ -53,3 +53,11 @@ def test_a_run_in_a_notebook(blocks, tmp_path, monkeypatch, capsys):
     exec(blocks[3], known)
     assert "<Run of dc_motor_smc_b2 (inprocess, seed 0)" in capsys.readouterr().out
     assert (tmp_path / "speed.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.long
+def test_runs_come_back_from_processes(blocks):
+    known = {}
+    exec("from softrig_core import simulate\n" + blocks[5], known)
+    for run in known["runs"]:
+        assert run.recording.topics == known["simulate"](run.rig).recording.topics

@@ -1,6 +1,7 @@
 """Recordings, shards and signals against lists of messages: whatever way messages come, and wherever a file is cut."""
 
 import json
+import pickle
 import struct
 from itertools import pairwise
 
@@ -184,6 +185,8 @@ def test_of_columns_on_the_disk_only_the_last_few_stay_in_memory(tmp_path, monke
         assert found[name].t.tolist() == (np.arange(9) / 1e9).tolist()
         assert len(found._recent) <= signals_module.KEPT
     assert found["rig/state/x/position"].x is found["rig/state/x/position"].x
+    # another process has the numbers, not the file
+    assert pickle.loads(pickle.dumps(found.recording)).topics == found.recording.topics
 
 
 def stretches():

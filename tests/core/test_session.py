@@ -2,6 +2,7 @@
 
 import gc
 import math
+import pickle
 import random
 import signal as signals_of_the_system
 from types import SimpleNamespace
@@ -463,3 +464,14 @@ def test_figures_that_are_measured_while_it_runs_are_reported_what_and_how_often
         if reported:
             assert member.params.period == 0.01
         assert rig.scenario.nodes["shown"].parameters == given
+
+
+def test_a_run_comes_back_from_another_process_whole():
+    """As joblib and multiprocessing return it."""
+    run = simulate(judged(), seed=3)
+    back = pickle.loads(pickle.dumps(run))
+    assert back.recording.topics == run.recording.topics
+    assert (back.figures, back.results, back.seed, back.reached_s) == (run.figures, run.results, 3, run.reached_s)
+    there = pickle.loads(pickle.dumps(simulate(wired()))).branch(0.05, {"law.k": 1.0})
+    assert there.recording.topics == simulate(wired()).branch(0.05, {"law.k": 1.0}).recording.topics
+    assert pickle.loads(pickle.dumps(back)).figures == run.figures

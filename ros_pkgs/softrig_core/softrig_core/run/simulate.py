@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -90,6 +90,18 @@ class Run:
     changed: str = ""
     branched: list[dict[str, Any]] = field(default_factory=list)
     kernels: Mapping[str, str] = field(default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: the rigs as scenario and classes, without blocks and what is computed on demand."""
+        kept = {f.name: getattr(self, f.name) for f in fields(self)} | {"blocks": {}, "wanted": None}
+        for name in ("rig", "begun"):
+            if (rig := kept[name]) is not None:
+                kept[name] = rig.scenario, {m.name: m.block_class for m in rig.members}
+        return kept
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        rigs = {n: rig_of(made[0], classes=made[1]) for n in ("rig", "begun") if (made := state[n]) is not None}
+        self.__dict__.update({**state, **rigs})
 
     @property
     def stopped_at(self) -> str:

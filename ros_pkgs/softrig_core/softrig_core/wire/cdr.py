@@ -172,6 +172,10 @@ class Layout:
         whole = struct.Struct(f"{form}{self.length - at}x")
         self.encode, self.decode = _coders(whole, wire, self.size, [data for _, _, data in self._fixed], numbered)
 
+    def __reduce__(self) -> tuple[type[Layout], tuple[Any, ...]]:
+        """Pickle what it was made of, since its functions are generated."""
+        return Layout, self.form
+
     def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Return the bytes of n messages as an array of shape (n, length); each row is a result of `encode`.
 

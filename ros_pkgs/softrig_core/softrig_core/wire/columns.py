@@ -142,6 +142,10 @@ class Stored(NamedTuple):
     first: int
     layout: Layout
 
+    def __reduce__(self) -> tuple[type[Columns], tuple[Any, ...]]:
+        """Pickle the numbers themselves, since another process has not opened the file."""
+        return Columns, tuple(self.part(0, self.number))
+
     @property
     def number(self) -> int:
         """Return how many messages there are."""

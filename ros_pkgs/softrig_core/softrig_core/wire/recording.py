@@ -142,6 +142,10 @@ class ShardWriter:
         self._file.close()
 
 
+def _nothing() -> None:
+    """Do nothing."""
+
+
 class Topic:
     """All messages of one topic: tick times in ns and message bytes.
 
@@ -155,7 +159,12 @@ class Topic:
         self._data: list[bytes] = []
         self._columns: list[Columns | Stored] = []
         self._timed = self._made = 0  # so many of the columns are in the lists
-        self.settle: Callable[[], object] = lambda: None  # brings what is still under way
+        self.settle: Callable[[], object] = _nothing  # brings what is still under way
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle all messages; what a tick adds afterwards is not in the copy."""
+        self.settle()
+        return self.__dict__ | {"settle": _nothing}
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Topic):
@@ -264,7 +273,11 @@ class Recording:
     def __init__(self, topics: Iterable[tuple[str, str]]) -> None:
         self.topics = {name: Topic(name, msgtype) for name, msgtype in topics}
         self._order = list(self.topics.values())
-        self.release: Callable[[], object] = lambda: None  # removes the files that it reads from, where it owns some
+        self.release: Callable[[], object] = _nothing  # removes the files that it reads from, where it owns some
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle without the files, since topics pickle what they read from them."""
+        return self.__dict__ | {"release": _nothing}
 
     def newest(self, default: int) -> int:
         """Return the time of the newest message, ns; the default without one."""
