@@ -1,17 +1,17 @@
-"""A middleware that is moved by hand: nothing happens in it but what a test does; what the node does to it is kept."""
+"""A middleware that the test steps: nothing happens in it but what a test does; calls of the node are recorded."""
 
 from softrig_nodes.seam.middleware import Middleware, Peer, Reader
 
 
 class Listening(Reader):
-    """Hands what comes to functions."""
+    """Passes messages on to functions."""
 
     def __init__(self, receive, matched=lambda count: None):
         self.receive, self.matched = receive, matched
 
 
 class HandTimer:
-    """A timer of which is known what was asked of it last: ns to its first call, period; None: cancelled."""
+    """A timer that records its last request: ns to its first call, period; None: cancelled."""
 
     def __init__(self, ns, call):
         self.call, self.asked = call, [(ns, 0)]
@@ -28,7 +28,7 @@ class HandTimer:
 
 
 class Hand(Middleware):
-    """One node's: `time` is what its clocks say, ns."""
+    """The middleware of one node: `time` is the time of its clocks, ns."""
 
     def __init__(self, name="node", time=0):
         self.name, self.full_name, self.time = name, f"/{name}", time
@@ -83,7 +83,7 @@ class Hand(Middleware):
 
 
 class Kept:
-    """A sink: what was recorded."""
+    """A sink that keeps what was recorded."""
 
     def __init__(self):
         self.said = []

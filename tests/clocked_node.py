@@ -1,4 +1,4 @@
-"""A controller as many are written: a timer or a callback, no stamp copied. ``clocked_node.py KIND``."""
+"""A typical outside controller: a timer or a callback, stamps not copied. ``clocked_node.py KIND``."""
 
 import sys
 
@@ -11,7 +11,7 @@ KP, KI, PERIOD, LIMIT = 0.8, 0.2, 0.01, 12.0
 
 
 class Pi(Node):
-    """PI of the motor's speed; twice, late, silent or wrong where it is told so."""
+    """PI controller of the motor's speed; publishes twice, late, never or wrong numbers if its arguments say so."""
 
     def __init__(self, kind: str) -> None:
         super().__init__("pi")

@@ -50,7 +50,7 @@ CLOCKS = {name: getattr(time, name) for name in ("monotonic", "perf_counter", "t
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown():
-    """Refuse a clock that a test leaves behind: threads of the next ones would wait for ever."""
+    """Refuse a clock that a test leaves behind: threads of the next ones would wait forever."""
     yield
     assert {name: getattr(time, name) for name in CLOCKS} == CLOCKS
 
@@ -71,7 +71,7 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 def few(values, most):
-    """Give parameters of which `most`, spread evenly, are for each day, and the others for the long set."""
+    """Return parameters of which `most`, spread evenly, are run daily, and the others in the long set."""
     values = list(values)
     daily = [k for k, value in enumerate(values) if not getattr(value, "marks", ())]
     kept = {daily[round(k * (len(daily) - 1) / max(1, most - 1))] for k in range(min(most, len(daily)))}
@@ -139,7 +139,7 @@ rclpy.spin_until_future_complete(node, client.call_async(Trigger.Request()))
 
 
 def until(condition, what=str):
-    """Wait for something that other processes do; what is not written yet has not happened."""
+    """Wait for something that other processes do; a file that is not yet written counts as no."""
     deadline = time.monotonic() + PATIENCE
     while True:
         with suppress(KeyError, IndexError, FileNotFoundError):
@@ -154,7 +154,7 @@ POINT = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Each picture is a white point, where a test judges other things: files that are there, links, tables."""
+    """Draw each picture as a white point, for tests of other things: existing files, links, tables."""
 
     def save(figure, where, **_):
         (where.write if hasattr(where, "write") else where.write_bytes)(b64decode(POINT))
@@ -163,7 +163,7 @@ def undrawn(monkeypatch):
 
 
 class Bench:
-    """Real nodes on a domain of their own, started one by one, each with a status file and a shard."""
+    """Real nodes in a separate domain, started one by one, each with a status file and a shard."""
 
     def __init__(self, directory, domain):
         self.directory = directory
@@ -204,7 +204,7 @@ class Bench:
         until(condition, lambda: {n: self.status(n) for n in self.nodes})
 
     def ends(self, name):
-        """Wait until a process has ended; gives its exit status."""
+        """Wait until a process has ended; return its exit status."""
         status = self.nodes[name].wait(PATIENCE)
         del self.nodes[name]
         return status
@@ -229,7 +229,7 @@ def bench(tmp_path):
 
 
 def fork(stack, package, executable, command, variables, folder="."):
-    """Start a process of the fork server, which spares its imports; `communicate` is as subprocess.Popen has it."""
+    """Start a process of the fork server, which saves its imports; `communicate` is as in subprocess.Popen."""
     output = stack.enter_context(TemporaryFile("w+"))  # noqa: SIM115
     with chdir(folder):
         process = start_node(package, executable, list(map(str, command)), variables, output.fileno())
@@ -244,7 +244,8 @@ def fork(stack, package, executable, command, variables, folder="."):
 
 
 def replay(folder, bag, answered, node, *options):
-    """Play a bag in lockstep into one real node (package, executable, arguments); gives the player's status and words.
+    """Play a bag in lockstep into one real node (package, executable, arguments); return the player's status and
+    output.
 
     Both come from the fork server.
     """
@@ -272,7 +273,7 @@ def ears(process):
 
 
 def processes_of(directory):
-    """Command lines, by pid, of the processes of a run that are alive: they name the run's parameter files."""
+    """Command lines, by pid, of the living processes of a run: they name the run's parameter files."""
     result = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():

@@ -1,4 +1,4 @@
-"""Whatever a port takes live is recorded, read, shown, compared and exported by name, whatever form it has.
+"""Messages in every form that a port accepts are recorded, read, shown, compared and exported by name.
 
 A node outside may change the form of its messages while it runs: order of the channels, further fields, of any length,
 the other names that a port knows, the byte order. The measure is `Decoder`, by which the port took them.
@@ -37,7 +37,7 @@ PORTS = (COMMAND, GAINS, PUSH, PLAN)
 
 
 class Plant(Block[BlockParams]):
-    """Reads all."""
+    """A plant that subscribes to all four ports."""
 
     @classmethod
     def ports(cls, params):
@@ -48,7 +48,7 @@ class Plant(Block[BlockParams]):
 
 
 class Law(Block[BlockParams]):
-    """Is outside."""
+    """Stands for a controller that is an external node."""
 
     @classmethod
     def ports(cls, params):
@@ -60,7 +60,7 @@ class Law(Block[BlockParams]):
 
 
 def big_endian(t, names, values):
-    """A JointState with efforts alone, most significant byte first."""
+    """A JointState with efforts only, most significant byte first."""
     data = struct.pack(">II", *divmod(t, 10**9)) + struct.pack(">I", 1) + b"\0"
 
     def padded(data, size):
@@ -76,7 +76,7 @@ def big_endian(t, names, values):
 
 
 def command(chance, t):
-    """A command in one of the forms that the port takes."""
+    """A command in one of the forms that the port accepts."""
     names = list(chance.choice([COMMAND.channels, COMMAND.also]))
     if chance.random() < 0.7:
         chance.shuffle(names)
@@ -117,7 +117,7 @@ def plan(chance, t):
 
 @pytest.fixture(scope="module", params=range(3))
 def taken(request):
-    """A recording in which forms change, and what the port took of each message."""
+    """A recording in which the form of the messages changes, and the values that the port read from each message."""
     chance = random.Random(request.param)
     recording = Recording([*((port.topic, port.msgtype) for port in PORTS), ("/clock", "rosgraph_msgs/msg/Clock")])
     values = {}
@@ -137,13 +137,13 @@ def rig():
 
 
 def check(result, values):
-    """Each value of the ports, of all messages."""
+    """Compare each value of the ports, for all messages."""
     for topic, columns in values.items():
         for label, x in columns.items():
             assert np.array_equal(result(topic).columns[label], x), (topic, label)
 
 
-def test_a_run_has_what_its_port_took(taken, rig):
+def test_a_run_has_the_values_that_its_port_read(taken, rig):
     recording, values = taken
     result = Signals(recording).known_as(other_names(rig))
     check(result.table, values)
@@ -152,7 +152,7 @@ def test_a_run_has_what_its_port_took(taken, rig):
         assert np.array_equal(source.curve(f"{COMMAND.topic}/{label}").y[:60], x)
 
 
-def test_a_page_has_what_its_port_took(taken, rig):
+def test_a_page_has_the_values_that_its_port_read(taken, rig):
     recording, values = taken
     page = Growing(rig)
     for first in range(0, 60, 7):
@@ -164,7 +164,7 @@ def test_a_page_has_what_its_port_took(taken, rig):
     check(page.pane(0.0, 1.0).table, values)
 
 
-def test_a_bag_has_what_its_port_took(taken, rig, tmp_path, capsys):
+def test_a_bag_has_the_values_that_its_port_read(taken, rig, tmp_path, capsys):
     recording, values = taken
     write_bag(tmp_path / "bag", recording)
     raw, named = signals(tmp_path / "bag"), signals(tmp_path / "bag").known_as(other_names(rig))
@@ -186,7 +186,7 @@ def test_a_bag_has_what_its_port_took(taken, rig, tmp_path, capsys):
         )
 
 
-def test_joints_in_another_order_are_compared_by_name(tmp_path, capsys):
+def test_joints_in_a_different_order_are_compared_by_name(tmp_path, capsys):
     names = ("a", "b", "c")
     for bag, change in (("one", 0.0), ("other", 0.0), ("wrong", 1e-9)):
         recording, chance = Recording([("u", STATE)]), random.Random(bag)
@@ -204,7 +204,7 @@ def test_joints_in_another_order_are_compared_by_name(tmp_path, capsys):
     assert "u b/effort: " in capsys.readouterr().out
 
 
-def test_a_report_of_several_runs_has_what_their_ports_took(taken, rig, tmp_path, monkeypatch):
+def test_a_report_of_several_runs_has_the_values_that_their_ports_read(taken, rig, tmp_path, monkeypatch):
     recording, values = taken
     labels, drawn = values[COMMAND.topic], []
     plots = [{"title": "u", "signals": {f"{COMMAND.topic}/{label}": label for label in labels}}]
@@ -225,7 +225,7 @@ def test_a_report_of_several_runs_has_what_their_ports_took(taken, rig, tmp_path
 
 
 def test_texts_that_a_table_does_not_show_are_named(tmp_path, capsys):
-    """A bag with texts, one frame that stays and one that changes: each file says what it lacks."""
+    """A bag with texts, one constant frame and one that changes: each exported file names what it leaves out."""
     text = "std_msgs/msg/String"
     recording = Recording([("said", text), ("silent", text), ("still", WRENCH), ("moved", WRENCH)])
     for k in range(4):
@@ -241,7 +241,7 @@ def test_texts_that_a_table_does_not_show_are_named(tmp_path, capsys):
     ]
 
 
-def test_a_message_with_one_name_twice_is_read_by_place_and_the_others_by_name(tmp_path):
+def test_a_message_with_a_repeated_name_is_read_by_position_and_the_others_by_name(tmp_path):
     recording, forms = Recording([("joints", STATE)]), [("a", "a"), ("a", "b"), ("", "b"), ("a", "b")]
     for k, names in enumerate(forms):
         recording.add(0, k, Layout(STATE, "", names, {"effort": 2}).encode(k, (k + 1.0, -k - 1.0)))

@@ -43,7 +43,7 @@ def text(words):
 
 
 def written(options, index, chunks, compression):
-    """A file of two topics, of messages of equal and of unequal lengths, one of which comes late in the file."""
+    """A file of two topics, with messages of equal and of different lengths; one message is out of order."""
     out = BytesIO()
     writer = Writer(
         out, index_types=index, use_chunking=chunks[0], chunk_size=chunks[1], compression=compression, **options
@@ -64,7 +64,7 @@ def written(options, index, chunks, compression):
 
 
 def by_their_reader(content):
-    """Messages by time, equal times as written, by the reader that needs no index."""
+    """Messages by time, equal times in written order, read by the library's reader that needs no index."""
     rows = [
         (channel.topic, message.log_time, message.data)
         for _, channel, message in NonSeekingReader(BytesIO(content)).iter_messages(log_time_order=False)
@@ -90,7 +90,7 @@ def test_all_optional_parts_in_all_combinations_give_the_same_messages(tmp_path,
     assert count == 16 * 4 * (3 if chunks[0] else 1)
 
 
-def test_what_the_statistics_claim_is_held_against_what_is_there(tmp_path, capsys):
+def test_the_counts_of_the_statistics_are_compared_with_the_messages(tmp_path, capsys):
     content = written(dict.fromkeys(PARTS, True), IndexType.ALL, (True, 400), CompressionType.NONE)
     at = content.rindex(struct.pack("<HQHQ", 1, 12, 2, 5))
     changed = bytearray(content)
@@ -107,7 +107,7 @@ def test_what_the_statistics_claim_is_held_against_what_is_there(tmp_path, capsy
 
 @pytest.mark.parametrize("wrong", ["short", "outside", "other", "empty"])
 def test_an_index_that_is_wrong_or_lacks_messages_loses_none(tmp_path, wrong):
-    """An index is a hint: the records of the chunk are the truth."""
+    """An index is only a hint: the records of the chunk decide."""
     content = bytearray(written(dict.fromkeys(PARTS, True), IndexType.ALL, (True, 1 << 20), CompressionType.NONE))
     at = content.index(struct.pack("<BQH", 7, 6 + 16 * 12, 1)) + 11
     entries = at + 4
@@ -134,7 +134,7 @@ def test_a_file_that_is_cut_is_refused(tmp_path, share):
 
 
 def lengths(seed):
-    """Lengths of messages: some repeat with a period, with others between."""
+    """Lengths of messages: some repeat with a period, with others in between."""
     chance = np.random.default_rng(seed)
     pattern = chance.integers(0, 40, chance.integers(1, 9)).tolist()
     result = []
@@ -145,8 +145,8 @@ def lengths(seed):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_messages_that_follow_each_other_are_found_as_by_counting(seed):
-    """Whatever their lengths; with another record at the end, and cut in the last one."""
+def test_successive_messages_are_found_as_by_counting(seed):
+    """For any lengths, with another type of record at the end, and with a truncated last message."""
     content, starts = b"", []
     for n in lengths(seed):
         starts.append(len(content))
@@ -158,7 +158,7 @@ def test_messages_that_follow_each_other_are_found_as_by_counting(seed):
         assert (result.tolist(), after) == (starts, end)
 
 
-def test_a_channel_that_comes_late_and_two_of_one_topic_are_one_topic(tmp_path):
+def test_a_second_channel_of_a_topic_that_appears_late_belongs_to_the_same_topic(tmp_path):
     out = BytesIO()
     writer = Writer(out, chunk_size=60, repeat_channels=False, use_statistics=False)
     writer.start()
@@ -194,7 +194,7 @@ def test_two_types_on_one_topic_are_both_read(tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["x (a.msg.Int).csv", "x.csv"]
 
 
-def test_a_chunk_that_begins_before_it_claims_is_damaged(tmp_path):
+def test_a_chunk_whose_messages_begin_before_its_stated_start_is_damaged(tmp_path):
     content = bytearray(written({}, IndexType.NONE, (True, 1 << 20), CompressionType.NONE))
     at = content.index(struct.pack("<QQ", 0, 104)) if struct.pack("<QQ", 0, 104) in content else 0
     assert at
@@ -204,8 +204,8 @@ def test_a_chunk_that_begins_before_it_claims_is_damaged(tmp_path):
 
 
 @pytest.mark.parametrize("chunks", [(True, 90), (False, 0)], ids=str)
-def test_any_damage_gives_messages_or_a_plain_refusal(tmp_path, chunks):
-    """Without checksums, so that nothing shields the reader."""
+def test_any_damage_gives_messages_or_a_one_line_refusal(tmp_path, chunks):
+    """Without checksums, so that the reader itself must notice the damage."""
     whole = bytearray(written(dict.fromkeys(PARTS, True), IndexType.ALL, chunks, CompressionType.NONE))
     at = 8
     while at + 9 <= len(whole):
@@ -234,8 +234,8 @@ def test_any_damage_gives_messages_or_a_plain_refusal(tmp_path, chunks):
     assert 20 < refused < 140
 
 
-def test_the_types_of_our_own_topics_are_as_the_library_of_all_types_has_them():
-    """Definition and hash, which are at hand without it."""
+def test_the_types_of_our_topics_equal_those_of_the_library_of_all_types():
+    """Definition and hash, which softrig has without that library."""
     for msgtype in known._HASHES:
         written, _ = typestore().generate_msgdef(msgtype, ros_version=2)
         assert known.definition_of(msgtype) == (written, typestore().hash_rihs01(msgtype)), msgtype

@@ -51,7 +51,7 @@ FORMATS = [("mcap", "none"), ("mcap", "zstd"), ("sqlite3", "none")]
 
 
 def recording(ticks=50, period=1_000_000, gain=1.0) -> Recording:
-    """Two topics and the clock; the second answers only every fourth tick."""
+    """Two topics and the clock; the second publishes only at every fourth tick."""
     clock = Layout("rosgraph_msgs/msg/Clock")
     state = Layout(STATE, "", ["a", "b"], {"position": 2, "velocity": 2})
     command = Layout(STATE, "", ["a"], {"effort": 1})
@@ -75,7 +75,7 @@ def size(directory: Path) -> int:
 
 @pytest.fixture
 def file_limit():
-    """Function that makes the kernel refuse writes beyond a file size, as a full disk does."""
+    """Return a function that makes the kernel refuse writes beyond a file size, as a full disk does."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     yield lambda n: resource.setrlimit(resource.RLIMIT_FSIZE, (n, hard))
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -139,8 +139,8 @@ POLICIES = {
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_messages_come_by_time_then_topic_and_those_of_a_topic_as_they_came(seed):
-    """Some late ones among them, as a run in real time may have; topics without any; none at all."""
+def test_messages_are_ordered_by_time_then_topic_and_within_a_topic_by_arrival(seed):
+    """Some are late, as in a real-time run; some topics have no messages; one bag has none at all."""
     rng, topics = random.Random(seed), seed % 5
     result = Recording((f"t{k}", STATE) for k in range(topics))
     streams = []
@@ -273,7 +273,7 @@ def test_a_full_disk_leaves_no_bag_behind(tmp_path, file_limit, storage):
 
 
 @pytest.mark.parametrize(("storage", "compression"), FORMATS)
-def test_read_gives_back_what_was_written(tmp_path, storage, compression):
+def test_reading_returns_what_was_written(tmp_path, storage, compression):
     source = recording(ticks=4000)
     write_bag(tmp_path / "bag", source, storage=storage, compression=compression)
     result = read_bag(tmp_path / "bag")
@@ -390,7 +390,7 @@ def test_bags_of_other_recorders_are_read(tmp_path, make):
 
 
 def foreign_bag(directory: Path, start: int = 0) -> None:
-    """An Imu with a header, an array of varying length, text, and a type that nobody knows."""
+    """An Imu with a header, an array of varying length, text, and an unknown type."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
     time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
@@ -459,7 +459,7 @@ def test_export_as_tables(tmp_path):
         export(tmp_path / "bag", tmp_path / "out", "xlsx")
 
 
-def test_what_is_no_bag_is_named(tmp_path):
+def test_a_file_that_is_not_a_bag_is_named(tmp_path):
     with pytest.raises(BagError, match="does not exist"):
         read_bag(tmp_path / "none")
     with pytest.raises(BagError, match="not a bag"):
@@ -477,7 +477,7 @@ def test_what_is_no_bag_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("make", [humble_sqlite3, humble_mcap])
-def test_damage_that_shows_on_opening_is_named(tmp_path, make):
+def test_damage_that_shows_on_opening_is_reported(tmp_path, make):
     make(tmp_path / "bag", recording())
     file = next(p for p in (tmp_path / "bag").iterdir() if p.suffix in (".mcap", ".db3"))
     file.write_bytes(file.read_bytes().replace(b"/plant/state", b"/plant\xffstate"))
@@ -513,7 +513,7 @@ def test_the_first_difference_is_named():
     assert [t.equal for t in result.topics] == [True, True, False]
 
 
-def test_of_fields_that_agree_no_deviation_is_said():
+def test_no_deviation_is_reported_for_fields_that_agree():
     layout, pair = Layout(STATE, "", ["a"], {"position": 1, "velocity": 1}), []
     for velocity in (1.0, 1.5):
         pair.append(Recording([("state", STATE)]))
@@ -554,7 +554,7 @@ def test_missing_and_extra_messages_are_counted():
 
 
 def test_equal_stamps_are_paired_in_order():
-    """A delayed link repeats the acquisition time of the newest sample it has."""
+    """A delayed link repeats the acquisition time of its newest sample."""
     layout = Layout(STATE, "", ["a"], {"position": 1})
     one, two = Recording([("late", STATE)]), Recording([("late", STATE)])
     for k, stamp in enumerate([0, 0, 0, 5, 5]):
@@ -581,7 +581,7 @@ def test_names_frames_types_and_nan():
     assert json.loads(loose.to_json())["first"]["b"] == "nan"
 
 
-def test_bitwise_sees_what_numbers_do_not_show():
+def test_a_bitwise_comparison_finds_differences_that_numbers_do_not_show():
     other = recording()
     other.topics["command"].times[1] += 1
     assert compared(recording(), other).equal
@@ -605,7 +605,7 @@ def test_foreign_types_are_compared_by_field(tmp_path):
     assert json.loads(result.to_json())["topics"][0]["differing"] == 1
 
 
-def test_types_defined_in_the_bag_alone_are_paired_by_stamp(tmp_path):
+def test_types_defined_only_in_the_bag_are_paired_by_stamp(tmp_path):
     layout = Layout("geometry_msgs/msg/Vector3Stamped")
     definition = BagTopic.known("/x", layout.msgtype).definition
     for name, delay in (("a", 0), ("b", 3)):
@@ -640,14 +640,14 @@ def test_the_duration_of_a_trajectory_is_compared():
 
 
 def cut(directory: Path, share: float) -> None:
-    """Cut the storage file and take the metadata away, as a crash of recorder and machine may."""
+    """Truncate the storage file and delete the metadata, as a crash of recorder and machine may."""
     (directory / "metadata.yaml").unlink()
     file = next(directory.iterdir())
     os.truncate(file, int(file.stat().st_size * share))
 
 
-def test_a_cut_database_whose_pages_hang_on_what_is_gone_is_refused(tmp_path):
-    """A crash of the recorder cuts no database: its journal undoes what was not committed."""
+def test_a_truncated_database_with_pages_that_refer_to_missing_ones_is_refused(tmp_path):
+    """A crash of the recorder does not truncate a database: its journal undoes what was not committed."""
     write_bag(tmp_path / "bag", recording(ticks=20_000), storage="sqlite3")
     cut(tmp_path / "bag", 0.6)
     with pytest.raises(BagError, match=r"not one whole message in it; `sqlite3 FILE .recover` may find rows"):
@@ -675,7 +675,7 @@ def test_a_cut_bag_is_repaired(tmp_path, compression):
     assert str(again) == "nothing to repair"
 
 
-def test_a_damaged_chunk_costs_only_itself(tmp_path):
+def test_a_damaged_chunk_loses_only_its_own_messages(tmp_path):
     source = recording(ticks=20_000)
     write_bag(tmp_path / "bag", source)
     file = tmp_path / "bag/bag_0.mcap"
@@ -691,7 +691,7 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path):
 
 
 def damaged(content: bytes, chance: random.Random) -> bytes:
-    """Cut a file, or zero a sector, or write noise over a part."""
+    """Truncate a file, zero a sector, or write noise over a part."""
     at = chance.randrange(len(content))
     match chance.randrange(3):
         case 0:
@@ -704,8 +704,8 @@ def damaged(content: bytes, chance: random.Random) -> bytes:
 
 @pytest.mark.parametrize(("seeds", "least"), [(8, 3), pytest.param(20, 8, marks=pytest.mark.long)])
 @pytest.mark.parametrize("make", [humble_sqlite3, humble_mcap])
-def test_any_damage_gives_a_readable_bag_or_a_plain_refusal(tmp_path, make, seeds, least):
-    """The MCAP file is without checksums, so that nothing shields the parser."""
+def test_any_damage_gives_a_readable_bag_or_a_one_line_refusal(tmp_path, make, seeds, least):
+    """The MCAP file has no checksums, so that the parser itself must notice the damage."""
     options = {} if make is humble_sqlite3 else {"compression": CompressionType.NONE, "enable_crcs": False}
     make(tmp_path / "whole", recording(ticks=500), **options)
     file = next(p for p in (tmp_path / "whole").iterdir() if p.suffix in (".mcap", ".db3"))
@@ -724,7 +724,7 @@ def test_any_damage_gives_a_readable_bag_or_a_plain_refusal(tmp_path, make, seed
     assert repaired >= least
 
 
-def test_a_damaged_page_of_a_database_costs_its_rows_and_few_more(tmp_path):
+def test_a_damaged_page_of_a_database_loses_its_rows_and_few_more(tmp_path):
     source = recording(ticks=3000)
     write_bag(tmp_path / "bag", source, storage="sqlite3")
     file = tmp_path / "bag/bag_0.db3"
@@ -751,7 +751,7 @@ def test_a_database_that_ends_within_a_page_is_repaired(tmp_path):
     assert len(result) > 0.5 * len(whole)
 
 
-def test_a_single_database_is_repaired_with_write_permission_for_the_new_bag_alone(tmp_path, monkeypatch):
+def test_a_single_database_is_repaired_if_only_the_folder_of_the_new_bag_is_writable(tmp_path, monkeypatch):
     places = []
 
     def scratch(dir, prefix):
@@ -785,7 +785,7 @@ def test_split_by_size(tmp_path, storage):
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_split_size_below_the_head_of_a_file_does_not_make_a_file_of_each_message(tmp_path, storage):
+def test_a_split_size_below_the_head_of_a_file_does_not_make_one_file_per_message(tmp_path, storage):
     files = split(tmp_path / "bag", storage, 2_000, 400, 100)
     assert 20 <= len(files) <= 45  # 40,000 bytes and what a message costs beside
     assert read_bag(tmp_path / "bag").topics["x"].times == list(range(400))
@@ -813,8 +813,9 @@ def test_split_bags_are_read_and_repaired(tmp_path, storage):
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize(("begin", "split"), [(0, 0), (7_000, 0), (1_700_000_000 * 10**9, 30), (5, 1)])
-def test_the_metadata_says_what_is_in_each_file(tmp_path, storage, begin, split):
-    """Wherever the bag begins; a file is full when it lasts so long, the tenth is behind the ninth. Mended, too."""
+def test_the_metadata_lists_the_content_of_each_file(tmp_path, storage, begin, split):
+    """At any start time; a file is full after its duration, the tenth is listed after the ninth; also after a repair.
+    """
     times = [begin + t for t in (0, 4, 9, 10, 11, 12, 13, 29, 30, 31, 60, 75)]
     writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=split)
     number = writer.add_topic(BagTopic.known("/x", "std_msgs/msg/Float64"))
@@ -880,7 +881,7 @@ def test_shards_of_a_killed_run_become_a_bag(tmp_path):
     assert result.topics["command"].data == source.topics["command"].data[:-1]
 
 
-def test_repair_refuses_what_it_cannot_save(tmp_path):
+def test_repair_refuses_files_that_it_cannot_save(tmp_path):
     with pytest.raises(BagError, match=r"no \.mcap"):
         repair(tmp_path)
     write_bag(tmp_path / "bag", recording())
@@ -895,7 +896,7 @@ def test_repair_refuses_what_it_cannot_save(tmp_path):
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_bag_is_closed_properly_on_a_full_disk(tmp_path, file_limit, storage):
-    """What a recorder does: everything before the disk was full stays, in a valid bag."""
+    """As a recorder does: everything before the disk was full stays, in a valid bag."""
     writer = BagWriter(tmp_path / "bag", storage=storage)
     number = writer.add_topic(BagTopic.known("/x", STATE))
     layout, written = Layout(STATE, "", ["a"], {"position": 1}), 0
@@ -947,8 +948,8 @@ def test_a_disk_full_at_a_split_leaves_the_files_before(tmp_path, monkeypatch, f
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_file_knows_how_large_it_is_and_what_it_holds(tmp_path, storage):
-    """Of what waits: the bytes of a message and what one costs beside; of what is written: those of the file."""
+def test_a_file_reports_its_size_and_its_content(tmp_path, storage):
+    """Of pending messages: their bytes and the overhead of each; of written ones: the bytes of the file."""
     kind = STORAGES[storage]
     file = kind(tmp_path / f"x{kind.SUFFIX}", "none", "")
     file.add_topic(1, BagTopic.known("/x", STATE))
@@ -969,7 +970,7 @@ def test_a_file_knows_how_large_it_is_and_what_it_holds(tmp_path, storage):
 
 
 @pytest.mark.parametrize(("storage", "each"), [("mcap", 131), ("sqlite3", 124)])
-def test_a_file_is_full_when_it_has_just_so_much(tmp_path, storage, each):
+def test_a_file_is_full_exactly_at_its_limit(tmp_path, storage, each):
     for more in (0, 1):
         writer = BagWriter(tmp_path / str(more), storage=storage, split_bytes=3 * each + more)
         number = writer.add_topic(BagTopic.known("/x", STATE))
@@ -979,7 +980,7 @@ def test_a_file_is_full_when_it_has_just_so_much(tmp_path, storage, each):
         assert [sum(f.counts.values()) for f in writer._files] == [[3, 3, 2], [4, 4]][more]
 
 
-def test_metadata_may_be_just_as_long_as_the_limit(tmp_path, monkeypatch):
+def test_metadata_may_be_exactly_as_long_as_the_limit(tmp_path, monkeypatch):
     write_bag(tmp_path / "bag", recording())
     size = (tmp_path / "bag/metadata.yaml").stat().st_size
     monkeypatch.setattr("softrig_bags.files.metadata.LIMIT", size)
@@ -990,8 +991,8 @@ def test_metadata_may_be_just_as_long_as_the_limit(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_file_that_cannot_be_made_says_why(tmp_path, monkeypatch, storage):
-    """Nothing is there that could be taken away again."""
+def test_a_file_that_cannot_be_created_is_reported_with_the_reason(tmp_path, monkeypatch, storage):
+    """There is then no file to remove."""
 
     def full(*_):
         raise OSError(errno.ENOSPC, "full")
@@ -1004,15 +1005,15 @@ def test_a_file_that_cannot_be_made_says_why(tmp_path, monkeypatch, storage):
 
 
 def chunk(content: bytes, compression: str, claimed: int, data: bytes) -> bytes:
-    """An MCAP chunk record, with any claim about its size."""
+    """An MCAP chunk record, with any stated size."""
     body = struct.pack("<QQQI", 0, 0, claimed, zlib.crc32(content)) + struct.pack("<I", len(compression))
     body += compression.encode() + struct.pack("<Q", len(data)) + data
     return b"\x06" + struct.pack("<Q", len(body)) + body
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
-def test_what_is_whole_inside_a_cut_chunk_is_recovered(tmp_path, compression):
-    """The cut takes the only chunk's second half; its first half is saved, an exact prefix."""
+def test_whole_messages_inside_a_truncated_chunk_are_recovered(tmp_path, compression):
+    """The second half of the only chunk is cut off; the first half is saved, as an exact prefix."""
     source, chance = (
         Recording([("a", STATE)]),
         random.Random(1),

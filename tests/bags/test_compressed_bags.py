@@ -1,4 +1,4 @@
-"""Bags that rosbag2 has compressed, file by file or message by message, and what is left of them after a crash."""
+"""Bags that rosbag2 has compressed by file or by message, and what can be repaired of them after a crash."""
 
 import os
 import random
@@ -45,7 +45,7 @@ def write(directory, source, mode, suffix):
 
 
 @pytest.mark.parametrize("share", few([0.2, 0.6, 0.99], 2))
-def test_a_compressed_file_that_is_cut_gives_what_comes_before_the_cut(tmp_path, share):
+def test_a_truncated_compressed_file_gives_the_messages_before_the_cut(tmp_path, share):
     source = recording()
     file = write(tmp_path / "bag", source, CompressionMode.FILE, ".mcap")
     assert file.name.endswith(".mcap.zstd")
@@ -62,7 +62,7 @@ def test_a_compressed_file_that_is_cut_gives_what_comes_before_the_cut(tmp_path,
 
 @pytest.mark.parametrize("suffix", PLUGINS)
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
-def test_a_bag_that_lacks_its_metadata_alone_is_restored_whole(tmp_path, suffix, mode):
+def test_a_bag_that_lacks_only_its_metadata_is_restored_completely(tmp_path, suffix, mode):
     source = recording(2000)
     write(tmp_path / "bag", source, mode, suffix)
     assert repair(tmp_path / "bag").bag is None  # as long as it is whole
@@ -72,8 +72,8 @@ def test_a_bag_that_lacks_its_metadata_alone_is_restored_whole(tmp_path, suffix,
     assert read_bag(tmp_path / "bag").topics == source.topics
 
 
-def test_the_uncompressed_of_two_files_is_the_whole_one(tmp_path):
-    """rosbag2 was killed while it compressed."""
+def test_of_a_compressed_and_an_uncompressed_file_the_uncompressed_one_is_complete(tmp_path):
+    """rosbag2 was killed while it compressed the file."""
     source = recording(2000)
     file = write(tmp_path / "bag", source, CompressionMode.FILE, ".mcap")
     whole = write(tmp_path / "other", source, CompressionMode.NONE, ".mcap")
@@ -84,7 +84,7 @@ def test_the_uncompressed_of_two_files_is_the_whole_one(tmp_path):
     assert read_bag(tmp_path / "bag").topics == source.topics
 
 
-def test_a_damaged_message_costs_only_itself(tmp_path):
+def test_a_damaged_message_loses_only_itself(tmp_path):
     source = recording(50)
     file = write(tmp_path / "bag", source, CompressionMode.MESSAGE, ".db3")
     database = sqlite3.connect(file)
@@ -99,7 +99,7 @@ def test_a_damaged_message_costs_only_itself(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", PLUGINS)
-def test_what_is_beyond_repair_is_said_in_a_line(tmp_path, capsys, suffix):
+def test_damage_beyond_repair_is_reported_in_one_line(tmp_path, capsys, suffix):
     file = write(tmp_path / "bag", recording(5000), CompressionMode.FILE, suffix)
     os.truncate(file, 40)
     (tmp_path / "bag" / "metadata.yaml").unlink()
@@ -112,7 +112,7 @@ def test_what_is_beyond_repair_is_said_in_a_line(tmp_path, capsys, suffix):
 
 
 @pytest.mark.parametrize("size", range(65512, 65526))
-def test_a_chunk_that_ends_about_a_piece_is_whole_at_its_limit(size):
+def test_a_chunk_that_ends_at_the_limit_of_a_piece_is_complete(size):
     """It is decompressed in pieces of 65,536 bytes: the end of the stream may come after the last byte of content."""
     content = random.Random(1).randbytes(size)
     data = lz4.frame.compress(content)

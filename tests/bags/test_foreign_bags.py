@@ -46,7 +46,7 @@ def number(value):
 
 
 def mcap(path, rows, *, definitions=(), qos=RELIABLE, profile="ros2", **options):
-    """A file of (topic, type, time, bytes), types by their definitions (text, language) or with none."""
+    """A file of (topic, type, time, bytes), with each type's definition (text, language) or without one."""
     out = BytesIO()
     writer = Writer(out, **{"compression": CompressionType.NONE} | options)
     writer.start(profile)
@@ -68,7 +68,7 @@ def mcap(path, rows, *, definitions=(), qos=RELIABLE, profile="ros2", **options)
 
 
 def metadata(bag, topics, files, *, version=9, count=None, start=START, duration=900_000_000, qos=RELIABLE, **more):
-    """What rosbag2 writes beside: topics (name, type, count)."""
+    """The metadata that rosbag2 writes beside the file: topics (name, type, count)."""
     profiles_ = YAML(typ="safe").load(qos) if version >= 9 and qos else qos
     times = {"starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": duration}}
     about = {
@@ -105,7 +105,7 @@ def speeds(n=10, topic="/speed", step=100_000_000, start=START, first=0):
 
 
 def database(path, rows, schema):
-    """An SQLite file as rosbag2 of some version has it: 1 Dashing, 2 Foxy, 3 Humble, 4 Iron and Jazzy."""
+    """An SQLite file with the schema of a version of rosbag2: 1 Dashing, 2 Foxy, 3 Humble, 4 Iron and Jazzy."""
     path.parent.mkdir(parents=True, exist_ok=True)
     db = sqlite3.connect(path)
     extra = ", offered_qos_profiles TEXT" if schema > 1 else ""
@@ -148,8 +148,8 @@ def test_metadata_of_every_version_and_databases_of_every_distribution(tmp_path,
 
 @pytest.mark.parametrize("mode", ["file", "frames", "message", "message alone"])
 @pytest.mark.parametrize("storage", ["mcap", "db3"])
-def test_what_is_compressed_is_read_whatever_says_so(tmp_path, mode, storage):
-    """Whole files, of several frames too, and single messages, in a bag or beside none."""
+def test_compressed_content_is_read_whichever_place_declares_it(tmp_path, mode, storage):
+    """Whole files, also of several frames, and single messages, with metadata or without."""
     rows, bag, name = speeds(), tmp_path / "bag", f"bag_0.{storage}"
     if mode.startswith("message"):
         rows = [(*row[:3], zstd.compress(row[3]) if k % 2 else zstd.compress(row[3][:5]) + zstd.compress(row[3][5:]))
@@ -169,7 +169,7 @@ def test_what_is_compressed_is_read_whatever_says_so(tmp_path, mode, storage):
 
 
 @pytest.mark.parametrize("qos", [LATCHED, "", "- depth: 5\n", "no list", "- {history: 9, depth: many}", "[[]]", "- {"])
-def test_the_qos_in_the_metadata_is_no_part_of_a_topics_name(tmp_path, capsys, qos):
+def test_the_qos_in_the_metadata_is_not_part_of_a_topic_name(tmp_path, capsys, qos):
     bag = tmp_path / "bag"
     mcap(bag / "bag_0.mcap", [*speeds(), *speeds(topic="/other")])
     metadata(bag, [("/speed", FLOAT, 10), ("/other", FLOAT, 10)], ["bag_0.mcap"], qos=qos, version=5)
@@ -186,7 +186,7 @@ def test_the_qos_in_the_metadata_is_no_part_of_a_topics_name(tmp_path, capsys, q
         assert len(list(reader.messages())) == 20
 
 
-def test_partial_profiles_are_filled_as_a_publisher_would():
+def test_partial_profiles_are_completed_with_a_publishers_defaults():
     (result,) = profiles("- reliability: best_effort\n  deadline: {sec: 1, nsec: 5}\n  depth: '3'\n")
     assert (result.reliability.name, result.durability.name, result.depth) == ("BEST_EFFORT", "VOLATILE", 3)
     assert (result.deadline.sec, result.deadline.nsec) == (1, 5)
@@ -205,7 +205,7 @@ CLAIMS = [
 
 @pytest.mark.parametrize(("claim", "reported"), CLAIMS, ids=str)
 @pytest.mark.parametrize("verb", ["info", "export", "compare", "signals"])
-def test_what_was_read_is_held_against_the_metadata_in_every_verb(tmp_path, capsys, claim, reported, verb):
+def test_the_messages_read_are_compared_with_the_metadata_in_every_verb(tmp_path, capsys, claim, reported, verb):
     bag = tmp_path / "bag"
     mcap(bag / "bag_0.mcap", speeds())
     metadata(bag, [("/speed", FLOAT, claim.get("topics", 10))], ["bag_0.mcap"], count=claim.get("count"))
@@ -222,7 +222,7 @@ def test_what_was_read_is_held_against_the_metadata_in_every_verb(tmp_path, caps
     assert reported in capsys.readouterr().err
 
 
-def test_topics_that_the_metadata_does_not_name_files_that_are_too_many_or_lacking(tmp_path, capsys):
+def test_topics_missing_from_the_metadata_and_extra_or_missing_files_are_reported(tmp_path, capsys):
     bag = tmp_path / "bag"
     mcap(bag / "a_0.mcap", [*speeds(), *speeds(3, "/other")])
     mcap(bag / "b_0.mcap", speeds(start=START + 2_000_000_000, first=10))
@@ -263,8 +263,8 @@ def test_times_and_order_come_from_the_files(tmp_path, storage, start, duration)
 
 
 @pytest.mark.parametrize(("first", "last"), [(START, 0), (0, 0), (START, START - 1), (START - 9, START - 5)])
-def test_the_times_that_a_chunk_claims_cost_no_message(tmp_path, first, last):
-    """Fields that a writer has left at zero or miscounted; what is played is read with a start."""
+def test_wrong_times_of_a_chunk_lose_no_message(tmp_path, first, last):
+    """Fields that a writer has left at zero or miscounted, and a player that starts reading at a later time."""
     file = mcap(tmp_path / "x.mcap", speeds())
     content = bytearray(file.read_bytes())
     at = content.index(struct.pack("<QQ", START, START + 900_000_000))  # of the chunk; its index comes later
@@ -276,7 +276,7 @@ def test_the_times_that_a_chunk_claims_cost_no_message(tmp_path, first, last):
         span(bag, 5.0, None)
 
 
-def test_a_database_with_a_time_before_zero_is_refused_not_read_without_it(tmp_path, capsys):
+def test_a_database_with_a_time_before_zero_is_refused(tmp_path, capsys):
     file = tmp_path / "a.db3"
     database(file, [("/speed", FLOAT, -5, number(1.0)), *speeds(3)], 4)
     assert main_bag(["info", str(file)]) == 2
@@ -285,7 +285,7 @@ def test_a_database_with_a_time_before_zero_is_refused_not_read_without_it(tmp_p
     assert "3 messages kept, lost: 1 damaged rows" in capsys.readouterr().out
 
 
-def test_a_database_with_nulls_where_nothing_is_known_is_read_and_repaired(tmp_path):
+def test_a_database_with_nulls_for_unknown_values_is_read_and_repaired(tmp_path):
     file = tmp_path / "a.db3"
     database(file, speeds(3), 4)
     db = sqlite3.connect(file)
@@ -345,8 +345,8 @@ LINE = "=" * 80
 
 @pytest.mark.parametrize("first", [True, False])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_definitions_in_idl_as_rosbag2_documents_them(tmp_path, first, end):
-    """Every definition begins with the line of its name, that of the first may be absent."""
+def test_definitions_in_idl_are_read_as_rosbag2_documents_them(tmp_path, first, end):
+    """Every definition begins with a line with its name, which the first may leave out."""
     head = f"{LINE}\nIDL: my/msg/Outer\n" if first else ""
     text = f"{head}{NESTED_IDL[1]}\n{LINE}\nIDL: my/msg/Inner\n{NESTED_IDL[0]}"
     file = mcap(
@@ -363,7 +363,7 @@ def test_definitions_in_idl_as_rosbag2_documents_them(tmp_path, first, end):
 
 
 def test_all_installed_definitions_are_the_same_in_both_languages():
-    """What rosidl has generated of the .msg files of this distribution, two grammars and two parsers."""
+    """The code that rosidl generated from the .msg files of this distribution, by two grammars and two parsers."""
     import os
 
     count = 0
@@ -403,7 +403,7 @@ def decoded(definition, data, language="ros2msg"):
 
 
 @pytest.mark.parametrize("value", [0, 1, 100, 127, 128, 200, 255])
-def test_bytes_and_characters_are_what_rclpy_says(value):
+def test_bytes_and_characters_are_decoded_as_in_rclpy(value):
     for kind, message in ((Byte, Byte(data=bytes([value]))), (Char, Char(data=value))):
         data = serialize_message(message)
         name = f"std_msgs/msg/{kind.__name__}"
@@ -424,8 +424,8 @@ VALUES = {
 }  # fmt: skip
 
 
-def test_every_primitive_type_alone_and_in_sequences_is_what_rclpy_says():
-    """A message of rclpy's that has them all: rcl_interfaces/ParameterValue and sensor_msgs' own."""
+def test_every_primitive_type_alone_and_in_sequences_is_decoded_as_in_rclpy():
+    """By two messages that contain all of them: rcl_interfaces/ParameterValue and one of sensor_msgs."""
     kinds = {
         "std_msgs/msg/Bool": "bool", **{f"std_msgs/msg/Int{k}": f"int{k}" for k in (8, 16, 32, 64)},
         **{f"std_msgs/msg/UInt{k}": f"uint{k}" for k in (8, 16, 32, 64)},
@@ -484,8 +484,8 @@ def test_both_byte_orders_and_all_alignments(tmp_path, order):
 
 
 @pytest.mark.parametrize("width", ["H", "I"])
-def test_wide_texts_of_two_and_of_four_bytes(width):
-    """As Fast CDR has written them since and before version 2."""
+def test_wide_texts_of_two_and_four_bytes_a_character_are_read(width):
+    """As Fast CDR wrote them since version 2 and before."""
     letters = "aé中"
     items = [("I", 3), *((width, ord(c)) for c in letters)]
     result, texts = decoded("wstring text\nfloat64 x", cdr("<", *items, ("d", 1.5)))
@@ -504,12 +504,12 @@ def test_wide_texts_of_two_and_of_four_bytes(width):
         ("string x", b"\0\1\0\0" + b"\x09\0\0\0abc", "ends within x"),
     ],
 )
-def test_bytes_are_checked_before_they_are_numbers(definition, data, reported):
+def test_bytes_are_checked_before_they_are_decoded(definition, data, reported):
     with pytest.raises(Undecodable, match=reported):
         decoded(definition, data)
 
 
-def test_single_messages_that_are_damaged_are_counted_and_the_others_given(tmp_path, capsys):
+def test_damaged_single_messages_are_counted_and_the_others_returned(tmp_path, capsys):
     rows = speeds()
     rows[3] = (*rows[3][:3], b"\0\1\0\0\1")
     rows[7] = (*rows[7][:3], b"")
@@ -524,7 +524,7 @@ def test_single_messages_that_are_damaged_are_counted_and_the_others_given(tmp_p
     )
 
 
-def test_names_that_python_or_the_table_use_themselves_and_headers_that_are_none(tmp_path):
+def test_names_that_collide_with_python_or_the_table_and_fields_called_header_are_read(tmp_path):
     definition = f"float64 time\nfloat64 from\nb/Own header\nint8 class\n{LINE}\nMSG: b/Own\nfloat64 stamp\nuint8 seq"
     data = cdr("<", ("d", 1.5), ("d", 2.5), ("d", 3.5), ("B", 4), ("b", -5))
     file = mcap(
@@ -541,7 +541,7 @@ def test_names_that_python_or_the_table_use_themselves_and_headers_that_are_none
 
 
 @pytest.mark.parametrize("definition", ["", "int8 A=1", "std_msgs/Empty a\nfloat64 x"])
-def test_empty_messages_have_a_byte(definition):
+def test_an_empty_message_has_one_byte(definition):
     data = b"\0\1\0\0\0" if "Empty" not in definition else cdr("<", ("B", 0), ("d", 2.5))
     result, _ = decoded(definition or "# nothing", data)
     assert result == ({"x": 2.5} if "Empty" in definition else {})
@@ -571,7 +571,7 @@ def test_arrays_that_are_too_long_for_columns_are_named(tmp_path, capsys):
         assert (result.first.field, result.topics[0].differing) == (f"many/{n - 1}", 1)
 
 
-def test_types_of_the_distribution_that_wrote_the_bag(tmp_path):
+def test_types_are_those_of_the_distribution_that_wrote_the_bag(tmp_path):
     """A Range of Humble has no variance; the bag has no definitions."""
     data = cdr("<", ("i", 1), ("I", 0), ("I", 1), ("B", 0), ("B", 1), ("f", 0.5), ("f", 0.25), ("f", 9.0), ("f", 2.5))
     bag = tmp_path / "bag"
@@ -622,8 +622,8 @@ def test_columns_of_two_publishers_are_named_by_their_joints(tmp_path):
 
 
 @pytest.mark.parametrize(("stamp", "word"), [(0, "zero"), (START, "equal")])
-def test_stamps_that_say_nothing_are_recognised_and_bag_time_is_used(tmp_path, capsys, stamp, word):
-    """In a comparison message by message, and in one signal by signal, where the bags have other clocks."""
+def test_meaningless_stamps_are_recognised_and_the_bag_time_is_used(tmp_path, capsys, stamp, word):
+    """In a comparison message by message, and in one signal by signal, where the bags have different clocks."""
     files = []
     for name, gain, start in (("a", 1.0, START), ("b", 5.0, START), ("later", 5.0, START + 10**9 + 5)):
         rows = [("/j", STATE, start + k * 10**8, joints(["j"], [gain * k], stamp)) for k in range(50)]
@@ -654,8 +654,8 @@ def test_stamps_of_two_clocks_are_no_time_axis(tmp_path):
     assert result.deviations[0].largest == pytest.approx(2.0 * 39)
 
 
-def test_what_is_not_compared_over_time_is_no_agreement(tmp_path, capsys):
-    """A topic that nothing decodes, one without a common time, one name that neither has, equal bag times."""
+def test_topics_that_cannot_be_compared_over_time_do_not_count_as_agreement(tmp_path, capsys):
+    """A topic that cannot be decoded, one without a common time, a name in neither bag, equal bag times."""
     both, late = speeds(), speeds(topic="/late", start=START + 10**10)
     event = ("/event", "odd_msgs/msg/Odd", START, b"\0\1\0\0")
     files = {
@@ -691,8 +691,8 @@ def test_a_topic_without_a_name_is_exported_as_a_table_of_text(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "mat"])
-def test_whole_numbers_of_64_bits_are_exported_as_they_are(tmp_path, form):
-    """2^53 + 1 is the first whole number that no float has; nanoseconds since 1970 are beyond it."""
+def test_64_bit_integers_are_exported_exactly(tmp_path, form):
+    """2^53 + 1 is the first integer that no float represents; nanoseconds since 1970 are beyond it."""
     rows = [
         ("/x", "a/msg/X", START + k, struct.pack("<HHqQd", 0x100, 0, 2**53 + k, 2**64 - 1 - k, k)) for k in range(3)
     ]
@@ -712,8 +712,10 @@ def test_whole_numbers_of_64_bits_are_exported_as_they_are(tmp_path, form):
     assert results == [[2**53 + k, 2**64 - 1 - k] for k in range(3)]
 
 
-def test_fields_of_any_name_are_variables_of_matlab(tmp_path):
-    """One called as our own list of names, one that is a keyword, and two that differ in what MATLAB does not allow."""
+def test_fields_of_any_name_become_variables_of_matlab(tmp_path):
+    """One with the name of our own list of names, a keyword, and two that differ only in characters that MATLAB does
+    not allow.
+    """
     fields = ("names", "end", "time", "a_b", "a__b")
     types = [("a/msg/X", ("\n".join(f"float64 {field}" for field in fields), "ros2msg"))]
     rows = [("/x", "a/msg/X", START + k, struct.pack("<HH5d", 0x100, 0, *(k + n for n in range(5)))) for k in range(2)]
@@ -727,8 +729,8 @@ def test_fields_of_any_name_are_variables_of_matlab(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_whole_numbers_that_some_messages_lack_stay_whole(tmp_path, form):
-    """Elements of an array that grows: a column that is added on the way, and one that is empty from then on."""
+def test_integers_that_some_messages_lack_stay_integers(tmp_path, form):
+    """Elements of an array that grows: a column that is added later, and one that is empty from then on."""
 
     def row(k, *values):
         return "/x", "a/msg/X", START + k, struct.pack(f"<HHIi{len(values)}q", 0x100, 0, len(values), 0, *values)
@@ -744,7 +746,7 @@ def test_whole_numbers_that_some_messages_lack_stay_whole(tmp_path, form):
         assert [columns[f"a/{k}"].to_pylist()[-2:] for k in (0, 1)] == [[2**53 + 3, None], [2**53 + 5, None]]
 
 
-def test_files_have_names_that_every_system_takes_and_topics_are_named_where_they_differ(tmp_path, capsys):
+def test_files_have_names_that_every_system_accepts_and_renamed_topics_are_reported(tmp_path, capsys):
     topics = ["/Speed", "/speed", "/a/b", "/a.b", "/../up", "/nul\0", "/" + "long" * 80, "/c\nd", '/a<b>:"|?*\\c']
     file = mcap(tmp_path / "a.mcap", [row for k, t in enumerate(topics) for row in speeds(k + 1, topic=t)])
     assert main_bag(["export", str(file), "--out", str(tmp_path / "out")]) == 0
@@ -773,7 +775,7 @@ def test_files_have_names_that_every_system_takes_and_topics_are_named_where_the
 
 @pytest.mark.parametrize(("head", "what"), [(b"#ROSBAG V2.0\n", "a bag of ROS 1"), (b"ULog\1", "a log of PX4"),
     (b"PK\3\4", "a ZIP archive"), (b"\x1f\x8b", "by gzip"), (b"", "has 0 bytes")])  # fmt: skip
-def test_what_people_take_for_bags_is_called_by_its_name(tmp_path, head, what):
+def test_a_file_often_mistaken_for_a_bag_is_refused_by_its_kind(tmp_path, head, what):
     (tmp_path / "x.bag").write_bytes(head + bytes(100) if head else b"")
     with pytest.raises(BagError, match=what), BagReader(tmp_path / "x.bag"):
         pass
@@ -782,7 +784,7 @@ def test_what_people_take_for_bags_is_called_by_its_name(tmp_path, head, what):
 @pytest.mark.parametrize(
     "text", ["", "[]", "rosbag2_bagfile_information: 5", "a: 1", "rosbag2_bagfile_information: {files: [1]}"]
 )
-def test_metadata_that_is_none_is_refused_in_words(tmp_path, text):
+def test_a_file_that_is_not_metadata_is_refused_in_one_line(tmp_path, text):
     mcap(tmp_path / "bag/a.mcap", speeds())
     (tmp_path / "bag/metadata.yaml").write_text(text)
     with (
@@ -793,7 +795,7 @@ def test_metadata_that_is_none_is_refused_in_words(tmp_path, text):
     assert "Error" not in str(error.value)
 
 
-def test_a_comparison_of_nothing_is_refused(tmp_path, capsys):
+def test_a_comparison_without_common_topics_is_refused(tmp_path, capsys):
     empty = tmp_path / "empty"
     writer = BagWriter(empty)
     writer.add_topic(BagTopic.known("/speed", FLOAT))
@@ -805,7 +807,7 @@ def test_a_comparison_of_nothing_is_refused(tmp_path, capsys):
     assert main_compare([str(full), str(full), "--topics", "speed", "--ignore", "s*"]) == 2
 
 
-def test_whole_numbers_that_a_float_cannot_tell_apart_differ(tmp_path):
+def test_integers_that_a_float_cannot_distinguish_differ(tmp_path):
     files = [
         mcap(
             tmp_path / f"{k}.mcap",
@@ -819,7 +821,7 @@ def test_whole_numbers_that_a_float_cannot_tell_apart_differ(tmp_path):
     assert compare(*files, default=Tolerance(1.0)).equal
 
 
-def test_texts_that_are_no_utf_8_spoil_nothing(tmp_path):
+def test_texts_that_are_not_utf_8_do_not_stop_reading(tmp_path):
     data = serialize_message(String(data="ab"))
     odd = data.replace(b"ab", b"\xff\xfe")
     files = [
@@ -831,8 +833,8 @@ def test_texts_that_are_no_utf_8_spoil_nothing(tmp_path):
     assert (result.first.field, result.first.a, result.first.b) == ("data", "ab", "\\xff\\xfe")
 
 
-def test_partners_that_come_late_are_found_and_what_waits_long_waits_in_a_file(tmp_path, monkeypatch):
-    """Half of a topic's messages come at the end in one of the bags; more wait than memory is to hold."""
+def test_late_partners_are_found_and_long_waits_are_kept_in_a_file(tmp_path, monkeypatch):
+    """Half of a topic's messages come at the end in one of the bags; more are pending than memory may hold."""
     monkeypatch.setattr("softrig_bags.pairing.ROWS", 50)
     monkeypatch.setattr("softrig_bags.pairing.SPILL", 2_000)
     monkeypatch.setattr("softrig_bags.files.reader.BATCH", 1_000)
@@ -849,8 +851,8 @@ def test_partners_that_come_late_are_found_and_what_waits_long_waits_in_a_file(t
     assert compare(one, tmp_path / "a.mcap", bitwise=True).equal
 
 
-def test_files_are_those_of_the_folder_each_once(tmp_path):
-    """A moved bag whose metadata has whole paths, one of them twice, and no word of its storage."""
+def test_each_file_of_the_folder_is_read_once(tmp_path):
+    """A moved bag whose metadata has absolute paths, one of them twice, and does not name its storage."""
     bag, old = tmp_path / "bag", tmp_path / "old"
     mcap(bag / "bag_0.mcap", speeds())
     mcap(old / "bag_0.mcap", speeds(3))
@@ -891,7 +893,7 @@ def test_rows_of_a_topic_without_a_name_are_counted(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("suffix", ["-wal", "-journal"])
-def test_what_stands_beside_a_database_is_read_and_left_as_it_is(tmp_path, suffix):
+def test_files_beside_a_database_are_read_and_not_changed(tmp_path, suffix):
     path = tmp_path / "bag_0.db3"
     database(path, speeds(4), 4)
     db = sqlite3.connect(path)
@@ -918,7 +920,7 @@ def test_what_stands_beside_a_database_is_read_and_left_as_it_is(tmp_path, suffi
 
 
 def test_a_layout_of_the_suite_and_its_columns_agree(tmp_path):
-    """Arrays by their dimensions, trajectories by their joints: as a recording in memory names them."""
+    """Arrays by their dimensions, trajectories by their joints, as a recording in memory names them."""
     layouts = {
         "array": Layout(
             "std_msgs/msg/Float64MultiArray", counts={"data": 6}, dims=(("row", 2), ("column", 3)), numbered=True
@@ -946,7 +948,7 @@ def test_a_layout_of_the_suite_and_its_columns_agree(tmp_path):
     assert compare(known, result, bitwise=True).equal
 
 
-def test_a_file_that_is_missing_or_no_bag_says_so(tmp_path):
+def test_a_missing_file_and_one_that_is_not_a_bag_are_reported(tmp_path):
     (tmp_path / "x.mcap").write_bytes(b"nothing of the kind")
     with pytest.raises(BagError, match="neither an MCAP file nor one of SQLite"):
         read_bag(tmp_path / "x.mcap")

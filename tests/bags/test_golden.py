@@ -1,4 +1,4 @@
-"""Regression on golden bags: re-run the rig, and feed each node the golden inputs in open loop."""
+"""Regression on golden bags: run the rig again, and feed each node the golden inputs in open loop."""
 
 import hashlib
 import inspect
@@ -39,7 +39,7 @@ THROUGH_PROCESSES = (
 
 @pytest.fixture(autouse=True)
 def kept(monkeypatch):
-    """A golden bag is read once for all of its nodes."""
+    """Return a golden bag, read once for all of its nodes."""
     monkeypatch.setattr(
         "softrig_bringup.verbs.golden.read_bag", lambda bag: read_golden(bag) if BAGS in bag.parents else read_bag(bag)
     )
@@ -49,7 +49,7 @@ read_golden = lru_cache(1)(read_bag)
 
 
 def nodes():
-    """Every node of every bag; daily one bag an executable, the smallest: the others are judged again by the rerun.
+    """Every node of every bag; daily only the smallest bag for each executable: the rerun judges the others again.
 
     So are two solvers whose answers take seconds.
     """
@@ -73,7 +73,7 @@ def test_a_new_run_agrees_with_the_golden_bag(name):
 
 
 @pytest.mark.parametrize(("name", "node"), nodes())
-def test_each_node_answers_the_golden_inputs_as_before(name, node):
+def test_each_node_publishes_the_same_for_the_golden_inputs(name, node):
     result = load(BAGS / name).open_loop(node)
     assert result.equal, str(result)
 
@@ -90,7 +90,7 @@ def test_each_node_answers_the_golden_inputs_as_before(name, node):
         ),
     ],
 )
-def test_another_build_agrees_within_what_the_bag_says_of_it(name):
+def test_another_build_agrees_within_the_tolerances_of_the_bag(name):
     """Parameters of the plants changed by a few units in the last place stand for another C library."""
     golden = load(BAGS / name)
     shaken = golden.shaken(2.0)
@@ -123,7 +123,7 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
     assert (result.equal, how) == (True, other.how)
 
 
-def test_other_versions_take_the_tolerances_for_elsewhere():
+def test_other_versions_use_the_tolerances_for_other_machines():
     golden = load(BAGS / "induction_dtc_short")
     here = golden.recipe.model_copy(update={"made_with": versions()})  # whatever made the bag
     golden = type(golden)(golden.folder, here, golden.rig)
@@ -139,8 +139,8 @@ def test_other_versions_take_the_tolerances_for_elsewhere():
 
 
 @pytest.mark.parametrize(("there", "same"), [("3.10.0", False), ("3.12.1", True), ("3.13.9", True), ("3.14.0", False)])
-def test_python_decides_where_a_block_is_not_ours(monkeypatch, there, same):
-    """Its `sum` is another one since 3.12 and since 3.14; our own blocks do without."""
+def test_another_version_of_python_requires_tolerances_for_blocks_that_are_not_ours(monkeypatch, there, same):
+    """`sum` changed in 3.12 and 3.14; our own blocks do not use it."""
     golden = load(BAGS / "dc_motor_smc_b1")
     now = versions() | {"python": "3.13.0"}
     monkeypatch.setattr("softrig_bringup.verbs.golden.versions", lambda: now)
@@ -154,7 +154,7 @@ def test_python_decides_where_a_block_is_not_ours(monkeypatch, there, same):
     assert golden.others == ({} if same else {"python": (there, "3.13.0")})
 
 
-def test_each_line_of_the_page_is_one_that_a_check_says():
+def test_each_line_of_the_page_is_one_that_a_check_prints():
     text = (BAGS.parent / "ros_pkgs/softrig_core/doc/bits.md").read_text()
     messages = {line({*differ}) for differ in ((), ("python",), ("numpy",), ("math", "numpy"), ("machine", "math"))}
     assert len(messages) == 5
@@ -162,7 +162,7 @@ def test_each_line_of_the_page_is_one_that_a_check_says():
 
 
 def digest(folder):
-    """What a rig records, as one number."""
+    """Hash of what a rig records, as one number."""
     result = hashlib.sha256()
     for t, topic, data in load(folder).rerun().messages():
         result.update(b"%d %b " % (t, topic.name.encode()) + data)
@@ -189,7 +189,7 @@ KERNELS = {  # OpenBLAS's and numpy's choice on other CPUs; the pins leave what 
 
 
 def digests(names, kernels):
-    """What the rigs record under other kernels."""
+    """Hashes of the recordings of the rigs under other kernels."""
     pins = {*bits.PINS, "NPY_ENABLE_CPU_FEATURES"}
     variables = {key: value for key, value in os.environ.items() if key not in pins} | kernels
     command = [sys.executable, "-X", "faulthandler", "-c", DIGESTS, *(str(BAGS / name) for name in names)]
@@ -207,8 +207,8 @@ DIFFERED = [
 
 
 @pytest.mark.long
-def test_no_kernel_of_openblas_or_numpy_decides_a_bit():
-    """Rigs that differed when BLAS, LAPACK and numpy's functions of arrays had a say in them."""
+def test_no_kernel_of_openblas_or_numpy_affects_a_bit():
+    """Rigs that differed when their results depended on BLAS, LAPACK and numpy's array functions."""
     assert digests(DIFFERED, KERNELS["prescott and v2"]) == [digest(BAGS / name) for name in DIFFERED]
 
 
@@ -218,7 +218,7 @@ CHECKED = {"optimal_control_mvim_s3_n2", "rehab_impedance", "rehab_impedance_r5"
 
 @pytest.mark.long
 @pytest.mark.parametrize("kernels", KERNELS)
-def test_no_kernel_decides_a_bit_of_any_golden_rig(kernels):
+def test_no_kernel_affects_a_bit_of_any_golden_rig(kernels):
     wide = bits.cpu_has_avx512()
     if kernels == "unpinned" and not wide:
         pytest.skip("this CPU has no other kernels than the pinned ones")
@@ -285,7 +285,7 @@ def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
         ("dc_motor_smc_b1", "dc_motor_plant", "Kt"),
     ],
 )
-def test_one_per_cent_of_a_gain_fails_both_regressions(name, node, parameter):
+def test_one_per_cent_of_a_gain_fails_both_regression_tests(name, node, parameter):
     golden = load(BAGS / name)
     value = getattr(next(m for m in golden.rig.members if m.name == node).params, parameter)
     scenario = load_scenario(golden.recipe.scenario, {f"{node}.{parameter}": 1.01 * value})
@@ -305,7 +305,7 @@ def checked(folder, **options):
     return check(Namespace(scenarios=[], bags=folder, **without | options))
 
 
-def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsys):
+def test_recording_a_bag_again_shows_the_difference_and_check_reports_it(tmp_path, capsys):
     create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0).make()
     assert checked(tmp_path) == 0
     assert "kB, agrees byte for byte\n" in capsys.readouterr().out
@@ -321,8 +321,8 @@ def test_making_one_anew_shows_the_difference_and_check_tells_it(tmp_path, capsy
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()} == written
 
 
-def test_what_a_rig_publishes_since_is_not_compared(tmp_path, capsys):
-    """A plant with one more output rewrites no bag; a bag that misses what it held differs."""
+def test_topics_that_a_rig_publishes_since_are_not_compared(tmp_path, capsys):
+    """A plant with one more output changes no bag; a missing topic is a difference."""
     golden = create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.1)
     whole = golden.rerun()
 
@@ -348,7 +348,7 @@ def test_what_a_rig_publishes_since_is_not_compared(tmp_path, capsys):
         golden.open_loop("dc_motor_smc")
 
 
-def test_bags_with_a_node(tmp_path, capsys):
+def test_bags_are_selected_by_a_node(tmp_path, capsys):
     """By its name, or by that of its executable."""
     for name in ("dc_motor_smc_b2", "buck_pi"):
         create(tmp_path / name, name, 0.02).make()
@@ -363,7 +363,7 @@ def test_bags_with_a_node(tmp_path, capsys):
         remade([], tmp_path / "buck_pi")
 
 
-def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):
+def test_a_check_writes_its_result_for_continuous_integration(tmp_path):
     golden = create(tmp_path / "dc_motor_smc_b2", "dc_motor_smc_b2", 0.2, 0)
     golden.make()
     files = {"junit": tmp_path / "golden.xml", "json": tmp_path / "golden.json"}
@@ -392,7 +392,7 @@ def test_a_check_writes_what_it_found_for_continuous_integration(tmp_path):
     assert "motor/command" in suite.find("testcase/failure").attrib["message"]
 
 
-def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):
+def test_another_duration_or_seed_keeps_what_was_edited_by_a_person(tmp_path):
     folder = tmp_path / "dc_motor_smc_b1"
     create(folder, "dc_motor_smc_b1", 0.2).make()
     file = folder / "golden.yaml"
@@ -414,7 +414,7 @@ def test_another_duration_or_seed_leaves_what_was_edited_by_hand(tmp_path):
     ],
 )
 @pytest.mark.parametrize("there", [True, False])
-def test_what_a_golden_run_cannot_be_is_refused_and_changes_nothing(tmp_path, there, keys, message):
+def test_an_impossible_golden_run_is_refused_and_changes_nothing(tmp_path, there, keys, message):
     file = tmp_path / "dc_motor_smc_b1" / "golden.yaml"
     if there:
         create(file.parent, "dc_motor_smc_b1", 0.1)
@@ -424,7 +424,7 @@ def test_what_a_golden_run_cannot_be_is_refused_and_changes_nothing(tmp_path, th
     assert (file.read_text() if file.exists() else None) == before
 
 
-def test_the_old_bag_is_there_until_the_new_one_is_written(tmp_path):
+def test_the_old_bag_stays_until_the_new_one_is_written(tmp_path):
     golden = create(tmp_path / "dc_motor_smc_b1", "dc_motor_smc_b1", 0.1)
     golden.make()
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
@@ -438,7 +438,7 @@ def test_the_old_bag_is_there_until_the_new_one_is_written(tmp_path):
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
 
-def test_a_golden_bag_replaces_nothing_that_is_not_one(tmp_path):
+def test_a_golden_bag_replaces_only_golden_bags(tmp_path):
     golden = create(tmp_path / "dc_motor_smc_b1", "dc_motor_smc_b1", 0.1)
     golden.make()
     (golden.bag / "notes.txt").write_text("mine")

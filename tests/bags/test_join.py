@@ -1,4 +1,4 @@
-"""Whether a recorder was there from the start of a rig, by what it has of each topic."""
+"""Whether a recorder was there from the start of a rig, judged by the messages it has of each topic."""
 
 from fractions import Fraction
 from itertools import islice
@@ -17,7 +17,7 @@ BAGS = sorted(p.parent for p in (Path(__file__).parents[2] / "bags").glob("*/bag
 
 
 def joined(name, msgtype, messages):
-    """What is known of a topic of which these messages have come."""
+    """The facts that are known about a topic after these messages."""
     join = Join(BagTopic.known(f"/{name}", msgtype, []))
     for data in messages:
         if join.open:
@@ -36,8 +36,8 @@ SENT = {
 WHOLE = ("whole", HEADER, [Layout(HEADER).encode(t, ()) for t in range(0, 100_000_000, 10_000_000)])
 
 
-def test_a_recorder_that_joins_late_says_what_it_missed():
-    """By the stamps, or by the numbers of arrays; what speaks at no steady period tells nothing."""
+def test_a_recorder_that_joins_late_reports_what_it_missed():
+    """By the stamps, or by the numbers of arrays; a topic without a steady period does not count."""
     results = [
         joined(name, kind, [layout.encode(mark, (0.0,) if kind == ARRAY else ()) for mark in marks])
         for name, (kind, layout, marks) in SENT.items()
@@ -48,22 +48,22 @@ def test_a_recorder_that_joins_late_says_what_it_missed():
 
 @pytest.mark.parametrize("every", range(1, 9))
 @pytest.mark.parametrize("period", ["0.001", "1/2880", "1/3"])
-def test_acknowledgements_of_a_follower_tell_nothing_by_themselves(every, period):
-    """It acknowledges some ticks together: then the first one is not at t = 0."""
+def test_acknowledgements_of_a_follower_alone_prove_nothing(every, period):
+    """It acknowledges some ticks together, so its first one is not at t = 0."""
     schedule = Schedule(Fraction(period) * every, Fraction(period))
     ticks = [schedule.time(k) for k in range(40)]
     sent = [Layout(HEADER).encode(t, ()) for t in ticks if acknowledged(schedule, t)]
     assert missed([joined("law/tick", HEADER, sent)]) == {}
 
 
-def test_what_begins_by_itself_is_not_missed():
-    """As the certificate of a delay system, which has a number from 38.4 ms on, each 0.3 ms."""
+def test_a_topic_that_begins_later_is_not_counted_as_missed():
+    """As the certificate of a delay system, which publishes a number from 38.4 ms on, every 0.3 ms."""
     late = joined("late", HEADER, [Layout(HEADER).encode(t, ()) for t in range(38_400_000, 42_000_000, 300_000)])
     assert missed([late]) == {"late": 128}
     assert missed([late, joined(*WHOLE)]) == {}
 
 
-def test_nothing_is_missed_of_a_whole_recording_of_any_system():
+def test_no_message_is_missed_in_a_whole_recording_of_any_system():
     """A golden bag of each system, as far as its topics have begun."""
     results = {}
     for bag in {b.parent.name.rpartition("_")[0][:12]: b for b in BAGS}.values():

@@ -119,7 +119,7 @@ for job in sys.argv[1:]:
 
 
 def killed(place, times):
-    """Folders that recorders have left in a place, `times` of each preset."""
+    """Folders that killed recorders have left, `times` of each preset."""
     jobs = [
         (kind, given, str(place / f"{kind}_{name}_{k}"))
         for kind, presets in (("sqlite", SQLITE), ("mcap", MCAP))
@@ -138,7 +138,7 @@ def five(tmp_path_factory):
 
 
 def rows_by_sqlite(folder, scratch):
-    """What SQLite itself gives of a copy of all files, up to the first error."""
+    """The rows that SQLite itself reads from a copy of all files, up to the first error."""
     shutil.copytree(folder, scratch)
     result = []
     database = sqlite3.connect(scratch / "bag_0.db3")
@@ -150,7 +150,7 @@ def rows_by_sqlite(folder, scratch):
 
 
 def messages_by_mcap(content):
-    """What the library gives as a stream, up to the first error."""
+    """The messages that the library reads as a stream, up to the first error."""
     result = []
     with suppress(McapError, struct.error):
         for record in StreamReader(io.BytesIO(content)).records:
@@ -160,7 +160,7 @@ def messages_by_mcap(content):
 
 
 def check_all_saved(folders, kind):
-    """Everything that the library finds is saved, in its order, and what is told is the number of messages."""
+    """Check that everything the library finds is saved, in order, and that the reported number of messages is right."""
     most = 0
     for folder in folders:
         out = folder.with_name(f"repaired_{folder.name}")
@@ -193,7 +193,7 @@ KINDS = [*(("sqlite", preset) for preset in SQLITE), *(("mcap", preset) for pres
 
 
 @pytest.mark.parametrize(("kind", "preset"), few(KINDS, 3))
-def test_everything_that_the_library_finds_of_a_killed_recorder_is_saved(five, kind, preset):
+def test_everything_that_the_library_finds_after_a_killed_recorder_is_saved(five, kind, preset):
     check_all_saved(sorted(five.glob(f"{kind}_{preset}_?")), kind)
 
 
@@ -209,7 +209,7 @@ def test_fifty_killed_recorders_of_each_preset(tmp_path):
 
 
 def database(folder, journal, count=10):
-    """A database with its journal as it stands while the recorder is at work; the connection keeps it so."""
+    """A database with its journal as it is while the recorder works; the open connection keeps it in this state."""
     folder.mkdir()
     recorder = sqlite3.connect(folder / "bag_0.db3", isolation_level=None)
     recorder.execute(f"PRAGMA journal_mode={journal}")
@@ -231,7 +231,7 @@ def kept(reported):
 
 
 @pytest.mark.parametrize("what", ["bag", "bag/bag_0.db3", "bag/bag_0.db3-wal", "bag/bag_0.db3-shm", ""])
-def test_rows_that_are_in_the_journal_alone_are_saved(tmp_path, what):
+def test_rows_that_are_only_in_the_journal_are_saved(tmp_path, what):
     (tmp_path / "run").mkdir()
     recorder = database(tmp_path / "run/bag", "WAL", 999)
     before = {p.name: p.read_bytes() for p in (tmp_path / "run/bag").iterdir()}
@@ -242,8 +242,8 @@ def test_rows_that_are_in_the_journal_alone_are_saved(tmp_path, what):
     recorder.close()
 
 
-def test_a_bag_with_a_journal_beside_it_is_not_whole(tmp_path):
-    """metadata.yaml agrees with the file, and a recorder has gone on into the journal."""
+def test_a_bag_with_a_journal_beside_it_is_incomplete(tmp_path):
+    """metadata.yaml agrees with the file, but a recorder has continued to write into the journal."""
     recorder = database(tmp_path / "bag", "WAL", 5)
     repaired = repair(tmp_path / "bag", tmp_path / "five")
     shutil.copy(repaired.bag / "metadata.yaml", tmp_path / "bag")
@@ -256,7 +256,7 @@ def test_a_bag_with_a_journal_beside_it_is_not_whole(tmp_path):
     recorder.close()
 
 
-def test_a_database_that_changes_while_it_is_copied_is_read_under_its_locks(tmp_path, monkeypatch):
+def test_a_database_that_changes_during_the_copy_is_read_under_its_locks(tmp_path, monkeypatch):
     recorder = database(tmp_path / "bag", "WAL", 500)
     copied = shutil.copyfile
 
@@ -301,7 +301,7 @@ def test_files_of_both_storages_in_one_folder_are_saved(tmp_path):
     assert counts == {("/cdr", "cdr", "std_msgs/msg/Empty"): 3, ("/json", "json", "std_msgs/msg/Empty"): 3}
 
 
-def test_what_the_metadata_claims_otherwise_is_reported_and_written_anew(tmp_path, capsys):
+def test_wrong_metadata_is_reported_and_written_again(tmp_path, capsys):
     database(tmp_path / "bag", "DELETE", 7).close()
     repair(tmp_path / "bag")
     text = (tmp_path / "bag/metadata.yaml").read_text()
@@ -316,7 +316,7 @@ def test_what_the_metadata_claims_otherwise_is_reported_and_written_anew(tmp_pat
     assert (tmp_path / "bag/metadata.yaml").read_text() == text
 
 
-def test_of_a_node_that_has_died_and_not_come_back_the_longer_record_is_saved(tmp_path):
+def test_of_a_node_that_died_and_a_restarted_one_the_longer_recording_is_saved(tmp_path):
     (tmp_path / "run/log").mkdir(parents=True)
     for file, count in (("a.shard", 2), ("a.shard.died", 9), ("b.shard", 5), ("b.shard.died", 3), ("c.shard.died", 1)):
         shard = ShardWriter(tmp_path / "run/log" / file, [(file[0], "std_msgs/msg/Empty")])
@@ -328,7 +328,7 @@ def test_of_a_node_that_has_died_and_not_come_back_the_longer_record_is_saved(tm
     assert [(f.name, f.kept) for f in repaired.files] == [("a.shard.died", 9), ("b.shard", 5), ("c.shard.died", 1)]
 
 
-def test_shards_beside_files_of_a_bag_are_not_dropped_in_silence(tmp_path):
+def test_shards_beside_the_files_of_a_bag_are_reported(tmp_path):
     database(tmp_path / "bag", "DELETE").close()
     ShardWriter(tmp_path / "bag/a.shard", [("a", "std_msgs/msg/Empty")]).close()
     with pytest.raises(BagError, match=r"shards of a run \(a.shard\) and files of a bag \(bag_0.db3\): expected"):

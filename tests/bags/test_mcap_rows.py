@@ -1,4 +1,4 @@
-"""A recording that is written by blocks is the bag of one that is written message by message, byte for byte."""
+"""A recording written in blocks gives the same bag, byte for byte, as one written message by message."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""The text of a bag's metadata: that of ruamel.yaml to the byte, whatever it holds."""
+"""The text of a bag's metadata equals that of ruamel.yaml, byte for byte, for any content."""
 
 import json
 from string import printable
@@ -23,7 +23,7 @@ WORDS = st.one_of(
 @example("\x85", "1e5")
 @example("\U0001f3fb", "2020-01-01")
 @example("a\nb", "a\n\nb\n")
-def test_metadata_is_what_ruamel_writes(name, value):
+def test_metadata_is_equal_to_what_ruamel_writes(name, value):
     content = {
         "version": 9,
         "topics": [{"name": name, "offered": qos_dicts([qos(), qos(depth=1)])}],
@@ -35,6 +35,6 @@ def test_metadata_is_what_ruamel_writes(name, value):
     assert to_yaml(content) == _by_ruamel(content)
 
 
-def test_most_of_it_needs_no_ruamel(monkeypatch):
+def test_most_metadata_needs_no_ruamel(monkeypatch):
     monkeypatch.setattr("softrig_bags.files.yaml_text._by_ruamel", None)
     assert to_yaml({"a": "on", "b": "", "c": '{"k": 1}', "d": qos_dicts([qos()])}).startswith("a: on\nb: ''\n")

@@ -20,7 +20,7 @@ GAINS = {"a": 1.0, "b": 2.0, "deep/c": 1.0, "ab": 3.0}  # the last one begins as
 
 @pytest.fixture
 def bags(tmp_path):
-    """A bag of four rigs and one without a namespace, by arrival; and a bag of a rig of its own."""
+    """A bag of four rigs and one without a namespace, in order of arrival; and a bag with a single rig."""
     writer = BagWriter(tmp_path / "together")
     messages = []
     for place, (name, gain) in enumerate([*GAINS.items(), ("", 5.0)]):
@@ -36,7 +36,7 @@ def bags(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a", "/b", "deep/c/"])
-def test_a_rig_is_read_as_if_it_had_been_alone(name, bags):
+def test_a_rig_in_a_namespace_is_read_as_if_it_were_alone(name, bags):
     alone, result = recording(gain=GAINS[name.strip("/")]), read_bag(bags / "together", name)
     assert list(result.topics) == list(alone.topics)
     assert [t.data for t in result.topics.values()] == [t.data for t in alone.topics.values()]
@@ -59,7 +59,7 @@ def test_a_rig_is_read_as_if_it_had_been_alone(name, bags):
     ],
 )
 @pytest.mark.parametrize("how", [[], ["--align"]])
-def test_rigs_of_one_bag_are_compared_with_each_other_and_with_a_bag_of_their_own(words, status, how, bags, capsys):
+def test_rigs_of_one_bag_are_compared_with_each_other_and_with_another_bag(words, status, how, bags, capsys):
     a, b, *names = words
     given = [word for name in names for word in ("--namespace", name)]
     assert main(["bag", "compare", str(bags / a), str(bags / b), *given, *how]) == status
@@ -68,7 +68,7 @@ def test_rigs_of_one_bag_are_compared_with_each_other_and_with_a_bag_of_their_ow
     assert ("c/plant" in printed) == (names == ["/", "/"])
 
 
-def test_what_is_no_namespace_of_the_bag_is_refused_with_those_that_are(bags, capsys):
+def test_a_namespace_that_the_bag_does_not_have_is_refused_with_a_list(bags, capsys):
     for given, reported in (
         (["c"], "no topic in the namespace /c; expected one of /a, /b, /deep, /ab, /plant"),
         (["a b"], "'a b' is not the name of a namespace"),
@@ -82,7 +82,7 @@ def test_what_is_no_namespace_of_the_bag_is_refused_with_those_that_are(bags, ca
     capsys.readouterr()
 
 
-def test_a_rig_is_exported_without_its_namespace_and_the_whole_bag_is_accounted_for(bags, capsys):
+def test_a_rig_is_exported_without_its_namespace_and_every_message_of_the_bag_is_counted(bags, capsys):
     assert main_bag(["export", str(bags / "together"), "--namespace", "/b"]) == 0
     folder = bags / "together_b_csv"
     assert sorted(p.name for p in folder.iterdir()) == ["clock.csv", "command.csv", "plant.state.csv"]
@@ -95,7 +95,7 @@ def test_a_rig_is_exported_without_its_namespace_and_the_whole_bag_is_accounted_
     assert "/ab/command" in capsys.readouterr().err  # of another rig, yet of this bag
 
 
-def test_a_rig_of_several_is_drawn_and_viewed(bags, monkeypatch, capsys):
+def test_one_of_several_rigs_is_drawn_and_viewed(bags, monkeypatch, capsys):
     shown = []
     monkeypatch.setattr("softrig_bringup.view.serve.serve", lambda source, *_: shown.append(source))
     assert main(["view", str(bags / "together"), "--namespace", "a"]) == 0
@@ -111,7 +111,7 @@ def test_a_rig_of_several_is_drawn_and_viewed(bags, monkeypatch, capsys):
     assert "leave out --namespace" in capsys.readouterr().err
 
 
-def test_a_recorder_takes_the_topics_of_a_namespace_and_names_in_it():
+def test_a_recorder_selects_the_topics_of_a_namespace_and_names_in_it():
     topics = ["/a/clock", "/a/plant/state", "/a/_hidden/x", "/ab/clock", "/clock", "/rosout", "/b/a/clock"]
     for chosen, result in (
         (Selection.of((), namespace="a"), ["/a/clock", "/a/plant/state"]),

@@ -1,4 +1,4 @@
-"""Golden bags under every CPython that softrig runs on and this machine has: each in a set-up of its own."""
+"""Golden bags under every CPython that softrig supports and this machine has: each in a set-up of its own."""
 
 import os
 import re
@@ -14,7 +14,7 @@ VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 
 
 def python(version):
-    """Find a CPython of this version, of the machine or of pyenv; None where there is none."""
+    """Return a CPython of this version, of the machine or of pyenv; None if there is none."""
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     for candidate in (f"python{version}", *sorted(versions.glob(f"{version}.*/bin/python{version}"))):
         if result := shutil.which(candidate):  # a shim of pyenv may be there for a version that is not chosen

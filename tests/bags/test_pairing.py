@@ -1,4 +1,6 @@
-"""Two bags compared message by message, by hand: which are paired, which differ, by how much, and where first."""
+"""Two bags compared message by message by independent code: which are paired, which differ, by how much, and where
+first.
+"""
 
 import json
 import math
@@ -19,7 +21,8 @@ VALUES = (0.0, 1.0, 1.0, 1.125, 1.25, 2.0, -1.0, math.nan, math.inf)
 
 
 def drawn(rng):
-    """Messages (bag time, stamp, values) by topic: stamped ones, some with the stamp of the one before; bare ones."""
+    """Messages (bag time, stamp, values) by topic: some with stamps, some stamps repeated, and topics without stamps.
+    """
     result = {}
     for topic in ("joints", "number", "only"):
         t, mark, rows = 0, 0, []
@@ -33,7 +36,7 @@ def drawn(rng):
 
 
 def changed(messages, rng):
-    """The same with some messages lacking, others added, values off, times off."""
+    """The same messages with some removed, others added, values and times changed."""
     result = {}
     for topic, rows in messages.items():
         if topic == "only" and rng.random() < 0.5:
@@ -59,7 +62,7 @@ def recording(messages):
 
 
 def keyed(rows, stamped):
-    """Messages by stamp, or by bag time, and how many before had the same."""
+    """Messages by stamp, or by bag time, and how many earlier ones have the same key."""
     result, seen = {}, {}
     for t, mark, values in rows:
         key = mark if stamped else t
@@ -75,7 +78,7 @@ def agree(x, y, tolerance):
 
 
 def by_hand(one, two, tolerance, bitwise, alone):
-    """What is found on a topic, and the differences in the order in which a person would look for them.
+    """The result for a topic, and the differences in the order in which a person would look for them.
 
     Stamps of a topic that are all equal, in one of the bags, say nothing: bag time is taken.
     """
@@ -108,7 +111,7 @@ def by_hand(one, two, tolerance, bitwise, alone):
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_two_recordings_are_compared_as_by_hand(seed):
+def test_two_recordings_are_compared_as_by_independent_code(seed):
     rng = random.Random(seed)
     one = drawn(rng)
     two = changed(one, rng) if seed else {topic: [(t, m, list(v)) for t, m, v in rows] for topic, rows in one.items()}
@@ -147,11 +150,11 @@ def test_two_recordings_are_compared_as_by_hand(seed):
         (1.0, math.inf, (9.0, 0.0), True),
     ],
 )  # fmt: skip
-def test_a_number_agrees_within_the_larger_tolerance(a, b, tolerance, off):
+def test_a_number_agrees_within_the_larger_of_two_tolerances(a, b, tolerance, off):
     assert Tolerance(*tolerance).exceeded(np.array([a, 0.0]), np.array([b, 0.0])).tolist() == [off, False]
 
 
-def test_the_first_pattern_that_fits_counts_and_patterns_leave_topics_out():
+def test_the_first_matching_pattern_counts_and_patterns_can_exclude_topics():
     pair = [Recording([("joints", STATE), ("other", STATE)]) for _ in range(2)]
     for k, result in enumerate(pair):
         result.add(0, 0, JOINTS.encode(0, (1.0, 1.0, 1.0, 1.0 + 0.5 * k)))
@@ -175,8 +178,8 @@ def test_the_first_pattern_that_fits_counts_and_patterns_leave_topics_out():
         compare(a, b, topics=["none"])
 
 
-def test_bytes_that_no_number_shows_are_named_by_their_place():
-    """A zero of another sign, and a frame: equal numbers, other bytes."""
+def test_bytes_that_no_number_shows_are_named_by_position():
+    """The sign of a zero, and a frame: equal numbers, different bytes."""
     pair = [Recording([("joints", STATE)]) for _ in range(2)]
     for k, actual in enumerate(pair):
         for t in (3, 5):
@@ -197,7 +200,7 @@ def test_bytes_that_no_number_shows_are_named_by_their_place():
     assert (result.first.field, result.first.a, result.first.b) == (f"byte {len(data[0])}", "", "00")
 
 
-def test_what_is_of_another_type_or_without_messages_is_reported():
+def test_topics_with_another_type_or_without_messages_are_reported():
     a, b, empty = Recording([("x", STATE)]), Recording([("x", FLOAT)]), Recording([("x", STATE)])
     for t in (4, 6):
         a.add(0, t, JOINTS.encode(t, (0.0,) * 4))

@@ -1,4 +1,4 @@
-"""When and in which order a player says what, told by a clock and a graph that are moved by hand: no node, no wait."""
+"""When and in which order a player publishes, with a clock and a graph that the test moves: no node, no wait."""
 
 import heapq
 import itertools
@@ -40,7 +40,7 @@ class Bag:
 
 
 class World:
-    """Node, session and clock in one: what is spun takes its time, what is due happens meanwhile, each at its time."""
+    """Node, session and clock in one: a spin takes the time that it asks for, and due events happen at their times."""
 
     def __init__(self, monkeypatch, until=1e9):
         self.now, self.stopped, self.due, self.said, self.services = 0.0, False, [], [], {}
@@ -118,7 +118,7 @@ class World:
         return [(topic, [HEADER]) for topic in self.subscriptions]
 
     def by_stamp(self, *names):
-        """What was said: wall-clock time in ms, name of the topic, stamp in ms."""
+        """The published messages: wall-clock time in ms, name of the topic, stamp in ms."""
         names = names or {topic for _, topic, _ in self.said}
         return [
             (round(t * 1e3, 3), topic, stamp(data) // MS)
@@ -142,7 +142,7 @@ def playing(world, bag, part=None, *, rate=1.0, loop=False, clock=False, paused=
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
-def test_each_message_is_said_when_it_is_due_and_no_other(monkeypatch, rate):
+def test_each_message_is_published_when_it_is_due_and_at_no_other_time(monkeypatch, rate):
     world = World(monkeypatch)
     bag = Bag([("/a", HEADER), ("/b", HEADER)], headers(0, 500) + headers(1, 500, 507) + headers(0, 590, 1500, 1600))
     played = playing(world, bag, Span(500 * MS, 1500 * MS), rate=rate)
@@ -155,7 +155,7 @@ def test_each_message_is_said_when_it_is_due_and_no_other(monkeypatch, rate):
     assert [data for _, _, data in world.said[-2:]] == [Duration(seconds=2)] * 2  # until all have the last ones
 
 
-def test_the_clock_is_said_before_the_messages_of_a_time_and_each_25_ms_between_them(monkeypatch):
+def test_the_clock_is_published_before_the_messages_of_a_time_and_every_25_ms_between(monkeypatch):
     world = World(monkeypatch)
     playing(world, Bag([("/a", HEADER)], headers(0, 100, 200, 201)), clock=True).run()
     assert world.by_stamp() == [
@@ -166,8 +166,8 @@ def test_the_clock_is_said_before_the_messages_of_a_time_and_each_25_ms_between_
     assert "/clock" not in {topic for _, topic, data in world.said if isinstance(data, Duration)}
 
 
-def test_bag_time_stands_while_it_is_paused_and_a_step_says_one_time(monkeypatch):
-    """Nobody who asks waits longer than 25 ms; half a second goes on before the second pause, to 1.5 s."""
+def test_bag_time_stops_during_a_pause_and_a_step_publishes_one_time(monkeypatch):
+    """No request waits longer than 25 ms; half a second passes before the second pause, at 1.5 s."""
     world = World(monkeypatch)
     bag = Bag([("/a", HEADER), ("/b", HEADER)], headers(0, 0, 1000) + headers(1, 1000) + headers(0, 2000, 3000, 3200))
     for ms, name in ((50, "step"), (90, "step"), (110, "resume"), (610, "pause"), (700, "step"), (800, "resume")):
@@ -187,7 +187,7 @@ def test_bag_time_stands_while_it_is_paused_and_a_step_says_one_time(monkeypatch
     assert len(between) == pytest.approx(500 / 25, abs=1)
 
 
-def test_a_step_of_a_player_that_plays_is_one_time_more_and_then_a_pause(monkeypatch):
+def test_a_step_of_a_running_player_publishes_one_more_time_and_then_pauses(monkeypatch):
     world = World(monkeypatch, until=5.0)
     world.at(0.31, lambda: world.call("step"))
     playing(world, Bag([("/a", HEADER)], headers(0, 0, 100, 200, 1000, 1100))).run()
@@ -201,14 +201,14 @@ def test_a_step_of_a_player_that_plays_is_one_time_more_and_then_a_pause(monkeyp
     assert [k for _, _, k in world.by_stamp("/in")] == [0, 1, 2, 3]
 
 
-def test_time_that_begins_at_a_nanosecond_is_waited_for_as_any(monkeypatch):
+def test_a_start_time_with_a_nanosecond_is_waited_for_as_any_other(monkeypatch):
     world = World(monkeypatch)
     playing(world, Bag([("/a", HEADER)], [(0, 1, Layout(HEADER).encode(1, ()))]), clock=True).run()
     assert [topic for _, topic, data in world.said if isinstance(data, bytes)] == ["/clock", "/a"]
 
 
-def test_a_player_that_is_always_late_still_hears_who_asks(monkeypatch):
-    """Each message takes 10 ms to send and is due after 1: there is nothing to wait for."""
+def test_a_player_that_is_always_late_still_answers_requests(monkeypatch):
+    """Each message takes 10 ms to send and is due after 1 ms, so the player never waits."""
     world = World(monkeypatch)
     played = playing(world, Bag([("/a", HEADER)], headers(0, *range(100))))
     world.subscriptions["/a"] = [lambda data: setattr(world, "now", world.now + 0.010)]
@@ -223,7 +223,7 @@ def test_a_player_that_is_always_late_still_hears_who_asks(monkeypatch):
     assert world.spun.count(0) > 20
 
 
-def test_it_begins_again_or_ends_and_stops_at_once(monkeypatch):
+def test_it_repeats_or_ends_and_stops_immediately(monkeypatch):
     world = World(monkeypatch, until=0.0105)
     bag = Bag([("/a", HEADER)], headers(0, 3, 5, 6))
     playing(world, bag, loop=True).run()
@@ -233,7 +233,7 @@ def test_it_begins_again_or_ends_and_stops_at_once(monkeypatch):
     assert [k for _, _, k in world.by_stamp()] == [3, 5, 6]
 
 
-def test_it_waits_for_a_listener_of_each_topic(monkeypatch):
+def test_it_waits_for_a_subscriber_of_each_topic(monkeypatch):
     world = World(monkeypatch)
     played = playing(world, Bag([("/a", HEADER), ("/b", HEADER)], headers(0, 0) + headers(1, 1)))
     world.subscriptions["/a"] = [lambda data: None]
@@ -254,19 +254,19 @@ END = (2**63 - 1) // MS  # to the last message, wherever metadata ends
     [(0.0, None, (2000, END)), (1.5, None, (3500, END)), (3.0, None, (5000, END)), (0.0, 0.25, (2000, 2250)),
      (1.0, 9.0, (3000, 12000))],
 )  # fmt: skip
-def test_the_part_that_is_played(offset, duration, result):
+def test_only_the_selected_part_is_played(offset, duration, result):
     part = span(Bag([("/a", HEADER)], headers(0, 2000, 5000)), offset, duration)
     assert (part.start // MS, part.end // MS) == result
 
 
-def test_a_part_that_is_none_is_refused():
+def test_an_impossible_part_is_refused():
     with pytest.raises(BagError, match=r"^start offset 3.001 s: the bag is only 3 s long$"):
         span(Bag([("/a", HEADER)], headers(0, 2000, 5000)), 3.001, None)
     with pytest.raises(BagError, match=r"^some.bag is empty$"):
         span(Bag([], []), 0.0, None)
 
 
-def test_what_is_played_has_other_names_and_types_that_are_here(monkeypatch):
+def test_played_topics_are_renamed_and_have_types_that_are_installed(monkeypatch):
     world = World(monkeypatch)
     bag = Bag([("/a", HEADER), ("/left", HEADER), ("/b", HEADER)], headers(0, 0))
     publishers = Publishers(world, bag, [bag.topics[0], bag.topics[2]], {"/b": "/c"})
@@ -282,7 +282,7 @@ def test_what_is_played_has_other_names_and_types_that_are_here(monkeypatch):
         Publishers(world, odd, odd.topics, {})
 
 
-def test_of_two_types_on_a_topic_one_is_played_and_bytes_that_ros_refuses_are_counted(monkeypatch):
+def test_of_two_types_on_a_topic_one_is_played_and_bytes_that_ros_rejects_are_counted(monkeypatch):
     world = World(monkeypatch)
     bag = Bag([("/a", HEADER), ("/a", TEXT)], [(0, 0, b"it"), (1, 0, b"other"), (0, MS, b"bad"), (0, 2 * MS, b"end")])
     publishers = Publishers(world, bag, bag.topics[:1], {})
@@ -304,7 +304,7 @@ def test_of_two_types_on_a_topic_one_is_played_and_bytes_that_ros_refuses_are_co
 
 
 class Law:
-    """A node that answers each input after a while, as its own clock has it, or not at all."""
+    """A node that answers each input after a delay of its own clock, or not at all."""
 
     def __init__(self, world, inputs, outputs, delay=lambda data: 0.001, name="law"):
         for topic in outputs:
@@ -331,7 +331,7 @@ def replaying(world, bag, answers=("/out",), remap=None, **more):
 
 
 def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
-    """Answers that take from nothing to 0.3 s; those of a tick in the bag are awaited, at other ticks none is."""
+    """Answers that take from nothing to 0.3 s; those with a tick in the bag are awaited, others are not."""
     rng = random.Random(4)
     ticks = sorted(rng.sample(range(200), 40))
     answered = [t for t in ticks if rng.random() < 0.6]
@@ -362,14 +362,14 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
         assert all(k <= tick for k, _ in order[: last + 1])
 
 
-def test_a_node_that_the_bag_does_not_know_answers_each_tick(monkeypatch):
+def test_a_node_that_is_not_in_the_bag_answers_each_tick(monkeypatch):
     world = World(monkeypatch)
     Law(world, ["/in"], ["/renamed"])
     result = replaying(world, Bag([("/in", HEADER)], headers(0, 0, 10, 30)), ("/out",), {"/out": "/renamed"}).run()
     assert result.topics["out"].times == [0, 10 * MS, 30 * MS]
 
 
-def test_a_node_that_says_its_ticks_is_waited_for_at_each(monkeypatch):
+def test_a_node_that_announces_its_ticks_is_waited_for_at_each(monkeypatch):
     world = World(monkeypatch)
     Law(world, ["/in"], ["/law/tick"], delay=lambda data: 0.2)
     world.peers["/out"] = world.peers["/law/tick"]
@@ -388,7 +388,7 @@ def test_a_pause_holds_the_ticks_and_a_step_is_one(monkeypatch):
     assert [t for t, _, _ in world.by_stamp("/in")] == [100, 200, 201, 300, 400, 401, 402, 403]
 
 
-def test_what_the_bag_changes_is_set_before_its_tick(monkeypatch):
+def test_changes_in_the_bag_are_set_before_their_tick(monkeypatch):
     asked = []
 
     class Client:
@@ -437,7 +437,7 @@ def test_what_the_bag_changes_is_set_before_its_tick(monkeypatch):
         ({"name": "law", "inputs": ["/in"], "deaf": True}, r"/in is not matched"),
     ],
 )
-def test_who_is_lacking_is_said_when_patience_ends(monkeypatch, there, text):
+def test_missing_nodes_are_named_when_the_timeout_ends(monkeypatch, there, text):
     world = World(monkeypatch)
     topics = [("/in", HEADER), ("/too", HEADER), *([("/out", HEADER)] if there.get("recorded") else [])]
     if "name" in there:
@@ -451,7 +451,7 @@ def test_who_is_lacking_is_said_when_patience_ends(monkeypatch, there, text):
     assert world.timers == [0.25]
 
 
-def test_an_answer_that_does_not_come_ends_the_replay_but_no_pause_does(monkeypatch):
+def test_a_missing_answer_ends_the_replay_and_a_pause_does_not(monkeypatch):
     world = World(monkeypatch)
     Law(world, ["/in"], ["/out"], delay=lambda data: 0.001 if stamp(data) < 20 * MS else 1e12)
     world.at(0.9, lambda: world.call("resume"))
@@ -465,7 +465,7 @@ def test_an_answer_that_does_not_come_ends_the_replay_but_no_pause_does(monkeypa
         replaying(world, Bag([("/in", HEADER)], headers(0, 5, 10))).run()
 
 
-def test_an_answer_of_another_tick_is_refused_whichever_comes_first():
+def test_an_answer_of_another_tick_is_refused_in_any_order():
     def wrong():
         return pytest.raises(RunError, match=r"^/out: answer stamped 0.002 s, expected 0.001 s$")
 
@@ -488,8 +488,8 @@ def test_an_answer_of_another_tick_is_refused_whichever_comes_first():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_ticks_are_bag_times_that_stamps_know_or_stamps(seed, monkeypatch):
-    """Of messages with and without a header: by bag times once one of the first 200 has its stamp, else by stamps."""
+def test_ticks_are_bag_times_that_match_stamps_or_else_stamps(seed, monkeypatch):
+    """Of messages with and without a header: bag times if one of the first 200 equals its stamp, else stamps."""
     rng = random.Random(seed)
     agrees = [None, 0, 199, 200, None, 0][seed]
     messages, times = [], sorted(rng.choices(range(900), k=260))

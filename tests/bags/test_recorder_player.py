@@ -81,7 +81,7 @@ class Rig:
         return self.fork("player", arguments)
 
     def fork(self, name: str, arguments):
-        """Start a node of the suite by the fork server, which spares its imports."""
+        """Start a node of the suite by the fork server, which saves its imports."""
         command = [find_executable("softrig_bags", name), *arguments]
         process = fork(self.stack, "softrig_bags", name, command, self.environment, self.folder)
         self.stack.callback(end, process)
@@ -98,7 +98,7 @@ def end(process: subprocess.Popen) -> None:
 
 
 def finish(process: subprocess.Popen, number: int | None = None) -> tuple[int, str]:
-    """Send a signal, if any; give exit status and output."""
+    """Send a signal, if any; return exit status and output."""
     if number is not None:
         process.send_signal(number)
     output = process.communicate(timeout=PATIENCE)[0]
@@ -112,7 +112,7 @@ def rig(tmp_path):
 
 
 def small(ticks=200, every=4) -> Recording:
-    """A clock and a plant's state each ms, twice the position as command every few ms."""
+    """A clock and a plant's state each ms, and a command of twice the position every few ms."""
     result = Recording([("/clock", CLOCK), ("plant/state", STATE), ("command", STATE)])
     layouts = [Layout(CLOCK), Layout(STATE, "", ["a"], {"position": 1}), Layout(STATE, "", ["a"], {"effort": 1})]
     for k in range(ticks):
@@ -189,7 +189,9 @@ def test_kill_9_costs_at_most_a_megabyte(rig, tmp_path, storage, source):
 
 
 def small_disk(command: list[str]) -> tuple[list[str], dict]:
-    """Let a command see a disk of 3 MB in ``disk``, kept as ``saved``; or no file above 3 MB without that right."""
+    """Run a command with a disk of 3 MB at ``disk``, kept as ``saved``; without the right to mount, files are limited
+    to 3 MB.
+    """
     script = 'mkdir disk && mount -t tmpfs -o size=3m none disk && "$@"; status=$?; cp -r disk saved; exit $status'
     if subprocess.run(["unshare", "-rm", "true"], check=False, capture_output=True).returncode == 0:
         return ["unshare", "-rm", "sh", "-c", script, "sh", *command], {}
@@ -201,7 +203,7 @@ def small_disk(command: list[str]) -> tuple[list[str], dict]:
 
 
 @pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.long)])
-def test_a_full_disk_ends_the_recording_with_a_whole_bag(rig, tmp_path, storage):
+def test_a_full_disk_ends_the_recording_with_a_readable_bag(rig, tmp_path, storage):
     source = large()
     write_bag(tmp_path / "source", source)
     executable = str(find_executable("softrig_bags", "recorder"))
@@ -245,7 +247,7 @@ def test_losses_are_counted_and_reported(rig, tmp_path):
         assert bag.custom_data["lost"] == f"/burst: {lost}"
 
 
-def test_qos_is_adapted_to_publishers_as_they_come(rig, tmp_path):
+def test_qos_is_adapted_to_publishers_as_they_appear(rig, tmp_path):
     node = rig.node("mixed")
     assert node.stdout.readline() == "latched\n"
     recorder = rig.recorder("--output", "bag", "--regex", "text|sensor|both")
@@ -268,7 +270,7 @@ def test_qos_is_adapted_to_publishers_as_they_come(rig, tmp_path):
 
 @pytest.fixture
 def recorder(listener, tmp_path):
-    """A recorder inside this process, which takes messages only when told to."""
+    """A recorder inside this process, which processes messages only on request."""
     writer = BagWriter(tmp_path / "bag")
     made = Recorder(SimpleNamespace(node=listener), writer, Selection(("/late",)), stamped=True)
     yield made
@@ -293,7 +295,7 @@ def test_messages_that_wait_while_qos_is_adapted_are_kept(recorder, listener, tm
     assert "lost" not in recorder._writer.custom_data
 
 
-def test_a_topic_that_comes_back_with_another_type_is_recorded_with_both(recorder, rig, tmp_path):
+def test_a_topic_that_returns_with_another_type_is_recorded_with_both(recorder, rig, tmp_path):
     context = rclpy.Context()  # a participant of its own: one has a topic with one type only
     context.init(domain_id=rig.domain)
     other = Node("other", context=context)
@@ -327,7 +329,7 @@ def test_topics_without_header_get_the_newest_stamp(recorder, tmp_path):
     assert topics["bare"].times == [5]
 
 
-def test_a_recorder_that_was_held_does_not_say_that_nothing_was_lost(listener, tmp_path):
+def test_a_recorder_that_was_stopped_does_not_claim_that_nothing_was_lost(listener, tmp_path):
     now = [100.0]
     writer = BagWriter(tmp_path / "bag")
     made = Recorder(SimpleNamespace(node=listener), writer, Selection(("/late",)), holds=Holds(2.5, lambda: now[0]))
@@ -351,7 +353,7 @@ def test_a_recorder_that_was_held_does_not_say_that_nothing_was_lost(listener, t
         assert bag.custom_data["held"] == "7.3 s after message 3"
 
 
-def test_the_patience_of_publishers_is_that_of_the_profile(tmp_path, monkeypatch):
+def test_the_timeout_of_publishers_is_that_of_the_profile(tmp_path, monkeypatch):
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILE))
     assert patience() == 2.5
     own = tmp_path / "own.xml"
@@ -435,7 +437,7 @@ def listener(rig, monkeypatch):
 
 
 def in_lockstep(listener, bag: BagReader) -> LockstepPlayer:
-    """A player in this process of a plant's state, answered on /command; it takes the listener's turns."""
+    """A player in this process of a plant's state, answered on /command; it runs in the listener's executor."""
     session = SimpleNamespace(node=listener, stopped=False, spin=lambda seconds: listener.turn())
     session.stop = partial(setattr, session, "stopped", True)
     played = [t for t in bag.topics if t.name == "/plant/state"]
@@ -444,7 +446,7 @@ def in_lockstep(listener, bag: BagReader) -> LockstepPlayer:
 
 @pytest.fixture
 def law(listener):
-    """A node in this process that answers as the bag has it, with the thawing of what a replay froze."""
+    """A node in this process that answers as in the bag."""
     node, kind = Node("law", context=listener.context), message_class(STATE)
     publisher = node.create_publisher(kind, "/command", 10)
 
@@ -458,7 +460,7 @@ def law(listener):
     gc.unfreeze()
 
 
-def test_a_node_of_this_process_answers_a_replay_tick_by_tick(listener, law, tmp_path):
+def test_a_node_in_this_process_answers_a_replay_tick_by_tick(listener, law, tmp_path):
     write_bag(tmp_path / "bag", small(20, every=1))
     with BagReader(tmp_path / "bag") as bag:
         player = in_lockstep(listener, bag)
@@ -469,7 +471,7 @@ def test_a_node_of_this_process_answers_a_replay_tick_by_tick(listener, law, tmp
     assert [parse(STATE, d) for d in result.topics["command"].data] == [parse(STATE, d) for d in golden]
 
 
-def test_a_replay_is_not_begun_with_two_publishers_of_the_answer(listener, law, tmp_path):
+def test_a_replay_does_not_start_with_two_publishers_of_the_answer(listener, law, tmp_path):
     other = Node("other", context=listener.context)
     other.create_publisher(message_class(STATE), "/command", 10)
     until(lambda: listener.count_publishers("/command") == 2, "second publisher")
@@ -615,7 +617,7 @@ def ask(node, service: str, kind, **fields):
 
 
 @pytest.mark.long
-def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, listener, tmp_path):
+def test_their_options_are_parameters_that_can_be_read_but_not_set(rig, listener, tmp_path):
     write_bag(tmp_path / "bag", small())
     # a file of `ros2 param dump` says what the options say
     player = rig.player("bag", "--paused", "--rate", "2.5", "--ros-args", "-p", "rate:=2.5", "-p", "paused:=true")
@@ -641,7 +643,7 @@ def test_their_options_are_parameters_that_can_be_looked_up_but_not_set(rig, lis
 
 
 @pytest.mark.parametrize("tool", few(["recorder", "player"], 1))
-def test_two_interrupts_in_a_row_end_quietly(rig, tmp_path, tool):
+def test_two_interrupts_in_a_row_end_without_a_traceback(rig, tmp_path, tool):
     write_bag(tmp_path / "bag", small())
     arguments = {"recorder": ["--output", "copy"], "player": ["bag", "--paused"]}[tool]
     process = rig.start([str(find_executable("softrig_bags", tool)), *arguments])
@@ -672,8 +674,9 @@ def test_a_late_recording_ends_with_a_status(rig, tmp_path):
 
 
 @pytest.mark.long
-def test_a_tool_says_in_its_ports_that_it_lives(rig):
-    """Fast DDS would look at its reader after 20 s, and who opens the port then waits for that."""
+def test_a_tool_marks_its_ports_as_alive(rig):
+    """Otherwise Fast DDS would look at the port's reader after 20 s, and a process that opens the port waits for that.
+    """
     recorder = rig.recorder("--output", "copy")
     for port in until(lambda: len(result := ears(recorder)) == 2 and result):
         began, before = time.monotonic(), port.read_bytes()

@@ -1,4 +1,5 @@
-"""What a recorder subscribes, writes and says, and how a tool's session waits: by a graph that is made by hand."""
+"""What a recorder subscribes to, writes and reports, and how a tool's session waits: with a graph that the test makes.
+"""
 
 import errno
 from types import SimpleNamespace
@@ -27,7 +28,7 @@ LATCHED, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
 
 
 class Handle:
-    """What has arrived at a subscription and was not handled."""
+    """Messages that have arrived at a subscription and were not processed."""
 
     def __init__(self):
         self.waiting = []
@@ -89,7 +90,7 @@ class Node:
 
 
 class Events:
-    """Status events, told when they are polled for."""
+    """Status events, delivered when they are polled."""
 
     def __init__(self, node):
         self.callbacks, self.due = {}, []
@@ -108,7 +109,7 @@ class Events:
 
 @pytest.fixture
 def made(tmp_path, monkeypatch):
-    """A recorder of a graph, with the writer."""
+    """A recorder of a graph, with its writer."""
     monkeypatch.setattr(recorder_module, "EventPoll", Events)
     monkeypatch.setattr(recorder_module, "gc", SimpleNamespace(collect=lambda: None, freeze=lambda: None))
 
@@ -125,7 +126,7 @@ def header(t):
     return Layout(HEADER).encode(t, ())
 
 
-def test_what_is_selected_is_subscribed_as_it_comes_and_what_cannot_be_is_said(made):
+def test_selected_topics_are_subscribed_as_they_appear_and_failures_are_reported(made):
     recorder, node, writer = made()
     assert [period for period, _ in node.timers] == [0.1, 0.5]
     node.publish("/a", HEADER, profile=QoSProfile(depth=3, durability=LATCHED))
@@ -162,7 +163,7 @@ def test_what_is_selected_is_subscribed_as_it_comes_and_what_cannot_be_is_said(m
     assert writer.topics[0].offered[0].durability == QosDurability.TRANSIENT_LOCAL
 
 
-def test_a_topic_whose_publisher_changes_its_type_is_subscribed_anew(made, tmp_path):
+def test_a_topic_whose_publisher_changes_its_type_is_subscribed_again(made, tmp_path):
     recorder, node, writer = made(stamped=True)
     node.publish("/a", HEADER)
     node.topics["/a"] = [HEADER, FLOAT]  # somebody waits for another type
@@ -208,7 +209,7 @@ def test_a_message_is_written_under_its_stamp_or_its_time_of_arrival(made, tmp_p
     assert topics["bare"].times == ([0, 70] if stamped else [100, 400])  # the newest stamp of all
 
 
-def test_what_was_sent_before_is_counted_by_stamps_whatever_the_bag_time(made):
+def test_messages_sent_before_the_start_are_counted_by_stamps_whatever_the_bag_time(made):
     for stamped in (True, False):
         recorder, node, writer = made(stamped=stamped)
         node.publish("/a", HEADER)
@@ -258,7 +259,7 @@ def test_losses_are_added_up_over_subscriptions_and_reported(made):
     writer.close()
 
 
-def test_what_is_lost_missed_and_held_is_reported_in_a_line(made):
+def test_lost_missed_and_held_messages_are_reported_in_one_line(made):
     now = [0.0]
     recorder, node, writer = made(holds=Holds(1.0, lambda: now[0]))
     node.publish("/a", HEADER)
@@ -280,7 +281,7 @@ def test_what_is_lost_missed_and_held_is_reported_in_a_line(made):
     writer.close()
 
 
-def test_at_a_signal_what_has_arrived_is_taken_and_the_bag_closed(made, tmp_path):
+def test_at_a_signal_arrived_messages_are_recorded_and_the_bag_is_closed(made, tmp_path):
     recorder, node, writer = made(stamped=True)
     node.publish("/a", HEADER)
     done = []
@@ -301,7 +302,7 @@ def test_at_a_signal_what_has_arrived_is_taken_and_the_bag_closed(made, tmp_path
     assert writer.count == 4
 
 
-def test_a_disk_that_is_full_ends_it_with_what_was_written(made, monkeypatch, tmp_path):
+def test_a_full_disk_ends_it_with_what_was_written(made, monkeypatch, tmp_path):
     recorder, node, writer = made()
     node.publish("/a", HEADER)
     recorder._discover()
@@ -326,7 +327,7 @@ def test_a_disk_that_is_full_ends_it_with_what_was_written(made, monkeypatch, tm
 
 @pytest.mark.parametrize("reliability", [(RELIABLE, RELIABLE), (RELIABLE, BEST), (BEST, BEST)])
 @pytest.mark.parametrize("durability", [(LATCHED, LATCHED), (LATCHED, VOLATILE), (VOLATILE, VOLATILE)])
-def test_a_recorder_asks_for_what_all_publishers_offer_and_a_player_offers_what_one_did(reliability, durability):
+def test_a_recorder_requests_what_all_publishers_offer_and_a_player_offers_what_one_did(reliability, durability):
     pairs = list(zip(reliability, durability, strict=True))
     profiles = [QoSProfile(depth=5 + k, reliability=r, durability=d) for k, (r, d) in enumerate(pairs)]
     asked = ros.subscription_profile(profiles)
@@ -346,7 +347,7 @@ def test_a_recorder_asks_for_what_all_publishers_offer_and_a_player_offers_what_
     )
 
 
-def test_what_a_publisher_offers_is_kept_as_a_bag_has_it():
+def test_the_offer_of_a_publisher_is_stored_in_the_form_of_a_bag():
     profile = QoSProfile(
         depth=7, history=HistoryPolicy.KEEP_LAST, reliability=BEST, durability=LATCHED,
         deadline=Duration(nanoseconds=1_500_000_000), lifespan=Duration(nanoseconds=2_000_000_003),
@@ -369,7 +370,7 @@ def test_what_a_publisher_offers_is_kept_as_a_bag_has_it():
     [([(1, "last")] * 3, 10), ([(1, "last")] * 12, 12), ([(7, "last"), (8, "last")], 15), ([(0, "last")] * 11, 11),
      ([(1, "last"), (1, "all")], 1001)],
 )  # fmt: skip
-def test_latched_publishers_become_one_that_keeps_what_they_kept_together(publishers, kept):
+def test_latched_publishers_become_one_with_the_sum_of_their_depths(publishers, kept):
     """At least the 10 of rosbag2's offer, which would lose the first two of twelve static transforms."""
     offers = [qos(QosDurability.TRANSIENT_LOCAL, depth=depth) for depth, _ in publishers]
     offers = [q._replace(history=QosHistory.KEEP_ALL) if h == "all" else q for q, (_, h) in zip(offers, publishers)]
@@ -405,7 +406,7 @@ class Given:
 
 @pytest.fixture
 def session(monkeypatch):
-    """A session whose executor says how long it was spun."""
+    """A session whose executor records how long it was spun."""
     spun, signals, after = [], {}, []
 
     def spin(future, seconds):
@@ -459,7 +460,7 @@ def test_a_session_waits_in_slices_of_a_tenth_of_a_second_until_a_signal(session
     assert (len(spun), made.stopped) == (4, True)
 
 
-def test_options_are_parameters_that_only_their_own_value_may_be_given(session):
+def test_options_are_parameters_that_accept_only_their_own_value(session):
     made, _ = session(
         {"rate": 2.5, "use_sim_time": True, "start_type_description_service": False, "qos_overrides./a": 1}
     )

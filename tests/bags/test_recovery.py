@@ -1,4 +1,4 @@
-"""What is left of damaged MCAP files, cut anywhere or with any byte of a chunk changed, by another hand's count."""
+"""Recovery of MCAP files, truncated anywhere or with any byte of a chunk changed, against an independent count."""
 
 import struct
 import sys
@@ -46,7 +46,7 @@ def whole(folder, monkeypatch, compression="none", count=9):
 
 
 def records(content, at=0):
-    """Records by their lengths: opcode, where each begins, where its content does, where it ends."""
+    """Records by their lengths: opcode, where each begins, where its content begins and ends."""
     while at + 9 <= len(content):
         code, length = struct.unpack_from("<BQ", content, at)
         yield code, at, at + 9, at + 9 + length
@@ -54,13 +54,13 @@ def records(content, at=0):
 
 
 def chunk_parts(content, begin):
-    """Where the data of a chunk begin, and how long they are."""
+    """The start and the length of a chunk's data."""
     (letters,) = struct.unpack_from("<I", content, begin + 28)
     (length,) = struct.unpack_from("<Q", content, begin + 32 + letters)
     return begin + 40 + letters, length
 
 
-def test_of_a_file_that_is_cut_all_whole_messages_before_the_cut_are_left(tmp_path, monkeypatch):
+def test_of_a_truncated_file_all_whole_messages_before_the_cut_remain(tmp_path, monkeypatch):
     content = whole(tmp_path / "bag", monkeypatch).read_bytes()
     ends, stretches = [], []  # of messages; of records: where each begins and ends, and whether it is a chunk
     for code, at, begin, end in records(content, 8):
@@ -86,7 +86,7 @@ def test_of_a_file_that_is_cut_all_whole_messages_before_the_cut_are_left(tmp_pa
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
-def test_a_chunk_in_which_a_byte_has_changed_is_lost_and_no_other(tmp_path, monkeypatch, compression):
+def test_a_chunk_with_a_changed_byte_is_lost_and_no_other(tmp_path, monkeypatch, compression):
     content = whole(tmp_path / "bag", monkeypatch, compression).read_bytes()
     (_, _, begin, end) = [r for r in records(content, 8) if r[0] == CHUNK][1]
     data, length = chunk_parts(content, begin)
@@ -100,7 +100,7 @@ def test_a_chunk_in_which_a_byte_has_changed_is_lost_and_no_other(tmp_path, monk
     assert end == data + length
 
 
-def test_without_a_checksum_what_is_before_the_damage_is_left(tmp_path, monkeypatch):
+def test_without_a_checksum_the_messages_before_the_damage_remain(tmp_path, monkeypatch):
     content = whole(tmp_path / "bag", monkeypatch).read_bytes()
     (_, _, begin, _) = [r for r in records(content, 8) if r[0] == CHUNK][1]
     data, length = chunk_parts(content, begin)
@@ -134,13 +134,13 @@ TEXT = bytes(range(256)) * 600
         (TEXT, "brotli", LIMIT, (b"", False)),
     ],
 )
-def test_what_can_be_decompressed_is(data, compression, limit, result):
+def test_everything_that_can_be_decompressed_is_recovered(data, compression, limit, result):
     content, complete = inflate(data, compression, limit)
     assert complete == result[1]
     assert TEXT.startswith(content) if result[0] is None else content == result[0]
 
 
-def test_a_long_content_is_decompressed_piece_by_piece_to_the_damage():
+def test_long_content_is_decompressed_piece_by_piece_up_to_the_damage():
     noise = b"".join(zlib.crc32(struct.pack("<I", k)).to_bytes(4, "little") for k in range(200_000))
     packed = bytearray(zstd.compress(noise))
     packed[len(packed) * 3 // 4] ^= 0xFF
@@ -153,7 +153,7 @@ def test_a_long_content_is_decompressed_piece_by_piece_to_the_damage():
 
 
 def stream(content):
-    """A frame that does not say how long it is."""
+    """A frame that does not state its length."""
     packer = zstd.ZstdCompressor()
     return packer.compress(content[:9]) + packer.compress(content[9:]) + packer.flush()
 
@@ -178,7 +178,7 @@ def stream(content):
     ],
     ids=lambda value: value if isinstance(value, str) and len(value) < 30 else f"{type(value).__name__}",
 )
-def test_a_chunk_holds_what_it_claims_or_is_damaged(claimed, compression, data, reported):
+def test_a_chunk_has_the_content_that_it_states_or_is_damaged(claimed, compression, data, reported):
     if not reported:
         assert decompressed(data, compression, claimed) == (data if claimed == 4 else (TEXT * 2)[:claimed])
         return
@@ -187,7 +187,7 @@ def test_a_chunk_holds_what_it_claims_or_is_damaged(claimed, compression, data, 
 
 
 def test_a_file_of_another_writer_is_recovered_with_its_summary(tmp_path):
-    """Messages outside of chunks, and records that nobody knows."""
+    """Messages outside of chunks, and records of unknown types."""
     with (tmp_path / "x.mcap").open("wb") as out:
         writer = Writer(out, compression=CompressionType.LZ4, use_chunking=False)
         writer.start()
@@ -201,7 +201,7 @@ def test_a_file_of_another_writer_is_recovered_with_its_summary(tmp_path):
     assert (recovery.lost, recovery.compression) == ([], "none")
 
 
-def test_reports_of_a_repair_in_words():
+def test_reports_of_a_repair_are_as_expected():
     files = [FileReport("a.mcap", 3, ["x", "y"]), FileReport("b.mcap", 4, indexed=True), FileReport("c.mcap", 5)]
     assert str(Repair(Path("new"), files, Path("old"))) == (
         "a.mcap: 3 messages kept, lost: x, y\n"
@@ -213,7 +213,7 @@ def test_reports_of_a_repair_in_words():
     assert str(Repair(None, files[1:2])) == "b.mcap: 4 messages kept\nnothing to repair"
 
 
-def test_what_is_in_a_bag_is_reported(tmp_path):
+def test_the_content_of_a_bag_is_reported(tmp_path):
     recording = Recording([("a", HEADER), ("longer/name", HEADER)])
     for k in range(3):
         recording.add(0, k * 500_000_000, Layout(HEADER).encode(k, ()))

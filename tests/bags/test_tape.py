@@ -1,4 +1,4 @@
-"""What came from outside, said once more; and how much was missed before a recorder joined: both by hand."""
+"""External messages published again, and how much was missed before a recorder joined: both by independent code."""
 
 import json
 import random
@@ -27,7 +27,7 @@ PORTS = {
 
 @pytest.fixture(scope="module", params=[0, EPOCH])
 def recorded(request, tmp_path_factory):
-    """A bag of three inputs, some messages of which name one channel, the other, both or none that there is."""
+    """A bag of three inputs; some messages name one channel, others both or none that exists."""
     epoch, rng = request.param, random.Random(3)
     recording = Recording([(p.topic, p.msgtype) for p in PORTS.values()])
     messages = {name: [] for name in PORTS}
@@ -53,7 +53,7 @@ def recorded(request, tmp_path_factory):
 
 
 @pytest.mark.parametrize("until", [0.0, 0.1])
-def test_at_each_tick_the_newest_message_that_was_not_said_is_said(recorded, until):
+def test_at_each_tick_the_newest_unpublished_message_is_published(recorded, until):
     folder, text = recorded
     tape._loaded.cache_clear()
     block = ByHand(Tape(bag=str(folder), until=until, inputs=tuple(map(written, PORTS.values()))))
@@ -72,7 +72,7 @@ def test_at_each_tick_the_newest_message_that_was_not_said_is_said(recorded, unt
 
 
 @pytest.mark.parametrize("at", [99, 100])
-def test_what_came_just_at_the_end_is_left_out(tmp_path, at):
+def test_a_message_at_the_very_end_is_left_out(tmp_path, at):
     recording = Recording([("outside/push", PORTS["push"].msgtype)])
     recording.add(0, at * MS, PORTS["push"].layout().encode(0, (1.0,)))
     write_bag(tmp_path / "bag", recording)
@@ -81,7 +81,7 @@ def test_what_came_just_at_the_end_is_left_out(tmp_path, at):
     assert block.update(200 * MS) == ({"push": (1.0,)} if at < 100 else {})
 
 
-def test_a_port_is_written_without_what_is_plain_and_becomes_an_output():
+def test_a_port_is_written_without_defaults_and_becomes_an_output():
     port = PORTS["both"]
     assert json.loads(written(port)) == {
         "name": "both", "topic": "outside/both", "msgtype": STATE, "channels": ["a", "b"], "fields": ["position"],
@@ -128,7 +128,7 @@ STREAMS = {  # stamps, ns; periods before the first one, by hand
 
 
 def joined(marks):
-    """What is known of a topic with these stamps, and how many of them were looked at."""
+    """The facts that are known about a topic with these stamps, and how many stamps were examined."""
     join = Join(BagTopic("/x", HEADER, "std_msgs/Header h"))
     looked = 0
     for mark in marks:
@@ -139,7 +139,7 @@ def joined(marks):
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_a_late_listener_counts_what_it_missed(name):
+def test_a_late_subscriber_counts_what_it_missed(name):
     marks, count = STREAMS[name]
     join, looked = joined(marks)
     assert (join.periods, join.from_start) == (count, marks[0] == 0)
@@ -149,13 +149,13 @@ def test_a_late_listener_counts_what_it_missed(name):
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_who_is_late_beside_one_from_the_start_missed_nothing(name):
+def test_a_topic_that_is_late_beside_a_complete_one_missed_nothing(name):
     """A rig waits for its recorder on all topics or on none."""
     late, whole = joined(STREAMS[name][0])[0], joined(range(0, 100, 10))[0]
     assert missed([("/x", late), ("/whole", whole)]) == missed([("/whole", whole), ("/x", late)]) == {}
 
 
-def test_what_has_no_stamp_and_no_number_tells_nothing():
+def test_a_topic_without_stamp_and_number_proves_nothing():
     assert not Join(BagTopic("/x", "std_msgs/msg/String", "string data")).open
     array = Join(BagTopic("/x", "std_msgs/msg/Float64MultiArray"))
     assert array.open
@@ -167,7 +167,7 @@ def test_what_has_no_stamp_and_no_number_tells_nothing():
 # the rest of a recorder's rules ----------------------------------------------------------------------------------
 
 
-def test_a_gap_is_a_hold_when_it_is_longer_than_the_limit():
+def test_a_gap_longer_than_the_limit_is_a_hold():
     now, count = [10.0], iter((5, 9))
     holds = Holds(2.5, lambda: now[0])
     held = []
@@ -203,7 +203,7 @@ def test_a_duration_of_a_profile_is_read_in_each_of_its_forms(text, seconds):
         (("/c",), "a", "b", ["/a", "/c"], ["/ab", "/d"]),
     ],
 )
-def test_topics_are_chosen_by_name_by_what_is_found_in_it_or_all_that_are_seen(names, regex, exclude, inside, outside):
+def test_topics_are_selected_by_name_by_pattern_or_all(names, regex, exclude, inside, outside):
     chosen = Selection.of(names, regex, exclude)
     assert [topic in chosen for topic in (*inside, *outside)] == [True] * len(inside) + [False] * len(outside)
 

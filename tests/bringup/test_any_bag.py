@@ -1,4 +1,4 @@
-"""Every verb that takes a bag takes any bag, or refuses it in one line: the table of doc/bags.md, held by this file.
+"""Every verb that accepts a bag accepts any bag or refuses it in one line; this file holds the table of doc/bags.md.
 
 Statuses: 0 done, 1 done with what could be read and the rest named, 2 refused in a line. Never 4, an error of softrig.
 """
@@ -33,7 +33,7 @@ def speeds(count):
 
 
 def of_rosbag2(folder, plugin=StoragePlugin.SQLITE3, mode=None):
-    """As the rosbags library writes it."""
+    """A bag that the rosbags library writes."""
     writer = Writer(folder, version=9, storage_plugin=plugin)
     if mode is not None:
         writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -45,7 +45,7 @@ def of_rosbag2(folder, plugin=StoragePlugin.SQLITE3, mode=None):
 
 
 def of_ours(folder, **options):
-    """A writer of ours with some messages that are flushed."""
+    """A bag of our writer with some flushed messages."""
     writer = BagWriter(folder, **options)
     number = writer.add_topic(BagTopic.known("/speed", FLOAT))
     for t, data in speeds(10):
@@ -60,7 +60,7 @@ def whole(folder, **options):
 
 
 def of_mcap(file, msgtype="x_msgs/msg/X", encoding="cdr", definition=b""):
-    """A single file of which nobody knows the type."""
+    """A single file with an unknown type."""
     file.parent.mkdir(parents=True)
     with file.open("wb") as out:
         writer = McapWriter(out)
@@ -91,7 +91,7 @@ def without_metadata(folder):
 
 
 def being_recorded(folder):
-    """By rosbag2's preset `resilient`: rows that are committed are in the journal."""
+    """A bag during recording with rosbag2's preset `resilient`: committed rows are in the journal."""
     of_rosbag2(folder)
     (folder / "metadata.yaml").unlink()
     database = sqlite3.connect(next(folder.glob("*.db3")))
@@ -140,7 +140,7 @@ def run(tmp_path_factory):
 
 
 class Player:
-    """A node and its executor that take no time."""
+    """A node and its executor that need no time."""
 
     stopped, opened = False, None
 
@@ -188,7 +188,7 @@ WORDS = {0: "yes", 1: "partly", 2: "no"}
 
 
 def table():
-    """The table of the page: of each kind the word of each verb."""
+    """The table of the page: for each kind of bag the entry of each verb."""
     rows = [[c.strip() for c in line.strip("| \n").split("|")] for line in PAGE.read_text().splitlines() if "|" in line]
     head = next(row for row in rows if row[0] == "bag" and len(row) == len(VERBS) + 1)
     assert [re.sub("`", "", c) for c in head[1:]] == list(VERBS)
@@ -196,7 +196,7 @@ def table():
 
 
 @pytest.mark.parametrize("kind", few(KINDS, 5))
-def test_every_verb_takes_any_bag_or_refuses_it_in_a_line(run, tmp_path, capsys, monkeypatch, kind):
+def test_every_verb_accepts_any_bag_or_refuses_it_in_one_line(run, tmp_path, capsys, monkeypatch, kind):
     monkeypatch.setattr("softrig_bags.live.ros.Session", Player)
     monkeypatch.setattr(serve, "serve", shown)
     monkeypatch.setattr("softrig_bags.cli._leaving", lambda tool: tool)

@@ -1,4 +1,4 @@
-"""The benchmark of a checkout: its parts run and print what they say, peers that are missing or fail are told."""
+"""The benchmark of a checkout: its parts run and print their tables; peers that are missing or fail are reported."""
 
 import os
 import subprocess
@@ -44,13 +44,13 @@ def test_the_loop_in_c_gives_the_bits_of_native_code(name, monkeypatch):
     assert all(ns > 0.0 for ns in native.rates(name, 2.0).values())
 
 
-def test_nothing_of_it_is_installed_with_the_packages():
-    """Who installs the packages gets nodes and tools, no measurements of this machine."""
+def test_benchmarks_are_not_installed_with_the_packages():
+    """An installation has nodes and tools, and no measurements of this machine."""
     assert not [p for p in ROOT.glob("ros_pkgs/**/*bench*.py") if "__pycache__" not in p.parts]
     assert not [p for p in ROOT.glob("ros_pkgs/*/setup.cfg") if "bench" in p.read_text()]
 
 
-def test_a_run_in_real_time_that_breaks_costs_no_other_row(capsys, monkeypatch):
+def test_a_broken_run_in_real_time_does_not_affect_other_rows(capsys, monkeypatch):
     figures = {"ticks": 980, "missed_deadlines": 20, "late_ticks": 30, **dict.fromkeys(realtime.TIMES.values(), 0.01)}
     recording = SimpleNamespace(topics={"joint_states": SimpleNamespace(data=[b""] * 980)})
 
@@ -82,7 +82,7 @@ def test_parts_that_need_no_middleware_print_a_table(part, capsys):
 
 
 @pytest.mark.long
-def test_a_row_for_each_work_of_the_systems(capsys):
+def test_each_work_of_the_systems_has_a_row(capsys):
     assert main(["systems"]) == 0
     printed = capsys.readouterr().out
     assert [w.what for w in systems.works() if w.what not in printed] == []
@@ -100,7 +100,7 @@ def test_the_induction_motor_beside_its_peers(monkeypatch, capsys):
     assert table[5].startswith("motulator-tight ends 1.0e-09 Wb or rad/s from ours")
 
 
-def test_drives_beside_their_peer(monkeypatch, capsys):
+def test_drives_are_measured_beside_their_peer(monkeypatch, capsys):
     results = {"pmsm_foc": machines.Beside(0.01, 4.0, 1e-9, 2e-9)}
     monkeypatch.setattr(machines, "beside", lambda name, *_: results.get(name))
     assert main(["machines"]) == 0
@@ -116,8 +116,8 @@ def test_the_duty_ratios_of_a_drive_are_those_of_its_periods():
 
 
 @pytest.mark.long
-def test_libraries_that_are_installed_end_where_our_rigs_do():
-    """python-control and scipy come with the tests; the DC motor is written again in `beside_peers`."""
+def test_installed_libraries_end_where_our_rigs_do():
+    """python-control and scipy come with the tests; the DC motor is implemented again in `beside_peers`."""
     row = beside.dc_motor("python_control", 1e-9)
     assert row.apart < row.allowed
 
@@ -139,7 +139,7 @@ def test_drives_are_those_of_motulator():
         assert max(result.current, result.speed) < 1e-8
 
 
-def test_a_peer_that_is_missing_or_fails(tmp_path):
+def test_a_peer_that_is_missing_or_fails_is_reported(tmp_path):
     assert [tuple(map(int, v)) for v in VECTORS] == induction.LEGS
     for name, command in (("bare", f'exec {sys.executable} -I -S "$@"'), ("broken", "echo 'no such case' >&2; exit 2")):
         python = tmp_path / name
@@ -156,7 +156,7 @@ def test_the_peer_integrates_the_same_voltage():
     assert result["psi_alpha"] == pytest.approx(540 * 2 / 3 * 5e-5 * result["periods"], rel=0.01)
 
 
-def test_a_commit_is_compared_in_turn_and_one_that_is_not_there_is_refused(capsys, monkeypatch, tmp_path):
+def test_a_commit_is_compared_in_turn_and_a_missing_one_is_refused(capsys, monkeypatch, tmp_path):
     assert main(["against", "nowhere"]) == 2
     assert "bench against 'nowhere': no such commit" in capsys.readouterr().err
     ran = []
@@ -174,7 +174,7 @@ def test_a_commit_is_compared_in_turn_and_one_that_is_not_there_is_refused(capsy
     assert against.rows(result) == [("list", "24.00", "7.00", "0.29")]
 
 
-def test_whole_runs_are_compared_by_their_least_times_without_the_round_that_compiles(monkeypatch, tmp_path):
+def test_whole_runs_are_compared_by_their_least_times_without_the_compiling_round(monkeypatch, tmp_path):
     costs = iter([9.0, 8.0, 4.0, 3.0, 5.0, 1.0])
     monkeypatch.setattr(against, "whole", lambda place, name, settings: next(costs))
     assert against.run_rows((tmp_path, ROOT), ["gupfc"], "default", 2) == [("gupfc", "4.000", "1.000", "0.25")]
@@ -188,7 +188,7 @@ def test_whole_runs_are_compared_by_their_least_times_without_the_round_that_com
     )
 
 
-def test_what_states_a_part_of_a_tick_counts_and_who_asks_its_owner_does_not(tmp_path):
+def test_functions_that_state_a_part_of_a_tick_are_counted_and_calls_of_its_owner_are_not(tmp_path):
     room = tmp_path / "softrig_core" / "softrig_core" / "block"
     room.mkdir(parents=True)
     (room / "schedule.py").write_text(

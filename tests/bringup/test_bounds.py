@@ -1,4 +1,6 @@
-"""Every expansion has a bound, and every number option a range: refused in a line, before anything is made."""
+"""Every expansion has a bound, and every number option a range: out-of-range values are refused in one line before the
+run.
+"""
 
 import argparse
 import ast
@@ -21,7 +23,7 @@ HEAD = "title: x\nextends: dc_motor_smc_b2\n"
 
 
 def doubled(n):
-    """Each shared value is twice the one before it: 2^n values of n short lines."""
+    """Each shared value is twice the previous one: 2^n values from n short lines."""
     return {"a0": "x"} | {f"a{k}": [f"$a{k - 1}", f"$a{k - 1}"] for k in range(1, n)}
 
 
@@ -111,7 +113,7 @@ def test_the_runs_of_a_study_are_bounded():
 
 
 def numbers():
-    """Each number option of each verb: the words that come before it, and the option."""
+    """Each number option of each verb: the words before it, and the option."""
 
     def within(parser, words):
         for action in parser._actions:
@@ -125,7 +127,7 @@ def numbers():
 
 
 @pytest.mark.parametrize(("parser", "option"), numbers())
-def test_every_number_option_refuses_infinity_and_says_its_range(parser, option):
+def test_every_number_option_refuses_infinity_and_names_its_range(parser, option):
     assert isinstance(option.type, Number), "expected softrig_core.command_line.Number, which has a range"
     for text in ("inf", "-inf", "nan", "1e400", "x", ""):
         with pytest.raises(
@@ -137,7 +139,7 @@ def test_every_number_option_refuses_infinity_and_says_its_range(parser, option)
 
 
 def test_no_command_line_reads_a_number_without_a_range():
-    """Also those of other packages: bag, export, locate."""
+    """Including those of other packages: bag, export, locate."""
     for file in sorted(Path(__file__).parents[2].glob("ros_pkgs/*/softrig_*/**/*.py")):
         if "add_argument" not in (source := file.read_text()):
             continue
@@ -149,8 +151,8 @@ def test_no_command_line_reads_a_number_without_a_range():
 
 
 @pytest.mark.parametrize("value", ["1_000", "[1_000]", "[1, '2_0']", "'1_000'"])
-def test_a_number_with_underscores_is_none(value):
-    """YAML 1.2 and ROS read a text; pydantic alone reads 1000."""
+def test_a_number_with_underscores_is_refused(value):
+    """YAML 1.2 and ROS read it as text; pydantic alone reads 1000."""
     name = "times" if value[0] == "[" else "positions"
     setting = f"motor_reference.{name}={value if name == 'times' else f'[{value}]'}"
     with pytest.raises(ScenarioError, match=r"expected a number without underscores, (1000|20)"):
@@ -163,20 +165,20 @@ def test_a_moment_is_a_time(word, capsys):
     assert "expected RUN@T, the folder of a run and a time from 0 to 1e9 s" in capsys.readouterr().err
 
 
-def test_a_run_goes_on_beyond_where_it_begins(capsys):
+def test_a_continued_run_ends_after_its_start(capsys):
     assert main(["run", "--from", "a@5", "--duration", "3"]) == 2
     printed = capsys.readouterr().err
     assert "--from a@5 --duration 3: the run would end before the branch; expected a duration above 5 s" in printed
 
 
 @pytest.mark.parametrize("words", [["run", "x", "--out"], ["study", "x", "--out"], ["bag", "export", "x", "--out"]])
-def test_a_name_that_is_no_text_is_refused(words, capsys):
+def test_a_name_that_is_not_text_is_refused(words, capsys):
     assert main([*words, os.fsdecode(b"o\xffut")]) == 2
     assert r"'o\udcffut': expected a name that is text in UTF-8; rename it" in capsys.readouterr().err
 
 
-def test_a_folder_whose_name_is_no_text_is_refused_before_the_run(tmp_path, monkeypatch, capsys):
-    """The command that a bag records has the whole path."""
+def test_a_folder_whose_name_is_not_text_is_refused_before_the_run(tmp_path, monkeypatch, capsys):
+    """The recorded command contains the whole path."""
     (folder := tmp_path / os.fsdecode(b"\xff")).mkdir()
     monkeypatch.chdir(folder)
     assert main(["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.02", "--out", "out"]) == 2

@@ -1,4 +1,4 @@
-"""What a start may load: a verb that a person waits for does not import what it does not use."""
+"""What a start may load: a verb does not import modules that it does not use."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ SCENARIO = "{title: t, system: s, duration: 1.0, nodes: {source: {package: fault
 
 
 def started(calls, heavy, folder, **variables):
-    """Run verbs in a process of their own and return how many modules it has loaded in the end, none of them heavy."""
+    """Run verbs in a separate process and return how many modules it has loaded at the end, none of them heavy."""
     code = f"""
 import sys
 from softrig_bringup.cli import main
@@ -38,11 +38,11 @@ print(len(sys.modules), file=sys.stderr)
     ("calls", "modules", "heavy"),
     [([["--help"]], 120, NONE), ([RUN, ["bag", "info", "r/bag"], ["report", "r"]], 750, ("ssl", "numpy.ma"))],
 )
-def test_a_start_loads_what_it_needs(calls, modules, heavy, tmp_path):
+def test_a_start_loads_only_what_it_needs(calls, modules, heavy, tmp_path):
     assert started(calls, heavy, tmp_path) <= modules
 
 
-def test_a_list_of_scenarios_that_have_not_changed_loads_none_of_them(tmp_path):
+def test_a_list_of_unchanged_scenarios_loads_none_of_them(tmp_path):
     (tmp_path / "a.yaml").write_text(SCENARIO)
     places = {"SOFTRIG_SCENARIOS": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path), "AMENT_PREFIX_PATH": str(PACKAGE)}
     assert 300 < started([["list"]], ("numba", "softrig_core.native"), tmp_path, **places) <= 470

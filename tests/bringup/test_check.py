@@ -1,4 +1,4 @@
-"""`softrig check` and `run --junit`: what a company's continuous integration reads."""
+"""`softrig check` and `run --junit`, as a company's continuous integration reads them."""
 
 import csv
 import json
@@ -33,7 +33,7 @@ def cases(file):
     return root, {(c.get("classname"), c.get("name")): c for c in root.iter("testcase")}
 
 
-def test_what_holds_and_what_does_not_is_reported_in_words_xml_and_json(files, tmp_path, capsys):
+def test_results_of_a_check_are_reported_in_words_xml_and_json(files, tmp_path, capsys):
     holds, fails, _ = files
     junit, report = tmp_path / "report.xml", tmp_path / "report.json"
     given = ["check", str(holds), str(fails), "--junit", str(junit), "--json", str(report), "--workers", "1"]
@@ -52,7 +52,7 @@ def test_what_holds_and_what_does_not_is_reported_in_words_xml_and_json(files, t
     assert main(["check", str(holds), "--workers", "1"]) == 0
 
 
-def test_servers_that_add_up_the_times_of_cases_get_that_of_the_run(tmp_path):
+def test_servers_that_add_up_the_times_of_cases_get_the_time_of_the_run(tmp_path):
     write_junit(tmp_path / "a.xml", [Suite("a", 3.0, [Case("b"), Case("c")]), Suite("d", 1.0, error="no")])
     root, result = cases(tmp_path / "a.xml")
     assert sum(float(case.get("time")) for case in result.values()) == float(root.get("time")) == 4.0
@@ -73,7 +73,7 @@ def test_one_run_has_a_report_too(files, tmp_path):
     assert cases(junit)[1]["fails", "supply"].find("failure") is not None
 
 
-def test_bad_input_is_said_and_the_rest_is_judged(files, tmp_path, capsys):
+def test_bad_input_is_reported_and_the_rest_is_judged(files, tmp_path, capsys):
     assert main(["check", str(files[0]), "dc_motor_smc_b22", "--workers", "1"]) == 2
     text, error = capsys.readouterr()
     assert f"{files[0]}: 1 hold, 0 do not" in text
@@ -93,7 +93,7 @@ def test_control_characters_in_a_name_leave_the_xml_readable(tmp_path):
 
 
 def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, monkeypatch, capsys):
-    """Each hands in task1.yaml; what they expect of themselves does not count, and what else they changed is named."""
+    """Each student hands in task1.yaml; their own expectations do not count, and what else they changed is named."""
     monkeypatch.chdir(tmp_path)
     task = tmp_path / "task1.yaml"
     peak = "{function: final_value, arguments: {signal: motor/true_state/shaft/velocity}}"

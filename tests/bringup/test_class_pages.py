@@ -1,4 +1,4 @@
-"""What the pages about a C++ node and a class of thirty tell is true of the rig and of `check`."""
+"""The statements of the pages about a C++ node and a class of thirty are true for the rig and for `check`."""
 
 import csv
 import re
@@ -13,8 +13,8 @@ def fenced(name, language):
     return re.findall(rf"^```{language}\n(.*?)^```$", pages()[name].read_text(), re.S | re.M)
 
 
-def test_the_node_in_cpp_speaks_as_the_rig_does():
-    """Topics, types and channels; the package names what the code includes."""
+def test_the_node_in_cpp_publishes_as_the_rig_expects():
+    """Topics, types and channels; the package declares what the code includes."""
     (code,) = fenced("cpp_node", "cpp")
     (cmake,) = fenced("cpp_node", "cmake")
     manifest = ElementTree.fromstring(fenced("cpp_node", "xml")[0])

@@ -1,4 +1,4 @@
-"""The command line as a user calls it: exit status, files, one line for every mistake."""
+"""The command line as a user calls it: exit status, files, one line for every error."""
 
 import hashlib
 import importlib
@@ -94,7 +94,7 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     assert "not judged" in printed
 
 
-def test_a_negative_number_in_a_power_of_ten_is_no_option():
+def test_a_negative_number_in_scientific_notation_is_not_an_option():
     assert make_parser().parse_args(["set", "law.k", "-1e-3"]).values == ["law.k", "-1e-3"]
 
 
@@ -109,7 +109,7 @@ def test_a_shared_value_is_set_by_its_name_and_the_rig_is_built_once(folder, mon
     assert built == ["lag_shares"]
 
 
-def test_the_last_figures_of_an_observer_stand_in_metrics_and_bag(folder):
+def test_the_last_figures_of_an_observer_are_in_metrics_and_bag(folder):
     assert run("lag_watched", "--mode", "inprocess", "--no-plots", "--out", "seen") == 0
     figures = {"seen": [101.0, ""]}
     assert json.loads((folder / "seen" / "metrics.json").read_text())["nodes"]["watcher"]["figures"] == figures
@@ -118,7 +118,7 @@ def test_the_last_figures_of_an_observer_stand_in_metrics_and_bag(folder):
 
 
 @pytest.mark.processes
-def test_a_run_whose_outside_node_never_comes_scores_nothing(folder, capsys):
+def test_a_run_whose_outside_node_never_starts_has_no_figures(folder, capsys):
     assert run("lag", "--external", "gain", "--realtime", "--wait", "1", "--no-plots", "--out", "alone") == 3
     content = json.loads((folder / "alone" / "metrics.json").read_text())
     assert "not all peers after 1 s" in content["error"]
@@ -126,7 +126,7 @@ def test_a_run_whose_outside_node_never_comes_scores_nothing(folder, capsys):
     assert "pass" not in capsys.readouterr().out
 
 
-def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
+def test_the_exit_status_distinguishes_a_miss_a_mistake_and_a_broken_run(folder, capsys):
     assert run("lag_misses", "--mode", "inprocess", "--no-record", "--no-plots") == 1
     assert not (folder / "runs" / "lag_misses" / "bag").exists()
     assert run("nothing", "--mode", "inprocess") == 2
@@ -141,7 +141,7 @@ def test_exit_status_tells_a_miss_from_a_mistake_from_a_break(folder, capsys):
     assert json.loads((folder / "runs" / "lag_breaks" / "metrics.json").read_text())["error"]
 
 
-def test_the_command_takes_what_launch_gives_to_every_executable(folder, capsys):
+def test_the_command_accepts_what_launch_passes_to_every_executable(folder, capsys):
     assert main(["list", "--signals", "lag", "--ros-args", "--log-level", "info", "-r", "__node:=softrig"]) == 0
     assert "lag/state/x/position" in capsys.readouterr().out
 
@@ -199,7 +199,7 @@ def test_the_command_of_a_run_repeats_it_from_any_folder(folder):
     assert repeat(make_parser().parse_args(["run", "dc_motor_smc_b2"]))[0] == "dc_motor_smc_b2"  # every folder knows it
 
 
-def test_a_domain_that_is_none_or_taken_is_one_line(capsys):
+def test_an_invalid_or_used_domain_is_one_line(capsys):
     """Two runs in one domain would read each other's messages."""
     from softrig_nodes.processes.domain import free_domain
 
@@ -246,7 +246,7 @@ def test_a_report_of_two_runs_and_of_none(folder):
     assert main(["report", "runs/none"]) == 2
 
 
-def test_a_report_tells_runs_apart_and_says_what_it_leaves_out(folder):
+def test_a_report_distinguishes_runs_and_names_what_it_leaves_out(folder):
     for k in ("1.2", "1.3"):
         run("lag", "--mode", "inprocess", "--no-record", "--no-plots", "--set", f"gain.k={k}", "--out", k)
     (folder / "empty").mkdir()
@@ -263,7 +263,7 @@ def test_a_report_tells_runs_apart_and_says_what_it_leaves_out(folder):
     assert '<a href="#run-1">soft</a>' in (folder / "all.html").read_text()
 
 
-def test_the_version_is_said(capsys):
+def test_the_version_is_printed(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
     assert ended.value.code == 0
@@ -310,7 +310,7 @@ def test_a_signal_after_the_last_tick_loses_nothing(mode, where, tmp_path, monke
     assert (out / "metrics.json").exists()
 
 
-def test_a_run_that_is_stopped_says_what_it_did_and_judges_nothing(folder, monkeypatch, capsys):
+def test_a_stopped_run_reports_what_it_did_and_judges_nothing(folder, monkeypatch, capsys):
     def stopping(rig, seed, recording, progress, **keys):
         stop = lambda t: os.kill(os.getpid(), signal.SIGTERM) if t >= 5e8 else None  # noqa: E731
         run_inprocess(rig, seed, recording, stop, **keys)
@@ -341,7 +341,7 @@ def test_strict_and_junit_judge_a_changed_run(folder):
 
 
 @pytest.mark.parametrize(("options", "status"), [([], 0), (["--max-missed", "50"], 1), (["--max-missed", "76.8"], 0)])
-def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys, options, status):
+def test_a_run_that_missed_most_deadlines_does_not_pass(folder, monkeypatch, capsys, options, status):
     def late(scenario, *_):
         done = simulate(scenario)
         done.status = {"plant": {"state": "done", "ticks": 232, "missed_deadlines": 768}, "gain": {"ticks": 100}}
@@ -355,7 +355,7 @@ def test_most_deadlines_missed_is_no_silent_success(folder, monkeypatch, capsys,
     assert slow == (options != ["--max-missed", "76.8"])  # not more than that
 
 
-def test_work_that_was_late_against_the_wall_clock_is_named_first(folder, monkeypatch, capsys):
+def test_work_that_was_late_is_named_first(folder, monkeypatch, capsys):
     def late(scenario, *_):
         done = simulate(scenario)
         done.status = {"gain": {"ticks": 100, "missed_deadlines": 0, "reports": {"unfinished": [0, "not done", 3]}}}
@@ -367,7 +367,7 @@ def test_work_that_was_late_against_the_wall_clock_is_named_first(folder, monkey
     assert capsys.readouterr().err.startswith(f"softrig: {text}the figures are of a slower loop\n")
 
 
-def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(folder, capsys):
+def test_what_was_not_simulated_is_not_measured_and_an_event_that_never_happens_is_never(folder, capsys):
     x = {"signal": "lag/state/x/position"}
     settings = {
         "late": {"function": "final_value", "arguments": {**x, "start": 0.9}},
@@ -387,7 +387,7 @@ def test_what_was_not_simulated_is_not_measured_and_what_never_happens_is_never(
     assert page.count(">not judged<") == 2  # the run, and the figure that never came
 
 
-def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_ours(folder):
+def test_an_outside_law_leaves_no_parameters_title_or_pictures_of_the_node_it_replaces(folder):
     outside = load_scenario("lag", {}).model_copy(
         update={"plots": (PlotEntry(title="Law", signals={"lag/command/u/effort": "u"}),)}
     )
@@ -455,7 +455,7 @@ esac
 
 @pytest.fixture
 def bare(tmp_path):
-    """A checkout that has never been set up, on a machine with nothing but the stub; gives its environment."""
+    """A checkout without a set-up, on a machine with only the stub; returns its environment."""
     for folder in ("scripts", "ros_pkgs/here", "config/scenarios", "bin"):
         (tmp_path / folder).mkdir(parents=True)
     for file in ("setup.py", "setup.cfg", "package.xml"):
@@ -469,7 +469,7 @@ def bare(tmp_path):
     return {"PATH": f"{tmp_path / 'bin'}:/usr/bin:/bin", "HOME": str(tmp_path)}
 
 
-def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(bare, tmp_path):
+def test_a_call_that_waited_for_another_set_up_uses_its_result(bare, tmp_path):
     calls = [
         subprocess.Popen(
             [tmp_path / "scripts" / "softrig", "env"],
@@ -491,7 +491,7 @@ def test_a_call_that_waited_for_the_set_up_of_another_runs_as_that_one(bare, tmp
     assert all("--require-hashes" in c for c in installs)
 
 
-def test_pip_does_it_where_uv_cannot_be_had_and_a_shared_environment_is_not_installed_twice(bare, tmp_path):
+def test_pip_is_used_without_uv_and_a_shared_environment_is_not_installed_twice(bare, tmp_path):
     def softrig(*arguments, **variables):
         return subprocess.run(
             [tmp_path / "scripts" / "softrig", *arguments],
@@ -557,7 +557,7 @@ def test_kilteds_wheels_are_set_up_beside_jazzys_and_remembered(bare, tmp_path):
 READ_ONLY = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" || exit 77; exec "$1/scripts/softrig" setup'
 
 
-def test_a_checkout_that_cannot_be_written_has_its_set_up_in_the_cache_or_one_line(bare, tmp_path):
+def test_a_read_only_checkout_has_its_set_up_in_the_cache_or_one_line(bare, tmp_path):
     (tmp_path / ".ws").touch()  # no folder, whoever may write
     printed = subprocess.run([tmp_path / "scripts" / "softrig", "setup"], env=bare, capture_output=True, text=True)
     line = "not writable; set XDG_CACHE_HOME to a folder of yours\n"
@@ -571,7 +571,7 @@ def test_a_checkout_that_cannot_be_written_has_its_set_up_in_the_cache_or_one_li
     assert re.fullmatch(f"softrig: cannot set up in {cache}: {line}", printed.stderr)
 
 
-def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):
+def test_an_error_of_softrig_is_one_line_and_a_log(monkeypatch, tmp_path, capsys):
     def broken(options):
         raise ZeroDivisionError("x" * 5000)
 
@@ -588,7 +588,7 @@ def test_an_error_of_our_own_is_one_line_and_a_log(monkeypatch, tmp_path, capsys
 
 
 @pytest.mark.parametrize("where", ["execute", "save"])
-def test_an_error_of_our_own_in_a_run_is_kept_in_its_folder(folder, monkeypatch, capsys, where):
+def test_an_error_of_softrig_in_a_run_is_kept_in_its_folder(folder, monkeypatch, capsys, where):
     def broken(*arguments, **keys):
         raise ZeroDivisionError("none of yours")
 
@@ -618,12 +618,12 @@ def test_nothing_is_imported_from_the_current_directory(tmp_path):
 
 
 def command(*arguments, **options):
-    """The command line in a process of its own, without the time that scripts/softrig takes."""
+    """The command line in a separate process, without the time that scripts/softrig needs."""
     return subprocess.run([sys.executable, "-P", "-m", "softrig_bringup", *arguments], timeout=PATIENCE, **options)
 
 
 @pytest.mark.parametrize("encoding", few(["ascii", "latin-1"], 1))
-def test_an_output_that_lacks_a_character_shows_another(folder, monkeypatch, encoding):
+def test_an_output_encoding_that_lacks_a_character_shows_another(folder, monkeypatch, encoding):
     (folder / "lag.yaml").write_text(SCENARIO.replace("First-order lag", "First-order lag, 3 µs → 4 µs"))
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding))  # strict, as Python opens its own
@@ -631,7 +631,7 @@ def test_an_output_that_lacks_a_character_shows_another(folder, monkeypatch, enc
     assert b"First-order lag, 3" in written.getvalue()
 
 
-def test_closed_streams_are_opened_before_a_file_gets_their_number(folder):
+def test_closed_streams_are_opened_before_a_file_gets_their_descriptor(folder):
     assert run("lag", "--mode", "inprocess", "--out", "b", "--no-plots") == 0
 
     def close():
@@ -644,7 +644,7 @@ def test_closed_streams_are_opened_before_a_file_gets_their_number(folder):
     assert main(["bag", "compare", "a/bag", "b/bag", "--bitwise"]) == 0
 
 
-def test_a_full_disk_behind_the_output_and_a_reader_that_has_gone(folder):
+def test_a_full_disk_behind_the_output_and_a_closed_pipe_are_reported(folder):
     with open("/dev/full", "w") as full:
         result = command("--version", stdout=full, stderr=subprocess.PIPE, text=True)
     assert result.returncode == 3
@@ -657,14 +657,14 @@ def test_a_full_disk_behind_the_output_and_a_reader_that_has_gone(folder):
 
 
 @pytest.mark.long
-def test_no_home_and_no_place_for_temporary_files(folder, tmp_path):
+def test_a_missing_home_and_temporary_folder_are_reported(folder, tmp_path):
     nowhere = {"HOME": "/proc/nowhere", "TMPDIR": "/proc/nowhere"}
     variables = {k: v for k, v in os.environ.items() if k != "XDG_CACHE_HOME"} | nowhere
     result = command("run", "lag", "--out", "a", "--no-plots", env=variables, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
 
 
-def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monkeypatch, capsys):
+def test_a_signal_while_the_bag_is_written_waits_until_it_is_complete(folder, monkeypatch, capsys):
     from softrig_bags.write import write_bag
 
     def struck(*arguments, **options):
@@ -685,8 +685,8 @@ def test_a_signal_while_the_bag_is_written_waits_until_it_is_whole(folder, monke
 
 
 @pytest.mark.long
-def test_a_terminal_that_goes_while_a_table_is_printed(folder):
-    """rich by itself would end with status 1, which says that a metric misses."""
+def test_a_terminal_that_closes_while_a_table_is_printed(folder):
+    """rich by itself would end with status 1, which means that a metric misses."""
     reader, writer = os.pipe()
     os.close(reader)
     result = command("list", stdout=writer, env=os.environ | {"COLUMNS": "60"}, stderr=subprocess.PIPE, text=True)
@@ -702,7 +702,7 @@ def test_a_terminal_that_goes_while_a_table_is_printed(folder):
         "OSError(12, 'Cannot allocate memory')",
     ],
 )
-def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
+def test_too_little_memory_is_not_bad_input(error, folder, monkeypatch, capsys):
     (folder / "greedy.py").write_text(f"raise {error}\n")
     (folder / "greedy-1.0.dist-info").mkdir()
     (folder / "greedy-1.0.dist-info" / "METADATA").write_text("Name: greedy\nVersion: 1.0\n")
@@ -715,7 +715,7 @@ def test_too_little_memory_is_no_bad_input(error, folder, monkeypatch, capsys):
     assert "out of memory" in capsys.readouterr().err
 
 
-def test_a_library_of_ours_that_finds_no_memory_is_reported_as_that(capsys):
+def test_a_library_that_gets_no_memory_is_reported_as_such(capsys):
     def work():
         raise ImportError("x.so: failed to map segment from shared object")
 
@@ -723,7 +723,7 @@ def test_a_library_of_ours_that_finds_no_memory_is_reported_as_that(capsys):
     assert capsys.readouterr().err == "softrig: out of memory; a shorter run or a smaller size may fit\n"
 
 
-def test_a_file_that_is_no_scenario_hides_no_other(folder, capsys, monkeypatch):
+def test_a_file_that_is_not_a_scenario_hides_no_other(folder, capsys, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
     (folder / "broken.yaml").write_text("a: [\n")
     (folder / "typo.yaml").write_text("{title: t, system: s, source: s, duration: -1, nodes: {}}\n")
@@ -777,7 +777,7 @@ def test_a_full_disk_names_the_folder(folder):
                  "a/.new/report.html", marks=pytest.mark.long),
     (100_000, ["bag", "record", "--output", "a", "/x"], "a"),
 ], 1))  # fmt: skip
-def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, folder):
+def test_a_full_disk_names_the_file_and_leaves_no_incomplete_file(limit, words, path, folder):
     done = on_a_full_disk(limit, *words)
     assert done.returncode == 3, done.stderr
     assert re.search(rf"softrig: (/.*/)?{re.escape(path)}: File too large$", done.stderr, re.MULTILINE), done.stderr
@@ -785,7 +785,7 @@ def test_a_full_disk_names_the_file_and_nothing_half_stays(limit, words, path, f
     assert left <= {"study.json", "rows.jsonl", "softrig_files.json"}
 
 
-def test_what_a_run_waits_for_is_reported_whole_and_in_lines(capsys):
+def test_what_a_run_waits_for_is_reported_completely_and_in_lines(capsys):
     text = "waiting for a\n" + "\n".join(f"    a must publish topic_{i}" for i in range(60))
     _announce(text)
     assert capsys.readouterr().err == f"softrig: {text}\n"
@@ -812,7 +812,7 @@ DIFFERENT = [
 ]
 
 
-def test_runs_that_differ_have_folders_of_their_own_and_no_number_is_cut():
+def test_different_runs_have_different_folders_and_no_number_is_truncated():
     names = [folder_name("lag", make_parser().parse_args(["run", *words.split()])) for words in DIFFERENT]
     assert len(set(names)) == len(DIFFERENT)
     assert max(map(len, names)) <= 129

@@ -1,4 +1,4 @@
-"""Completion in the shell, the list of scenarios, and what a node says to who starts it by hand."""
+"""Completion in the shell, the list of scenarios, and what a node started by a person prints."""
 
 import json
 import os
@@ -35,7 +35,7 @@ for k, line in enumerate(json.load(sys.stdin)):
 """
 
 
-def test_each_place_of_a_command_is_completed(tmp_path):
+def test_each_position_of_a_command_is_completed(tmp_path):
     exactly = {
         "ne": {"new"},
         "run dc_motor_smc_b5_p": {"dc_motor_smc_b5_pid"},
@@ -109,14 +109,14 @@ def test_stray_arguments_of_a_node_are_refused(stray, tmp_path):
     assert printed.startswith(f"plant: unexpected argument '{stray}': expected --ros-args")
 
 
-def test_a_node_by_hand_says_what_it_is_and_waits_for():
+def test_a_node_started_by_a_person_prints_what_it_is_and_waits_for():
     text = introduction(DcMotorSmc(), RunOptions())
     assert "waits for motor/state" in text
     assert "publishes motor/command" in text
     assert "\n" not in text
 
 
-def test_quiet_prints_nothing_and_its_status_tells(tmp_path, capsys):
+def test_quiet_prints_nothing_and_the_status_is_the_result(tmp_path, capsys):
     words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / "run")]
     assert main([*words, "--quiet"]) == 0
     assert (tmp_path / "run" / "metrics.json").is_file()
@@ -147,7 +147,7 @@ def test_on_a_narrow_terminal_no_number_and_no_word_is_broken(tmp_path, capsys, 
         assert f"measured {figure['value']:.6g}" in " ".join(text.split())
 
 
-def test_few_long_cases_tell_how_far_they_are_where_there_is_no_terminal(capsys, monkeypatch):
+def test_few_long_cases_show_progress_without_a_terminal(capsys, monkeypatch):
     now = iter(range(0, 100, 5))
     monkeypatch.setattr("softrig_optim.sweep.time", SimpleNamespace(monotonic=lambda: float(next(now))))
     with progress("scenarios", 6) as advance:

@@ -36,7 +36,7 @@ def commands(job):
     return [step["run"] for step in WORKFLOW["jobs"][job]["steps"] if "run" in step]
 
 
-def test_the_dockerfile_copies_what_is_there_and_sets_up_as_the_user_that_runs():
+def test_the_dockerfile_copies_existing_files_and_sets_up_as_the_user_that_runs():
     result = instructions()
     assert {word for word, _ in result} == {"FROM", "RUN", "USER", "WORKDIR", "COPY", "ENTRYPOINT", "CMD"}
     stages = [remaining.split() for word, remaining in result if word == "FROM"]
@@ -82,7 +82,7 @@ def test_every_command_is_one_that_softrig_knows(command):
     assert ({named} if isinstance(named, str) else set(named)) <= set(list_scenarios())
 
 
-def test_what_the_workflow_keeps_is_what_its_commands_write():
+def test_the_workflow_keeps_files_that_its_commands_write():
     steps = [step for job in WORKFLOW["jobs"].values() for step in job["steps"]]
     assert all(("uses" in step) != ("run" in step) for step in steps)
     (kept,) = [step["with"]["path"] for step in steps if step.get("uses", "").startswith("actions/upload-artifact@")]
@@ -96,7 +96,9 @@ def test_what_the_workflow_keeps_is_what_its_commands_write():
 
 @pytest.mark.long
 def test_their_commands_work_in_a_fresh_folder_in_order(tmp_path):
-    """As in the image and on the runner: an own home, no ROS, no environment of ours; all but the test suite itself."""
+    """As in the image and on the runner: a separate home, no ROS, no environment of ours; all but the test suite
+    itself.
+    """
     there = tmp_path / "softrig"
     ignored = shutil.ignore_patterns("__pycache__", "*.egg-info")
     for name in ("scripts", "ros_pkgs", "config", "bags"):

@@ -1,4 +1,6 @@
-"""What a picture shows of a signal, by hand: its outline, its window, marks of what is expected, axes and legends."""
+"""What a picture shows of a signal, computed independently: its envelope, its window, marks of expectations, axes and
+legends.
+"""
 
 import math
 from types import SimpleNamespace
@@ -35,7 +37,7 @@ def curve(y, *, label="", unit="V", x=None, **more):
 
 @pytest.mark.parametrize("count", [1, 27, 28, 29, 200])
 def test_a_long_signal_is_reduced_to_its_extremes_column_by_column(count):
-    """What one sees at so many pixels: where a column begins and ends, and how low and high it goes; no gap counts."""
+    """Each pixel column shows first, last, lowest and highest value; gaps do not count."""
     rng = np.random.default_rng(count)
     x, y = np.cumsum(rng.random(count)), rng.standard_normal(count)
     y[rng.random(count) < 0.1] = np.nan
@@ -58,13 +60,13 @@ def test_a_long_signal_is_reduced_to_its_extremes_column_by_column(count):
 @pytest.mark.parametrize(
     "window", [(0.0, 0.4), (0.05, 0.25), (0.1, 0.3), (-1.0, 0.15), (0.3, 9.0), (0.2, 0.2), (0.25, 0.25), (0.4, 0.5)]
 )
-def test_a_window_has_no_value_from_outside_of_it_and_both_edges(held, window):
+def test_a_window_has_both_edges_and_no_value_from_outside(held, window):
     whole = curve([5.0, 1.0, 4.0, 2.0, 3.0], held=held)
     result = inside(whole, window)
     first, last = max(window[0], 0.0), min(window[1], 0.4)
 
     def at(t, before=False):
-        """The newest value, or between two samples that of the straight line; just before a step at `t`."""
+        """The newest value, or the linear interpolation between two samples; just before a step at `t`."""
         if held:
             return [y for x, y in zip(whole.x, whole.y, strict=True) if x < t or (x <= t and not before)][-1]
         k = min(int(t * 10 + 1e-9), 3)
@@ -76,7 +78,7 @@ def test_a_window_has_no_value_from_outside_of_it_and_both_edges(held, window):
     assert (result.held, result.unit) == (held, "V")
 
 
-def test_a_window_beside_the_curve_has_nothing_of_it():
+def test_a_window_outside_the_curve_shows_nothing_of_it():
     whole = curve([5.0, 1.0, 4.0])
     assert [len(inside(whole, w).x) for w in ((0.21, 0.5), (-1.0, -0.1))] == [0, 0]
     assert inside(whole, None) is whole
@@ -92,7 +94,7 @@ def lag():
 
 
 def recorded(**topics):
-    """Signals of a few messages, by topic: times and values of its one column."""
+    """Signals of a few messages, by topic: times and values of the only column."""
     tables = {}
     for topic, (label, t, values) in topics.items():
         name = topic.replace("_", "/")
@@ -103,7 +105,7 @@ def recorded(**topics):
     )
 
 
-def test_what_is_held_goes_on_to_the_end_of_the_run_and_what_is_measured_does_not(lag):
+def test_a_held_signal_continues_to_the_end_of_the_run_and_a_measured_one_does_not(lag):
     source = Source(
         recorded(lag_state=("x/position", [0.0, 0.1, 0.2], [1.0, 2.0, 4.0]),
                  lag_command=("u/effort", [0.0, 0.1], [7, 8]), lag_reference=("x/position", [], [])), lag
@@ -150,12 +152,12 @@ def test_curves_of_a_unit_share_a_row_in_their_order():
     ("last", "result"), [([], (1.0, "s")), ([0.0], (1.0, "s")), ([0.099], (1e3, "ms")), ([0.1], (1.0, "s")),
                         ([0.01, 5.0], (1.0, "s"))]
 )  # fmt: skip
-def test_a_run_that_is_over_at_once_is_drawn_in_milliseconds(last, result):
+def test_a_very_short_run_is_drawn_in_milliseconds(last, result):
     assert time_scale([[curve([1.0], x=[t]), curve([])] for t in last]) == result
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_band_is_of_quantiles_where_all_runs_are(held):
+def test_a_band_shows_quantiles_at_times_common_to_all_runs(held):
     curves = [Curve("", "", np.array([0.0, 0.5, 1.0 + 0.1 * k]), k * np.array([1.0, 2.0, 3.0]), held) for k in range(5)]
     t, low, middle, high = band(curves)
     assert (t[0], t[-1], len(t)) == (0.0, 1.0, 1000)
@@ -167,7 +169,7 @@ def test_a_band_is_of_quantiles_where_all_runs_are(held):
         assert (low[k], middle[k], high[k]) == pytest.approx(np.quantile(values, [0.1, 0.5, 0.9]))
 
 
-def test_only_what_two_runs_show_in_a_plot_of_the_same_signals_is_overlaid():
+def test_only_signals_that_two_runs_show_in_one_plot_are_overlaid():
     """One shows x, the other x and r: both have x, and no plot in common; a third that shows x makes one."""
     t = np.arange(5) / 10.0
     about = Shown(unit="m", held=False, reference=False)
@@ -267,7 +269,7 @@ def test_a_fall_is_marked_as_a_rise_is(monkeypatch):
 
 
 class Fixed(Judge):
-    """A requirement of which is known where it does not hold."""
+    """A requirement with known intervals in which it does not hold."""
 
     def margin(self, signals):
         if self.tree == "not judged":
@@ -286,7 +288,7 @@ class Fixed(Judge):
         ("not judged", []),
     ],
 )
-def test_what_is_violated_is_shaded_in_each_signal_of_its_formula(monkeypatch, spans, drawn):
+def test_violations_are_shaded_in_each_signal_of_the_formula(monkeypatch, spans, drawn):
     judge = object.__new__(Fixed)
     for name, value in {"tree": spans, "signals": {"a": "s", "b": "r"}}.items():
         object.__setattr__(judge, name, value)
@@ -326,7 +328,7 @@ MARKS = {
 
 @pytest.mark.parametrize(("scale", "name"), [(1.0, "marks_each"), (1e3, "marks_in_ms")])
 def test_each_kind_of_mark_is_drawn_as_expected(scale, name):
-    """In axes of ten by one, which begin at 2 and 1."""
+    """In axes of ten by one that begin at 2 and 1."""
     chosen = MARKS if scale == 1.0 else {k: MARKS[k] for k in ("a band in its window", "a stretch of time", "violated")}
     figure = Figure()
     for k, (about, shown) in enumerate(chosen.items()):
@@ -373,11 +375,11 @@ def test_a_single_sample_is_a_dot_and_a_constant_is_no_noise():
     [([[0, 1], [1, 1]], True), ([[0, 1]], False), ([[0, 1], [0, 2]], False), ([[0, 1], []], False),
      ([[0, 1]] * 8, True), ([[0, 1]] * 9, False)],
 )  # fmt: skip
-def test_several_curves_of_nothing_and_one_are_switches(rows, logic):
+def test_several_curves_with_values_0_and_1_are_switches(rows, logic):
     assert is_logic([curve(row) for row in rows]) == logic
 
 
-def test_curves_are_reported_apart_by_colour_then_by_dashes_and_many_by_shade():
+def test_curves_are_distinguished_by_colour_then_by_dashes_and_many_by_shade():
     plain, reference = curve([1.0]), curve([1.0], reference=True)
     eight = styles([plain] * 7 + [plain])
     assert [s["color"] for s in eight] == [*look.COLOURS, look.COLOURS[0]]
@@ -424,7 +426,7 @@ def boxed(names, width, title="", marks=()):
         (["a"] * 9, 200, {"title": "it"}, "it: 9 signals, dark to light from first to last"),
     ],
 )
-def test_a_legend_names_what_is_seen_in_as_many_columns_as_there_is_room_for(names, width, more, result):
+def test_a_legend_lists_visible_curves_in_as_many_columns_as_fit(names, width, more, result):
     assert boxed(names, width, **more) == result
 
 
@@ -436,7 +438,7 @@ def test_a_legend_names_what_is_seen_in_as_many_columns_as_there_is_room_for(nam
         (3e7, "", False, r"$\mathregular{10^{7}}$"), (3e-5, "a, b, V", False, r"a, b, $\mathregular{10^{-5}}$ V"),
     ],
 )  # fmt: skip
-def test_a_scale_factor_stands_before_the_unit(largest, title, unit, result):
+def test_a_scale_factor_is_written_before_the_unit(largest, title, unit, result):
     with rc_context(look.style()):
         ax = Figure().subplots()
         ax.plot([0.0, 1.0], [0.0, largest])
@@ -477,7 +479,7 @@ def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, colum
         (["o"], 3, ["Own", "overview"]),  # fewer than asked for
     ],
 )
-def test_each_plot_of_a_run_is_drawn_but_of_what_never_came_from_outside(monkeypatch, tmp_path, silent, most, drawn):
+def test_each_plot_of_a_run_is_drawn_except_signals_that_never_arrived(monkeypatch, tmp_path, silent, most, drawn):
     plots = [PlotEntry(title=title, signals=dict.fromkeys(names, "")) for title, names in (
         ("Own", ["t/x"]), ("Outside", ["o/x"]), ("Less", ["o/x - o/y"]), ("Both", ["o/x - t/x"]))]  # fmt: skip
     members = [SimpleNamespace(external=outside, outputs=[SimpleNamespace(topic=t)]) for t, outside in
@@ -502,7 +504,7 @@ def test_each_plot_of_a_run_is_drawn_but_of_what_never_came_from_outside(monkeyp
     ]  # fmt: skip
 
 
-def test_panels_say_what_they_show_once(monkeypatch):
+def test_panels_state_their_content_once(monkeypatch):
     rows = [
         [curve([0, 1], label="a/position"), curve([1, 0], label="b/position")],
         [curve([0, 2], label="a/position"), curve([1, 3], label="b/position")],
@@ -519,7 +521,7 @@ def test_panels_say_what_they_show_once(monkeypatch):
     assert [ax.get_ylabel() for ax in (same, other)] == ["V", "V"]
 
 
-def test_a_legend_of_a_run_has_room_for_a_hundred_and_ten_letters(monkeypatch):
+def test_a_legend_of_a_run_has_room_for_110_letters(monkeypatch):
     widths = []
     monkeypatch.setattr(pictures, "legend", lambda ax, curves, title, width, marks: widths.append(width))
     source = SimpleNamespace(shown=lambda entry, name: curve([0.0, 0.5, 3.0], label=name))
@@ -545,7 +547,7 @@ def test_a_scale_factor_holds_for_all_ticks():
     [("speed", "Speed"), ("ab", "Ab"), ("abCd", "AbCd"), ("aBcd", "aBcd"), ("q", "q"), ("a_b", "a_b"), ("a.b", "a.b"),
      ("ab/c", "ab/c"), ("", "")],
 )  # fmt: skip
-def test_a_word_begins_large_in_a_title_and_a_name_does_not(name, title):
+def test_a_word_is_capitalised_in_a_title_and_a_name_is_not(name, title):
     assert look.axis_title(name, "") == title
 
 
@@ -554,12 +556,12 @@ def test_a_word_begins_large_in_a_title_and_a_name_does_not(name, title):
     [(["a", "b"], "V", "", "Voltage, V"), (["a", "b"], "V", "Own", "Own, V"), (["speed"], "x", "", "Speed, x"),
      (["a", "b"], "x", "", "Value, x"), (["a", "b"], "", "", ""), (["a"], "", "", "a")],
 )  # fmt: skip
-def test_a_value_axis_says_what_it_is(labels, unit, given, title):
+def test_a_value_axis_is_labelled(labels, unit, given, title):
     assert pictures._value_title([curve([1.0], label=name) for name in labels], unit, given) == title
 
 
-def test_how_pictures_look_is_as_expected():
-    """Settings of matplotlib, and what each unit stands for."""
+def test_the_style_of_pictures_is_as_expected():
+    """Settings of matplotlib, and the label of each unit."""
     settings = {k: v if k != "axes.prop_cycle" else v.by_key()["color"] for k, v in look.style().items()}
     units = {unit: look.quantity(unit) for unit in sorted(look._QUANTITIES)}
     check_expected("pictures/style", [f"{k}: {v}" for k, v in (settings | units).items()])

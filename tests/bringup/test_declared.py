@@ -1,4 +1,6 @@
-"""What each package imports is in its package.xml, under a key of rosdistro or of config/rosdep.yaml, and no more."""
+"""The imports of each package are in its package.xml, under a key of rosdistro or of config/rosdep.yaml, and nothing
+else is.
+"""
 
 import ast
 import configparser
@@ -65,7 +67,7 @@ def keys(module):
 
 
 def imports(folder):
-    """Modules that a package imports, without Python's and its own."""
+    """Modules that a package imports, except Python's and its own."""
     results = set()
     for file in (*folder.glob(f"{folder.name}/**/*.py"), *folder.glob("launch/*.py")):
         for node, _ in imported(file):
@@ -101,7 +103,7 @@ def test_every_import_is_declared(folder):
 
 
 @pytest.mark.parametrize("name", RELEASED)
-def test_what_a_distribution_may_take_has_keys_of_rosdistro_alone(name):
+def test_packages_for_a_distribution_use_only_keys_of_rosdistro(name):
     declared = depends(ROOT / "ros_pkgs" / name / "package.xml") - {*RELEASED}
     assert declared <= {*KEYS["ros"], *KEYS["system"], *WAITS_FOR.get(name, ())}
 
@@ -118,7 +120,7 @@ def test_what_a_distribution_may_take_has_keys_of_rosdistro_alone(name):
     ],
     ids=lambda x: x if isinstance(x, str) and " " not in x else "",
 )
-def test_what_a_distribution_leaves_to_pip_is_asked_for_by_its_first_use(package, use, what, monkeypatch):
+def test_a_distribution_without_pip_packages_asks_for_them_at_the_first_use(package, use, what, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.delitem(sys.modules, "softrig_core.export.st", raising=False)
     compressed.zstd.cache_clear()
@@ -128,7 +130,7 @@ def test_what_a_distribution_leaves_to_pip_is_asked_for_by_its_first_use(package
 
 
 def above(file):
-    """Modules that a file imports as it is loaded, as full names; a name taken from one may be a module, too."""
+    """Modules that a file imports when it is loaded, as full names; an imported name may be a module, too."""
     package = file.relative_to(BRINGUP.parent).with_suffix("").parts[:-1]
     for node in ast.parse(file.read_text()).body:
         if isinstance(node, ast.Import):
@@ -140,8 +142,8 @@ def above(file):
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
-def test_no_verb_needs_an_extra_before_it_asks_for_it():
-    """A checkout adds it when `need` asks; an import at the head of a verb's module comes sooner and fails."""
+def test_no_verb_imports_an_extra_before_it_asks_for_it():
+    """A checkout installs it when `need` asks; an import at the head of a verb's module would fail before that."""
     targets = re.findall(r'"([\w.]+):\w+"', (BRINGUP / "verbs/declared.py").read_text())
     waiting = {f"softrig_bringup.{target}" for target in targets}
     assert len(waiting) > 10
@@ -156,7 +158,7 @@ def test_no_verb_needs_an_extra_before_it_asks_for_it():
             seen |= new
 
 
-def test_our_own_keys_say_what_the_project_asks_of_pip():
+def test_our_own_keys_match_the_projects_pip_requirements():
     wanted = {re.match(r"[\w.-]+", r).group(): r.partition(";")[0].strip() for r in PROJECT["dependencies"]}
     for key, systems in OWN.items():
         name = key.removeprefix("python3-").removesuffix("-pip")
@@ -170,7 +172,7 @@ def test_our_own_keys_say_what_the_project_asks_of_pip():
 
 @pytest.mark.parametrize("folder", PACKAGES, ids=lambda f: f.name)
 def test_each_package_stands_alone_with_licence_and_configuration(folder):
-    """As a distribution takes them: one by one."""
+    """A distribution takes them one by one."""
     root = ElementTree.parse(folder / "package.xml").getroot()
     assert root.find("license").attrib == {"file": "LICENSE"}
     assert (folder / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
@@ -181,13 +183,13 @@ def test_each_package_stands_alone_with_licence_and_configuration(folder):
     assert (folder / "test/test_style.py").read_text().replace(folder.name, "softrig_core") == STYLE
 
 
-def test_the_pip_line_has_what_the_set_up_installs():
+def test_the_pip_line_lists_what_the_set_up_installs():
     wanted = {re.match(r"[\w.-]+", r).group() for r in PROJECT["dependencies"]}
     assert {name for name in wanted if not name.startswith("ros-")} == FROM_PIP
     assert "'pydantic>=2'" in LINE
 
 
-def test_an_old_pydantic_is_refused_in_words(monkeypatch, tmp_path):
+def test_an_old_pydantic_is_refused_in_one_line(monkeypatch, tmp_path):
     (tmp_path / "pydantic").mkdir()
     (tmp_path / "pydantic" / "__init__.py").write_text("VERSION = '1.10.14'")
     (tmp_path / "pydantic" / "version.py").write_text("VERSION = '1.10.14'")

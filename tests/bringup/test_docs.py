@@ -1,4 +1,4 @@
-"""The site: every page has its place, everything is in the reference, nothing leads nowhere."""
+"""The site: every page has its place, everything is in the reference, no link is broken."""
 
 import json
 import re
@@ -18,7 +18,7 @@ from softrig_core.judge.registry import registered
 from softrig_core.wire.types import TYPES
 
 
-def test_every_page_of_the_packages_has_a_place_and_leads_to_pages_of_the_site(tmp_path):
+def test_every_page_of_the_packages_has_a_place_and_links_to_pages_of_the_site(tmp_path):
     collect.collect(tmp_path)
     made = [p for p in tmp_path.rglob("*.*") if p.suffix in (".md", ".ipynb") and p.parent.name != "pictures"]
     written = {p.relative_to(tmp_path).with_suffix("").as_posix() for p in made}
@@ -30,13 +30,13 @@ def test_every_page_of_the_packages_has_a_place_and_leads_to_pages_of_the_site(t
             assert target == "../index.md" or (page.parent / target).exists(), (page, target)
 
 
-def test_a_link_to_nowhere_is_reported(tmp_path):
+def test_a_broken_link_is_reported(tmp_path):
     page = outline.pages()["tick"]
     with pytest.raises(ValueError, match=r"tick.md: the link gone.md leads to no page"):
         collect.moved("[a](gone.md)\n", page, "explanations/tick", tmp_path)
 
 
-def test_how_a_page_is_moved(tmp_path):
+def test_links_of_a_moved_page_are_adapted(tmp_path):
     page = outline.pages()["tick"]
 
     def moved(text):
@@ -61,7 +61,7 @@ def test_how_a_page_is_moved(tmp_path):
     assert moved("where $`x_1 < 2`$ is, for 3 $ and 4 $\n") == "where {math}`x_1 < 2` is, for 3 $ and 4 $\n"
 
 
-def test_the_gallery_has_a_card_of_every_system_with_a_picture_that_is_there(tmp_path):
+def test_the_gallery_has_a_card_with_an_existing_picture_for_every_system(tmp_path):
     collect.collect(tmp_path)
     gallery.write(tmp_path)
     text = (tmp_path / "gallery/index.md").read_text()
@@ -73,7 +73,7 @@ def test_the_gallery_has_a_card_of_every_system_with_a_picture_that_is_there(tmp
     assert {p.stem for p in (tmp_path / "gallery").glob("*.md")} == {*outline.GALLERY, "index"}
 
 
-def test_the_reference_has_everything_that_there_is():
+def test_the_reference_is_complete():
     verbs = reference.verbs()
     names = {*cli.make_parser()._subparsers._group_actions[0].choices}
     assert {n.split()[0] for n in re.findall(r"^##+ (.+)$", verbs, re.M)} == names
@@ -147,7 +147,7 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
 
 
 def violations(html, folder):
-    """What axe-core finds on every page, in the dark of colours; nothing where there is no browser or no npm."""
+    """The violations that axe-core finds on every page in dark colours; none without a browser or npm."""
     chromium, driver, npm = map(shutil.which, ("chromium", "chromedriver", "npm"))
     got = npm and subprocess.run([npm, "install", "--prefix", folder, "axe-core@4"], capture_output=True, check=False)
     if not (chromium and driver and got) or got.returncode:
@@ -184,7 +184,7 @@ axe.run(document, rules.length ? {runOnly: rules} : {}).then(r => done(r.violati
 
 
 def contrast(one, other):
-    """Ratio of the luminances of two colours, as WCAG 2 has it."""
+    """Ratio of the luminances of two colours, as WCAG 2 defines it."""
     lights = []
     for colour in (one, other):
         parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
@@ -201,7 +201,7 @@ def test_every_colour_of_code_can_be_read(theme):
             assert contrast(f"#{about['color']}", theme.background_color) >= 4.5, token
 
 
-def test_what_keeps_readers_out_is_gone_from_a_page():
+def test_accessibility_faults_are_removed_from_a_page():
     page = '<th class="head"><p></p></th><th>a</th><div class="table-wrapper x"><aside class="sidebar-drawer">'
     assert accessible(page) == (
         '<td></td><th>a</th><div tabindex="0" class="table-wrapper x"><aside class="sidebar-drawer" aria-label="Pages">'
@@ -231,14 +231,14 @@ def test_a_notebook_whose_cell_fails_is_reported(tmp_path):
         execute(tmp_path)
 
 
-def test_an_index_stands_beside_what_has_a_dot():
+def test_an_index_is_a_script_for_names_with_a_dot():
     assert "<msub><mover" in re.sub(r"\s+(?=<)", "", conf.mathml(r"\dot x_k", as_block=True))
     assert "munderover" in conf.mathml(r"\sum_{k=1}^{n} x_k", as_block=True)
     assert "munderover" not in conf.mathml(r"\ddot q_r - \dot{\imath}_L + \hat\psi_s", as_block=False)
 
 
-def test_every_formula_of_the_pages_can_be_set():
-    """What ends the build of the site is seen daily."""
+def test_every_formula_of_the_pages_can_be_typeset():
+    """This finds daily what would break the build of the site."""
     pages = "".join(page.read_text() for page in collect.ROOT.glob("ros_pkgs/*/doc/**/*.md"))
     fences = re.findall(r"```math\n(.*?)```", pages, re.S)
     assert len(fences) >= 14  # each system has one at least

@@ -38,7 +38,7 @@ FAR = (-600.0, 800.0)  # px: how far beyond its 640 by 380 a drawing reaches whe
 
 
 def check_alike(frames):
-    """What a drawing promises: frames of the same shapes, with different places, radii and texts alone."""
+    """Check the promise of a drawing: frames of the same shapes, in which only places, radii and texts differ."""
     kinds = None
     for k, frame in enumerate(frames):
         now = [_look(shape) for shape in frame]
@@ -69,7 +69,7 @@ def usual(drawing, name, seed):
 
 
 @pytest.mark.parametrize("name", few(DRAWN, 12))
-def test_frames_differ_in_places_radii_and_texts_alone(name):
+def test_frames_differ_only_in_places_radii_and_texts(name):
     drawing = drawing_for(name)
     assert drawing.signals
     draw = Random(1)
@@ -85,7 +85,7 @@ def test_frames_differ_in_places_radii_and_texts_alone(name):
 
 
 @pytest.mark.parametrize("name", few(DRAWN, 12))
-def test_each_signal_of_a_drawing_moves_it_and_none_drives_it_off_its_sheet(name):
+def test_each_signal_of_a_drawing_moves_it_and_none_moves_it_off_its_sheet(name):
     drawing = drawing_for(name)
     rows = usual(drawing, name, name)
     before, last = rows[:-1], rows[-1]
@@ -103,7 +103,7 @@ def test_each_signal_of_a_drawing_moves_it_and_none_drives_it_off_its_sheet(name
 
 
 def test_texts_of_drawings_are_as_expected():
-    """What a person reads in one frame of each: names, numbers with units, words."""
+    """The text in one frame of each drawing: names, numbers with units, words."""
     messages = []
     for name in DRAWN:
         drawing = drawing_for(name)
@@ -120,7 +120,7 @@ def points(shape):
         assert result["radius"] >= 0.0
 
 
-def test_a_frame_that_differs_otherwise_is_named():
+def test_a_frame_with_another_difference_is_named():
     drawing = drawing_for("induction_dtc")
     frame = drawing.frame({})
     last = len(frame) - 1
@@ -130,7 +130,7 @@ def test_a_frame_that_differs_otherwise_is_named():
         check_alike([frame, frame[:-1]])
 
 
-def test_the_motor_turns_as_its_shaft_and_the_flux_points_as_it_does():
+def test_the_motor_turns_as_its_shaft_and_the_flux_arrow_follows_the_flux():
     drawing = drawing_for("induction_dtc")
     still = {"flux_true/x": 1.05, "flux_true/y": 0.0}
     up = {"flux_true/x": 0.0, "flux_true/y": 1.05}
@@ -149,15 +149,15 @@ def test_the_motor_turns_as_its_shaft_and_the_flux_points_as_it_does():
     assert marks == [(278.0, 180.0), (190.0, 92.0)]
 
 
-def test_conductors_lie_so_that_their_currents_make_the_flux_along_the_axis():
-    """A current of phase a alone: out of the page above, into it below: its field points right."""
+def test_conductors_are_placed_so_that_their_currents_make_the_flux_along_the_axis():
+    """A current in phase a alone, out of the page above and into it below: its field points right."""
     drawing = drawing_for("induction_dtc")
     frame = drawing.frame({"currents_true/x": 5.0})
     signs = {s.text: s.at[1] for s in frame if as_dict(s).get("text") in ("·", "×")}
     assert signs["·"] < 180.0 < signs["×"]
 
 
-def test_the_translator_stands_where_its_poles_are_aligned():
+def test_the_translator_is_drawn_where_its_poles_are_aligned():
     """At a position of k times 13 mm pole k is below a tooth."""
     drawing = drawing_for("lsrm_fuzzy")
     for k, name in enumerate("abcd"):
@@ -169,8 +169,8 @@ def test_the_translator_stands_where_its_poles_are_aligned():
         assert min(abs(x - letter.at[0]) for x in teeth) < 0.2
 
 
-def test_a_robot_stands_as_its_joints_say():
-    """The leg hangs straight down at zero; bent at the hip its foot comes forward, to the right."""
+def test_a_robot_is_drawn_as_its_joints_are():
+    """The leg hangs straight down at zero; if the hip bends, its foot moves forward, to the right."""
     drawing = drawing_for("rehab_impedance")
     feet = [drawing.camera(drawing.scene.tip(q)) for q in ((0.0, 0.0), (0.5, 0.0))]
     hip = drawing.camera((0.0, 0.0, 1.0))
@@ -203,7 +203,7 @@ def test_a_film_shows_the_newest_value_of_each_time(shorted):
     check_alike(made.frames)
 
 
-def test_an_svg_moves_by_itself_and_says_everything_once(shorted):
+def test_an_svg_moves_without_a_script_and_contains_everything_once(shorted):
     made = film(drawing_for(shorted.rig), shorted.signals, 0.05, 0.1)
     root = ElementTree.fromstring(animated(made))
     space = "{http://www.w3.org/2000/svg}"
@@ -264,14 +264,14 @@ def test_a_gif_is_made_small_enough_or_refused(shorted, monkeypatch):
         (["induction_dtc_shor"], "did you mean"),
     ],
 )
-def test_what_cannot_be_animated_is_said(words, text, tmp_path, capsys, monkeypatch):
+def test_a_system_that_cannot_be_animated_is_named(words, text, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["draw", "animate", *words]) == 2
     assert text in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_without_what_is_drawn_is_said(shorted):
+def test_a_run_without_the_drawn_signals_is_named(shorted):
     from softrig_core import Recording, ScenarioError
 
     with pytest.raises(ScenarioError, match="nothing was recorded of what is drawn: joint_states/shaft/position"):

@@ -28,7 +28,7 @@ from softrig_core.wire.parameter_event import TOPIC, TYPE, encode
 
 
 def tree(place, files):
-    """Make files, each with its own name in it; a list becomes the list of what a former call wrote."""
+    """Make files, each with its own name as content; a list becomes the manifest of an earlier call."""
     for name, content in files.items():
         (place / name).parent.mkdir(parents=True, exist_ok=True)
         (place / name).write_text(content if isinstance(content, str) else json.dumps(content))
@@ -94,7 +94,7 @@ SITUATIONS = {
 }
 
 
-def test_what_a_run_finds_in_its_folder_is_replaced_kept_or_refused_as_expected(tmp_path):
+def test_files_in_the_folder_of_a_run_are_replaced_kept_or_refused_as_expected(tmp_path):
     messages = [
         f"{kind}: {' '.join(n for n in NAMES if of.fullmatch(n))}"
         for kind, of in (("a run writes", RUN), ("a study writes", STUDY), ("a falsification writes", FALSIFICATION))
@@ -118,7 +118,7 @@ def test_what_a_run_finds_in_its_folder_is_replaced_kept_or_refused_as_expected(
     check_expected("folders/found", messages)
 
 
-def test_why_what_is_there_cannot_be_made_again_is_as_expected(tmp_path):
+def test_the_reason_why_a_run_cannot_be_made_again_is_as_expected(tmp_path):
     cases = {
         "a plain run": {"metrics.json": {"once": []}},
         "one that says why": {"metrics.json": {"once": ["a", "b"], "code": {"json": "1", "pump_rig": "2"}}},
@@ -142,7 +142,7 @@ def test_why_what_is_there_cannot_be_made_again_is_as_expected(tmp_path):
     check_expected("folders/once", messages)
 
 
-def test_new_files_take_the_places_of_the_old_when_all_are_written(tmp_path):
+def test_new_files_replace_the_old_ones_when_all_are_written(tmp_path):
     def study():
         return ResultsFolder(tmp_path, STUDY)
 
@@ -179,7 +179,7 @@ def test_new_files_take_the_places_of_the_old_when_all_are_written(tmp_path):
     assert [(tmp_path / p).read_text() for p in ("table.csv", "notes.txt")] == ["new", "mine"]
 
 
-def test_a_folder_is_held_by_one_call_at_a_time(tmp_path):
+def test_a_folder_is_locked_by_one_call_at_a_time(tmp_path):
     first, second = ResultsFolder(tmp_path / "x"), ResultsFolder(tmp_path / "x")
     here = f"process {os.getpid()}"
     assert (first.hold(), first.hold(), second.hold()) == (None, None, here)
@@ -207,7 +207,7 @@ def test_a_folder_is_held_by_one_call_at_a_time(tmp_path):
         (MemoryError("x"), False),
     ],
 )
-def test_the_traceback_of_an_error_of_our_own_is_kept_and_listed(tmp_path, error, kept):
+def test_the_traceback_of_an_error_of_softrig_is_kept_and_listed(tmp_path, error, kept):
     tree(tmp_path, {"metrics.json": "", MANIFEST: ["metrics.json", MANIFEST]})
     folder = ResultsFolder(tmp_path)
     folder.hold()
@@ -220,7 +220,7 @@ def test_the_traceback_of_an_error_of_our_own_is_kept_and_listed(tmp_path, error
     assert ResultsFolder(tmp_path).hold() is None  # it was let go
 
 
-def test_a_file_appears_whole_in_place_of_a_link_and_leaves_nothing_else(tmp_path):
+def test_a_file_replaces_a_link_as_a_whole_and_leaves_nothing_else(tmp_path):
     tree(tmp_path, {"precious": "keep"})
     (tmp_path / "x").symlink_to(tmp_path / "precious")
     folders.replace(tmp_path / "x", "ü")
@@ -254,7 +254,7 @@ def recalled(run, **more):
 
 
 def changed(run, topic, k=None, values=None, first=0, last=None):
-    """The recording of a run with another message of a topic, or with a part of them only."""
+    """The recording of a run with one message of a topic changed, or with only a part of its messages."""
     result = Recording((t.name, t.msgtype) for t in run.recording.topics.values())
     for name, old in run.recording.topics.items():
         times, data = list(old.times), [bytes(d) for d in old.data]
@@ -267,7 +267,7 @@ def changed(run, topic, k=None, values=None, first=0, last=None):
     return result
 
 
-def test_a_repetition_is_held_against_the_run_as_expected(run):
+def test_a_repetition_is_compared_with_the_run_as_expected(run):
     ends = [t.name for t in run.recording.topics.values()]
     cases = {
         "the same": run.recording,
@@ -302,7 +302,7 @@ def test_a_repetition_is_held_against_the_run_as_expected(run):
     check_expected("folders/compared", messages)
 
 
-def test_a_stamp_that_differs_is_a_difference_whichever_run_has_it(run):
+def test_a_stamp_in_only_one_of_the_runs_is_a_difference(run):
     layout, late = run.rig.topics["motor/command"].layout(), changed(run, "motor/command")
     topic = late.topics["motor/command"]
     topic.data[:] = [layout.encode(0, (float(v),)) for v in run.signals["motor/command/armature/effort"].x]
@@ -311,7 +311,7 @@ def test_a_stamp_that_differs_is_a_difference_whichever_run_has_it(run):
         assert (same, "motor/command from t = 0.01 s" in text[-1]) == (False, True)
 
 
-def test_a_digest_is_that_of_ticks_stamps_and_numbers_without_the_sign_of_zero(run):
+def test_a_digest_covers_ticks_stamps_and_numbers_without_the_sign_of_zero(run):
     result = like.digests(run)
     assert result.keys() == {p.topic for m in run.rig.members for p in m.outputs}
     for topic, digest in result.items():
@@ -328,7 +328,7 @@ def test_a_digest_is_that_of_ticks_stamps_and_numbers_without_the_sign_of_zero(r
     assert zeros[0] == zeros[1] != result
 
 
-def test_what_a_node_has_counted_in_real_time_is_said():
+def test_counters_of_a_node_in_real_time_are_reported():
     status = {
         "a": {"missed_deadlines": 2, "late_messages": 0, "ticks": 9},
         "b": {"lost_arrays": 1.0, "dropped_ticks": 3},
@@ -341,7 +341,7 @@ def test_what_a_node_has_counted_in_real_time_is_said():
     )
 
 
-def test_the_version_that_is_expected_is_the_likeliest_as_expected():
+def test_the_most_likely_different_version_is_named_as_expected():
     there = {
         "versions": {
             "commit": "abcdef0123456789",
@@ -398,7 +398,7 @@ def test_the_version_that_is_expected_is_the_likeliest_as_expected():
         ((0, 0), "motor/command: 0 messages of 100, first gap at t = 0 s"),
     ],
 )
-def test_a_topic_that_lacks_a_tick_is_named_with_its_first(kept, text):
+def test_a_topic_that_lacks_a_tick_is_named_with_the_first_missing_one(kept, text):
     rig = rig_of("dc_motor_smc_b2", duration=1.0)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     schedules = {p.topic: m.schedule for m in rig.members for p in m.outputs} | {"/clock": rig.clock.schedule}
@@ -408,7 +408,7 @@ def test_a_topic_that_lacks_a_tick_is_named_with_its_first(kept, text):
     assert runs.gaps(rig, recording) == text
 
 
-def test_what_somebody_turned_is_reported_from_what_the_scenario_changes(run):
+def test_changes_by_a_person_are_reported_apart_from_those_of_the_scenario(run):
     rig = rig_of(run.rig.scenario.having(changes=[{"at": 0.01, "set": {"dc_motor_smc.delta": 3.0}}]))
     events = {
         "the scenario's": (10_000_000, {"delta": 3.0}),
@@ -432,7 +432,7 @@ def test_what_somebody_turned_is_reported_from_what_the_scenario_changes(run):
     }
 
 
-def test_what_a_bag_says_of_its_run(run):
+def test_a_bag_describes_its_run(run):
     content = {
         "scenario": "x",
         "mode": "m",
@@ -528,8 +528,8 @@ def test_only_plain_files_at_their_places_are_unpacked():
 
 
 @pytest.mark.parametrize(("files", "size", "fits"), [(2, 100, True), (3, 100, False), (2, 101, False)])
-def test_a_file_has_a_largest_size_and_number(files, size, fits, tmp_path, monkeypatch):
-    """Written and unpacked alike; of the disk at most half of what is free."""
+def test_a_pack_has_a_limit_of_size_and_number_of_files(files, size, fits, tmp_path, monkeypatch):
+    """For writing and unpacking alike; at most half of the free disk is used."""
     about = packed.About(scenario="x")
     content = {f"scenario/{k}": bytes(size // (files - 1)) for k in range(files - 1)}
     content[f"scenario/{files - 2}"] = b"extends: x" + bytes(size // (files - 1) - 10)
@@ -559,7 +559,7 @@ def test_a_file_has_a_largest_size_and_number(files, size, fits, tmp_path, monke
     packed.unpack(tmp_path / "x.zip", tmp_path / "third")
 
 
-def test_a_file_is_the_same_bytes_whoever_writes_it(tmp_path):
+def test_a_file_has_the_same_bytes_whoever_writes_it(tmp_path):
     (tmp_path / "f").write_bytes(b"abc" * 500_000)  # more than a block
     made = pack._Pack({"bag/f": tmp_path / "f", "scenario/x.yaml": b"a: 1"}, packed.About(scenario="x"), ())
     for name in ("one", "two"):
@@ -573,7 +573,7 @@ def test_a_file_is_the_same_bytes_whoever_writes_it(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["f", "one.zip", "two.zip"]
 
 
-def test_of_a_package_its_sources_are_taken(tmp_path):
+def test_only_sources_of_a_package_are_packed(tmp_path):
     tree(
         rig := tmp_path / "ws/src/rig",
         {
@@ -616,7 +616,7 @@ def test_of_a_package_its_sources_are_taken(tmp_path):
         (0, False, {"error": "x"}, "it ended early"),
     ],
 )
-def test_a_bag_is_left_out_where_its_scenario_makes_it_again(run, monkeypatch, epoch, outside, content, why):
+def test_a_bag_is_left_out_if_its_scenario_makes_it_again(run, monkeypatch, epoch, outside, content, why):
     monkeypatch.setattr(pack, "from_outside", lambda rig, recording: ["x"] * outside)
     before = recalled(run, epoch=epoch)
     if why:
@@ -644,7 +644,7 @@ def test_packages_that_are_missing_are_named():
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
-    """A run in its folder, of a scenario of somebody's own with a change while it ran."""
+    """A run in its folder, of a user's scenario with a change while it ran."""
     place = tmp_path_factory.mktemp("kept")
     (place / "mine.yaml").write_text(
         "title: Mine\nextends: dc_motor_smc_b2\nduration: 0.1\nchanges:\n- {at: 0.05, set: {dc_motor_smc.delta: 3.0}}\n"
@@ -654,7 +654,7 @@ def kept(tmp_path_factory):
     return place
 
 
-def test_what_goes_into_a_file_of_a_run_is_as_expected(kept, tmp_path, capsys, monkeypatch):
+def test_the_content_of_a_packed_run_is_as_expected(kept, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     messages = []
     for name, bag in (("with its bag", True), ("without", False)):
@@ -687,7 +687,7 @@ def test_what_goes_into_a_file_of_a_run_is_as_expected(kept, tmp_path, capsys, m
     check_expected("folders/packed", messages)
 
 
-def test_a_file_of_code_that_is_no_longer_that_of_the_run_says_so(kept, capsys, monkeypatch):
+def test_a_code_file_that_has_changed_since_the_run_is_named(kept, capsys, monkeypatch):
     real = pack.recall
 
     def other(run, parse):
@@ -728,7 +728,7 @@ def lag(tmp_path, monkeypatch):
 
 
 def spoken(run, topic, times, values=None):
-    """The recording of a run in which somebody spoke on a topic at some times, ns."""
+    """The recording of a run in which a person published on a topic at some times, ns."""
     port = run.rig.topics[topic]
     recording = Recording((t.name, t.msgtype) for t in run.recording.topics.values())
     for name, old in run.recording.topics.items():
@@ -742,7 +742,7 @@ def spoken(run, topic, times, values=None):
     return recording
 
 
-def test_what_came_from_outside_is_said_by_a_node_once_more(lag):
+def test_external_messages_are_published_again_by_a_node(lag):
     rig, run = lag
     plain = [m.name for m in rig.members]
     assert like.from_outside(rig, run.recording) == []
@@ -770,7 +770,7 @@ def test_what_came_from_outside_is_said_by_a_node_once_more(lag):
         assert runs._once(done) == result
 
 
-def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
+def test_a_bag_or_a_folder_identifies_its_run(kept, tmp_path):
     options = SimpleNamespace(parsed=[])
 
     def parse(words):
@@ -815,7 +815,7 @@ def test_a_bag_or_a_folder_says_what_its_run_was(kept, tmp_path):
         assert like._content(tmp_path / "m.json") == content
 
 
-def test_a_topic_on_which_somebody_speaks_now_and_then_has_no_message_twice(lag):
+def test_a_topic_with_rare_external_messages_has_no_message_twice(lag):
     rig, run = lag
     sporadic = next((p.topic for m in rig.members for p in m.outputs if p.sporadic), None)
     assert runs.gaps(rig, run.recording) == ""

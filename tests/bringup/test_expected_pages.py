@@ -50,7 +50,7 @@ def text(*elements):
         (-1e-12, "−1e−12", "-1e-12"),
     ],
 )
-def test_numbers_are_written_with_all_their_digits_and_measured_ones_with_six(value, as_written, as_measured):
+def test_numbers_have_all_their_digits_and_measured_ones_six(value, as_written, as_measured):
     assert (number(value), short(value)) == (as_written, as_measured)
 
 
@@ -67,7 +67,7 @@ def test_numbers_are_written_with_all_their_digits_and_measured_ones_with_six(va
         (123456.0, 1e5, "123456"),
     ],
 )
-def test_a_measured_value_has_a_hundredth_of_its_tolerance(value, tolerance, message):
+def test_a_measured_value_is_rounded_to_a_hundredth_of_its_tolerance(value, tolerance, message):
     assert measured(result(value=value, tolerance=tolerance)) == message
 
 
@@ -83,7 +83,7 @@ def test_a_measured_value_has_a_hundredth_of_its_tolerance(value, tolerance, mes
         ("", "not measured", False),
     ],
 )
-def test_what_stands_in_place_of_a_value(error, message, here):
+def test_the_text_in_place_of_a_missing_value_is_as_expected(error, message, here):
     none = result(value=None, passed=False, error=error)
     assert (in_words(none), measured(none), measured_here(none)) == (message, message, here)
     assert (in_words(result(error=error)), measured_here(result(error=error))) == ("", True)
@@ -102,18 +102,18 @@ def test_what_stands_in_place_of_a_value(error, message, here):
         (1.0, None, "–"),
     ],
 )
-def test_how_far_a_value_is_from_the_published_one(value, published, message):
+def test_the_distance_of_a_value_from_the_published_one_is_as_expected(value, published, message):
     assert difference(value, published) == message
 
 
-def test_the_interval_that_passes_is_written():
+def test_the_interval_of_accepted_values_is_written():
     assert accepted(result()) == ""
     assert accepted(result(expected=-2.0, tolerance=0.5)) == "−2 ± 0.5"
     assert accepted(result(expected=2.0)) == "2 ± 0"
     assert accepted(result(at_least=1.0, at_most=2.5)) == "≥ 1, ≤ 2.5"
 
 
-def test_spans_of_time_of_which_three_are_written():
+def test_three_intervals_of_time_are_written_out():
     assert spans([]) == ""
     four = [(0.0, 1.0), (2.0, 2.0), (3.0, 4.5), (5.0, 6.25)]
     assert spans(four[:3]) == "from 0 to 1 s, at 2 s, from 3 to 4.5 s"
@@ -161,7 +161,7 @@ RUNS = {
 }
 
 
-def test_what_stands_below_the_title_of_a_run_is_as_expected():
+def test_the_subtitle_of_a_run_is_as_expected():
     messages = []
     for name, more in RUNS.items():
         of = run(**more | {"metrics": [m.model_dump(by_alias=True) for m in more.get("metrics", ())]})
@@ -187,7 +187,7 @@ def test_what_stands_below_the_title_of_a_run_is_as_expected():
     ],
 )
 def test_the_dot_of_a_gauge_is_in_its_band_or_beside_it(value, dot, share):
-    """The band is 52 wide around 40, of a tolerance to each side; beyond 1.4 of it the dot stays."""
+    """The band is 52 wide around 40, one tolerance to each side; the dot does not move beyond 1.4 tolerances."""
     drawn = run_page._gauge(result(value=value, passed=abs(value - 1) <= 0.1001, expected=1.0, tolerance=0.1))
     circle = drawn.find("circle")
     assert (float(circle.get("cx")), circle.get("class")) == (dot, "pass" if 14 <= dot <= 66 else "miss")
@@ -221,7 +221,7 @@ def test_figures_of_nodes_and_values_of_parameters_are_written_with_their_units(
 
 
 @pytest.mark.parametrize(("n", "wide"), [(1, False), (6, True)])
-def test_a_diagram_wider_than_a_phone_says_that_it_moves(n, wide):
+def test_a_diagram_wider_than_a_phone_says_that_it_scrolls(n, wide):
     nodes = {
         f"node_{k}": {"executable": "p/node", "period": 0.01, "plant": k == n - 1, "outside": k == 0} for k in range(n)
     }
@@ -256,7 +256,7 @@ def test_runs_in_one_picture_are_at_most_four_times_shorter_than_the_longest_of_
         assert [k for k in ends if most / 4 <= ends[k] <= most] == part
 
 
-def test_folders_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_path):
+def test_folders_are_named_by_the_part_of_their_path_that_distinguishes_them(tmp_path):
     paths = [tmp_path / p for p in ("a/x", "a/y", "b/x")]
     assert apart._tails(paths[:2]) == ["x", "y"]
     assert apart._tails(paths) == ["a/x", "a/y", "b/x"]
@@ -274,11 +274,11 @@ def test_folders_are_called_by_as_much_of_their_path_as_tells_them_apart(tmp_pat
         ("law outside, its parameters unknown", ("law outside, its parameters unknown", "yes")),
     ],
 )
-def test_what_was_changed_is_parted_into_what_and_how(message, parted):
+def test_a_change_is_split_into_its_name_and_its_value(message, parted):
     assert apart._key_value(message) == parted
 
 
-def test_parameters_are_taken_apart_to_their_leaves():
+def test_parameters_are_split_into_their_leaves():
     results = dict(
         apart._leaves(
             "n",
@@ -305,7 +305,7 @@ def test_parameters_are_taken_apart_to_their_leaves():
     }
 
 
-def test_lists_of_runs_and_of_differences_end_somewhere():
+def test_lists_of_runs_and_of_differences_are_limited():
     assert several._listed(list("abcdef")) == "a, b, c, d, e, f"
     assert several._listed(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
     for n, more in ((40, []), (41, ["And 1 more."]), (43, ["And 3 more."])):
@@ -314,7 +314,7 @@ def test_lists_of_runs_and_of_differences_end_somewhere():
         assert [p.text for p in shown[1:]] == more
 
 
-def test_draws_are_named_by_what_their_names_share():
+def test_draws_are_named_by_the_common_part_of_their_names():
     runs = [run(seed=k) for k in range(4)]
     for named, actual in (
         (["a-1", "a-2", "a-3", "a-4"], ["a"] * 4),
@@ -350,14 +350,14 @@ def metrics(n, **more):
         ("eight_runs", [{"metrics": metrics(9)}] * 8),
     ],
 )
-def test_figures_of_several_runs_stand_side_by_side_as_expected(name, runs):
+def test_figures_of_several_runs_are_side_by_side_as_expected(name, runs):
     records = [run(**more) for more in runs]
     named = [f"run {k}" for k in range(len(records))]
     check_expected(f"pages/side_{name}", lines(*several.side_by_side(records, named)))
 
 
-def test_what_differs_between_runs_is_as_expected():
-    """A change that says what it is, one that nobody said, one of a node, an end, a version; and nothing."""
+def test_the_differences_between_runs_are_as_expected():
+    """A change that describes itself, an unnamed one, one of a node, an end, a version; and none."""
     two = {"gain": {"executable": "p/gain2", "period": 0.01, "outside": True}}
     pairs = {
         "nothing": [{}, {"versions": {"python": "3.13", "commit": "b", "run.lock": "c"}}],
@@ -385,7 +385,7 @@ def test_what_differs_between_runs_is_as_expected():
 # tables, papers, reports ----------------------------------------------------------------------------------------------
 
 
-def test_a_table_has_its_numbers_to_the_right_and_says_where_nothing_is():
+def test_a_table_aligns_numbers_to_the_right_and_marks_missing_ones():
     actual = table(["a", "b", "c"], [["1", "2", "–"], [e("b", "x"), "–", ""]], " n")
     assert [c.get("class") for c in actual.iter("td")] == [None, "number", "none", None, "number none", None]
     assert [c.get("class") for c in actual.iter("th")] == [None, "number", None]
@@ -403,7 +403,7 @@ def test_a_table_has_its_numbers_to_the_right_and_says_where_nothing_is():
     }
 
 
-def test_papers_are_printed_with_where_they_stand():
+def test_papers_are_printed_with_their_location():
     assert _name(["Ada", "King"], ["von", "Noël"]) == "A. K. von Noël"
     assert _plain("{A} B--C \\& D") == "A B–C & D"
     where = {"journal": "J", "booktitle": "B", "publisher": "P", "volume": "2", "number": "6", "pages": "1--9"}
@@ -423,7 +423,7 @@ def test_papers_are_printed_with_where_they_stand():
     assert shown[1] == shown[3] == "<details><summary>BibTeX</summary><pre>@x{k}</pre></details>"
 
 
-def test_of_two_entries_of_one_key_the_first_folders_counts_and_a_wrong_file_is_named(tmp_path, monkeypatch):
+def test_of_two_bibtex_entries_with_one_key_the_first_folders_counts_and_a_wrong_file_is_named(tmp_path, monkeypatch):
     entry = "@book{{k, author = {{Noël, Ada}}, title = {{{}}}, year = 2020, publisher = {{P}}}}\n"
     folders = [tmp_path / name for name in ("one", "two", "none")]
     for folder in folders[:2]:
@@ -466,7 +466,7 @@ def test_a_report_for_machines_is_as_expected(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["x.json", "x.xml"]
 
 
-def test_curves_as_csv_have_a_row_a_time():
+def test_curves_as_csv_have_one_row_for_each_time():
     t = np.array([0.0, 0.5, 1.0])
     curves = [Curve("a", "V", t, t + 1, signal="x/a"), Curve("a - b", "", t[1:], -t[1:])]
     source = SimpleNamespace(short=lambda name: f"short {name}" if name else "")

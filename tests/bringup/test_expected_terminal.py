@@ -1,4 +1,4 @@
-"""What a terminal shows, of any width, line by line: tables, lists, bars, and what a run says at its end."""
+"""What a terminal of any width shows, line by line: tables, lists, bars, and the last lines of a run."""
 
 import io
 import json
@@ -21,7 +21,7 @@ from softrig_core.verdict.findings import Finding
 
 
 def shown(width, show):
-    """What is printed on a terminal of a width, lines without what stands empty at their ends."""
+    """The text printed on a terminal of a width, without spaces at line ends."""
     stream = io.StringIO()
     show(Console(file=stream, width=width, highlight=False, markup=False, color_system=None))
     return [line.rstrip() for line in stream.getvalue().splitlines()]
@@ -45,7 +45,7 @@ def test_tables_of_verdicts_are_as_expected_on_terminals_of_any_width():
     check_expected("terminal/judged", messages)
 
 
-def test_tables_of_many_columns_go_on_below_as_expected():
+def test_tables_of_many_columns_continue_below_as_expected():
     heads = ["case", "law.gain_of_speed", "noise.k", "rise_time", "unit"]
     rows = [["0", "1.5", "0.001", "0.607", "s"], ["1", "12.25", "0.5", "", "s"]]
     messages = []
@@ -72,11 +72,11 @@ def test_tables_of_many_columns_go_on_below_as_expected():
         ("", 3, ""),
     ],
 )
-def test_heads_are_folded_at_underscores_and_dots(head, room, folded):
+def test_headings_are_folded_at_underscores_and_dots(head, room, folded):
     assert tables._folded(head, room) == folded
 
 
-def test_words_stand_to_the_left_and_numbers_to_the_right():
+def test_words_are_aligned_to_the_left_and_numbers_to_the_right():
     made = tables.table_of(["a", "b", "unit", ""], [["1", "2", "3", "4"]])
     assert [c.justify for c in made.columns] == ["left", "right", "left", "left"]
     assert all(c.no_wrap for c in made.columns)
@@ -146,7 +146,7 @@ def test_the_list_is_as_expected(listed, monkeypatch, capsys):
     check_expected("terminal/list", messages)
 
 
-def test_a_list_with_what_is_no_scenario_ends_with_2(listed, monkeypatch, capsys):
+def test_a_list_with_a_file_that_is_not_a_scenario_ends_with_status_2(listed, monkeypatch, capsys):
     def broken(name):
         if name == "a_2":
             raise ScenarioError("a_2: no such thing")
@@ -162,7 +162,7 @@ def test_a_list_with_what_is_no_scenario_ends_with_2(listed, monkeypatch, capsys
 @pytest.mark.parametrize(
     ("terminal", "columns", "width"), [(False, None, 1000), (False, "61", 61), (False, "x", 1000), (True, "62", 62)]
 )
-def test_lines_are_as_long_as_they_are_in_a_pipe(monkeypatch, terminal, columns, width):
+def test_lines_are_not_folded_in_a_pipe(monkeypatch, terminal, columns, width):
     monkeypatch.setattr("sys.stdout", stream := io.StringIO())
     monkeypatch.setattr(stream, "isatty", lambda: terminal, raising=False)
     monkeypatch.delenv("COLUMNS", raising=False) if columns is None else monkeypatch.setenv("COLUMNS", columns)
@@ -203,7 +203,7 @@ def test_signals_and_figures_are_listed_as_expected(capsys):
 # bars -----------------------------------------------------------------------------------------------------------------
 
 
-def test_a_long_run_says_every_ten_seconds_how_far_it_is(monkeypatch, capsys):
+def test_a_long_run_reports_its_progress_every_ten_seconds(monkeypatch, capsys):
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     monkeypatch.setattr(progress, "time", clock)
     with progress.progress("mine", 20.0) as tell:
@@ -213,7 +213,7 @@ def test_a_long_run_says_every_ten_seconds_how_far_it_is(monkeypatch, capsys):
     assert capsys.readouterr().err == "softrig: mine: 2.5 of 20 s\nsoftrig: mine: 12.3 of 20 s\n"
 
 
-def test_a_bar_in_a_notebook_is_drawn_ten_times_a_second_and_goes(monkeypatch):
+def test_a_bar_in_a_notebook_is_drawn_ten_times_a_second_and_then_removed(monkeypatch):
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     monkeypatch.setattr(progress, "time", clock)
     messages = []
@@ -236,7 +236,7 @@ def test_a_bar_in_a_notebook_is_drawn_ten_times_a_second_and_goes(monkeypatch):
     ]
 
 
-def test_a_notebook_is_known_by_its_kernel(monkeypatch):
+def test_a_notebook_is_recognised_by_its_kernel(monkeypatch):
     shell = SimpleNamespace()
     ipython = SimpleNamespace(get_ipython=lambda: shell)
     monkeypatch.setitem(sys.modules, "IPython", ipython)
@@ -321,7 +321,7 @@ CONTENT = {
         ("real_time", {}, {"epoch": 5, "results": JUDGED[2:3], "claims": [], "status": {}}),
     ],
 )
-def test_what_a_run_says_at_its_end_is_as_expected(name, content, more, monkeypatch, tmp_path):
+def test_the_last_lines_of_a_run_are_as_expected(name, content, more, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
     def show(console):
@@ -357,7 +357,7 @@ def test_the_exit_status_of_a_run(words, kept, more, status):
     assert run_verb._judged(options(*words), run_verb._Kept(**about), run) == status
 
 
-def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_expected(monkeypatch):
+def test_the_text_about_a_machine_that_is_too_slow_is_as_expected(monkeypatch):
     late = {
         "plant": {"ticks": 900, "missed_deadlines": 100},
         "law": {"ticks": 899, "missed_deadlines": 101},
@@ -387,7 +387,7 @@ def test_what_is_said_of_a_machine_that_does_not_keep_up_is_as_expected(monkeypa
     check_expected("terminal/slow", messages)
 
 
-def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypatch, capsys, tmp_path):
+def test_a_broken_run_names_its_files_and_a_stopped_one_its_time(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     kept = run_verb._Kept({}, True, ["told so"])
     monkeypatch.setattr(run_verb, "_print_figures", lambda content, run, out: print("figures"))
@@ -426,7 +426,7 @@ def test_a_broken_run_says_where_what_it_left_is_and_a_stopped_one_when(monkeypa
 # other verbs ----------------------------------------------------------------------------------------------------------
 
 
-def test_what_check_says_of_a_run_is_a_case_a_figure_and_a_claim():
+def test_a_case_of_check_is_a_figure_or_a_claim_of_a_run():
     outcome = check.outcome_of(done(rig=SimpleNamespace(scenario=SimpleNamespace(name="x"))), 1.23456)
     assert (outcome["scenario"], outcome["wall_s"], outcome["error"], len(outcome["metrics"])) == (
         "x",

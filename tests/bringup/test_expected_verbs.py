@@ -1,4 +1,4 @@
-"""What the verbs do with what they are asked, in words: launches, linear views, golden bags, results, packages."""
+"""What the verbs do and print: launches, linear views, golden bags, results, packages."""
 
 import argparse
 import importlib.util
@@ -86,7 +86,7 @@ def lag(tmp_path, monkeypatch):
 
 @pytest.fixture
 def launch(lag, monkeypatch):
-    """Makes a launch of the lag; nothing is started, and its folders lie in the test's."""
+    """Makes a launch of the lag; nothing is started, and its folders are in the test's folder."""
     logs = iter(range(100))
     monkeypatch.setattr(launched, "mkdtemp", lambda prefix: str(lag / f"log{next(logs)}"))
     monkeypatch.setattr(launched, "remove_leftovers", lambda: None)
@@ -107,7 +107,7 @@ KEPT = ("mode", "seed", "start_timeout", "frames", "status", "shard")
 
 
 def parameters(process):
-    """What a file of parameters says of the run, of what a launch gives."""
+    """The parameters file of the run that a launch makes of its arguments."""
     text = Path(process.parameters[0]).read_text()
     gathered = dict(line.strip().split(": ", 1) for line in text.splitlines() if ": " in line)
     kept = [f"{k} {gathered[f'run.{k}']}" for k in KEPT if f"run.{k}" in gathered]
@@ -170,7 +170,7 @@ def test_the_processes_of_a_launch_are_as_expected(launch, lag):
         ({}, [("a", 1, False), ("b", 0, True), ("c", 0, True)], ["a ended with status 1", "", ""], None),
     ],
 )
-def test_the_end_of_a_launch_is_that_of_its_last_process(launch, monkeypatch, values, ends, text, concluded):
+def test_the_end_of_a_launch_is_the_end_of_its_last_process(launch, monkeypatch, values, ends, text, concluded):
     made, asked = launch(**values), []
     monkeypatch.setattr(launched, "gathered", lambda rig, log, names, prefix: (Recording(()), {}))
     monkeypatch.setattr(launched, "tripped", lambda rig, nodes: {})
@@ -180,7 +180,7 @@ def test_the_end_of_a_launch_is_that_of_its_last_process(launch, monkeypatch, va
     assert asked == ([concluded] if concluded else [])
 
 
-def test_a_launch_in_lockstep_that_has_gaps_or_tripped_ends_with_that(launch, monkeypatch):
+def test_a_lockstep_launch_with_gaps_or_a_trip_ends_with_its_status(launch, monkeypatch):
     monkeypatch.setattr(
         launched, "gathered", lambda rig, log, names, prefix: (Recording(()), {"gain": {"error": "no answer"}})
     )
@@ -203,12 +203,12 @@ def test_a_launch_in_lockstep_that_has_gaps_or_tripped_ends_with_that(launch, mo
 
 
 def shape(value):
-    """JSON in short: lists and maps as they are, one line each entry of the outer ones."""
+    """JSON in short: lists and maps unchanged, one line for each entry of the outer ones."""
     return json.dumps(value).replace("rviz_default_plugins/", "").replace("rviz_common/", "")
 
 
-def test_the_file_of_a_viewer_is_as_expected():
-    """Of a rig with a robot and of one that draws markers; of one with neither."""
+def test_the_layout_file_of_a_viewer_is_as_expected():
+    """For a rig with a robot, one that draws markers, and one with neither."""
     plain = type("Plain", (), {"markers": Block.markers})
     robot = type("Robot", (), {"scene": staticmethod(lambda params: "a robot"), "markers": Block.markers})
     drawn = type("Drawn", (), {"markers": "its own"})
@@ -264,7 +264,7 @@ def view(n=2, **more):
     return SimpleNamespace(**about | more)
 
 
-def test_poles_and_margins_are_said_as_expected(monkeypatch, capsys, tmp_path):
+def test_poles_and_margins_are_printed_as_expected(monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("COLUMNS", "400")  # the folder's name may be long
     messages, asked = [], []
     cases = {
@@ -340,7 +340,7 @@ def test_poles_and_margins_are_said_as_expected(monkeypatch, capsys, tmp_path):
     assert not (tmp_path / "other/linear.png").exists()
 
 
-def test_an_operating_point_is_said_with_what_drifts(monkeypatch, capsys):
+def test_an_operating_point_is_printed_with_what_drifts(monkeypatch, capsys):
     point = SimpleNamespace(
         signals={"u": 1.23456789012},
         states={"a": -0.5, "b": 2.0},
@@ -381,7 +381,7 @@ def test_an_operating_point_is_said_with_what_drifts(monkeypatch, capsys):
         ({"machine": "0", "math": "0"}, "another architecture"),
     ],
 )
-def test_what_decides_the_bits_says_how_a_golden_bag_is_compared(monkeypatch, there, line):
+def test_what_affects_the_bits_decides_how_a_golden_bag_is_compared(monkeypatch, there, line):
     now = {"machine": "x", "math": "a", "numpy": "1", "python": "3.13.0"}
     monkeypatch.setattr(golden, "versions", lambda: now)
     recipe = golden.Recipe(scenario="dc_motor_smc_b2", duration=0.1, made_with=now | there)
@@ -395,11 +395,11 @@ def test_what_decides_the_bits_says_how_a_golden_bag_is_compared(monkeypatch, th
     assert golden.line(["python"]) == "another Python, and blocks of your own"
 
 
-def test_versions_of_python_are_reported_apart_by_their_sums():
+def test_versions_of_python_are_distinguished_by_the_sum_function():
     assert [golden._era(v) for v in ("3.11.9", "3.12.0", "3.13.1", "3.14.0", "4.0", "unknown")] == [0, 1, 1, 2, 2, -1]
 
 
-def test_how_much_a_rig_is_changed_by_the_last_bits_is_ten_times_the_largest_of_each_topic(monkeypatch):
+def test_the_sensitivity_of_a_rig_to_the_last_bits_is_ten_times_the_largest_difference_of_each_topic(monkeypatch):
     rig = rig_of("dc_motor_smc_b2", duration=0.01)
     made = golden.Golden(Path("x"), golden.Recipe(scenario="dc_motor_smc_b2", duration=0.01, seed=2), rig)
     plain, asked = simulate(rig, seed=2).recording, []
@@ -498,7 +498,7 @@ def measured(name, error="", missed=(), kept=False, seconds=0.0):
         ),
     ],
 )
-def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
+def test_the_status_of_claims_is_the_worst_of_its_claims_and_runs(
     lag, monkeypatch, capsys, rows, runs_of, status, text
 ):
     pages = []
@@ -540,7 +540,7 @@ def test_the_status_of_results_is_the_worst_of_its_claims_and_runs(
     ]
 
 
-def test_claims_are_cases_of_their_scenario_and_a_run_that_broke_an_error():
+def test_claims_are_cases_of_their_scenario_and_a_broken_run_is_an_error():
     other = finding("c").model_copy(update={"scenario": "study_x"})
     result = results.suites(
         [finding("a"), finding("b", False), other],
@@ -561,7 +561,7 @@ def test_claims_are_cases_of_their_scenario_and_a_run_that_broke_an_error():
     ]
 
 
-def test_a_run_is_kept_by_what_it_is_made_of(lag, monkeypatch):
+def test_a_run_is_cached_by_its_inputs(lag, monkeypatch):
     monkeypatch.setattr(results, "illustrate", lambda run, folder: (folder.path / "report.html").write_text(""))
     keep = lag / "kept"
     first = results.measure(("lag", keep))
@@ -598,7 +598,7 @@ def test_a_run_is_kept_by_what_it_is_made_of(lag, monkeypatch):
         (0.0, None, 0.0, None),
     ],
 )
-def test_a_film_shows_a_stretch_of_its_run(start, end, length, window):
+def test_a_film_shows_a_part_of_its_run(start, end, length, window):
     if window is None:
         with pytest.raises(
             ScenarioError,
@@ -609,7 +609,7 @@ def test_a_film_shows_a_stretch_of_its_run(start, end, length, window):
         assert animate._window(start, end, length) == window
 
 
-def test_a_film_of_a_scenario_runs_no_longer_than_it_shows(monkeypatch, tmp_path, capsys):
+def test_a_film_of_a_scenario_simulates_no_longer_than_it_shows(monkeypatch, tmp_path, capsys):
     asked = []
     made = SimpleNamespace(duration=4.5678, frames=[1, 2], drawing=SimpleNamespace(rig=rig_of("induction_dtc_short")))
     monkeypatch.setattr(
@@ -659,7 +659,7 @@ def test_a_film_of_a_scenario_runs_no_longer_than_it_shows(monkeypatch, tmp_path
 
 @pytest.fixture
 def taken(monkeypatch, tmp_path_factory):
-    """A package that is installed, and a scenario that is there."""
+    """An installed package, and an existing scenario."""
     installed = tmp_path_factory.mktemp("installed")
     (installed / "My_Tool-1.0.dist-info").mkdir()
     (installed / "My_Tool-1.0.dist-info" / "METADATA").write_text("Name: My-Tool\nVersion: 1.0\n")
@@ -668,7 +668,7 @@ def taken(monkeypatch, tmp_path_factory):
 
 
 def test_a_new_package_is_as_expected(lag, taken, monkeypatch, capsys):
-    """Its files, and the lines of them that say what it is; in a checkout and without one."""
+    """Its files, and the lines that describe it; in a checkout and without one."""
     messages = []
     for kind, command in ((None, None), ("law", "/s/softrig"), ("plant", None)):
         monkeypatch.setenv("SOFTRIG_COMMAND", command) if command else monkeypatch.delenv(
@@ -690,7 +690,7 @@ def test_a_new_package_is_as_expected(lag, taken, monkeypatch, capsys):
 
 
 def test_a_second_scenario_of_a_package_is_installed_with_it(lag, taken):
-    """By setuptools as colcon runs it, and without a source, which is optional."""
+    """By setuptools as colcon runs it, and without an optional source."""
     folder = new.new_package("my_rig", lag / "x")
     second = folder / "scenarios" / "my_second.yaml"
     text = (folder / "scenarios" / "my_rig.yaml").read_text()
@@ -701,7 +701,7 @@ def test_a_second_scenario_of_a_package_is_installed_with_it(lag, taken):
     assert load_scenario(str(second)).source == ""
 
 
-def test_names_of_packages(lag, taken):
+def test_names_of_packages_are_checked(lag, taken):
     for name in ("a", "ab", "a_1", "a1b2", "my_tools"):
         assert new.new_package(name, lag / "x") == lag / "x" / name
     bad = ("A", "1a", "a_", "a__b", "a-b", "", "_a", "é", "json", "test", "class", "numpy", "my_tool", "lag")
@@ -717,8 +717,10 @@ def test_names_of_packages(lag, taken):
 # a run ----------------------------------------------------------------------------------------------------------------
 
 
-def test_where_a_run_goes_is_as_expected(lag, monkeypatch, capsys):
-    """A folder of its own, beside one that must stay, or refused; with why it cannot be made again if it breaks off."""
+def test_the_folder_of_a_run_is_as_expected(lag, monkeypatch, capsys):
+    """A new one, one beside a folder that must stay, or a refusal; with the reason why an interrupted run cannot be
+    made again.
+    """
     rig, outside = (
         rig_of("lag"),
         rig_of(
@@ -772,7 +774,7 @@ def test_where_a_run_goes_is_as_expected(lag, monkeypatch, capsys):
     )
 
 
-def test_a_run_broken_stopped_or_with_gaps_says_so(lag, monkeypatch, tmp_path):
+def test_a_broken_a_stopped_and_an_incomplete_run_are_reported(lag, monkeypatch, tmp_path):
     rig, inprocess = rig_of("lag"), Placement("inprocess")
     done = runs.execute(rig, inprocess, tmp_path)
     assert (done.error, done.stopped, done.mode, done.epoch) == ("", 0, "inprocess", 0)
@@ -894,7 +896,7 @@ def test_a_scenario_is_viewed_as_a_run_that_begins_paused_and_a_run_as_a_recordi
     assert main(["view", "one"]) == 0
 
 
-def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
+def test_the_command_line_passes_on_arguments_of_other_parsers(monkeypatch, capsys):
     monkeypatch.setattr("softrig_bags.cli.main_bag", lambda words: print("bag", words) or 4)
     monkeypatch.setattr("softrig_bags.cli.main_play", lambda words: print("play", words) or 5)
     assert [main(["bag", "info", "x"]), main(["bag", "play", "x", "--y"]), main(["bag", "play", "-q", "x"])] == [
@@ -940,7 +942,7 @@ def test_the_command_line_hands_on_what_is_not_its_own(monkeypatch, capsys):
         ("", None, [], None),
     ],
 )
-def test_the_verb_of_another_parser_is_known_by_the_words_before_the_last(monkeypatch, line, point, words, first):
+def test_the_verb_of_another_parser_is_recognised_by_the_preceding_words(monkeypatch, line, point, words, first):
     monkeypatch.setenv("COMP_LINE", line)
     monkeypatch.setenv("COMP_POINT", str(len(line) if point is None else point))
     monkeypatch.delenv("_ARGCOMPLETE", raising=False)
@@ -987,7 +989,7 @@ def test_words_become_scenarios_settings_nodes_packages_and_executables(lag, mon
 # other ways -----------------------------------------------------------------------------------------------------------
 
 
-def test_live_parameters_are_set_in_a_domain_and_refusals_said(monkeypatch, capsys):
+def test_live_parameters_are_set_in_a_domain_and_refusals_printed(monkeypatch, capsys):
     asked, refusals = [], []
     monkeypatch.setenv("ROS_DOMAIN_ID", "1")
     monkeypatch.setattr(
@@ -1002,7 +1004,7 @@ def test_live_parameters_are_set_in_a_domain_and_refusals_said(monkeypatch, caps
     assert capsys.readouterr().err == "softrig: set: a refuses k: no\n"
 
 
-def test_a_bar_on_a_terminal_is_of_the_runs_seconds(monkeypatch):
+def test_a_bar_on_a_terminal_counts_the_seconds_of_the_run(monkeypatch):
     seen = []
 
     class Bar:
@@ -1031,7 +1033,7 @@ def test_a_bar_on_a_terminal_is_of_the_runs_seconds(monkeypatch):
     assert seen == [(5, "{task.completed:.3g} of {task.total:.3g} s", False, True), ("mine", 2.0), (5, 1.5), "gone"]
 
 
-def test_a_film_of_a_run_ends_with_what_is_drawn(lag, monkeypatch):
+def test_a_film_of_a_run_ends_with_the_drawn_signals(lag, monkeypatch):
     asked = []
     t = np.array([0.0, 1.0, 1.5])
     signals = {"a": SimpleNamespace(t=t), "b": SimpleNamespace(t=t[:2]), "c": SimpleNamespace(t=t[:0])}
@@ -1074,7 +1076,7 @@ def test_a_run_in_a_cell_has_four_pictures_at_most(lag, monkeypatch):
     assert saved == ["png"]
 
 
-def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys):
+def test_pictures_are_drawn_again_with_the_requested_options(lag, monkeypatch, capsys):
     run, asked, name = simulate("lag"), [], "lag/state/x/position"
     plotted = rig_of(run.rig.scenario.having(plots=[{"title": "Position", "signals": {name: "x"}}]))
 
@@ -1115,8 +1117,10 @@ def test_pictures_are_drawn_again_as_they_are_asked_for(lag, monkeypatch, capsys
     assert "pgf: no xelatex; it needs LaTeX (xelatex), pdf does not" in capsys.readouterr().err
 
 
-def test_a_golden_bag_lives_as_expected(tmp_path, monkeypatch, capsys):
-    """Made, made again, another length, checked here and as if elsewhere, and the file that says how."""
+def test_the_life_of_a_golden_bag_is_as_expected(tmp_path, monkeypatch, capsys):
+    """Recorded, recorded again, with another length, checked here and as if elsewhere, and the file with its
+    tolerances.
+    """
     words = ["dc_motor_smc_b2", "--bags", str(tmp_path)]
     messages = []
 
@@ -1162,7 +1166,7 @@ def test_a_golden_bag_lives_as_expected(tmp_path, monkeypatch, capsys):
 
 @pytest.fixture
 def flow(lag, monkeypatch):
-    """What a run does, step by step; nothing is run."""
+    """The steps of a run; nothing is run."""
     steps, listeners = [], []
     done = simulate("lag")
 
@@ -1242,8 +1246,8 @@ def test_the_steps_of_a_run_are_in_order(flow, lag, capsys):
         assert (text in capsys.readouterr().err, steps) == (True, [])
 
 
-def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch, capsys):
-    """A plain one, a changed and labelled one one with a node outside, one of nothing kept."""
+def test_the_results_of_a_run_are_written_and_its_status_returned(lag, monkeypatch, capsys):
+    """A plain run, a changed and labelled one with an outside node, one that keeps nothing."""
     done, drawn = simulate("lag"), []
     done.wall_s = 0.5
     monkeypatch.setattr(run_verb, "illustrate", lambda run, folder, form: drawn.append((folder.path.name, form)))
@@ -1275,7 +1279,7 @@ def test_what_a_run_has_brought_is_written_and_its_status_given(lag, monkeypatch
     assert run_verb.conclude(make_parser().parse_args(["run", "lag", "--no-plots"]), simulate("lag"), None) == 0
 
 
-def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
+def test_check_runs_scenarios_and_reports_which_hold(lag, monkeypatch, capsys):
     good = {"scenario": "lag", "wall_s": 1.0, "error": "", "metrics": [], "claims": [], "kind": "", "differs": []}
     claim = {"key": "a", "false": "", "measured_text": "1", "holds": True}
     outcomes = []
@@ -1320,7 +1324,7 @@ def test_check_runs_scenarios_and_says_what_holds(lag, monkeypatch, capsys):
     assert check.judge(check.Judged("lag", "lag", ""))["wall_s"] >= 0.0
 
 
-def test_claims_are_of_the_systems_that_are_asked_for(lag, monkeypatch, capsys):
+def test_only_claims_of_the_requested_systems_are_judged(lag, monkeypatch, capsys):
     def one(name, system, claims):
         return SimpleNamespace(
             name=name,
@@ -1402,7 +1406,7 @@ def test_a_checkout_is_reported_by_its_commit_and_its_lock_file(tmp_path, monkey
     assert style() == lock
 
 
-def test_records_do_not_change_and_libraries_take_one_core():
+def test_records_are_immutable_and_libraries_use_one_core():
     models = (packed.Digest, packed.About, Citation, Node, Wire, Wiring, RunRecord)
     assert [m.model_config.get("frozen") for m in models] == [True] * len(models)
     process = viewer.Process("p", "e")

@@ -1,4 +1,4 @@
-"""The page of a run in words: its widgets and pictures, its tables, and what people do with its knobs and buttons.
+"""The page of a run as text: its widgets and pictures, its tables, and what its parameters and buttons do.
 
 A small rig with a knob of every kind; the texts are in `tests/expected/view`.
 """
@@ -212,7 +212,9 @@ def number_or_text(value):
 
 
 def widget_lines(model, depth=1):
-    """A widget and those within it, a line each, with what is not Bokeh's default; a picture a few lines."""
+    """A widget and those inside it, one line each, with all values that differ from Bokeh's defaults; a few lines for a
+    picture.
+    """
     indent, kind = "  " * depth, type(model).__name__
     if kind == "figure":
         yield from (f"{indent}{line}" for line in picture_lines(model))
@@ -324,7 +326,7 @@ def live(rig, asked=None, held=True, pace=1.0, **more):
 ONE = [{"title": "Level", "signals": {"tank/state/level/position": "level"}}]
 
 
-def test_the_page_of_a_run_that_is_held_is_as_expected(monkeypatch):
+def test_the_page_of_a_paused_run_is_as_expected(monkeypatch):
     source, control = live(make(monkeypatch, plots=ONE), status=STATUS)
     control.goes_back = True
     document, _ = page_of(source, control, (METRICS, True), "dark")
@@ -340,7 +342,7 @@ def test_the_page_of_a_run_that_is_held_is_as_expected(monkeypatch):
         (False, 3.0, ["window", "follow", "hold", "step", "pace", "only forward"]),
     ],
 )
-def test_what_cannot_be_held_or_paced_has_no_button_for_it(monkeypatch, held, pace, names):
+def test_a_run_that_cannot_be_paused_or_paced_has_no_button_for_it(monkeypatch, held, pace, names):
     monkeypatch.setattr(Page, "_knob", lambda self, knob: None)  # dear, and not of this bar
     monkeypatch.setattr(Page, "_write", lambda self: False)
     source, control = live(make(monkeypatch, plots=ONE), held=held, pace=pace)
@@ -354,7 +356,7 @@ def test_what_cannot_be_held_or_paced_has_no_button_for_it(monkeypatch, held, pa
         assert named(document, "pace").options == [*PACES, *(["3"] if pace else [])]
 
 
-def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_expected(monkeypatch):
+def test_actions_on_a_page_become_requests_to_the_nodes_and_lines_as_expected(monkeypatch):
     asked, messages = [], []
     source, control = live(make(monkeypatch, plots=ONE), asked)
     control.goes_back = True
@@ -364,7 +366,7 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_expected(mon
     lines = 0
 
     def after(what, answer=None):
-        """What was asked of the nodes and said on the pages, and what the page shows once they have answered."""
+        """The requests to the nodes and the lines on the pages, and what the page shows after the answers."""
         nonlocal lines
         messages.extend([what, *(f"  asks {request}" for request, _ in asked)])
         for _, answered in asked:
@@ -446,7 +448,7 @@ def test_what_people_do_on_a_page_is_asked_of_the_nodes_and_said_as_expected(mon
 
 
 class Plain:
-    """A drawing that says what it is given."""
+    """A drawing that prints what it receives."""
 
     title, trail, signals = "Tank", 0.1, ("tank/state/level/position", "tank/nowhere")
 
@@ -463,7 +465,7 @@ def drawn(monkeypatch):
     return make(monkeypatch, plots=ONE, faults={})
 
 
-def test_the_window_of_time_is_that_which_is_chosen_until_somebody_moves_it(drawn):
+def test_the_chosen_window_of_time_stays_until_somebody_moves_it(drawn):
     source, control = live(drawn)
     document, page = page_of(source, control)
     messages = []
@@ -500,8 +502,8 @@ def test_the_window_of_time_is_that_which_is_chosen_until_somebody_moves_it(draw
     check_expected("view/window", messages)
 
 
-def test_the_drawing_goes_on_from_look_to_look_in_equal_steps(drawn):
-    """Nodes hand over four times a second what a page shows ten times: of a step of 0.1 s 0.04 s a frame."""
+def test_the_drawing_moves_in_equal_steps_between_updates(drawn):
+    """Nodes send data four times a second and a page draws ten times: 0.04 s a frame for a step of 0.1 s."""
     source, control = live(drawn, end=2.5)
     document, page = page_of(source, control, look="dark")
     text = named(document, "drawing")
@@ -522,7 +524,7 @@ def test_the_drawing_goes_on_from_look_to_look_in_equal_steps(drawn):
     assert named(document, "law.k").disabled
 
 
-def test_a_browser_that_has_not_shown_the_last_state_gets_no_further_one(drawn):
+def test_a_browser_that_has_not_shown_the_last_state_gets_no_other(drawn):
     source, control = live(drawn)
     document, page = page_of(source, control)
     beat = named(document, "beat").text
@@ -544,7 +546,7 @@ def test_a_browser_that_has_not_shown_the_last_state_gets_no_further_one(drawn):
     assert named(document, "beat").text == "5"
 
 
-def test_tables_are_written_at_every_tenth_frame_and_when_something_was_said(drawn):
+def test_tables_are_written_at_every_tenth_frame_and_after_a_new_line(drawn):
     source, control = live(drawn)
     document, page = page_of(source, control)
     written = []
@@ -561,7 +563,7 @@ def test_tables_are_written_at_every_tenth_frame_and_when_something_was_said(dra
     assert written == [5, 11, 16, 21, 25, 31]
 
 
-def test_a_recording_is_played_at_its_pace_and_says_its_values_at_the_line(drawn):
+def test_a_recording_is_played_at_its_pace_and_shows_its_values_at_the_cursor(drawn):
     source = Recorded(drawn, recorded(drawn), {})
     control = Control(drawn, None, lambda: source.end, lambda: source.outcome)
     document, page = page_of(source, control)
@@ -585,7 +587,7 @@ def test_a_recording_is_played_at_its_pace_and_says_its_values_at_the_line(drawn
     assert named(document, "drawing").text.startswith("1.263, ")
 
 
-def test_a_drawing_that_fails_is_the_last_one(drawn, monkeypatch):
+def test_a_drawing_that_fails_is_not_drawn_again(drawn, monkeypatch):
     def fails(self, now, past):
         raise ValueError("no <level>")
 
@@ -599,7 +601,7 @@ def test_a_drawing_that_fails_is_the_last_one(drawn, monkeypatch):
     page._draw_plant(0.1)
 
 
-def test_what_is_left_of_a_page_that_cannot_be_made_lets_the_run_go_on(rig):
+def test_the_run_continues_without_a_page_that_cannot_be_made(rig):
     for held, names in ((True, ["resume", "pause"]), (None, [])):
         document, (_, control) = Document(), live(rig, asked := [], held=held)
         bare(document, control, "me", ValueError("a <b>"))
@@ -614,7 +616,7 @@ def test_what_is_left_of_a_page_that_cannot_be_made_lets_the_run_go_on(rig):
 # its parts -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_node_has_the_role_that_its_wires_give_it(rig):
+def test_the_role_of_a_node_follows_from_its_links(rig):
     expected = {
         "tank": "plant",
         "law": "law",
@@ -683,14 +685,14 @@ KIND = {
         ({"outcome": "recorded", "live": False}, "1.5 s, recorded", "soft"),
     ],
 )
-def test_the_head_says_how_far_it_is_and_how_it_goes(more, state, look):
+def test_the_head_shows_progress_and_state(more, state, look):
     about = SimpleNamespace(**KIND | more)
     about.rig = SimpleNamespace(scenario=SimpleNamespace(name="x_1", title="Mine", duration=6.0))
     result = words.head(about, "container", about).replace("&#x27;", "'")
     assert result == f'<h1>x_1</h1><p>Mine</p><p class="{look}">container: {state}</p>'
 
 
-def test_the_head_says_the_last_line_and_the_log_all_of_them_the_newest_first():
+def test_the_head_shows_the_last_line_and_the_log_all_lines_newest_first():
     messages = [Entry(0.5, "me", "k = 1 <V>", False), Entry(12.3456789, "law", "no", True)]
     about = SimpleNamespace(**KIND | {"entries": messages})
     about.rig = SimpleNamespace(scenario=SimpleNamespace(name="x", title="Mine", duration=6.0))
@@ -701,7 +703,7 @@ def test_the_head_says_the_last_line_and_the_log_all_of_them_the_newest_first():
     )
 
 
-def test_values_that_are_none_are_dashes():
+def test_missing_values_are_dashes():
     result = words.values({"a <b>": (1234567.0, "m^2"), "c": (None, ""), "d": (math.nan, "s")}, 0.1234567)
     assert result == (
         '<h2>At 0.123457 s</h2><table><tr><td>a &lt;b&gt;</td><td class="n">1.23457e+06</td><td>m²</td></tr>'
@@ -722,7 +724,7 @@ def test_values_that_are_none_are_dashes():
         (tuple, (1.0,), "", "expected a value"),
     ],
 )
-def test_what_is_typed_is_read_as_the_knob_is(kind, value, text, result):
+def test_typed_values_are_read_by_the_type_of_the_parameter(kind, value, text, result):
     knob = Knob("n", "p", "", "", value, kind, (-math.inf, math.inf))
     assert knob.key == "n.p"
     if isinstance(result, str) and kind is not str:
@@ -756,8 +758,8 @@ def test_pictures_of_a_scenario_without_plots_are_those_of_its_topics(monkeypatc
     }
 
 
-def test_texts_of_both_looks_can_be_read():
-    """Letters by the rule of the WCAG: contrast of at least 4.5 with the paper; colours of curves of at least 3."""
+def test_texts_are_readable_in_light_and_dark():
+    """By the rule of WCAG: contrast of at least 4.5 with the background for letters, 3 for colours of curves."""
 
     def light(colour):
         parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
@@ -776,7 +778,7 @@ def test_texts_of_both_looks_can_be_read():
 @pytest.mark.parametrize(
     ("ask", "over", "why"), [(None, "", "this is a recording"), (print, "broke", "the run is over (broke)")]
 )
-def test_what_cannot_be_asked_is_refused_by_its_name(rig, ask, over, why):
+def test_an_impossible_request_is_refused_by_name(rig, ask, over, why):
     control = Control(rig, ask, lambda: 0.25, lambda: over, True, 1.0)
     control.knobs["law.k"] = Knob("law", "k", "m", "", 3.0, float, (0.0, 10.0))
     acts = {
@@ -792,7 +794,7 @@ def test_what_cannot_be_asked_is_refused_by_its_name(rig, ask, over, why):
     assert (control.held, control.pace, control.knobs["law.k"].value) == (True, 1.0, 3.0)
 
 
-def test_a_page_takes_its_session_up_again_by_loading_itself(drawn):
+def test_a_page_resumes_its_session_by_reloading_itself(drawn):
     document, _ = page_of(*live(drawn))
     assert document.template is look.TEMPLATE
     calls = {name: [c.code for c in result] for name, result in document.callbacks._js_event_callbacks.items()}
@@ -817,7 +819,7 @@ def test_a_curve_has_at_most_four_points_a_column_of_pixels(monkeypatch):
     assert picture.values(Pane({})) == {}
 
 
-def test_how_both_looks_are_drawn_is_as_expected():
+def test_light_and_dark_style_are_as_expected():
     attrs = {name: look.theme(name)["attrs"] for name in ("light", "dark")}
     messages = [f"{name} {kind}: {shown}" for name, kinds in attrs.items() for kind, shown in kinds.items()]
     messages += [f"{name} curves: {' '.join(colours)}" for name, colours in look.COLOURS.items()]

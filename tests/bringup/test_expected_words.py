@@ -1,4 +1,4 @@
-"""The words of the command line: each verb with its options, what they are read as, and how a command is said again.
+"""The words of the command line: each verb with its options, how they are parsed, and how a command is printed again.
 
 As `tests/expected/words*.txt` have them.
 """
@@ -29,7 +29,7 @@ def parser():
 
 
 def kind(action):
-    """What is read: a number with its bounds, or the name of what reads it."""
+    """What is parsed: a number with its bounds, or the name of its parser."""
     of = action.type
     if isinstance(of, Number):
         return f"{of.kind.__name__} from {of.low:g} to {of.high:g}"
@@ -37,7 +37,7 @@ def kind(action):
 
 
 def words(of, verb):
-    """A verb and its options, a line each: how it is said, what is read, how often, what it is without."""
+    """A verb and its options, one line each: name, parser, how often, default."""
     beside = {k: v for k, v in of._defaults.items() if k != "verb"}
     called = of._defaults.get("verb")
     yield " ".join([verb, *([f"calls {called.args[0]}"] if called else []), *(f"{k}={v!r}" for k, v in beside.items())])
@@ -66,7 +66,7 @@ def test_all_verbs_and_options_are_as_expected():
 
 
 def answer(function, *arguments):
-    """What a function gives, or how it refuses."""
+    """What a function returns, or how it refuses."""
     try:
         result = function(*arguments)
     except (ScenarioError, argparse.ArgumentTypeError) as error:
@@ -200,7 +200,7 @@ READ = [
 ]
 
 
-def test_what_is_typed_is_read_as_expected():
+def test_typed_words_are_parsed_as_expected():
     messages = []
     for function, cases in READ:
         messages.append(f"{function.__module__.rpartition('.')[2]}.{function.__name__}")
@@ -215,7 +215,7 @@ def test_what_is_typed_is_read_as_expected():
 @trying(max_examples=60, deadline=None)
 @given(st.integers(-50, 50), st.integers(0, 40), st.integers(1, 9))
 def test_a_range_has_both_ends_and_equal_steps(low, count, tenths):
-    """As fractions: LOW, LOW + STEP, ... up to HIGH; a HIGH between two steps is not reached."""
+    """Exactly, as fractions: LOW, LOW + STEP, ... up to HIGH; a HIGH between two steps is not reached."""
     step = Fraction(tenths, 10)
     for beyond in (Fraction(0), step / 2):
         high = low + count * step + beyond
@@ -225,7 +225,7 @@ def test_a_range_has_both_ends_and_equal_steps(low, count, tenths):
 
 
 def test_params_files_are_read_as_expected(tmp_path):
-    """Names dotted or nested, nodes with or without a namespace; what every ROS node has is left out."""
+    """Dotted and nested names, nodes with or without a namespace; parameters of every ROS node are left out."""
     cases = {
         "plain": "law: {ros__parameters: {k: 2.0, use_sim_time: true, run: {mode: lockstep}, a: {b: 1, c: {d: x}}}}",
         "namespace": "/rig/law: {ros__parameters: {qos_overrides: {x: 1}, e.f: [1]}}",
@@ -258,7 +258,7 @@ SAID = [
 
 
 def test_a_run_is_named_changed_and_repeated_as_expected(monkeypatch):
-    """Of each command what of the scenario it changes, where the results go, and the words that repeat it."""
+    """For each command: what it changes of the scenario, where the results are stored, and the words that repeat it."""
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
     messages = []
     for text in SAID:
@@ -277,8 +277,8 @@ def test_a_run_is_named_changed_and_repeated_as_expected(monkeypatch):
     assert re.fullmatch(r"x-[0-9a-f]{8}", run_options.folder_name("x", long))  # no half of a number
 
 
-def test_what_the_options_change_of_a_scenario_is_as_expected(tmp_path):
-    """Nothing, its length, seed and nodes; what cannot be is refused by its name."""
+def test_the_effect_of_options_on_a_scenario_is_as_expected(tmp_path):
+    """None, its length, seed and nodes; an impossible change is refused by name."""
     (tmp_path / "p.yaml").write_text("dc_motor_smc: {ros__parameters: {delta: 1.5, k: 70.0}}")
     messages = []
     for text in (
@@ -314,7 +314,7 @@ def test_a_command_of_a_later_version_does_not_end_the_process(monkeypatch):
             run_options.scenario_of(parser().parse_args(["run", *words_of]))
 
 
-def test_what_a_launch_is_given_is_what_a_run_is_given():
+def test_a_launch_passes_the_same_arguments_as_a_run():
     given = {name: default or "" for name, (default, _, _) in launched.ARGUMENTS.items()} | {"scenario": "x"}
     plain = launched._options(given)
     assert (plain.scenario, plain.mode, plain.realtime, plain.record_all) == ("x", "processes", True, False)
@@ -342,7 +342,7 @@ def test_what_a_launch_is_given_is_what_a_run_is_given():
         launched._options(given | {"seed": "x"})
 
 
-def test_the_beginning_of_a_branch_is_said_by_the_command_of_the_first_run():
+def test_the_start_of_a_branch_is_written_as_the_command_of_the_first_run():
     recalled = SimpleNamespace(options=parser().parse_args(["run", "x", "--mode", "inprocess", "--seed", "2"]))
     for duration, words_of in ((None, ""), (3.0, " --duration 3.0")):
         options = SimpleNamespace(origin=(Path("r"), 0.5), recalled=recalled, duration=duration)
@@ -354,7 +354,7 @@ def test_the_beginning_of_a_branch_is_said_by_the_command_of_the_first_run():
     assert recalled.options.duration is None
 
 
-def test_a_scenario_is_said_by_name_where_every_folder_finds_it(tmp_path, monkeypatch):
+def test_a_scenario_is_written_by_name_if_every_folder_finds_it(tmp_path, monkeypatch):
     (tmp_path / "mine.yaml").write_text("extends: dc_motor_smc_b2\ntitle: Mine\nvariants: {two: {title: Two}}\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
@@ -365,7 +365,7 @@ def test_a_scenario_is_said_by_name_where_every_folder_finds_it(tmp_path, monkey
     assert repeating.scenario_word("none") == "none"
 
 
-def test_a_command_begins_with_the_workspace_of_peoples_own_packages(tmp_path, monkeypatch):
+def test_a_command_begins_with_the_workspace_of_the_users_packages(tmp_path, monkeypatch):
     """Those that colcon has built there, or that --workspace named; none of the suite's own."""
     built, named, suite = tmp_path / "ws/install", tmp_path / "cache/prefix", tmp_path / "suite/install"
     for prefix, packages in (

@@ -1,4 +1,4 @@
-"""The search for a violation: right where the answer is known, repeatable, made small, honest without one."""
+"""The search for a violation: right for known answers, repeatable, with reduced cases, and honest if it finds none."""
 
 import json
 import random
@@ -85,7 +85,7 @@ def test_one_number_has_no_covariance_and_goes_to_tpe():
     assert result.least < 1e-3
 
 
-def test_cma_es_comes_without_the_half_second_that_other_optimisers_of_its_package_import(monkeypatch):
+def test_cma_es_imports_without_the_other_optimisers_of_its_package(monkeypatch):
     for name in [name for name in sys.modules if name.startswith(("cmaes", "scipy.stats"))]:
         monkeypatch.delitem(sys.modules, name)
     search([3], lambda points: [sum(point) for point in points], 30)
@@ -93,7 +93,7 @@ def test_cma_es_comes_without_the_half_second_that_other_optimisers_of_its_packa
     assert "scipy.stats" not in sys.modules
 
 
-def test_a_disturbance_laid_on_a_signal_is_a_fault_and_its_worst_course_is_found_too():
+def test_a_disturbance_added_to_a_signal_is_a_fault_and_its_worst_profile_is_found_too():
     space = space_of(loop([0.0]), [parse("motor/command/armature/effort+", "-0.5..0.5*6")])
     (target,) = space.targets
     point = [0.0, 1.0, 0.25, 1.0, 0.5, 0.0]
@@ -132,12 +132,12 @@ def test_ranges_are_met_at_both_ends_and_in_between():
         ("motor/stat/shaft/velocity", "0..1*3", "did you mean 'motor/state/shaft/velocity'"),
     ],
 )
-def test_a_range_that_cannot_be_is_refused_before_the_first_run(key, given, reason):
+def test_an_impossible_range_is_refused_before_the_first_run(key, given, reason):
     with pytest.raises(ScenarioError, match=reason):
         space_of(loop([0.0]), [parse(key, given)])
 
 
-def test_a_violation_is_made_small_parameter_by_parameter_fault_by_fault_step_by_step():
+def test_a_violation_is_reduced_parameter_by_parameter_fault_by_fault_step_by_step():
     scenario = loop([0.0] * 4)
     faults = {"noise": {"link": "motor/state -> pid", "kind": "noise", "value": [0.001]}}
     scenario = Scenario.model_validate({**dict(scenario), "faults": faults})
@@ -158,14 +158,14 @@ def test_a_violation_is_made_small_parameter_by_parameter_fault_by_fault_step_by
 
 
 @pytest.mark.parametrize(("margin", "violates"), [(-1e-300, True), (0.0, False), (1e-300, False), (None, False)])
-def test_a_margin_of_nothing_is_no_violation(monkeypatch, margin, violates):
-    """While it is made small as before: what just holds is no smaller case."""
+def test_a_margin_of_zero_is_not_a_violation(monkeypatch, margin, violates):
+    """Neither at first nor while a case is reduced."""
     monkeypatch.setattr(engine, "trial", lambda *case, runs: case)
     monkeypatch.setattr(engine, "run", lambda _: {"figures": {"a": margin, "b": 1.0}})
     assert engine._violates((None, {}), ("a", "b")) == violates
 
 
-def test_the_limit_that_one_parameter_crosses_is_found_by_halving():
+def test_the_limit_of_a_single_parameter_is_found_by_bisection():
     scenario = loop([LOAD])
     scenario = Scenario.model_validate({**dict(scenario), "requirements": {"deviation": "always abs(speed) <= 0.7"}})
     space = space_of(scenario, [parse("plant.load_torques", f"{LOAD}..{LOAD}*1"), parse("pid.kp", "0.01..1")])
@@ -180,11 +180,11 @@ def test_the_limit_that_one_parameter_crosses_is_found_by_halving():
 
 
 def corner_climbs(points):
-    """A margin that one corner alone violates, and that each right bound brings nearer."""
+    """A margin that only one corner violates, and that each right bound reduces."""
     return [sum(abs(u - (k % 3 == 0)) for k, u in enumerate(p)) - 0.5 for p in points]
 
 
-def test_corners_come_first_and_a_climb_finds_the_one_that_violates():
+def test_corners_come_first_and_coordinate_search_finds_the_violating_one():
     asked = []
 
     def measure(points):
@@ -203,8 +203,8 @@ def test_corners_come_first_and_a_climb_finds_the_one_that_violates():
     assert asked[:4] == [low, high, (1.0,) * 4 + (0.0,) * 8, (0.0,) * 4 + (1.0,) * 8]  # together, then each profile
 
 
-def test_profiles_are_held_constant_before_they_are_searched_piece_by_piece():
-    """Two inputs that a system violates between their bounds: seldom anywhere, often where both are constant."""
+def test_profiles_are_constant_before_they_are_searched_piece_by_piece():
+    """Two inputs that violate between their bounds: rarely anywhere, often where both are constant."""
 
     def asked_until(groups, seed):
         asked = []
@@ -223,7 +223,7 @@ def test_profiles_are_held_constant_before_they_are_searched_piece_by_piece():
 
 
 @pytest.mark.parametrize(("groups", "sampler"), [([1], "tpe"), ([2], "cmaes"), ([3, 2], "cmaes"), ([1], "random")])
-def test_no_search_ends_with_budget_left_whatever_it_is_reported(groups, sampler):
+def test_no_search_ends_with_budget_left_whatever_margins_it_gets(groups, sampler):
     def valley(points):
         return [sum((u - 0.3) ** 2 for u in p) for p in points]
 
@@ -237,8 +237,8 @@ def test_no_search_ends_with_budget_left_whatever_it_is_reported(groups, sampler
         assert search(groups, measure, 61, seed=2, sampler=sampler).runs == 61
 
 
-def test_the_climb_begins_again_from_other_corners():
-    """Two coordinates must change at once: the best corner of the first climb is a dead end."""
+def test_the_coordinate_search_restarts_from_other_corners():
+    """Two coordinates must change together: the best corner of the first search is a dead end."""
 
     def trap(points):
         return [-1.0 if p[:4] == (1.0, 0.0, 0.0, 1.0) and p[6] == 1.0 else 1.0 + sum(p) for p in points]
@@ -266,7 +266,7 @@ def outcome(folder):
     return json.loads((folder / "outcome.json").read_text())
 
 
-def test_what_it_finds_is_a_scenario_file_that_gives_the_same_bits_again(file, tmp_path, capsys):
+def test_a_violation_is_a_scenario_file_that_repeats_with_the_same_bits(file, tmp_path, capsys):
     given = ["falsify", str(file), "--strict", "--over", "dc_motor_plant.R=0.5..2.5", "--budget", "12",
              "--workers", "1", "--over", "dc_motor_smc.delta=log 0.5..20", "--no-plots"]  # fmt: skip
     assert main([*given, "--out", str(tmp_path / "a")]) == 1
@@ -311,7 +311,7 @@ def test_a_rig_that_does_not_repeat_is_not_searched(file, words, tmp_path, capsy
     assert not (tmp_path / "a" / "rows.jsonl").exists()
 
 
-def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys):
+def test_without_a_violation_the_nearest_case_is_reported(file, tmp_path, capsys):
     assert main(["falsify", str(file), "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "8", "--workers", "1",
                  "--no-plots", "--requirement", "tracking", "--out", str(tmp_path / "a")]) == 0  # fmt: skip
     result = outcome(tmp_path / "a")
@@ -322,7 +322,7 @@ def test_where_nothing_violates_it_says_what_came_nearest(file, tmp_path, capsys
     assert "asked by name: tracking, published for dc_motor_plant.R = 0.4" in printed
 
 
-def test_bounds_of_another_machine_judge_none_unless_they_are_asked_for(file, tmp_path, capsys):
+def test_bounds_of_another_machine_are_judged_only_on_request(file, tmp_path, capsys):
     few = ["--over", "dc_motor_plant.R=0.6..0.7", "--budget", "2", "--workers", "1", "--no-plots"]
     assert main(["falsify", str(file), *few, "--out", str(tmp_path / "a")]) == 2
     error = capsys.readouterr().err
@@ -339,7 +339,7 @@ def test_bounds_of_another_machine_judge_none_unless_they_are_asked_for(file, tm
     assert outcome(tmp_path / "b")["requirements"] == ["tracking", "limited"]
 
 
-def test_a_search_in_which_nothing_runs_has_no_verdict(file, tmp_path, monkeypatch):
+def test_a_search_without_a_completed_run_has_no_verdict(file, tmp_path, monkeypatch):
     def breaks(*_, **__):
         raise RunError("gone")
 
@@ -375,7 +375,7 @@ def test_bad_input_is_one_line_before_the_first_run(file, arguments, reason, tmp
 FEW = ("--strict", "--over", "dc_motor_plant.R=0.6..0.7", "--budget", "4", "--workers", "1", "--no-plots")
 
 
-def test_a_package_that_one_range_needs_is_named_before_anything_is_written(file, tmp_path, capsys, monkeypatch):
+def test_a_package_that_a_range_needs_is_named_before_anything_is_written(file, tmp_path, capsys, monkeypatch):
     given = ["falsify", str(file), *FEW]
     monkeypatch.setitem(sys.modules, "optuna", None)
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
@@ -386,8 +386,8 @@ def test_a_package_that_one_range_needs_is_named_before_anything_is_written(file
 
 
 @pytest.mark.parametrize("wrong", ["figures: {peak: {arguments: {signal: motor/nowhere}}}", "cites: [nobody1999]"])
-def test_what_its_runs_do_not_ask_for_is_judged_before_the_first_one(wrong, file, tmp_path, capsys):
-    """A trial measures its requirements alone: what is wrong elsewhere would be found when the search is over."""
+def test_expectations_that_the_runs_do_not_measure_are_judged_before_the_first_one(wrong, file, tmp_path, capsys):
+    """A trial measures only its requirements: other errors would be found only after the search."""
     file.write_text(f"{FILE}{wrong}\n")
     given = ["falsify", str(file), *FEW]
     assert main([*given, "--out", str(tmp_path / "a")]) == 2
@@ -396,7 +396,7 @@ def test_what_its_runs_do_not_ask_for_is_judged_before_the_first_one(wrong, file
 
 
 @pytest.mark.long
-def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(tmp_path):
+def test_a_reduced_case_without_the_faults_that_pictures_name_runs(tmp_path):
     assert main(["falsify", "dc_motor_smc_faults", "--strict", "--over", "dc_motor_plant.R=0.9..1.3", "--over",
                  "dc_motor_smc.delta=1..20", "--budget", "8", "--workers", "1", "--no-plots", "--out",
                  str(tmp_path / "a")]) == 1  # fmt: skip
@@ -410,7 +410,7 @@ def test_a_small_case_without_the_faults_that_pictures_name_runs_by_itself(tmp_p
 
 
 def test_the_picture_of_the_worst_run_is_as_expected(monkeypatch, tmp_path):
-    """Of a requirement over two signals, one of them the same in both runs; of one over a command; of a figure."""
+    """For a requirement over two signals, one of them equal in both runs; for one over a command; for a figure."""
     drawn = []
     saved = picture.save_figure
 
@@ -433,7 +433,7 @@ def test_the_picture_of_the_worst_run_is_as_expected(monkeypatch, tmp_path):
     check_expected("pictures/worst", (line for path, f in drawn for line in (path, *figure_lines(f))))
 
 
-def test_a_scenario_without_requirements_says_what_it_needs(tmp_path, capsys):
+def test_a_scenario_without_requirements_reports_what_it_needs(tmp_path, capsys):
     assert main(["falsify", "dc_motor_smc_b6", "--over", "dc_motor_plant.R=1..2", "--out", str(tmp_path)]) == 2
     assert "has no requirements" in capsys.readouterr().err
     asked = ["falsify", "dc_motor_smc_b6", "--over", "dc_motor_plant.R=1..2", "--out", str(tmp_path), "--requirement"]

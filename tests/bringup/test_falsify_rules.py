@@ -1,4 +1,4 @@
-"""The rules of a search for violations: what is asked for next, what a point means, what is tried to make it small."""
+"""The rules of a search for violations: which point is next, what a point means, and how a case is reduced."""
 
 import math
 
@@ -16,7 +16,7 @@ from softrig_core import Scenario
 
 
 class Account:
-    """The search as its page tells it, one point after the other."""
+    """The search as its page describes it, one point after the other."""
 
     def __init__(self, groups, budget, f, seed, enough):
         self.groups, self.size, self.budget, self.f, self.seed = groups, sum(groups), budget, f, seed
@@ -29,7 +29,7 @@ class Account:
         return [p for batch in self.batches for p in batch]
 
     def ask(self, points):
-        """Measure a batch; the rest of one that the budget does not cover is not asked for."""
+        """Measure a batch; points beyond the budget are not measured."""
         if points:
             points = points[: self.budget - len(self.asked())]
             self.batches.append(points)
@@ -40,7 +40,7 @@ class Account:
         return [self.known[p] for p in points]
 
     def corners(self, rng, few):
-        """All low, all high, each thing alone, each coordinate alone where there is room, then drawn ones."""
+        """All low, all high, each parameter alone, each coordinate alone if the budget allows, then random ones."""
         listed = [(0.0,) * self.size, (1.0,) * self.size]
         ends = [sum(self.groups[: k + 1]) for k in range(len(self.groups))]
         alone = [range(end - n, end) for end, n in zip(ends, self.groups, strict=True)]
@@ -57,7 +57,7 @@ class Account:
             once = once[4:]
 
     def evolve(self, size, until, spread=lambda p: p):
-        """CMA-ES from the middle, then again from the best point with the next seed."""
+        """CMA-ES from the centre, then again from the best point with the next seed."""
         seed, mean = self.seed, np.full(size, 0.5)
         while not self.over() and len(self.asked()) < until:
             cma = CMA(mean, sigma=0.3, bounds=np.array([[0.0, 1.0]] * size), seed=seed)
@@ -72,7 +72,7 @@ class Account:
                 mean = np.array(self.best)
 
     def climb(self, point):
-        """Each coordinate at both ends, again and again until nothing is better; whether anything was new."""
+        """Each coordinate at both ends, repeatedly until nothing improves; whether any point was new."""
         before, better = len(self.asked()), True
         if point not in self.known:
             self.ask([point])
@@ -130,8 +130,10 @@ MARGINS = {
         *((groups, name) for groups in ([1, 1], [1, 4, 1], [6]) for name in ("corner", "stairs")),
     ],
 )
-def test_the_search_asks_what_its_account_says(groups, name):
-    """Corners, what is held constant, all, climbs from corner to corner: the same points in the same batches."""
+def test_the_search_measures_the_points_of_its_description(groups, name):
+    """Corners, constant profiles, all coordinates, coordinate searches from corner to corner: the same points in the
+    same batches.
+    """
     for budget, seed, enough in ((47, 3, -math.inf), (73, 0, -0.4))[: 2 if len(groups) > 1 else 1]:
         wanted = Account(groups, budget, MARGINS[name], seed, enough).cmaes()
         batches = []
@@ -149,8 +151,8 @@ def test_the_search_asks_what_its_account_says(groups, name):
 
 
 @pytest.mark.parametrize(("budget", "alone"), [(160, True), (150, False)])
-def test_each_coordinate_is_tried_alone_where_a_tenth_of_the_budget_is_enough_for_all(budget, alone):
-    """Of six together: all low, all high, and then sixteen are what takes each one alone, too."""
+def test_each_coordinate_is_tried_alone_if_a_tenth_of_the_budget_is_enough(budget, alone):
+    """For six coordinates: all low, all high, and then sixteen points for each one alone."""
     asked = []
     search([6], lambda points: asked.extend(points) or [1.0 - len(asked) // 12] * len(points), budget, enough=0.0)
     assert asked[:2] == [(0.0,) * 6, (1.0,) * 6]
@@ -159,11 +161,11 @@ def test_each_coordinate_is_tried_alone_where_a_tenth_of_the_budget_is_enough_fo
 
 
 @pytest.mark.parametrize(("margin", "runs"), [(0.0, 30), (-1e-300, 4)])
-def test_a_margin_that_is_just_enough_is_not_below_it(margin, runs):
+def test_a_margin_of_exactly_zero_is_not_a_violation_of_the_search(margin, runs):
     assert search([3], lambda points: [margin] * len(points), 30, enough=0.0).runs == runs
 
 
-def test_at_random_it_asks_for_four_points_at_a_time_and_nothing_else():
+def test_a_random_search_measures_four_points_at_a_time():
     asked = []
     match = search([2, 1], lambda points: asked.append(points) or [p[0] for p in points], 10, seed=5, sampler="random")
     drawn = [tuple(p) for p in np.random.default_rng(5).random((12, 3)).tolist()]
@@ -179,7 +181,7 @@ def test_a_sampler_needs_a_package_or_none():
     }  # fmt: skip
 
 
-def test_of_one_number_the_estimator_of_optuna_is_asked_four_at_a_time():
+def test_for_one_number_optunas_estimator_proposes_four_points_at_a_time():
     import optuna
 
     asked = []
@@ -217,7 +219,7 @@ def test_of_one_number_the_estimator_of_optuna_is_asked_four_at_a_time():
         ("0.1..0.7", {0.0: 0.1, 1.0: 0.7}),
     ],
 )
-def test_a_number_of_the_unit_interval_is_one_of_the_range_and_back(given, values):
+def test_a_number_of_the_unit_interval_maps_to_the_range_and_back(given, values):
     over = parse("node.k", given)
     for u, value in values.items():
         assert over.value(u) == (value if u in (0.0, 1.0) else pytest.approx(value, rel=1e-12, abs=1e-12))
@@ -226,7 +228,7 @@ def test_a_number_of_the_unit_interval_is_one_of_the_range_and_back(given, value
     assert parse("node.k", "2..2").place(2.0) == 0.0
 
 
-def test_a_range_says_of_what_it_is():
+def test_a_range_names_its_parameter():
     number, vector, course, added = (
         parse(*words)
         for words in (("n.k", "1..2"), (" n.v ", "1..2*3"), ("a/b/c", "log 1..2*4"), ("a/b/c + ", "-1..2~5"))
@@ -252,7 +254,7 @@ def of(*overs, nominal=(), whole=(), faults=None, plots=()):
     return Space(scenario, overs, targets, tuple(nominal) or (None,) * len(overs), tuple(whole))
 
 
-def test_a_point_of_the_cube_is_what_its_coordinates_say_in_their_order():
+def test_a_point_of_the_cube_sets_its_coordinates_in_their_order():
     overs = (Over(0.0, 10.0, key="n.k"), Over(-1.0, 1.0, count=3, key="n.v"), Over(1.0, 4.0, key="n.i"),
              Over(1.0, 4.0, count=1, key="n.one"))  # fmt: skip
     space = of(*overs, whole=(False, False, True, True))
@@ -268,7 +270,7 @@ def test_a_point_of_the_cube_is_what_its_coordinates_say_in_their_order():
 
 
 def tried(space, overrides, violates=lambda changes: False, budget=1000):
-    """What is tried, in order, and what is left."""
+    """The tried values in order, and the remaining ones."""
     seen = []
 
     def asked(case):
@@ -280,7 +282,7 @@ def tried(space, overrides, violates=lambda changes: False, budget=1000):
     return seen, case
 
 
-def test_steps_are_tried_level_with_their_neighbours_then_at_nothing():
+def test_steps_are_tried_equal_to_their_neighbours_then_at_zero():
     course = Over(-1.0, 4.0, count=5, key="a/b/c", adds=True)
     seen, (_, left) = tried(of(course), {"profile_0.points": [1.0, 2.0, 2.0, 0.0, 3.0]})
     assert [changes["profile_0.points"] for _, changes in seen] == [
@@ -303,13 +305,13 @@ def test_steps_are_tried_level_with_their_neighbours_then_at_nothing():
         (Over(-1.0, 4.0, count=2, key="a/b/c"), []),  # what replaces a signal is not nothing at zero
     ],
 )
-def test_nothing_is_tried_where_it_is_added_and_in_the_range(over, zeros):
+def test_only_values_inside_the_range_are_tried(over, zeros):
     seen, _ = tried(of(over), {"profile_0.points": [2.0, 3.0]})
     assert [changes["profile_0.points"] for _, changes in seen] == [[2.0, 2.0], [3.0, 3.0], *zeros]
 
 
-def test_what_violates_level_stays_level():
-    """At least four of the five steps must stand at two or more: one is spared, the others need one level."""
+def test_a_violation_of_level_steps_stays_level():
+    """At least four of five steps must be two or more: one is free, the others need one level."""
     course = Over(0.0, 4.0, count=5, key="a/b/c")
     _, (_, left) = tried(
         of(course), {"profile_0.points": [1.0, 4.0, 2.0, 3.0, 4.0]},
@@ -331,7 +333,7 @@ def test_what_violates_level_stays_level():
         (Over(0.0, 8.0, count=2, key="n.v"), [0.0], [8.0, 7.0], False, 3.0, [8.0, 7.0]),  # of another length: as it is
     ],
 )  # fmt: skip
-def test_a_parameter_goes_back_as_far_as_the_violation_lasts(over, nominal, worst, whole, limit, left):
+def test_a_parameter_is_moved_back_as_far_as_the_violation_lasts(over, nominal, worst, whole, limit, left):
     def first(changes):
         value = changes.get(over.key, nominal)
         return value[0] if isinstance(value, list) else value
@@ -355,7 +357,7 @@ def test_a_parameter_goes_back_as_far_as_the_violation_lasts(over, nominal, wors
         assert violates(result)
 
 
-def test_it_is_halved_twelve_times_and_the_budget_ends_it():
+def test_the_interval_is_halved_twelve_times_or_until_the_budget_ends():
     space = of(Over(0.0, 1.0, key="n.k"), nominal=(0.0,))
     seen, (_, left) = tried(space, {"n.k": 1.0})
     assert [changes.get("n.k") for _, changes in seen] == [None, *(1.0 - 0.5**k for k in range(1, 13))]
@@ -364,7 +366,7 @@ def test_it_is_halved_twelve_times_and_the_budget_ends_it():
     assert ([changes.get("n.k") for _, changes in seen], left) == ([None, 0.5, 0.25], {"n.k": 0.25})
 
 
-def test_faults_are_dropped_with_their_parameters_and_what_pictures_draw_of_them():
+def test_faults_are_removed_with_their_parameters_and_their_pictures():
     faults = {name: {"link": f"{topic} -> law", "kind": "noise", "value": [0.1]} for name, topic in
               (("noise", "m/state"), ("noise_2", "m/state"), ("late", "m/command"))}  # fmt: skip
     signals = ("m/state/x", "m/state/noise/x", "m/state/noise_2/x", "m/command/late/u")
@@ -393,11 +395,11 @@ def test_faults_are_dropped_with_their_parameters_and_what_pictures_draw_of_them
          {"a": 4.0, "b": 0.5, "c": 1.0, "d": 1.0, "e": 1.0, "f": 1.0, "g": 1e299}),
     ],
 )  # fmt: skip
-def test_margins_are_compared_in_their_size_without_changes(nominal, sizes):
+def test_margins_are_scaled_by_their_size_without_changes(nominal, sizes):
     assert _sizes(nominal) == sizes
 
 
-def test_of_several_margins_the_least_counts_and_one_that_is_lacking_leaves_none():
+def test_the_least_of_several_margins_counts_and_a_missing_one_leaves_none():
     sizes = {"a": 4.0, "b": 0.5}
     assert margin({"a": 1.0, "b": 0.5}, sizes) == 0.25
     assert margin({"a": 8.0, "b": 0.5}, sizes) == 1.0

@@ -1,4 +1,4 @@
-"""Films from frames that are made by hand: which moment each shows, what moves in them, and where pixels are."""
+"""Films from artificial frames: which moment each shows, what moves in them, and where pixels are."""
 
 import itertools
 import math
@@ -21,7 +21,7 @@ BOUNDS = (10.0, 20.0, 100.0, 60.0)
 
 
 def shows(trail=0.0, signals=("a", "b")):
-    """A drawing that shows the rows it is given."""
+    """A drawing that shows the rows it receives."""
     return SimpleNamespace(
         bounds=BOUNDS, signals=signals, trail=trail, title="Made <by> hand", frame=lambda row, past: [(row, list(past))]
     )
@@ -40,7 +40,7 @@ def shows(trail=0.0, signals=("a", "b")):
         (1e-7, 1.0 + 1e-8, [1.0, 1.0 + 5e-9, 1.0 + 1e-8], "1.000000 1.000000 1.000000", "slowed down 1e+07 times"),
     ],
 )
-def test_twenty_frames_a_second_say_their_time_and_how_fast_they_go(speed, end, times, digits, words):
+def test_twenty_frames_a_second_state_their_time_and_speed(speed, end, times, digits, words):
     made = film(shows(), {"a": Signal(np.array([0.0]), np.array([7.0]))}, 1.0, end, speed)
     assert made.times == pytest.approx(times, abs=1e-12)
     assert (made.speed, made.duration, made.bounds) == (speed, len(times) / 20.0, (10.0, 20.0, 100.0, 90.0))
@@ -63,7 +63,7 @@ def test_a_frame_has_the_newest_value_of_each_signal_and_none_before_its_first()
     assert [set(row) for row in rows] == [{"a", "b"}] * 5
 
 
-def test_a_trail_is_what_was_before_each_frame_sixty_rows_of_it():
+def test_a_trail_has_the_sixty_rows_before_each_frame():
     t = np.arange(401) / 100.0
     made = film(shows(trail=1.2), {"a": Signal(t, t)}, 2.0, 2.97, 2.0)  # a grid of 0.02 s from 0.8 s on
     for k, (row, past) in enumerate(frame[0] for frame in made.frames):
@@ -77,7 +77,7 @@ def test_a_trail_is_what_was_before_each_frame_sixty_rows_of_it():
     assert [len(frame[0][1]) for frame in early.frames] == pytest.approx([25, 26, 27, 29, 30], abs=1)
 
 
-def test_of_a_run_that_has_something_of_what_is_drawn_that_is_drawn():
+def test_a_run_with_some_of_the_drawn_signals_is_drawn():
     nothing, some = Signal(np.array([]), np.array([])), Signal(np.array([0.0]), np.array([1.0]))
     assert film(shows(), {"a": nothing, "b": some}, 0.0, 1.0).frames[0][0][0] == {"b": 1.0}
     with pytest.raises(ScenarioError, match=r"^nothing was recorded of what is drawn: a, b$"):
@@ -109,7 +109,7 @@ def test_a_comfortable_film_takes_from_three_to_eight_seconds_at_the_least_round
 
 
 def told(root, depth=0):
-    """Elements of an SVG, a line each, without its style."""
+    """Elements of an SVG, one line each, without its style."""
     for tag in root:
         if (name := tag.tag.rpartition("}")[2]) != "style":
             words = [name, *(f"{k}={v}" for k, v in tag.attrib.items()), *([repr(tag.text)] if tag.text else [])]
@@ -131,7 +131,7 @@ def square(x, y, size=10.0):
 
 
 def test_a_film_as_svg_is_as_expected():
-    """What stays, what is shifted, what bends, what jumps, a text that changes and one that goes along."""
+    """Parts that stay, that are shifted, that bend, that jump, a text that changes and one that moves along."""
     steps = [0.0, 1.0, 4.0, 9.0, 9.0]
     every = [
         [Line(((0.0, 0.0), (5.0, 5.0)), "muted", 1.0, True)] * 5,
@@ -158,7 +158,7 @@ def test_without_a_text_that_changes_there_is_no_window():
 
 @pytest.mark.parametrize(("far", "discrete"), [(39.9, False), (40.0, False), (40.1, True)])
 @pytest.mark.parametrize("way", [(1, 0), (0, 1), (-1, 0), (0, -1)])
-def test_what_goes_farther_than_forty_units_in_a_frame_begins_anew_there(far, discrete, way):
+def test_a_shape_that_moves_more_than_forty_units_in_a_frame_starts_there_again(far, discrete, way):
     x, y = far * way[0], far * way[1]
     circle, shifted, bent = moving(
         [
@@ -171,14 +171,14 @@ def test_what_goes_farther_than_forty_units_in_a_frame_begins_anew_there(far, di
 
 @pytest.mark.parametrize(("off", "shift"), [(0.0, True), (0.1, True), (-0.1, True), (0.2, False), (-0.2, False)])
 @pytest.mark.parametrize("where", [0, 1])
-def test_a_shape_is_shifted_as_a_whole_but_for_what_is_rounded(off, shift, where):
+def test_a_shape_is_shifted_as_a_whole_within_rounding(off, shift, where):
     by = [3.0, 4.0]
     by[where] += off
     (line,) = moving([[Line(((1.0, 2.0), (5.0, 5.0)))], [Line(((4.0, 6.0), (5.0 + by[0], 5.0 + by[1])))]])[3:]
     assert line[0].tag.rpartition("}")[2] == ("animateTransform" if shift else "animate")
 
 
-def test_a_text_stays_for_four_frames_and_is_shown_again_where_it_comes_again():
+def test_a_text_stays_for_four_frames_and_is_reused():
     texts = ["a"] * 4 + ["b"] * 3 + ["c"] + ["a"] * 2  # the c falls between
     (_, _, _, _, group) = moving([[Text((20.0, 30.0), text, size=10.0)] for text in texts])
     (text,) = group
@@ -191,11 +191,11 @@ def test_a_text_stays_for_four_frames_and_is_shown_again_where_it_comes_again():
     ("value", "text"),
     [(0.0, "0"), (-0.0, "0"), (-0.04, "0"), (0.05, "0.1"), (1.0, "1"), (-1.0, "-1"), (1.26, "1.3"), (-12.34, "-12.3")],
 )
-def test_a_coordinate_is_a_tenth_of_a_unit_fine(value, text):
+def test_a_coordinate_has_a_resolution_of_a_tenth(value, text):
     assert number(value) == text
 
 
-def test_colours_are_of_light_or_dark_ground_or_as_the_reader_has_it():
+def test_colours_suit_a_light_or_dark_background_or_the_readers_choice():
     light, dark, either = sheet(False), sheet(True), sheet()
     rules = [".s-alarm{stroke:#cc3311}.f-alarm{fill:#cc3311}", ".s-alarm{stroke:#ff7a66}.f-alarm{fill:#ff7a66}"]
     assert [rule in text for text in (light, dark) for rule in rules] == [True, False, False, True]
@@ -251,13 +251,13 @@ def drawn(*shapes):
 
 
 def inked(image, role):
-    """Where a colour is for the most part: left, top, right, bottom in units of the drawing."""
+    """The bounding box of a colour: left, top, right, bottom in units of the drawing."""
     far = np.abs(np.asarray(image, int) - colour("paper")).sum(axis=2)
     ys, xs = np.nonzero(far > 0.5 * np.abs(np.subtract(colour(role), colour("paper"))).sum())
     return xs.min() + BOUNDS[0], ys.min() + BOUNDS[1], xs.max() + 1 + BOUNDS[0], ys.max() + 1 + BOUNDS[1]
 
 
-def test_a_line_is_where_its_points_are_as_thick_as_it_says():
+def test_a_line_has_its_points_and_its_width():
     image = drawn(Line(((30.0, 40.0), (90.0, 40.0)), "alarm", 4.0))
     assert inked(image, "alarm") == pytest.approx((28, 38, 92, 42), abs=1)  # its ends are round
     assert shade(image, 60.5, 40.5) == "alarm"
@@ -296,7 +296,7 @@ def test_a_circle_is_round_its_centre():
     assert drawn(Circle((60.0, 50.0), 0.0, "alarm", "second")).getcolors() == [(6000, colour("paper"))]
 
 
-def test_a_text_begins_has_its_middle_or_ends_at_its_point_above_its_baseline():
+def test_a_text_is_anchored_at_its_start_middle_or_end_above_its_baseline():
     boxes = [
         inked(drawn(Text((60.0, 50.0), "HHH", "line", 13.0, anchor)), "line") for anchor in ("start", "middle", "end")
     ]
@@ -316,8 +316,8 @@ def test_a_text_begins_has_its_middle_or_ends_at_its_point_above_its_baseline():
         [(0.0, 0.0), (7.0, 0.0)],
     ],
 )
-def test_a_dash_is_five_units_long_and_a_gap_four_round_each_corner(corners):
-    """In pixels, of which there are two a unit: each point on the way is in a dash or in none as the way says."""
+def test_dashes_are_five_units_and_gaps_four_also_round_corners(corners):
+    """In pixels, two per unit: each point of the path is in a dash or in a gap as its length requires."""
     dashes, walked = raster._dashes(corners), 0.0
     for a, b in itertools.pairwise(corners):
         length = math.dist(a, b)
@@ -344,7 +344,7 @@ def frames(count):
 
 
 @pytest.mark.parametrize(("form", "duration"), [("gif", 50), ("webp", 50), ("png", 50)])
-def test_a_picture_that_moves_has_its_frames_for_a_twentieth_of_a_second_each_without_end(form, duration, tmp_path):
+def test_a_moving_picture_repeats_frames_of_a_twentieth_of_a_second(form, duration, tmp_path):
     data, words = raster.pixels(Film(SimpleNamespace(bounds=BOUNDS), np.arange(3), frames(3), 1.0), form)
     (tmp_path / "film").write_bytes(data)
     with Image.open(tmp_path / "film") as image:

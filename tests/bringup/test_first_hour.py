@@ -56,7 +56,7 @@ plots: # the paper's show its sliding surface
 
 
 class User:
-    """Somebody at a prompt: another user with a home of their own, nothing of ours set, no terminal, 60 columns."""
+    """A person at a prompt: another user with a separate home, nothing of ours set, no terminal, 60 columns."""
 
     def __init__(self, folder):
         self.folder = folder / "my work"
@@ -81,7 +81,7 @@ class User:
                     os.chown(place, UID, UID)
 
     def __call__(self, command, status=0, timeout=PATIENCE):
-        """Type a command; gives what it printed, and what it complained of."""
+        """Run a command; return what it printed and its errors."""
         done = subprocess.run(
             [*self.become, "bash", "-c", command],
             cwd=self.folder,
@@ -103,7 +103,7 @@ def user():
 
 @pytest.fixture(scope="module")
 def package(user):
-    """The package that `softrig new` writes, with a law of the user's own added, and built by nobody."""
+    """The package that `softrig new` writes, with a controller of the user added; not built."""
     out, _ = user(f"'{SOFTRIG}' new heater")
     assert "--workspace heater run heater" in out
     folder = user.folder / "heater"
@@ -116,7 +116,7 @@ def package(user):
 
 
 def typed(command):
-    """Exit status of a command, without a process of its own."""
+    """Exit status of a command, in this process."""
     try:
         return main(command.split())
     except SystemExit as ended:  # as argparse leaves
@@ -159,7 +159,7 @@ def test_a_place_that_cannot_be_written_is_one_line(user):
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_the_package_runs_at_once_in_both_lockstep_modes(user, package):
+def test_the_package_runs_immediately_in_both_lockstep_modes(user, package):
     command = f"cd heater && '{SOFTRIG}' --workspace . run heater --no-plots --mode"
     figures = []
     for mode in ("inprocess", "processes"):
@@ -174,13 +174,13 @@ def test_the_package_runs_at_once_in_both_lockstep_modes(user, package):
 
 
 def heaters(user, command=f"'{SOFTRIG}'"):
-    """Scenarios of the package, by file, where the environment of a command looks for them."""
+    """Scenarios of the package, by file, where the environment of a command searches for them."""
     out, _ = user(f'eval "$({command} env)"; echo "$AMENT_PREFIX_PATH"')
     return {f.stem for prefix in out.strip().split(":") for f in Path(prefix).glob("share/heater/scenarios/*.yaml")}
 
 
 @pytest.mark.long
-def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, package):
+def test_a_workspace_is_remembered_updated_and_forgotten(user, package):
     user(f"'{SOFTRIG}' --workspace heater list heater")
     assert "linear-quadratic" in user(f"'{SOFTRIG}' list heater")[0]
     (package / "scenarios" / "heater_more.yaml").write_text("extends: heater\nduration: 1.0\n")
@@ -200,7 +200,7 @@ def test_a_workspace_is_remembered_follows_what_comes_and_is_forgotten(user, pac
 
 
 @pytest.mark.long
-def test_the_command_of_a_checkout_that_belongs_to_somebody_else(user):
+def test_a_command_of_a_checkout_that_belongs_to_another_user(user):
     out, _ = user(f"""eval "$('{SOFTRIG}' env)" && softrig --version""")
     assert out.startswith("softrig ")
 
@@ -215,7 +215,7 @@ def test_an_overlay_sourced_before_is_honoured(user, package):
 
 
 @pytest.mark.long
-def test_a_run_of_an_own_package_goes_to_a_colleague(user, package):
+def test_a_run_of_a_users_package_is_repeated_elsewhere(user, package):
     command = f"'{SOFTRIG}' --workspace heater"
     user(f"{command} run heater --mode inprocess --no-plots --set heater_controller.r=0.1 --out mine")
     user(f"{command} pack mine --out sent.zip")
@@ -234,7 +234,7 @@ def test_a_run_of_an_own_package_goes_to_a_colleague(user, package):
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_an_own_law_stands_beside_the_papers(user, package):
+def test_a_users_law_is_compared_with_the_papers(user, package):
     (user.folder / "beside.yaml").write_text(BESIDE)
     run = f"'{SOFTRIG}' --workspace heater run"
     user(f"{run} beside.yaml --mode inprocess --no-plots && {run} dc_motor_smc_b2 --mode inprocess --no-plots")
@@ -261,7 +261,7 @@ NO_PYTHON = ('"""A law', 'def (\n"""A law', 2)
         pytest.param(NO_PYTHON, "inprocess", 2, "SyntaxError: invalid syntax", marks=pytest.mark.long),
     ],
 )
-def test_a_mistake_in_ones_own_code_says_file_and_line(user, package, mistake, mode, status, text):
+def test_an_error_in_users_code_names_file_and_line(user, package, mistake, mode, status, text):
     (user.folder / "beside.yaml").write_text(BESIDE)
     file = package / "heater" / "motor_law.py"
     right, wrong, line = mistake
@@ -294,7 +294,7 @@ def test_a_name_that_cannot_be_a_package_is_refused(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["dc_motor_smc", "dc_motor_smc_b2_delta1"])
-def test_a_name_of_which_a_scenario_would_run_in_its_place_is_refused(tmp_path, name):
+def test_a_name_that_an_existing_scenario_has_is_refused(tmp_path, name):
     with pytest.raises(ScenarioError, match=rf"`run {name}` is a scenario already \(dc_motor_smc"):
         new_package(name, tmp_path)
     assert not list(tmp_path.iterdir())
@@ -311,7 +311,7 @@ def test_a_law_or_a_plant_alone_runs_as_it_is_written(user, kind):
     assert "failed" not in out
 
 
-def test_nothing_is_written_over(tmp_path, capsys):
+def test_no_file_is_overwritten(tmp_path, capsys):
     (tmp_path / "heater").mkdir()
     assert main(["new", "heater", "--into", str(tmp_path)]) == 2
     assert "is there already" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Where results go: what a former run of ours wrote is replaced, nothing else is touched."""
+"""The folder of results: the output of an earlier run of softrig is replaced, nothing else is touched."""
 
 import json
 import os
@@ -19,7 +19,7 @@ def names(path):
     return sorted(str(p.relative_to(path)) for p in path.rglob("*") if p.is_file())
 
 
-def test_a_run_replaces_the_one_before_and_says_so(tmp_path, capsys):
+def test_a_run_replaces_the_previous_one_and_reports_it(tmp_path, capsys):
     out = tmp_path / "out"
     assert main([*RUN, "--duration", "0.1", "--out", str(out)]) == 0
     first = names(out)
@@ -30,7 +30,7 @@ def test_a_run_replaces_the_one_before_and_says_so(tmp_path, capsys):
     assert names(out) == ["bag/bag_0.mcap", "bag/metadata.yaml", "metrics.json", MANIFEST]
 
 
-def test_files_of_others_stay_and_stop_a_run_where_they_are_in_its_way(tmp_path, capsys):
+def test_other_files_stay_and_stop_a_run_if_they_are_in_its_way(tmp_path, capsys):
     out = tmp_path / "out"
     (out / "mine").mkdir(parents=True)
     (out / "mine/notes.txt").write_text("mine")
@@ -48,7 +48,7 @@ def test_files_of_others_stay_and_stop_a_run_where_they_are_in_its_way(tmp_path,
 
 
 def test_nothing_outside_the_folder_is_removed(tmp_path):
-    """A list that somebody has edited, or links put in the place of our folders, lead nowhere."""
+    """Neither by an edited manifest nor by links in place of our folders."""
     precious = tmp_path / "precious"
     precious.mkdir()
     (precious / "file").write_text("keep")
@@ -62,7 +62,7 @@ def test_nothing_outside_the_folder_is_removed(tmp_path):
     assert names(out) == [MANIFEST]
 
 
-def test_what_a_killed_run_has_left_stops_no_other(tmp_path):
+def test_the_remains_of_a_killed_run_do_not_stop_another(tmp_path):
     out = tmp_path / "out"
     (out / "mine").mkdir(parents=True)
     (out / "mine/notes.txt").write_text("mine")
@@ -104,8 +104,8 @@ def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, cap
     ],
     ids=["the scenario's own", "tuned", "damaged"],
 )
-def test_a_killed_run_in_lockstep_stays_when_somebody_has_tuned_it(tmp_path, monkeypatch, capsys, note, why):
-    """What was turned is in the shards while the run lasts."""
+def test_a_killed_lockstep_run_with_changed_parameters_stays(tmp_path, monkeypatch, capsys, note, why):
+    """The changes are in the shards while the run lasts."""
     monkeypatch.chdir(tmp_path)
     changes = "changes:\n- {at: 0.01, set: {dc_motor_smc.delta: 3.0}}\n"
     (tmp_path / "mine.yaml").write_text(f"title: Mine\nextends: dc_motor_smc_b2\nduration: 0.05\n{changes}")
@@ -122,8 +122,9 @@ def test_a_killed_run_in_lockstep_stays_when_somebody_has_tuned_it(tmp_path, mon
     del shard
 
 
-def test_a_killed_run_of_which_a_tuned_branch_was_left_stays(tmp_path, monkeypatch, capsys):
-    """Whoever went back from there and on without a change has that in the shards, and the branch in a file."""
+def test_a_killed_run_with_a_changed_branch_stays(tmp_path, monkeypatch, capsys):
+    """If a person went back and continued without a change, the shards have the last branch and a file has the first.
+    """
     monkeypatch.chdir(tmp_path)
     folder = ResultsFolder(tmp_path / "runs" / "dc_motor_smc_b2")
     folder.clear()
@@ -135,7 +136,7 @@ def test_a_killed_run_of_which_a_tuned_branch_was_left_stays(tmp_path, monkeypat
     assert text in capsys.readouterr().err
 
 
-def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
+def test_a_file_at_the_path_of_the_folder_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
     with pytest.raises(ScenarioError, match="out is a file, expected a folder"):
         ResultsFolder(tmp_path / "out")
@@ -153,7 +154,7 @@ def test_runs_that_differ_have_folders_of_their_own(tmp_path, monkeypatch, capsy
     ]
 
 
-def test_a_changed_gain_is_no_failure(tmp_path, capsys):
+def test_a_changed_gain_does_not_fail(tmp_path, capsys):
     """The paper's numbers are shown for comparison; metrics.json says what was changed."""
     assert main([*RUN, "--no-plots", "--set", "dc_motor_smc.delta=20.0", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
@@ -170,7 +171,7 @@ def test_a_changed_gain_is_no_failure(tmp_path, capsys):
         ("{reference: motor/reference}", "{reference: ../x}", "remap"),
     ],
 )
-def test_names_that_are_no_ros_names_are_refused(tmp_path, capsys, monkeypatch, old, new, message):
+def test_invalid_ros_names_are_refused(tmp_path, capsys, monkeypatch, old, new, message):
     from softrig_core import list_scenarios
 
     text = list_scenarios()["dc_motor_smc"].read_text()
@@ -183,7 +184,7 @@ def test_names_that_are_no_ros_names_are_refused(tmp_path, capsys, monkeypatch, 
     assert names(tmp_path) == ["x.yaml"]
 
 
-def test_a_folder_that_is_being_written_is_another_calls_own(tmp_path, monkeypatch, capsys):
+def test_a_folder_that_is_being_written_belongs_to_one_call(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     first = ResultsFolder(tmp_path / "runs" / "dc_motor_smc_b2")
     first.clear()
@@ -199,7 +200,7 @@ def test_a_folder_that_is_being_written_is_another_calls_own(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("what", [{"once": ["parameters were changed while it ran"]}, {"code": {"pump_rig": "1"}}])
-def test_a_run_that_cannot_be_made_again_is_replaced_by_force_alone(tmp_path, monkeypatch, capsys, what):
+def test_a_run_that_cannot_be_made_again_is_replaced_only_by_force(tmp_path, monkeypatch, capsys, what):
     monkeypatch.chdir(tmp_path)
     words = [*RUN, "--no-plots", "--no-record"]
     assert main(words) == 0
@@ -245,7 +246,7 @@ def test_a_folder_of_pages_and_one_of_a_golden_bag_have_one_writer(tmp_path, cap
 
 
 def test_a_fork_does_not_hold_the_folder_of_its_parent(tmp_path):
-    """A worker of a study ends a little after it: the next writer need not wait for that."""
+    """A worker of a study may end a little later: the next writer need not wait for it."""
     folder, other = ResultsFolder(tmp_path / "a"), ResultsFolder(tmp_path / "a")
     (tmp_path / "a").mkdir()
     assert folder.hold() is None

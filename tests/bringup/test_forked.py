@@ -1,4 +1,4 @@
-"""The tests' own workers: a lost one costs one test, and what pytest reports is what it reports without them."""
+"""The tests' own workers: a lost worker loses one test, and pytest reports the same as without them."""
 
 import os
 import re
@@ -79,7 +79,7 @@ def test_workers_report_what_one_process_reports(tmp_path):
         assert word in forked[0]
 
 
-def test_a_lost_worker_costs_one_test(tmp_path):
+def test_a_lost_worker_loses_one_test(tmp_path):
     (tmp_path / "test_lost.py").write_text(LOST)
     (tmp_path / "test_found.py").write_text(FOUND)
     reported, status = run(tmp_path, "-n", "1")

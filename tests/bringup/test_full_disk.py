@@ -1,4 +1,4 @@
-"""A full disk: the line names the file, and nothing that was cut stays."""
+"""A full disk: the message names the file, and no truncated file stays."""
 
 import errno
 import os
@@ -48,7 +48,7 @@ class Table:
         (["export", "c", "dc_motor_smc_b2", "dc_motor_smc", "--out", "OUT"], (Path, "write_text"), "OUT/"),
     ],
 )
-def test_a_full_disk_names_the_file_and_leaves_no_half_of_it(words, place, name, run, tmp_path, capsys, monkeypatch):
+def test_a_full_disk_names_the_file_and_leaves_no_part_of_it(words, place, name, run, tmp_path, capsys, monkeypatch):
     words = [w.replace("OUT", str(tmp_path)).replace("RUN", str(run)) for w in words]
     where, what = place
     if what == "_writer":

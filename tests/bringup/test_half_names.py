@@ -1,4 +1,4 @@
-"""What people type by half: each line is completed, or answered by one line that says what was meant."""
+"""Incomplete input: each line is completed, or answered by one line with the suggestion."""
 
 import json
 from argparse import Namespace
@@ -82,7 +82,7 @@ RUN_B4 = "run dc_motor_smc_b4 --mode inprocess --set"
         ("report empty", "empty: no metrics.json there, expected directories of runs"),
     ],
 )
-def test_half_a_name_is_answered_by_the_whole_one(words, text, tmp_path, monkeypatch, capsys):
+def test_an_incomplete_name_is_answered_by_the_complete_one(words, text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("mine", "runs/many", "empty"):
         (tmp_path / name).mkdir(parents=True)
@@ -97,7 +97,7 @@ def test_half_a_name_is_answered_by_the_whole_one(words, text, tmp_path, monkeyp
     assert error.count("\n") == 1
 
 
-def test_spaces_around_the_sign_do_not_matter():
+def test_spaces_around_the_equals_sign_do_not_matter():
     assert settings(["dc_motor_smc.delta = 2.5", " a.b=[1, 2] "]) == {"dc_motor_smc.delta": 2.5, "a.b": [1, 2]}
     assert (pair("a.b = 2"), pair(" s += 1..2 "), pair("a= x=1")) == ("a.b=2", "s+=1..2", "a=x=1")
     assert span("kp", "1 .. 3") == span("kp", "1..3")
@@ -118,8 +118,8 @@ def test_a_folder_of_runs_stands_for_its_runs(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("error", ["node plant: gone", ""])
-def test_a_run_that_broke_is_kept_beside_and_its_folder_is_free(error, tmp_path, monkeypatch, capsys):
-    """What an outside node has sent cannot be made again: it is kept; only a run that ended well asks for --force."""
+def test_a_broken_run_is_kept_aside_and_its_folder_is_free(error, tmp_path, monkeypatch, capsys):
+    """Messages of an outside node cannot be made again, so they are kept; only a completed run requires --force."""
     monkeypatch.chdir(tmp_path)
     folder = ResultsFolder(tmp_path / "mine", RUN)
     folder.begin()
@@ -140,7 +140,7 @@ def test_a_run_that_broke_is_kept_beside_and_its_folder_is_free(error, tmp_path,
         assert not kept.exists()
 
 
-def test_words_of_help_and_version(capsys):
+def test_help_and_version_are_verbs(capsys):
     for words, begins in (("help run", "usage: softrig run"), ("help", "usage: softrig"), ("version", "softrig ")):
         with pytest.raises(SystemExit) as end:
             main(words.split())
@@ -148,14 +148,14 @@ def test_words_of_help_and_version(capsys):
         assert capsys.readouterr().out.startswith(begins)
 
 
-def test_parameters_are_listed_as_set_takes_them(capsys):
+def test_parameters_are_listed_in_the_form_of_set(capsys):
     assert main(["list", "--parameters", "dc_motor_smc_b4"]) == 0
     rows = dict(line.split("\t", 1) for line in capsys.readouterr().out.splitlines())
     assert rows["dc_motor_plant.R"] == "0.4\tohm\t0..\t\tarmature resistance R"
     assert rows["dc_motor_pid.set_point"].split("\t")[:4] == ["10.0", "rad/s", "", "live"]
 
 
-def test_a_named_study_takes_other_counts(monkeypatch):
+def test_a_shipped_study_accepts_other_counts(monkeypatch):
     options = Namespace(draws=7, draw=[], study="s")
     assert _recounted({"draws": {"count": 3, "seed": 1}, "search": None}, options)["draws"] == {"count": 7, "seed": 1}
     assert _recounted({"draws": None, "search": {"count": 3}}, options)["search"] == {"count": 7}

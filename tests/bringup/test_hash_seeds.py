@@ -1,4 +1,4 @@
-"""What is written does not depend on Python's hash seed: no set decides an order."""
+"""Output does not depend on Python's hash seed: no set decides an order."""
 
 import inspect
 import os
@@ -39,7 +39,7 @@ def test_figures_have_their_arguments_in_the_order_of_the_function():
 
 
 @pytest.mark.long
-def test_all_that_is_written_is_the_same_under_any_hash_seed(tmp_path):
+def test_all_output_is_the_same_under_any_hash_seed(tmp_path):
     written = []
     for seed in ("0", "1", "2"):
         folder = tmp_path / seed

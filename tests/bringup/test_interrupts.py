@@ -1,4 +1,4 @@
-"""Each phase of a run is interrupted through each door: the status is never 0, one line says what is missing.
+"""Each phase of a run is interrupted in each way: the status is never 0, and one line names what is missing.
 
 What is here needs no installation of ROS; `doc/lab/ends.md` has the table of what was tried by hand.
 """
@@ -52,7 +52,7 @@ def lag(tmp_path, monkeypatch):
 
 
 def strike(monkeypatch, where, number, twice):
-    """Have a signal come when something is called, and another while that is cleared up."""
+    """Send a signal when a function is called, and another during the cleanup."""
     module, _, name = where.rpartition(".")
     real = getattr(import_module(module), name)
 
@@ -72,7 +72,7 @@ def in_a_run():
 
 
 class Pages:
-    """Of a browser that lets the run go on and leaves at its end."""
+    """Pages of a browser that lets the run continue and closes at its end."""
 
     url = "http://here"
 
@@ -103,7 +103,7 @@ def in_a_view(monkeypatch):
 
 @pytest.fixture
 def in_a_launch(monkeypatch, capsys):
-    """The end of a launch whose nodes have all done their work, without any process."""
+    """The end of a launch whose nodes have all finished, without any process."""
     rig = rig_of("lag")
     done = in_process(rig), {m.name: {"state": "done", "t": 0} for m in rig.members}
     monkeypatch.setattr(launched, "gathered", lambda *_: done)
@@ -156,7 +156,7 @@ def test_no_interrupted_run_has_status_0_and_one_line_says_what_is_missing(
     assert number.name in lines[0]
 
 
-def test_what_the_line_says_makes_what_is_missing(monkeypatch, tmp_path):
+def test_the_command_of_the_line_makes_what_is_missing(monkeypatch, tmp_path):
     with monkeypatch.context() as patched:
         strike(patched, f"{RUN}.plot_run", signal.SIGINT, False)
         assert in_a_run() == 130
@@ -167,7 +167,7 @@ def test_what_the_line_says_makes_what_is_missing(monkeypatch, tmp_path):
     assert in_a_run() == 1  # what was left there is in nobody's way
 
 
-def test_what_nodes_recorded_is_named_where_their_run_was_not_written(monkeypatch, capsys, tmp_path):
+def test_recordings_of_nodes_are_named_if_their_run_was_not_written(monkeypatch, capsys, tmp_path):
     def gone(rig, placement, log, listener):
         log.mkdir()
         (log / "plant.shard").write_bytes(b"")
@@ -185,7 +185,7 @@ def test_what_nodes_recorded_is_named_where_their_run_was_not_written(monkeypatc
         ("false", "^stopped by SIGINT: the run did not reach its end, and nothing of it was recorded or judged "),
     ],
 )
-def test_a_launch_that_is_interrupted_in_mid_run_is_no_success(record, text, in_a_launch):
+def test_a_launch_that_is_interrupted_during_the_run_does_not_pass(record, text, in_a_launch):
     values = {"scenario": "lag", "mode": "lockstep", "record": record, "out": "r"}
     over = SimpleNamespace(is_shutdown=True)
 
@@ -197,19 +197,19 @@ def test_a_launch_that_is_interrupted_in_mid_run_is_no_success(record, text, in_
         end()
 
 
-def test_a_launch_that_is_interrupted_while_it_reads_its_scenario_is_no_success(monkeypatch):
+def test_a_launch_that_is_interrupted_while_it_reads_its_scenario_does_not_pass(monkeypatch):
     strike(monkeypatch, "softrig_bringup.launched.checked", signal.SIGINT, False)
     with pytest.raises(RunError, match=r"^stopped by SIGINT: nothing was run or written$"):
         nodes_of({"scenario": "lag"})
 
 
-def test_a_node_that_somebody_stops_ends_its_run_with_an_error():
+def test_stopping_a_node_ends_its_run_with_an_error():
     states = {"plant": {"state": "done", "t": 5 * 10**8, "left_early": True}, "gain": {"state": "done", "t": 10**9}}
     assert left_early(states) == "somebody has stopped node plant at t = 0.5 s"
     assert left_early({"gain": states["gain"]}) == ""
 
 
-def test_work_that_takes_long_says_what_it_does(monkeypatch, capsys):
+def test_long_work_is_announced(monkeypatch, capsys):
     class Timer:
         daemon = False
 
@@ -235,7 +235,7 @@ def test_work_that_takes_long_says_what_it_does(monkeypatch, capsys):
     assert "x" not in capsys.readouterr().err
 
 
-def test_a_signal_without_a_note_is_stopped():
+def test_a_signal_without_a_note_stops_the_run():
     with pytest.raises(KeyboardInterrupt) as caught, stoppable():
         signal.raise_signal(signal.SIGTERM)
     assert stopped_by(caught.value) == "stopped by SIGTERM"

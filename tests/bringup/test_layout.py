@@ -1,4 +1,4 @@
-"""The set-up: what it lays out is what colcon builds, what it installs is pinned and has its reasons."""
+"""The set-up: its layout equals what colcon builds, and its installed packages are pinned and have reasons."""
 
 import ast
 import importlib.util
@@ -89,7 +89,7 @@ def test_colcon_test_runs_the_own_tests_of_each_package(tmp_path):
 
 
 @pytest.mark.long
-def test_a_set_up_without_a_network(tmp_path):
+def test_a_set_up_without_a_network_works(tmp_path):
     """What `fetch` has downloaded is all that a set-up needs, by uv, verified."""
     there = tmp_path / "there"
     for name in ("scripts", "ros_pkgs", "config"):
@@ -125,7 +125,7 @@ def names(requirements):
     return {re.match(r"[\w.-]+", r).group().replace("_", "-").replace(".", "-").lower() for r in requirements}
 
 
-def test_what_is_asked_for_is_pinned_with_its_hashes():
+def test_requirements_are_pinned_with_hashes():
     pinned = {set_: names(re.findall(r"^[^ \n]+==\S+", lock, re.M)) for set_, lock in LOCKS.items()}
     extras = PROJECT["project"]["optional-dependencies"]
     assert names(PROJECT["project"]["dependencies"]) <= pinned["run"]
@@ -154,8 +154,8 @@ def test_every_dependency_has_its_reason_beside_it():
 
 
 @pytest.mark.long
-def test_what_a_run_imports_is_not_of_the_test_set():
-    """The run set is enough to import every module that ships."""
+def test_a_run_imports_nothing_of_the_test_set():
+    """The run set is enough to import every module that is shipped."""
     run, test = (names(re.findall(r"^[^ \n]+==", LOCKS[name], re.M)) for name in ("run", "test"))
     loaded = subprocess.run([sys.executable, "-c", EVERY_MODULE], capture_output=True, text=True, check=True)
     assert not (test - run) & set(loaded.stdout.split())
@@ -180,13 +180,13 @@ print(*{d.replace("_", "-").lower() for name, d in found.items() if name not in 
 
 
 def test_every_folder_of_tests_is_run():
-    """They are named one by one, for their order."""
+    """They are listed one by one, for their order."""
     there = {str(file.parent.relative_to(ROOT)) for file in (ROOT / "tests").rglob("test_*.py")}
     assert sorted(PROJECT["tool"]["pytest"]["ini_options"]["testpaths"]) == sorted(there)
 
 
-def test_an_account_names_its_source():
-    """A computation by another hand stands on something else than the code: at its head it says on what."""
+def test_an_independent_implementation_names_its_source():
+    """Its module docstring says what it is based on, other than our code."""
     heads = {
         path.name: ast.get_docstring(ast.parse(path.read_text())) or ""
         for path in (ROOT / "tests").glob("*/test_*.py")

@@ -1,4 +1,4 @@
-"""Layouts for people's own tools: they have the plots of a scenario, and name what messages hold."""
+"""Layouts for other viewers: they have the plots of a scenario, and name fields that messages have."""
 
 import json
 import re
@@ -42,7 +42,7 @@ def run(name):
 
 
 def value(message, path):
-    """Follow a message path as Foxglove does: fields by dots, elements by their place."""
+    """Follow a message path as Foxglove does: fields by dots, elements by index."""
     for part in re.findall(r"\w+", path):
         message = message[int(part)] if part.isdigit() else getattr(message, part)
     return float(message)
@@ -73,7 +73,7 @@ def test_the_paths_lead_to_the_values_of_the_signals(name):
     assert results == wanted - silent
 
 
-def test_plotjuggler_reads_a_joint_state_by_its_channels_and_a_trajectory_by_its_place():
+def test_plotjuggler_reads_a_joint_state_by_its_channels_and_a_trajectory_by_index():
     tree = ElementTree.fromstring(files(rig_of("induction_dtc"))["induction_dtc.plotjuggler.xml"])
     series = {c.get("curve_y") or c.get("name") for c in tree.iter("curve")}
     assert {"/joint_states/shaft/effort", "/speed_ref/points[0]/velocities[0]", "/flux_true/vector/y"} <= series
@@ -82,7 +82,7 @@ def test_plotjuggler_reads_a_joint_state_by_its_channels_and_a_trajectory_by_its
     assert all(any(name.startswith(f"{topic}/") for topic in selected) for name in series)
 
 
-def test_the_verb_writes_layouts_and_says_what_it_cannot(tmp_path, capsys, monkeypatch):
+def test_the_verb_writes_layouts_and_reports_what_it_cannot(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["draw", "layouts", "lsrm_fuzzy", "--out", "for/others"]) == 0
     (tmp_path / "for/others").rename(tmp_path / "layouts")

@@ -1,4 +1,4 @@
-"""Long runs in process: what they record is on the disk while they go on, and does not stay in memory."""
+"""Long runs in process: recordings are on the disk while the run goes on, and do not stay in memory."""
 
 import os
 import signal
@@ -18,8 +18,8 @@ RUN = "import sys; from softrig_bringup.cli import main; sys.exit(main(sys.argv[
 WORDS = ["run", "induction_dtc", "--mode", "inprocess", "--no-plots"]
 
 
-def test_a_run_whose_messages_stay_on_the_disk_gives_the_same_files(tmp_path, monkeypatch):
-    """Byte for byte: the bag, the pictures and what was measured."""
+def test_a_run_with_messages_on_disk_gives_the_same_files(tmp_path, monkeypatch):
+    """Byte for byte: the bag, the pictures and the figures."""
     results = []
     for name, held in (("memory", module.HELD), ("disk", 0)):
         monkeypatch.setattr(module, "HELD", held)
@@ -35,8 +35,8 @@ def test_a_run_whose_messages_stay_on_the_disk_gives_the_same_files(tmp_path, mo
 
 @pytest.mark.long
 @pytest.mark.parametrize("size", [8_000, 1 << 20, 30 << 20])
-def test_a_run_that_is_killed_leaves_the_beginning_of_its_messages(size, tmp_path):
-    """When its shards have reached a size; the messages are those of the whole run."""
+def test_a_killed_run_leaves_the_first_part_of_its_messages(size, tmp_path):
+    """Once its shards have reached a size; the messages are those of the whole run."""
     out = tmp_path / "r"
     child = subprocess.Popen([sys.executable, "-c", RUN, *WORDS, "--duration", "20", "--out", str(out)])
     try:
@@ -59,7 +59,7 @@ def test_a_run_that_is_killed_leaves_the_beginning_of_its_messages(size, tmp_pat
 
 @pytest.mark.long
 def test_memory_does_not_grow_with_the_messages(tmp_path):
-    """A run of 25 s has 3.6 million messages more than one of 5 s, which took 440 MB when all stayed in memory.
+    """A run of 25 s has 3.6 million messages more than one of 5 s, which needed 440 MB when all stayed in memory.
 
     What still grows is the window of the node `flux_monitor`: 60 s of what its figures read.
     """

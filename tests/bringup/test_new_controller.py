@@ -1,4 +1,4 @@
-"""A controller of one's own for each system: its package is written, has the ports of the one that it replaces."""
+"""A user's controller for each system: its package is written with the ports of the controller that it replaces."""
 
 import subprocess
 
@@ -21,7 +21,7 @@ NAMED = {
 
 
 @pytest.mark.parametrize("system", few(GALLERY, 7))
-def test_each_system_has_a_controller_to_replace_by_one_with_its_ports(system, tmp_path, capsys):
+def test_each_system_has_a_controller_that_can_be_replaced_by_one_with_its_ports(system, tmp_path, capsys):
     scenario = NAMED.get(system, system)
     assert main(["new", "my_law", "--only", "law", "--for", scenario, "--into", str(tmp_path)]) == 0
     folder = tmp_path / "my_law"
@@ -60,7 +60,7 @@ def example_of(text):
 @pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.timeout(900)
-def test_each_of_them_meets_what_is_expected_of_the_controller_that_it_replaces(tmp_path):
+def test_each_written_controller_meets_the_expectations_of_the_one_it_replaces(tmp_path):
     for system in GALLERY:
         name = f"my_{system}"
         assert main(["new", name, "--only", "law", "--for", NAMED.get(system, system), "--into", str(tmp_path)]) == 0
@@ -88,13 +88,13 @@ def test_each_of_them_meets_what_is_expected_of_the_controller_that_it_replaces(
         ("dc_motor_sms", "scenario 'dc_motor_sms' is unknown"),
     ],
 )
-def test_what_cannot_be_replaced_is_refused(wanted, text):
+def test_a_node_that_cannot_be_replaced_is_refused(wanted, text):
     with pytest.raises(ScenarioError) as error:
         replaced(wanted, "my_law")
     assert text in str(error.value)
 
 
-def test_a_node_that_is_named_is_the_one_that_is_replaced():
+def test_the_named_node_is_the_one_that_is_replaced():
     assert replaced("lsrm_fuzzy/speed_controller", "my_law").values["class"] == "LsrmFuzzy"
     assert replaced("lsrm_fuzzy", "my_law").others == ("speed_controller",)
     assert {*NAMED.values()} <= {*list_scenarios()}

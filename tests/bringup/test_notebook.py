@@ -48,7 +48,7 @@ class Cell:
         self.states.append(data["text/html"])
 
 
-def test_a_notebook_shows_how_far_a_run_is(monkeypatch):
+def test_a_notebook_shows_the_progress_of_a_run(monkeypatch):
     cell = Cell()
     shell = SimpleNamespace(kernel=object())
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
@@ -67,7 +67,7 @@ def test_a_notebook_shows_how_far_a_run_is(monkeypatch):
     assert cell.states[-1] == ""
 
 
-def test_without_a_terminal_a_line_now_and_then_says_how_far_a_run_is(monkeypatch, capsys):
+def test_without_a_terminal_a_line_now_and_then_reports_progress(monkeypatch, capsys):
     monkeypatch.setattr("softrig_bringup.terminal.progress.NEWS", -1.0)
     simulate("dc_motor_smc_b2", duration=0.5, progress=True)
     assert capsys.readouterr().err.splitlines()[-1] == "softrig: dc_motor_smc_b2: 0.5 of 0.5 s"

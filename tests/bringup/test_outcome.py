@@ -1,4 +1,4 @@
-"""What a falsification has found, told: in words, as data, and as scenario files that anybody reruns."""
+"""The result of a falsification: in words, as data, and as scenario files that can be run again."""
 
 import math
 from pathlib import Path
@@ -74,7 +74,7 @@ def task(**more):
         ({"case": False, "least": math.inf}, "none of 7 runs could be judged"),
     ],
 )
-def test_what_was_found_is_said_in_a_line(space, keys, words):
+def test_the_result_is_reported_in_one_line(space, keys, words):
     assert verdict(found(space, **keys)) == words
 
 
@@ -84,7 +84,7 @@ def test_what_was_found_is_said_in_a_line(space, keys, words):
     [({"low": -2.0, "last": 0.0}, ("low",)), ({"low": -2.0, "last": -1e-9}, ("low", "last")),
      ({"low": 0.0, "last": 1.0}, None), ({"low": 1.0, "last": -1.0}, ("last",))],
 )  # fmt: skip
-def test_what_is_violated_is_made_small_and_what_just_holds_is_not(
+def test_a_violation_is_reduced_and_a_case_that_just_holds_is_not(
     space, tmp_path, monkeypatch, margins, violated, first
 ):
     asked, point = [], (0.5, 0.0, 0.5, 1.0)
@@ -146,7 +146,7 @@ def test_a_margin_is_a_number_or_a_word(value, text):
     assert number(value) == text
 
 
-def test_changes_are_shown_to_few_digits():
+def test_changes_are_shown_with_few_digits():
     assert [shown(v) for v in (1.00000000001, 2, [0.12345678, 1.0])] == ["1", "2", "[0.123457, 1]"]
 
 
@@ -163,7 +163,7 @@ def test_the_outcome_is_printed_as_expected(space, name, capsys, monkeypatch):
     check_expected(f"falsified/{name}", [line.rstrip() for line in capsys.readouterr().out.splitlines()])
 
 
-def test_the_outcome_as_data_has_all_that_was_found(space):
+def test_the_outcome_as_data_is_complete(space):
     reported = content(task(seed=3, sampler="tpe"), found(space, broken=[({"gain.k": 1.0}, "gone")]))
     assert reported == {
         "falsification": "demo", "scenario": "lag", "seed": 3, "sampler": "tpe", "over": {"gain.k": "1..4"},
@@ -177,8 +177,10 @@ def test_the_outcome_as_data_has_all_that_was_found(space):
     assert (nothing["changes"], nothing["small_changes"], nothing["worst"], nothing["small"]) == ({}, {}, {}, {})
 
 
-def test_a_case_is_a_scenario_file_that_says_what_it_changes(space, tmp_path):
-    """What is found by name is extended: parameters of nodes, faults with their own, and which of them are gone."""
+def test_a_case_is_a_scenario_file_that_lists_its_changes(space, tmp_path):
+    """A case of a scenario by name extends it: parameters of nodes, faults with their own, and which of them are
+    removed.
+    """
     outcome = found(space)
     text = scenario_file(task(seed=3), "worst", outcome.case, outcome)
     assert text.startswith("# Found by: softrig falsify demo; 2 runs, seed 3.\nextends: lag\n")
@@ -208,7 +210,7 @@ def test_a_case_is_a_scenario_file_that_says_what_it_changes(space, tmp_path):
     )
 
 
-def test_a_case_of_a_file_is_written_out_whole(space, tmp_path):
+def test_a_case_of_a_file_is_written_completely(space, tmp_path):
     outcome = found(space)
     whole = task().model_copy(update={"scenario": str(tmp_path / "gone.yaml")})
     text = scenario_file(whole, "worst", outcome.case, outcome)
@@ -222,7 +224,7 @@ def test_a_case_of_a_file_is_written_out_whole(space, tmp_path):
     assert loaded.faults["profile_1"].model_dump()["points"] == [0.1234567, -1.0, 1.0]
 
 
-def test_what_a_scenario_can_be_asked_for():
+def test_the_requirements_of_a_scenario_that_can_be_searched_are_as_expected():
     nodes = {"plant": "plant", "source": "source", "gain": "gain"}
     figures = {n: {"function": "final_value", "arguments": {"signal": X}} for n in ("most", "least", "both", "none")}
     given = make_scenario(
@@ -251,7 +253,7 @@ def test_what_a_scenario_can_be_asked_for():
 @pytest.mark.parametrize(
     ("name", "keys"), [("violated", {}), ("held", {"least": 0.125}), ("unjudged", {"case": False})]
 )
-def test_a_page_leads_with_what_was_asked_and_the_answer(name, keys, space):
+def test_a_page_begins_with_question_and_answer_as_expected(name, keys, space):
     over = {"gain.k": "1..4", "lag/command/u/effort+": "-1..1*3"}
     task = Falsification(name="late", title="Late", scenario="lag", over=over, budget=9)
     files = {"worst": Path("out/late_worst.yaml")} if name == "violated" else {}

@@ -1,4 +1,4 @@
-"""A run as one file: it repeats elsewhere, says what differs if it does not, and a stranger's file harms nobody."""
+"""A run as one file: it repeats elsewhere, names the difference if it does not, and a malicious file does no harm."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path, monkeypatch):
-    """What is unpacked lies in the test's folder; what `opened` adds to the environment goes with the test."""
+    """Put unpacked files into the test's folder, and remove what `opened` adds to the environment after the test."""
     monkeypatch.setattr(packed, "cache_folder", lambda: tmp_path / "cache")
     monkeypatch.setenv("SOFTRIG_SCENARIOS", os.environ.get("SOFTRIG_SCENARIOS", ""))
 
@@ -85,7 +85,7 @@ def test_the_last_line_says_which_version_differs_first(run, tmp_path, capsys):
     assert "the first version that differs is the code of softrig_drives: 0123456789ab there, " in last
 
 
-def test_versions_are_reported_by_what_is_likeliest():
+def test_versions_are_reported_by_their_likely_effect():
     there = {"versions": {"numpy": "1", "math": "a", "python": "3"}, "code": {"softrig_core": "x", "mine": "y"}}
     here = {"versions": {"numpy": "2", "math": "b", "python": "3"}, "code": {"softrig_core": "z", "mine": "z"}}
     assert "the code of mine: y there, z here" in first_version(there, here)
@@ -107,7 +107,7 @@ def test_a_single_mcap_file_is_a_run(run, tmp_path, capsys):
     assert (status, "lone.mcap number for number: " in last) == (0, True)
 
 
-def test_a_file_is_looked_at_as_its_run_is(run, tmp_path):
+def test_a_pack_is_viewed_as_its_run_is(run, tmp_path):
     rig, result = rig_of_run(pack(run, tmp_path / "sent.zip"))
     assert rig.scenario.nodes["dc_motor_smc"].parameters["delta"] == 2.0
     assert result.keys() == signals(run / "bag").keys()
@@ -127,7 +127,7 @@ def test_a_run_whose_scenario_has_changed_since_is_not_packed(run, tmp_path, cap
     assert not (tmp_path / "sent.zip").exists()
 
 
-def test_a_package_that_is_not_here_is_named(run, tmp_path, capsys):
+def test_a_package_that_is_not_installed_is_named(run, tmp_path, capsys):
     gone = shutil.copytree(run, tmp_path / "gone")
     data = gone / "bag" / "metadata.yaml"
     data.write_text(data.read_text().replace('"softrig_drives":', '"pump_rig":'))
@@ -137,8 +137,8 @@ def test_a_package_that_is_not_here_is_named(run, tmp_path, capsys):
         assert "it needs package pump_rig, not installed here; `softrig pack RUN`" in capsys.readouterr().err
 
 
-def test_files_that_a_scenario_names_travel_with_it(tmp_path):
-    """A table of units that lies beside the scenario; nothing else of its name leaves the folder, but of COMTRADE."""
+def test_files_that_a_scenario_names_are_packed_with_it(tmp_path):
+    """A table of units beside the scenario; other files with its name are not packed, except COMTRADE's."""
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     shutil.copy(TABLE, here / "units.csv")
@@ -163,7 +163,7 @@ def test_files_that_a_scenario_names_travel_with_it(tmp_path):
     assert again.expect == scenario.expect
 
 
-def test_firmware_and_what_simulates_its_board_travel_with_a_scenario(tmp_path):
+def test_firmware_and_the_board_description_are_packed_with_a_scenario(tmp_path):
     """A Cortex-M under qemu has the machine in a file beside the program."""
     here, there = tmp_path / "here", tmp_path / "there"
     (here / "fw").mkdir(parents=True)
@@ -186,7 +186,7 @@ def test_firmware_and_what_simulates_its_board_travel_with_a_scenario(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["dc_motor_smc_faults", "induction_dtc", "pwa_delay_margin", "tcp_aqm_smc"])
-def test_a_scenario_alone_is_the_scenario(name, tmp_path):
+def test_a_pack_of_a_scenario_alone_is_the_scenario(name, tmp_path):
     text, files = standing_alone(scenario := load_scenario(name))
     (tmp_path / f"{name}.yaml").write_bytes(text)
     assert load_scenario(str(tmp_path / f"{name}.yaml")).model_dump() == scenario.model_dump()
@@ -226,7 +226,7 @@ def link():
         ([("pack.json", '{"scenario": "../x"}')], "pack.json: scenario"),
     ],
 )
-def test_a_strangers_file_writes_nothing_outside_its_folder(entries, text, tmp_path):
+def test_a_malicious_file_writes_nothing_outside_its_folder(entries, text, tmp_path):
     before = set(tmp_path.rglob("*"))
     file = zipped(tmp_path / "evil.zip", *entries)
     with pytest.raises(ScenarioError, match=text):
@@ -236,7 +236,7 @@ def test_a_strangers_file_writes_nothing_outside_its_folder(entries, text, tmp_p
     assert not [p for p in (tmp_path / "cache").rglob("*") if p.is_file()]
 
 
-def test_what_unpacks_to_more_than_fits_is_refused(tmp_path, monkeypatch):
+def test_a_file_that_unpacks_to_more_than_fits_is_refused(tmp_path, monkeypatch):
     bomb = zipped(tmp_path / "bomb.zip", ABOUT, ("bag/x.mcap", bytes(1 << 20)), compression=zipfile.ZIP_DEFLATED)
     monkeypatch.setattr(packed, "MOST", 1 << 19)
     with pytest.raises(ScenarioError, match=r"2 files of \d+ bytes in all, expected at most 10000 of 524288"):

@@ -1,4 +1,4 @@
-"""What `colcon test` asks of each package, and that it notices what is wrong."""
+"""The tests that `colcon test` runs for each package, and that they notice errors."""
 
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -71,7 +71,7 @@ def point(target, monkeypatch):
     return EntryPoint("it", "somewhere:main", "console_scripts")
 
 
-def test_a_sound_block_passes_and_one_without_defaults_says_so(monkeypatch):
+def test_a_sound_block_passes_and_one_without_defaults_is_reported(monkeypatch):
     assert check_entry_point(point(Block.update, monkeypatch)) == ""  # a function, a tool
     for block, left in ((Steady, ""), (Needs, "it has no defaults to begin with: parameter k")):
         main = lambda: None  # noqa: E731
@@ -89,14 +89,14 @@ def test_a_sound_block_passes_and_one_without_defaults_says_so(monkeypatch):
         (Infinite, "state x/position became inf"),
     ],
 )
-def test_an_unsound_block_does_not(monkeypatch, block, what):
+def test_an_unsound_block_fails(monkeypatch, block, what):
     main = lambda: None  # noqa: E731
     main.block = block
     with pytest.raises(Exception, match=what):
         check_entry_point(point(main, monkeypatch))
 
 
-def test_what_cannot_be_called_is_no_executable(monkeypatch):
+def test_an_object_that_cannot_be_called_is_not_an_executable(monkeypatch):
     with pytest.raises(TypeError, match="expected a function"):
         check_entry_point(point(SimpleNamespace(block=Steady), monkeypatch))
 

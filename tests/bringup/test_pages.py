@@ -1,4 +1,4 @@
-"""The doc pages are true: generated parts are as the code says, commands, links and examples work."""
+"""The doc pages are true: generated parts are up to date, commands, links and examples work."""
 
 import re
 import shutil
@@ -27,7 +27,7 @@ WRITE = "run scripts/softrig docs pages {}"
 
 
 def test_every_system_has_its_page():
-    """With claims, scenarios and nodes as the code says, and figures as runs give them."""
+    """With claims, scenarios and nodes from the code, and figures from runs."""
     assert {p.stem for p in GENERATED} >= SYSTEMS
     for page in (p for p in GENERATED if p.stem in SYSTEMS):
         text = (ROOT / page).read_text()
@@ -35,19 +35,19 @@ def test_every_system_has_its_page():
 
 
 @pytest.mark.parametrize("page", GENERATED, ids=str)
-def test_generated_parts_are_as_the_code_says(page):
+def test_generated_parts_are_up_to_date(page):
     text = (ROOT / page).read_text()
     assert pages.generate(text) == text, WRITE.format(page)
     assert " | ? | " not in text, WRITE.format(f"--runs {page}")
 
 
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
-def test_every_number_of_a_page_has_its_source_and_is_as_it_says(page):
+def test_every_number_of_a_page_has_its_source_and_equals_it(page):
     assert pages.untrue((ROOT / page).read_text(), ROOT / page) == []
 
 
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
-def test_rows_of_tables_have_the_cells_of_their_head(page):
+def test_rows_of_tables_have_as_many_cells_as_their_head(page):
     head, wrong = 0, []
     for number, line in enumerate((ROOT / page).read_text().splitlines(), 1):
         bars = len(re.findall(r"(?<!\\)\|", line)) if line.startswith("|") else 0
@@ -58,7 +58,7 @@ def test_rows_of_tables_have_the_cells_of_their_head(page):
 
 @pytest.mark.long
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
-def test_what_pages_say_was_measured_is(page):
+def test_published_measurements_are_up_to_date(page):
     text = (ROOT / page).read_text()
     assert pages.generate(text, runs=True) == text, WRITE.format(f"--runs {page}")
     assert pages.untrue(text, ROOT / page, runs=True) == []
@@ -115,14 +115,14 @@ def test_pictures_without_a_plot_entry_are_drawn_beside_their_page(tmp_path, mon
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", drawn.PAGES)
-def test_the_pictures_of_a_page_are_those_that_its_module_draws(tmp_path, name):
+def test_the_pictures_of_a_page_are_drawn_by_its_module(tmp_path, name):
     import_module(f"pages.drawn.{name}").draw(tmp_path)
     (page,) = (ROOT / p for p in PAGES if p.stem == name.removesuffix("_uno"))
     assert {p.name for p in tmp_path.iterdir()} <= set(re.findall(r"\((\w+\.(?:png|svg))\)", page.read_text()))
 
 
 def test_the_first_picture_moves_for_six_seconds_and_ends_in_a_run_that_repeats():
-    """On light and dark ground, with nothing from elsewhere, small enough to be looked at by everybody."""
+    """On light and dark background, without external resources, and in a small file."""
     readme = (ROOT / "README.md").read_text()
     picture = ROOT / re.search(r"!\[[^\]]{40,}\]\((\S+)\)", readme)[1]
     text = picture.read_text()
@@ -145,7 +145,7 @@ def test_measured_figures_are_those_of_a_run(monkeypatch):
     assert float(row.split(" | ")[2].split()[0]) == pytest.approx(run.figures["rise_time"], rel=1e-4)
 
 
-def test_what_claims_measured_stays_until_runs_are_asked_for(monkeypatch):
+def test_measured_values_of_claims_stay_until_runs_are_requested(monkeypatch):
     monkeypatch.setattr(pages, "results", lambda name: simulate_once(name).results)
     simulate_once = cache(simulate)
     page = "<!-- claims: dc_motor_smc_b1 -->\n<!-- end -->"
@@ -230,12 +230,12 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
     assert told("0.0166667 and 1.5", **{"1.5": "scenario gupfc", "0.0166667": "= 1/60"}) == []
 
 
-def test_the_page_of_names_has_every_node_and_command_and_no_other():
+def test_the_page_of_names_has_exactly_all_nodes_and_commands():
     assert set(names.NODES) == set(names.blocks())
     assert set(names.VERBS) == VERBS
 
 
-def test_a_stale_page_is_reported_and_mended(tmp_path, capsys):
+def test_a_stale_page_is_reported_and_updated(tmp_path, capsys):
     source = next(ROOT / page for page in GENERATED if "| `period` |" in (ROOT / page).read_text())
     (tmp_path / "tests").symlink_to(ROOT / "tests")  # sources of its numbers
     page = tmp_path / "page.md"
@@ -246,7 +246,7 @@ def test_a_stale_page_is_reported_and_mended(tmp_path, capsys):
     assert page.read_text() == source.read_text()
 
 
-def test_every_package_of_a_set_up_stands_under_its_licence():
+def test_every_package_of_a_set_up_is_listed_under_its_licence():
     rows = (ROOT / "ros_pkgs/softrig_bringup/doc/licences.md").read_text().partition("<!-- end -->")[0]
     entries = {
         name: row.split("|")[1].strip()
@@ -283,7 +283,7 @@ def test_commands_and_links_of_a_page_exist(page):
 
 
 @pytest.mark.parametrize("page", [Path("README.md"), *PAGES], ids=str)
-def test_links_to_headings_of_a_page_lead_somewhere(page):
+def test_links_to_headings_of_a_page_are_valid(page):
     text = (ROOT / page).read_text()
     for target, anchor in re.findall(r"\]\(([^)\s#]*)#([^)\s]+)\)", text):
         if not target.startswith("http"):
@@ -320,14 +320,14 @@ def test_every_key_of_the_scenario_file_is_on_its_page():
             assert key == "name" or f"`{key}`" in text or f"`{key}:" in text, key
 
 
-def test_the_study_of_the_page_is_one():
+def test_the_study_of_the_page_is_valid():
     text = (ROOT / "ros_pkgs/softrig_bringup/doc/studies.md").read_text()
     (example,) = re.findall(r"```yaml\n(.*?)```", text, re.S)
     study = make_study({"name": "example", **YAML(typ="safe").load(example)})
     figures_of(rig_of(study.scenario))
 
 
-def test_the_first_example_in_python_says_what_comes_out():
+def test_the_first_example_in_python_states_its_output():
     text = (ROOT / "README.md").read_text()
     code = next(c for c in re.findall(r"```python\n(.*?)```", text, re.S) if "simulate" in c)
     said = re.search(r"# ([\d.]+)\.\.\.", code)[1]

@@ -1,4 +1,4 @@
-"""Figures and signals on the way out of softrig: LaTeX, CSV, MATLAB."""
+"""Figures and signals exported from softrig: LaTeX, CSV, MATLAB."""
 
 import csv
 import math
@@ -17,7 +17,7 @@ RISE = Column("rise_time", "s", [0.79812, 0.4189, math.nan], [0.01034, 0.0041, m
 PEAK = Column("peak", "%", [7.961234, math.inf, 1234.5])
 
 
-def test_a_column_has_one_number_of_decimals_that_its_largest_uncertainty_allows():
+def test_a_column_has_the_decimals_that_its_largest_uncertainty_allows():
     assert RISE.cells() == [("0.798", "0.010"), ("0.419", "0.004"), ("", "")]
     assert PEAK.cells() == [("8", ""), ("never", ""), ("1234", "")]
     assert Column("a", "", [123456.0], [4321.0]).cells() == [("123500", "4300")]
@@ -25,7 +25,7 @@ def test_a_column_has_one_number_of_decimals_that_its_largest_uncertainty_allows
     assert Column("a", "", [0.0, 0.0]).cells() == [("0", ""), ("0", "")]
 
 
-def test_a_table_for_latex_is_one_of_booktabs():
+def test_a_table_for_latex_uses_booktabs():
     assert (
         latex("case", ["smc_b2", "PI & more", "x"], [RISE, PEAK])
         == r"""\begin{tabular}{lrr}

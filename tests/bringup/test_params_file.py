@@ -1,4 +1,4 @@
-"""Parameter files of ROS: names, wildcards, precedence and values as rcl has them, asked of rclpy itself."""
+"""Parameter files of ROS: names, wildcards, precedence and values as in rcl, which rclpy is asked for."""
 
 import math
 import random
@@ -18,7 +18,7 @@ NODES = ("law", "plant", "left")
 
 
 def rcl(file, namespace):
-    """What nodes of rclpy in a namespace take from a file; None when rcl refuses it."""
+    """The parameters that nodes of rclpy in a namespace read from a file; None if rcl refuses it."""
     context = Context()
     try:
         rclpy.init(args=["--ros-args", "--disable-rosout-logs", "--params-file", str(file)], context=context)
@@ -44,7 +44,7 @@ PARTS = ("law", "plant", "left", "right", "deep", "*", "**")
 
 
 def drawn(random):
-    """A file with some sections, names dotted, nested, with wildcards; keys of one level differ."""
+    """A file with some sections, with dotted names, nested names and wildcards; keys of one level differ."""
     root = {}
     for number in range(random.randint(1, 5)):
         path = random.choices(PARTS, weights=(4, 2, 3, 2, 2, 2, 2), k=random.randint(1, 3))
@@ -62,7 +62,7 @@ def drawn(random):
 
 @pytest.mark.parametrize("seed", few(range(60), 20))
 def test_random_files_are_resolved_as_rcl_does(tmp_path, seed):
-    """Sixty files, each in one of four namespaces; a thousand of other seeds were held once by hand."""
+    """Sixty files, each in one of four namespaces; a thousand of other seeds were compared once."""
     file = tmp_path / "p.yaml"
     generator = random.Random(seed)
     file.write_text(drawn(generator))
@@ -76,7 +76,7 @@ WORDS = (
 )
 
 
-def test_words_are_the_values_that_rcl_makes_of_them(tmp_path):
+def test_words_become_the_values_that_rcl_makes_of_them(tmp_path):
     file = tmp_path / "p.yaml"
     lines = [f"    v{k}: {word}" for k, word in enumerate(WORDS.split())]
     file.write_text(
@@ -100,7 +100,7 @@ def test_words_are_the_values_that_rcl_makes_of_them(tmp_path):
         "right/law: {ros__parameters: {k: 1, c: {}, b: 1}}",
     ],
 )  # fmt: skip
-def test_what_rcl_refuses_is_refused(tmp_path, text):
+def test_files_that_rcl_refuses_are_refused(tmp_path, text):
     file = tmp_path / "p.yaml"
     file.write_text(text)
     assert rcl(file, "") is None
@@ -110,7 +110,7 @@ def test_what_rcl_refuses_is_refused(tmp_path, text):
 
 @pytest.mark.parametrize("word", ["null", "~", "Null"])
 def test_null_is_refused_as_a_node_refuses_it(tmp_path, word):
-    """rcl makes a text of it, which a node does not take for a number."""
+    """rcl makes a text of it, which a node does not accept as a number."""
     file = tmp_path / "p.yaml"
     file.write_text(f"law: {{ros__parameters: {{k: {word}}}}}")
     assert rcl(file, "") == {"law.k": word}
@@ -127,7 +127,7 @@ MISREAD = [  # by rcl 9.2, each in another way than YAML; expected to be refused
 
 
 @pytest.mark.parametrize(("text", "used", "reason"), MISREAD)
-def test_what_rcl_takes_for_something_else_is_refused(tmp_path, text, used, reason):
+def test_values_that_rcl_misreads_are_refused(tmp_path, text, used, reason):
     file = tmp_path / "p.yaml"
     file.write_text(text)
     assert rcl(file, "left") == used
@@ -135,13 +135,13 @@ def test_what_rcl_takes_for_something_else_is_refused(tmp_path, text, used, reas
         params_of(file, NODES, "left")
 
 
-def test_a_value_that_no_node_takes_is_passed_over_where_it_is_for_another_node(tmp_path):
+def test_a_value_that_no_node_accepts_is_skipped_if_it_is_for_another_node(tmp_path):
     file = tmp_path / "p.yaml"
     file.write_text("/right/law: {ros__parameters: {k: null, c: [null]}}\nleft/law: {ros__parameters: {k: 2}}")
     assert ours(file, "left") == rcl(file, "left") == {"law.k": 2}
 
 
-def test_sections_of_other_nodes_are_passed_over_and_said(tmp_path, capfd):
+def test_sections_of_other_nodes_are_skipped_and_reported(tmp_path, capfd):
     file = tmp_path / "p.yaml"
     file.write_text("/left/law: {ros__parameters: {k: 2.0}}\n/right/law: {ros__parameters: {k: 9.0}}")
     assert params_of(file, NODES, "left") == {"law.k": 2.0}
@@ -153,7 +153,7 @@ def test_sections_of_other_nodes_are_passed_over_and_said(tmp_path, capfd):
         params_of(file, NODES)
 
 
-def test_a_wildcard_gives_each_node_what_it_has(tmp_path):
+def test_a_wildcard_sets_the_parameters_that_each_node_has(tmp_path):
     file = tmp_path / "p.yaml"
     file.write_text("/**: {ros__parameters: {k: 1, use_sim_time: true}}")
     assert params_of(file, NODES, has=lambda node, name: node == "law") == {"law.k": 1}
@@ -161,7 +161,7 @@ def test_a_wildcard_gives_each_node_what_it_has(tmp_path):
         params_of(file, NODES, has=lambda node, name: False)
 
 
-def test_a_run_and_a_launch_with_a_namespace_take_their_own_section(tmp_path):
+def test_a_run_and_a_launch_with_a_namespace_use_their_own_section(tmp_path):
     file = tmp_path / "two.yaml"
     file.write_text(
         "/left/dc_motor_smc: {ros__parameters: {delta: 0.5}}\n/right/*: {ros__parameters: {delta: 9.0, period: 0.01}}\n"
@@ -180,11 +180,11 @@ def test_a_run_and_a_launch_with_a_namespace_take_their_own_section(tmp_path):
     ("pattern", "name", "is_meant"),
     [("/**", "/a", True), ("/*", "/a/b", False), ("/a/**", "/a", True), ("/**/a", "/a", True), ("/a.b", "/axb", False)],
 )
-def test_patterns(pattern, name, is_meant):
+def test_patterns_match_as_in_rcl(pattern, name, is_meant):
     assert matches(pattern, name) is is_meant
 
 
-def test_what_every_node_has_is_left_out_as_the_table_says(tmp_path):
+def test_parameters_of_every_node_are_left_out_as_the_table_says(tmp_path):
     file = tmp_path / "p.yaml"
     ignored = [name for name, (use, _) in PARAMS_FILE.table.items() if use == "ignored"]
     assert len(ignored) == 4

@@ -1,4 +1,4 @@
-"""What a control engineer looks for in the pages: marks of what is expected, block diagram, sources, several runs."""
+"""What a control engineer looks for in the pages: marks of expectations, block diagram, sources, several runs."""
 
 import importlib
 import json
@@ -39,7 +39,7 @@ X = "lag/state/x/position"
 
 
 def scenario(**keys):
-    """A lag that creeps up to 0.455, with figures that have a place in its picture."""
+    """A slow lag that approaches 0.455, with figures that have a place in its picture."""
     about = {
         "figures": {
             "settling_time": {"arguments": {"signal": X}},
@@ -86,7 +86,8 @@ def drawn(monkeypatch, tmp_path):
 
 
 def marked(**keys):
-    """One with each kind of mark: in windows, of peaks on both sides, far away, violated; a plane, a difference."""
+    """One plot with each kind of mark: in windows, of peaks on both sides, far away, violated; a plane, a difference.
+    """
     u, more = "lag/command/u/effort", {"arguments": {"signal": X}}
     figures = {
         "settling_time": more, "rise_time": more, "overshoot": {"arguments": {"signal": X, "final": 0.5}},
@@ -121,12 +122,12 @@ def marked(**keys):
     ],
 )
 def test_pictures_of_runs_are_as_expected(name, given, drawn):
-    """What is drawn where and how, of each picture of a run and of its overview."""
+    """What is drawn where and how, in each picture of a run and in its overview."""
     check_expected(f"pictures/{name}", (line for figure in drawn(given()).values() for line in figure_lines(figure)))
 
 
-def test_a_picture_for_a_page_of_print_is_as_expected():
-    """Width, letters and no title as asked; and what was not published is said."""
+def test_a_picture_for_print_is_as_expected():
+    """Width, letters and no title as requested; a figure that was not published is reported."""
     given = marked()
     run = simulate(rig_of(given))
     figures = [plot_entry(run.signals, run.rig, given.plots[0], inches=3.5, font=7.0, title=False)]
@@ -136,7 +137,7 @@ def test_a_picture_for_a_page_of_print_is_as_expected():
 
 
 def coloured(ax, colour):
-    """Extent (x0, y0, x1, y1) of what has a colour in an axes, in data."""
+    """Extent (x0, y0, x1, y1) of everything with a colour in an axes, in data coordinates."""
     from matplotlib.colors import same_color
 
     bands = [c.get_paths()[0].get_extents() for c in ax.collections if same_color(c.get_facecolor()[0][:3], colour)]
@@ -149,7 +150,7 @@ def coloured(ax, colour):
     return [tuple(b.extents) for b in (*bands, *spans, *lines)]
 
 
-def test_what_is_expected_and_published_is_drawn_where_the_signal_shows_it(drawn):
+def test_expected_and_published_values_are_drawn_where_the_signal_shows_them(drawn):
     (ax,) = drawn(scenario())["Position"].axes
     accepted, published = coloured(ax, ACCEPTED), coloured(ax, PUBLISHED)
     for x0, y0, x1, y1 in ((0.0, 0.4, 1.0, 0.5), (0.5, 0.25, 1.0, 0.35)):  # last and mean, each in its window
@@ -168,7 +169,7 @@ def test_a_picture_without_expectations_has_no_marks(drawn):
     assert ax.get_legend() is None
 
 
-def test_what_is_far_away_does_not_press_the_curves_flat(drawn):
+def test_a_distant_mark_does_not_compress_the_curves(drawn):
     far = {"last": {"published": 50.0, "where": "Table I", "verdict": "refuted", "reason": "it is not"}}
     (ax,) = drawn(scenario(claims=far))["Position"].axes
     assert ax.get_ylim()[1] < 2.0
@@ -198,7 +199,7 @@ def test_a_rise_is_marked_from_where_it_began(final):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("kind", "begin"), [("png", b"\x89PNG"), ("pdf", b"%PDF")])
-def test_a_format_of_print_stands_beside_each_picture(tmp_path, kind, begin):
+def test_a_print_format_is_written_beside_each_picture(tmp_path, kind, begin):
     run = simulate(rig_of(scenario(plots=[{"title": "Position", "signals": {X: "position"}}])))
     plot_run(run.signals, run.rig, tmp_path, kind)
     pictures = sorted(tmp_path.glob("*.svg"))
@@ -211,12 +212,12 @@ def test_a_format_of_print_stands_beside_each_picture(tmp_path, kind, begin):
     ("name", "unit", "title"),
     [("speed", "rad/s^2", "Speed, rad/s²"), ("i_a", "A", "i_a, A"), ("V", "", "V"), ("", "ohm", "Ω")],
 )
-def test_axis_titles(name, unit, title):
+def test_axes_have_titles(name, unit, title):
     assert axis_title(name, unit) == title
 
 
 @pytest.mark.parametrize(("largest", "power"), [(3e7, 7), (3e-4, -4)])
-def test_scale_factors_stand_in_the_axis_title_and_nowhere_else(largest, power):
+def test_scale_factors_are_in_the_axis_title_and_nowhere_else(largest, power):
     with rc_context(style()):
         figure = Figure(layout="constrained")
         ax = figure.subplots()
@@ -242,7 +243,7 @@ def test_no_panel_is_empty(count):
         assert (min(s.x0 for s in row), max(s.x1 for s in row)) == pytest.approx((left, right))
 
 
-def test_a_plot_of_a_replaced_node_says_how_to_give_own_plots():
+def test_a_plot_of_a_replaced_node_explains_how_to_add_plots():
     given = scenario(
         plots=[{"title": "Gone", "signals": {"lag/status/x/position": ""}}], figures={}, expect={}, claims={}
     )
@@ -263,7 +264,7 @@ def test_a_loop_is_drawn_from_left_to_right(lag_rig):
     }
 
 
-def test_who_only_looks_on_stands_behind_the_plant():
+def test_followers_are_drawn_behind_the_plant():
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "plant") for n in ["plant", "law", "log", "note"]}
     wires = (
         Wire(topic="x", type="T", source="plant", readers=("law", "log")),
@@ -283,13 +284,13 @@ def test_who_only_looks_on_stands_behind_the_plant():
         ({"a": ("d", "plant"), "b": ("d",), "c": ("plant",), "d": ("plant",), "plant": ()}, [["a", "b"], ["c", "d"]]),
     ],
 )
-def test_neighbours_stand_side_by_side_and_who_is_named_first_on_top(to, result):
+def test_parallel_nodes_are_side_by_side_and_the_first_named_is_on_top(to, result):
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "plant") for n in to}
     wires = tuple(Wire(topic=n, type="T", source=n, readers=readers) for n, readers in to.items())
     assert columns(Wiring(nodes=nodes, wires=wires)) == [*result, ["plant"]]
 
 
-def test_many_nodes_are_arranged_at_once():
+def test_many_nodes_are_arranged_quickly():
     names = [f"n{k}" for k in range(60)]  # each reads all before it: 2^58 ways lead to the last one
     nodes = {n: Node(executable=f"p/{n}", period=0.1, plant=n == "n59") for n in names}
     wires = tuple(Wire(topic=n, type="T", source=n, readers=tuple(names[k + 1 :])) for k, n in enumerate(names[:-1]))
@@ -305,7 +306,7 @@ def segments(group):
 
 
 def headlines():
-    """Give the shortest name of each system, without a look at the rest of 390 scenarios."""
+    """Return the shortest scenario name of each system, without reading the rest of 390 scenarios."""
     results = sorted(list_scenarios().items(), key=lambda item: len(item[0]), reverse=True)
     return sorted({resolve(name, path)["system"]: name for name, path in results}.values())
 
@@ -383,7 +384,7 @@ def test_scenarios_of_a_user_cite_from_their_own_folder(tmp_path, monkeypatch):
         ("note = {Unpublished}", ""),
     ],
 )
-def test_a_paper_is_in_its_journal_else_in_a_book_else_with_its_publisher(tmp_path, monkeypatch, fields, place):
+def test_a_paper_is_listed_with_its_journal_else_its_book_else_its_publisher(tmp_path, monkeypatch, fields, place):
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))
     entry = "@misc{me, author = {Doe, Jane}, title = {PID loops}, year = {1999}, "
     (tmp_path / "references.bib").write_text(f"{entry}{fields}}}")
@@ -444,7 +445,7 @@ def test_a_band_is_of_seeds_of_the_same_code_and_parameters_that_ended(changes, 
     assert groups(runs, named) == (["lag"] * 3 + ["other"] if banded else named)
 
 
-def test_what_differs_between_runs_is_said():
+def test_differences_between_runs_are_reported():
     runs = [run_of(), run_of(code={"my_laws": "bbb"}, parameters={"gain": {"k": 2.0}}, seed=7)]
     results = {"seed": ["0", "7"], "code of my_laws": ["aaa", "bbb"], "gain.k": ["1.0", "2.0"]}
     assert differing(runs) == (results, {})
@@ -454,7 +455,7 @@ def test_what_differs_between_runs_is_said():
     assert "equal code" in nothing.text
 
 
-def test_what_a_person_changed_comes_first_and_what_follows_is_folded_without_escapes():
+def test_changes_by_a_person_come_first_and_the_rest_is_folded_without_escapes():
     limits = [{"gain": {"k": k, "figures": json.dumps({"a": [{"end": k}], "b": 1})}} for k in (1.0, 2.0)]
     runs = [run_of(parameters=limits[0]), run_of(parameters=limits[1], changed=("load=2", "seed 7"), seed=7)]
     changed, follows = differing(runs)
@@ -486,11 +487,11 @@ def test_what_a_person_changed_comes_first_and_what_follows_is_folded_without_es
         ("softrig run 'unbalanced", "softrig run 'unbalanced"),
     ],
 )
-def test_a_command_for_others_names_no_folder_of_its_maker(command, text):
+def test_a_printed_command_names_no_folder_of_its_author(command, text):
     assert for_reader(command) == text
 
 
-def test_code_is_reported_apart_by_its_files_and_what_they_import(tmp_path, monkeypatch):
+def test_versions_of_code_are_distinguished_by_files_and_their_imports(tmp_path, monkeypatch):
     law = "import softrig_a_helper\nfrom softrig_core.block.block import Block\nclass Law(Block):\n    pass\n"
     for name, text in (("softrig_a_law", law), ("softrig_a_helper", "K = 1\n")):
         (tmp_path / name).mkdir()
@@ -551,7 +552,7 @@ def test_runs_overlay_with_bands_over_seeds():
 
 
 def test_overlaid_pictures_are_as_expected():
-    """A band of five with a run of its own; two groups too small for one; more runs than can be named; a window."""
+    """A band of five with a single run; two groups too small for one; more runs than can be named; a window."""
     cases = [
         [overlay(f"seed {k}", "draws", 0.1 * k) for k in range(5)] + [overlay("own", "own", 1.0, end=2.0)],
         [overlay(f"seed {k}", "ab"[k % 2], 0.1 * k, window=(0.02, 0.09), end=0.09) for k in range(4)],
@@ -587,7 +588,7 @@ def test_a_curve_is_cut_at_the_edges_of_its_window(held, values):
     assert (list(result.x), list(result.y)) == ([0.5, 1.0, 2.0], values)
 
 
-def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
+def test_runs_of_very_different_length_do_not_share_an_axis(tmp_path):
     one = tmp_path / "one.yaml"
     keys = {"title", "system", "source", "duration", "nodes", "plots"}
     one.write_text(scenario().model_dump_json(include=keys))
@@ -599,7 +600,7 @@ def test_runs_of_very_different_length_have_no_axis_in_common(tmp_path):
     assert b"no other run of about their length has their plots: e" in page
 
 
-def test_the_pictures_of_several_systems_stand_under_their_own_each_with_its_runs(tmp_path, monkeypatch):
+def test_pictures_of_several_systems_are_grouped_by_system(tmp_path, monkeypatch):
     def drawn(overlays, title):
         yield " and ".join(o.label for o in overlays) + title, b"\x89PNG"
 
@@ -615,7 +616,7 @@ def test_the_pictures_of_several_systems_stand_under_their_own_each_with_its_run
     ]
 
 
-def test_many_figures_of_few_runs_stand_one_a_row():
+def test_many_figures_of_few_runs_are_written_one_a_row():
     metrics = [Result(name=f"f{k}", value=k, passed=True) for k in range(12)]
     cells = {}
     for count in (2, 9):
@@ -667,14 +668,14 @@ def test_intervals_in_which_a_requirement_does_not_hold_are_shaded():
 
 
 def test_the_lower_of_two_wires_of_a_node_turns_first():
-    """So that the stub of the upper one runs above its lane, not through it."""
+    """So that the stub of the upper one is above its lane and does not cross it."""
     wires = [Wire(topic=topic, type="T", source="plant", readers=("law",)) for topic in ("upper", "lower")]
     assert _lanes(wires, {"plant": 0, "law": 1}, 0) == ["lower out", "upper out"]
 
 
 @pytest.mark.parametrize(("number", "steps"), [(1000, "steps-post"), (100_000, "default")])
 def test_a_long_curve_of_steps_is_drawn_by_its_extremes(number, steps):
-    """Steps between the extremes of a column of pixels would stand where no sample is."""
+    """Steps between the extremes of a pixel column would be drawn where no sample is."""
     x = np.linspace(0.0, 1.0, number)
     figure = Figure()
     draw_curves(figure.subplots(), [Curve("u", "", x, np.sin(50.0 * x), held=True)], 1.0)
@@ -689,7 +690,7 @@ def test_a_signal_of_few_values_is_drawn_as_steps(each, steps):
     assert figure.axes[0].lines[0].get_drawstyle() == steps
 
 
-def test_switches_stand_one_above_the_other_the_first_on_top():
+def test_switches_are_stacked_with_the_first_on_top():
     figure = Figure()
     draw_logic(figure.subplots(), [Curve(n, "", np.arange(3.0), np.array([0.0, 1.0, 1.0])) for n in "ab"], 1.0)
     (axes,) = figure.axes

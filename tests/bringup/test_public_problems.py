@@ -1,4 +1,6 @@
-"""The public falsification problems of the bench: their models by another hand, and what finds them."""
+"""The public falsification problems of the bench: their models reimplemented independently, and which searches find a
+violation.
+"""
 
 import sys
 from itertools import pairwise
@@ -34,7 +36,7 @@ def test_full_throttle_is_just_beyond_the_bounds_of_at1_and_at2(problems):
     assert problems["AT1"].margin(half) > 10.0
 
 
-def test_the_first_gear_is_that_of_the_equations_by_another_hand(bench):
+def test_the_first_gear_agrees_with_an_independent_implementation(bench):
     """Equations 1 to 5 at full throttle until the first shift, by `solve_ivp`, with numpy's interpolation."""
     from scipy.integrate import solve_ivp
 
@@ -70,7 +72,7 @@ def test_cars_keep_the_distances_of_their_modes(bench):
     assert y[:, 0] == pytest.approx(-(t**2) / 2.0, abs=1e-6)  # full throttle, no brake
 
 
-def test_the_condenser_is_its_block_diagram_by_another_hand(bench):
+def test_the_condenser_agrees_with_an_independent_block_diagram(bench):
     """Balances and network by `solve_ivp` piece by piece, with numpy's interpolation and products of matrices."""
     from scipy.integrate import solve_ivp
 
@@ -106,13 +108,13 @@ def test_the_condenser_is_its_block_diagram_by_another_hand(bench):
     ],
 )
 def test_the_aircraft_flies_as_in_the_public_python_version(bench, start, altitudes):
-    """Altitudes after 1 to 15 s of that version (its modes each 10 ms, too), run outside."""
+    """Altitudes after 1 to 15 s from that version (with its modes each 10 ms, too), run outside."""
     result = bench[3].fly(*start)
     assert [result[20 * t] for t in (1, 2, 3, 5, 8, 15)] == pytest.approx(altitudes, abs=0.1)
 
 
-def test_no_steam_violates_the_condenser(bench):
-    """It answers 1 % of steam as good as linearly: its worst inputs are at their bounds, by the signs of its slopes."""
+def test_no_steam_input_violates_the_condenser(bench):
+    """It answers 1 % of steam almost linearly, so its worst inputs are at their bounds, by the signs of its slopes."""
     s = bench[4]
     n, window = s.SEGMENTS, slice(round(30 / s.PERIOD), round(35 / s.PERIOD) + 1)
 
@@ -130,20 +132,20 @@ def test_no_steam_violates_the_condenser(bench):
     assert min(margins) == pytest.approx(0.02029, abs=1e-4)  # kPa; a search of 3,000 runs ends there, too
 
 
-def test_no_start_of_the_box_violates_the_aircraft(problems):
+def test_no_start_in_the_box_violates_the_aircraft(problems):
     grid = np.linspace(0.0, 1.0, 9)
     least = min(problems["F16"].margin((a, b, c)) for a in grid for b in grid for c in grid)
     assert least == pytest.approx(4.11, abs=0.01)  # ft; 4.07 after 3,000 runs of a search
 
 
 @pytest.mark.parametrize("name", ["AT1", "AT2", "CC1", "CC2", "CC3"])
-def test_what_is_at_a_corner_is_found_with_a_tenth_of_the_budget(problems, bench, name):
+def test_a_violation_at_a_corner_is_found_with_a_tenth_of_the_budget(problems, bench, name):
     _, methods, *_ = bench
     assert max(methods.runs_to_violation(problems[name], "softrig", 300, seed) for seed in range(3)) <= 30
 
 
 @pytest.mark.parametrize("name", ["AT6a", "AT6b", "AT6c", "CC5"])
-def test_what_is_between_the_bounds_is_found_with_inputs_that_are_constant(problems, bench, name):
+def test_a_violation_between_the_bounds_is_found_with_constant_inputs(problems, bench, name):
     _, methods, *_ = bench
     runs = sorted(methods.runs_to_violation(problems[name], "softrig", 300, seed) for seed in range(200, 209))
     assert runs[4] <= 40

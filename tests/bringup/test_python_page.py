@@ -1,4 +1,4 @@
-"""The page about the Python prompt: what it shows runs, and gives the numbers it prints."""
+"""The page about the Python prompt: its examples run and give the printed numbers."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ def blocks():
     return re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
-def test_the_loop_of_the_page_runs_and_settles_where_it_says(blocks, capsys):
+def test_the_loop_of_the_page_runs_and_settles_where_it_states(blocks, capsys):
     known = {"__name__": "page"}
     exec(blocks[0], known)
     assert capsys.readouterr().out == "1.0000 m\n"
@@ -25,7 +25,7 @@ def test_the_loop_of_the_page_runs_and_settles_where_it_says(blocks, capsys):
     assert sum(1 for line in code.splitlines() if line.strip()) <= 20
 
 
-def test_a_run_goes_back(blocks, capsys):
+def test_a_run_returns_to_an_earlier_tick(blocks, capsys):
     known = {"__name__": "page"}
     for block in blocks[:3]:
         exec(block, known)
@@ -46,7 +46,7 @@ def test_its_linear_model_is_the_analytic_one(blocks, tmp_path, monkeypatch):
     assert {p.name for p in tmp_path.iterdir()} == {"bode.png", "step.png", "locus.png"}
 
 
-def test_a_run_in_a_notebook(blocks, tmp_path, monkeypatch, capsys):
+def test_a_run_is_shown_in_a_notebook(blocks, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     known = {"__name__": "page"}
     exec(blocks[0], known)

@@ -20,7 +20,7 @@ README = (ROOT / "README.md").read_text()
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_the_controller_of_the_tutorial_takes_the_place_of_ours(tmp_path, monkeypatch, capsys):
+def test_the_controller_of_the_tutorial_replaces_ours(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "ros_pkgs/softrig_bringup/doc/own_controller.md").read_text()
     code = re.search(r"```python\n(.*?)```", page, re.S)
@@ -91,7 +91,7 @@ def test_the_version_is_the_same_everywhere():
         assert f"<version>{project['version']}</version>" in manifest.read_text(), manifest
 
 
-def test_the_page_on_a_new_version_has_every_verb_that_has_another_name():
+def test_the_upgrade_page_has_every_renamed_verb():
     page = (ROOT / "ros_pkgs/softrig_bringup/doc/upgrade.md").read_text()
     table = re.search(r"<!-- verbs -->\n(.*?)<!-- end -->", page, re.S)[1].replace("\\|", "|")
     rows = dict(re.findall(r"^\| `softrig (\w+)` \| `softrig (.+)` \|$", table, re.M))
@@ -101,7 +101,7 @@ def test_the_page_on_a_new_version_has_every_verb_that_has_another_name():
     assert not verbs & rows.keys()
 
 
-def test_links_of_who_contributes_lead_somewhere():
+def test_links_of_the_page_for_contributors_are_valid():
     page = ROOT / ".github/CONTRIBUTING.md"
     for path in re.findall(r"\]\((\S+?)\)", page.read_text()):
         assert (page.parent / path).exists(), path

@@ -1,4 +1,4 @@
-"""Pictures of a run that is over, from its bag: sizes, letters, data."""
+"""Pictures of a completed run, from its bag: sizes, letters, data."""
 
 import csv
 import json
@@ -46,7 +46,7 @@ def test_a_run_is_drawn_again_as_it_ran(run, tmp_path, capsys):
     assert main(["draw", "plot", str(run / "bag"), SIGNAL, "--out", str(tmp_path / "bag")]) == 0  # a bag by itself
 
 
-def test_width_letters_and_title_are_as_asked(run, tmp_path):
+def test_width_letters_and_title_are_as_requested(run, tmp_path):
     rig, result = rig_of_run(run)
     entry = rig.scenario.plots[0]
     figure = plot_entry(result, rig, entry, title=False, font=8.0, inches=88.0 / 25.4)
@@ -59,7 +59,7 @@ def test_width_letters_and_title_are_as_asked(run, tmp_path):
     assert imread(picture).shape[1] == pytest.approx(300 * 100 / 25.4, abs=1)
 
 
-def test_the_data_of_a_picture_has_units_in_its_head(run, tmp_path):
+def test_the_data_of_a_picture_has_units_in_its_header(run, tmp_path):
     options = [SIGNAL, "motor/true_state/shaft/velocity", "--csv", "--window", "0.05", "0.1", "--out", str(tmp_path)]
     assert main(["draw", "plot", str(run), *options]) == 0
     (table,) = tmp_path.glob("*.csv")
@@ -79,7 +79,7 @@ def test_a_report_draws_what_the_run_did_not(run, tmp_path):
     assert "This run has no pictures" not in page
 
 
-def test_what_cannot_be_drawn_is_one_line(run, tmp_path, capsys):
+def test_a_picture_that_cannot_be_drawn_is_one_line(run, tmp_path, capsys):
     assert main(["draw", "plot", str(tmp_path / "nowhere")]) == 2
     assert "expected a run, a bag or a pack" in capsys.readouterr().err
     assert main(["draw", "plot", str(run), "motor/speed", "--out", str(tmp_path)]) == 2
@@ -113,7 +113,7 @@ def test_a_picture_has_the_column_width_and_letters_of_its_publisher(run, tmp_pa
 
 
 @pytest.mark.long
-def test_no_pdf_of_softrig_has_type_3_letters(run, tmp_path, monkeypatch):
+def test_no_pdf_of_softrig_has_type_3_fonts(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-record", "--format", "pdf"]
     assert main([*words, "--out", "a"]) == 0
@@ -140,8 +140,8 @@ def test_a_window_without_a_sample_is_refused(run, window, message, capsys):
 
 
 @pytest.mark.long
-def test_several_runs_are_drawn_over_one_another_and_replace_nothing(run, tmp_path, monkeypatch, capsys):
-    """Their pictures go to a folder of their own, those of one run below its folder."""
+def test_several_runs_are_overlaid_and_replace_nothing(run, tmp_path, monkeypatch, capsys):
+    """Their pictures have a folder of their own; those of one run are in its folder."""
     monkeypatch.chdir(tmp_path)
     other = Path(shutil.copytree(run, tmp_path / "other"))
     assert main(["draw", "plot", str(run), str(other), SIGNAL, "--csv", "--format", "svg"]) == 0

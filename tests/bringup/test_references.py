@@ -7,7 +7,7 @@ from softrig_control.profile import NEVER, StepProfile
 from softrig_core import ByHand, ParameterError
 
 
-def test_profile_changes_at_its_times():
+def test_a_profile_changes_at_its_times():
     profile = StepProfile((0.5, 1.25), ("a", "b"))
     assert [profile.at(t) for t in (0, 500_000_000, 1_249_999_999, 1_250_000_000)] == ["a", "a", "a", "b"]
     assert [profile.next_change(t) for t in (0, 1_249_999_999, 1_250_000_000)] == [1_250_000_000] * 2 + [NEVER]
@@ -36,7 +36,7 @@ def test_only_the_fields_given_are_sent():
     assert ByHand(source).update(0)["reference"] == (10.0,)
 
 
-def test_command_source():
+def test_a_command_source_publishes_its_profile():
     source = CommandSource(channels=("a", "b"), units=("N m",), times=(0.0, 1.0), values=(1.0, 2.0, 3.0, 4.0))
     (_, (port,)) = source.ports(source.p)
     assert (port.labels, port.units) == (("a/effort", "b/effort"), ("N m", "N m"))
@@ -62,6 +62,6 @@ def test_command_source():
         ),
     ],
 )
-def test_bad_profiles(block, values, message):
+def test_bad_profiles_are_refused(block, values, message):
     with pytest.raises(ParameterError, match=message):
         block(**values)

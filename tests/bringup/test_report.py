@@ -53,7 +53,7 @@ class Shaft(NamedTuple):
 
 
 class Drive(Plant):
-    """Machine whose flux turns while its speed follows the command; a bus with many channels."""
+    """A machine whose flux turns while its speed follows the command; a bus with many channels."""
 
     class Params(BlockParams):
         period: float = param(1e-3, "sampling period", "s", gt=0)
@@ -130,7 +130,7 @@ BLOCKS = {"drive": Drive, "law": Law, "steps": Steps}
 
 
 def rigs(patch):
-    """What makes a rig of the blocks above, with changes to the scenario's keys."""
+    """Return a function that makes a rig of the blocks above, with changes to the scenario's keys."""
     patch.setattr("softrig_core.rig.rig.load_block", lambda package, executable: BLOCKS[executable])
 
     def make(**keys):
@@ -157,7 +157,7 @@ def nothing(rig):
 
 
 def drawing(patch, folder):
-    """What draws the plots of a rig; gives title to figure, laid out as it was saved."""
+    """Return a function that draws the plots of a rig; it returns figures by title, laid out as they were saved."""
 
     def draw(rig, recording, overview=True):
         figures, save = {}, plots.save_figure
@@ -205,7 +205,7 @@ def test_every_recorded_signal_has_a_unit(make_rig):
     ("unit", "printed"),
     [("kg m^2", "kg m²"), ("rad/s^2", "rad/s²"), ("m^-1", "m⁻¹"), ("ohm", "Ω"), ("kohms", "kohms"), ("%", "%")],
 )
-def test_units_are_set_as_printed(unit, printed):
+def test_units_are_typeset(unit, printed):
     assert pretty_unit(unit) == printed
 
 
@@ -222,7 +222,7 @@ def test_commands_are_steps_and_states_are_lines(whole):
     assert command.get_xdata()[-1] == pytest.approx(2.0)  # held to the end of the run, past its last sample at 1.99 s
 
 
-def test_quantised_measurement_of_a_plant_is_drawn_as_steps(make_rig, draw):
+def test_a_quantised_measurement_of_a_plant_is_drawn_as_steps(make_rig, draw):
     title = "Count"
     rig = make_rig(plots=[{"title": title, "signals": {"drive/sensors/count/position": "count"}}])
     (count,) = draw(rig, record(rig), overview=False)[title].axes[0].lines
@@ -303,7 +303,7 @@ def test_switches_are_stacked(make_rig, draw):
 
 
 @pytest.mark.parametrize("recorder", [nothing, record], ids=["nothing", "everything"])
-def test_run_that_broke_early_still_gives_pictures(make_rig, draw, recorder):
+def test_a_run_that_broke_early_still_has_pictures(make_rig, draw, recorder):
     rig = make_rig(duration=0.001, plots=PLOTS[::3])  # over time, and against another signal
     assert len(draw(rig, recorder(rig))) == 3
 
@@ -323,7 +323,7 @@ def test_plot_of_an_unknown_signal_is_refused(make_rig, tmp_path, entry):
 
 
 @given(st.lists(st.floats(-1e9, 1e9), min_size=9, max_size=300), st.integers(1, 12))
-def test_envelope_keeps_extremes_and_ends(values, columns):
+def test_an_envelope_keeps_extremes_and_ends(values, columns):
     x, y = np.arange(float(len(values))), np.array(values)
     short_x, short_y = envelope(x, y, columns)
     assert len(short_x) <= max(4 * columns + 4, 0) or len(short_x) == len(x)
@@ -332,12 +332,12 @@ def test_envelope_keeps_extremes_and_ends(values, columns):
     assert np.all(np.diff(short_x) >= 0)
 
 
-def test_a_signal_that_has_room_is_drawn_as_it_is():
+def test_a_signal_with_fewer_samples_than_pixels_is_drawn_unreduced():
     x = np.arange(8.0)
     assert envelope(x, x, 2)[0] is x
 
 
-def test_a_table_of_changes_is_there_when_something_was_changed():
+def test_a_table_of_changes_is_shown_if_something_was_changed():
     change = SimpleNamespace(at_s=0.25, node="gain", set={"k": 2.0})
     (table,) = _changes(SimpleNamespace(changes=[change], units={"gain": {"k": "1/s"}}))
     assert "".join(table.itertext()).endswith("0.25gain.k2.0 1/s")
@@ -359,7 +359,7 @@ def test_envelope_keeps_a_single_spike_where_it_is():
 
 
 class Page(HTMLParser):
-    """What a page refers to, its tags, and the cells of its tables."""
+    """The references of a page, its tags, and the cells of its tables."""
 
     def __init__(self, path):
         super().__init__()
@@ -457,7 +457,7 @@ def test_report_shows_measured_against_published(make_run):
     assert "✗ 2 of 4 pass" in page.text
 
 
-def test_columns_that_say_nothing_are_left_out(make_run):
+def test_empty_columns_are_left_out(make_run):
     page = Page(make_run(metrics=[{"name": "ripple", "unit": "A", "value": 0.25, "pass": True}]) / "report.html")
     assert [r for r in page.rows if r[0] == "Figure"] == [["Figure", "Measured", "Unit"]]
     assert "Published" not in page.text
@@ -483,7 +483,7 @@ STATUS = {
 }  # fmt: skip
 
 
-def test_report_shows_what_nodes_refused_and_how_slow_they_were(make_run):
+def test_a_report_shows_what_nodes_rejected_and_how_slow_they_were(make_run):
     page = Page(make_run(status=STATUS, error="node law died") / "report.html")
     assert page.row("Node") == ["Node", "refused", "ticks", "cpu (s)", "round trip p99 (ms)"]
     assert page.row("drive") == ["drive", "2", "200", "0.5", "0.123"]
@@ -499,7 +499,7 @@ def test_report_shows_what_nodes_refused_and_how_slow_they_were(make_run):
         assert text in page.text
 
 
-def test_several_runs_get_an_index_and_stand_side_by_side(make_run, tmp_path):
+def test_several_runs_get_an_index_and_are_side_by_side(make_run, tmp_path):
     good = [m for m in METRICS if m["pass"]]
     runs = [make_run("first"), make_run("second", good), make_run("broken", [], error="gone")]
     write_report(runs[:1], tmp_path / "one.html", ["as many labels as runs"])
@@ -560,7 +560,7 @@ def test_the_page_of_several_runs_is_as_expected(make_run, tmp_path):
 
 
 def test_the_block_diagram_is_as_expected(make_rig):
-    """One with every kind of wire: back to the law, to several readers, to nobody; a node outside."""
+    """One with every kind of wire: back to the controller, to several subscribers, to none; a node outside."""
     wiring = wiring_of(make_rig(duration=0.2))
     nodes = wiring.nodes | {"log": Node(executable="p/log", period=0.5, outside=True)}
     wires = [w.model_copy(update={"readers": (*w.readers, "log")}) if "flux" in w.topic else w for w in wiring.wires]

@@ -1,4 +1,4 @@
-"""`softrig check --claims`: claims held against runs, and the pages about it."""
+"""`softrig check --claims`: claims are compared with runs, and the pages about them."""
 
 import json
 import re
@@ -52,7 +52,7 @@ def test_pages_show_each_claim_with_its_measurement(folder):
     assert f"softrig run {folder / 'lag.yaml'} --mode inprocess" in page
 
 
-def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch, capsys):
+def test_an_unwritable_folder_is_reported_before_the_runs(folder, monkeypatch, capsys):
     monkeypatch.setattr(
         "softrig_bringup.results.results.gather", lambda *_: pytest.fail("runs before it looks at the folder")
     )
@@ -60,7 +60,7 @@ def test_a_folder_that_takes_nothing_is_said_before_the_runs(folder, monkeypatch
     assert "lag.yaml" in capsys.readouterr().err
 
 
-def test_pages_say_what_agrees_and_published_is_the_papers_number_alone(folder):
+def test_pages_report_the_agreement_and_published_is_the_papers_number_alone(folder):
     rows, _ = gather(claiming(), workers=1)
     last, order, _ = rows
     assert last.asked == "0.4551 ± 0.00455 (1 %)"
@@ -70,7 +70,7 @@ def test_pages_say_what_agrees_and_published_is_the_papers_number_alone(folder):
     assert next(c for c in cells if c[1:2] == ["last"])[3:5] == ["0.4551 m", last.asked]
 
 
-def test_what_is_said_once_counts_once(folder):
+def test_a_repeated_claim_counts_once(folder):
     again = "  again: {text: slower with less gain, figure: last, above: 0.1, where: Figure 2, verdict: reproduced}\n"
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("  other:", f"{again}  other:"))
     rows, _ = gather(claiming(), workers=1)
@@ -78,7 +78,7 @@ def test_what_is_said_once_counts_once(folder):
     assert "| lag | 2 |  |  |  | 1 |" in markdown(claiming(), rows)
 
 
-def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monkeypatch):
+def test_runs_are_cached_until_their_code_or_scenario_changes(folder, capsys, monkeypatch):
     assert main(["check", "--claims", "--workers", "1"]) == 0
     page = (folder / "runs" / "results" / "results.html").read_text()
     for link in re.findall(r'href="(runs/[^"]*)"', page):
@@ -96,7 +96,7 @@ def test_runs_are_kept_until_their_code_or_scenario_changes(folder, capsys, monk
     assert "are kept" not in capsys.readouterr().out
 
 
-def test_claims_of_studies_are_named_where_they_are_not_held(folder, capsys, monkeypatch):
+def test_claims_of_studies_that_are_not_checked_are_named(folder, capsys, monkeypatch):
     study = (
         "title: Many\nscenario: lag\nseeds: 1\nsummaries: {mean: {figure: last}}\n"
         "claims: {mean: {published: 0.4551, where: Table II, verdict: reproduced}}\n"
@@ -130,7 +130,7 @@ def test_a_false_verdict_fails_the_page_and_the_run(folder, capsys):
     assert [c["holds"] for c in claims] == [False, None, True]
 
 
-def test_a_claim_that_needs_a_run_that_broke_is_not_borne_out(folder, capsys):
+def test_a_claim_that_needs_a_broken_run_does_not_hold(folder, capsys):
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "reproduced").replace("{gain: 0.5}", "{gain: -0.5}"))
     assert main(["check", "--claims", "--workers", "1"]) == 3
     error = capsys.readouterr().err
@@ -139,7 +139,7 @@ def test_a_claim_that_needs_a_run_that_broke_is_not_borne_out(folder, capsys):
 
 
 def test_pages_of_results_are_as_expected(folder, monkeypatch):
-    """A verdict that does not hold, one that cannot be checked, one of a figure of another run; what is left out."""
+    """A verdict that does not hold, one that cannot be checked, one of a figure of another run; omitted claims."""
     monkeypatch.setenv("SOFTRIG_COMMAND", "softrig")
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
     rows, _ = gather(claiming(), workers=1)
@@ -155,7 +155,7 @@ def test_pages_of_results_are_as_expected(folder, monkeypatch):
     check_expected("pages/results", [line.replace(str(folder), "HERE") for line in messages])
 
 
-def test_results_are_reported_to_machines(folder):
+def test_results_are_written_for_machines(folder):
     (folder / "lag.yaml").write_text(LAG.replace("VERDICT", "refuted"))
     assert main(["check", "--claims", "--workers", "1", "--junit", "unit.xml", "--json", "rows.json"]) == 1
     root = ElementTree.parse(folder / "unit.xml").getroot()

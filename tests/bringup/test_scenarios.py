@@ -1,4 +1,4 @@
-"""Scenario files: what they inherit, what they refer to, what is expected and claimed, all judged before the run."""
+"""Scenario files: inheritance, references, expectations and claims, all checked before the run."""
 
 import math
 
@@ -74,7 +74,7 @@ def change(folder, old, new):
 
 
 @pytest.mark.parametrize("name", few(sorted(list_scenarios()), 150))
-def test_every_scenario_can_be_judged_before_its_run(name):
+def test_every_scenario_can_be_checked_before_its_run(name):
     scenario = load_scenario(name)
     rig = rig_of(scenario)
     figures_of(rig)
@@ -94,7 +94,7 @@ def frames(member):
     return {pose.child for pose in (*standing(block.markers(), scene, member.outputs), *moving)}
 
 
-def test_figures_of_other_scenarios_that_claims_name_are_there():
+def test_figures_of_other_scenarios_that_claims_name_exist():
     for name in list_scenarios():
         for key, claim in load_scenario(name).claims.items():
             for reference in (claim.figure, *claim.references()):
@@ -119,7 +119,7 @@ def test_figures_are_inherited_expectations_and_claims_are_not(folder):
     assert list(child.figures) == ["last", "mean", "peak"]
 
 
-def test_another_executable_or_function_leaves_parameters_and_arguments_behind():
+def test_another_executable_or_function_drops_parameters_and_arguments():
     base = {
         "nodes": {"a": {"package": "p", "executable": "x", "parameters": {"k": 1}, "remap": {"u": "v"}}},
         "figures": {"f": {"function": "rise_time", "arguments": {"final": 1.0}, "unit": "s"}},
@@ -132,13 +132,13 @@ def test_another_executable_or_function_leaves_parameters_and_arguments_behind()
     assert inherit(base, {"nodes": {"a": None}})["nodes"] == {}
 
 
-def test_a_shared_value_can_be_set_and_reaches_all_who_refer_to_it(folder):
+def test_a_shared_value_can_be_set_and_reaches_all_references(folder):
     assert load_scenario("lag", {"k": 7.0}).nodes["gain"].parameters == {"k": 7.0}
     with pytest.raises(ScenarioError, match=r"override 'kk' .did you mean 'k'..: .* or a shared value \(k, x"):
         load_scenario("lag", {"kk": 7.0})
 
 
-def test_a_change_goes_over_a_mapping_that_is_shared(folder):
+def test_a_change_overrides_a_shared_mapping(folder):
     shared, node = "shared: {k: 2.0,", "{package: faultrig, executable: plant, parameters: {gain: 0.75}}"
     for whole, value in (
         ("{package: faultrig, executable: plant, parameters: $all}", "{gain: 0.75, limit: 3.0}"),
@@ -202,7 +202,7 @@ def test_references_take_parameters_of_nodes_defaults_included(folder):
         ("  mean: {", "  last: {", "duplicate key 'last'"),
     ],
 )
-def test_what_does_not_fit_is_said_before_the_run(folder, old, new, message):
+def test_errors_of_a_scenario_are_reported_before_the_run(folder, old, new, message):
     with pytest.raises(ScenarioError, match=message) as caught:
         figures_of(rig_of(change(folder, old, new)))
     assert "\n" not in str(caught.value)
@@ -223,7 +223,7 @@ def test_what_does_not_fit_is_said_before_the_run(folder, old, new, message):
         ("between -1 and 2e-1", [-1.0, 0.2], [-1.01, 0.21]),
     ],
 )
-def test_expectations_mean_what_they_say(text, inside, outside):
+def test_expectations_have_their_documented_meaning(text, inside, outside):
     expectation = parse(text)
     assert all(expectation.holds(x) for x in inside)
     assert not any(expectation.holds(x) for x in (*outside, math.nan, math.inf, -math.inf))
@@ -281,7 +281,7 @@ def test_a_verdict_holds_or_is_false(verdict, keys, value, agrees):
     assert result.holds is (agrees != (verdict == "refuted"))
 
 
-def test_what_was_not_measured_stays_open_and_what_cannot_be_checked_holds():
+def test_an_unmeasured_claim_stays_open_and_one_that_cannot_be_checked_holds():
     assert finding(claim(above="other.last"), {"test": {"last": 1.0}}).holds is None
     assert finding(claim(published=1.0), {}).holds is None
     open_ = finding(claim(verdict="not_checkable", figure="last", published=9.0), {"test": {"last": 1.0}})
@@ -300,7 +300,7 @@ def test_what_was_not_measured_stays_open_and_what_cannot_be_checked_holds():
         ({"published": 1.0, "verdict": "true"}, "Input should be 'reproduced'"),
     ],
 )
-def test_a_claim_is_complete(keys, message):
+def test_an_incomplete_claim_is_refused(keys, message):
     with pytest.raises(ValueError, match=message):
         claim(**keys)
 
@@ -321,7 +321,7 @@ def test_units_of_figures_follow_from_the_signals():
     assert factor("s", "m") is None
 
 
-def test_yaml_is_read_as_1_2():
+def test_yaml_is_read_as_version_1_2():
     result = read_yaml("{a: 1e-5, b: 1.0e+6, c: on, d: 010, e: 12:30, f: ~, g: .inf, h: 0x10, i: -.5, j: 'x'}", "t")
     assert result == {
         "a": 1e-5,
@@ -352,14 +352,14 @@ def test_yaml_is_read_as_1_2():
         ("{[1]: 2}", "not valid YAML|no plain word"),
     ],
 )
-def test_hostile_yaml_is_one_line(text, message):
+def test_malicious_yaml_is_refused_in_one_line(text, message):
     with pytest.raises(ScenarioError, match=message) as caught:
         read_yaml(text, "t")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300
 
 
-def test_measures_come_from_installed_packages():
+def test_measures_can_come_from_installed_packages():
     known = registry.registered()
     assert {"rise_time", "dtc_flux_error_peak", "pv_gmpp"} <= set(known)
     for name in known:
@@ -369,7 +369,7 @@ def test_measures_come_from_installed_packages():
 # the front door ---------------------------------------------------------------------------------------------------
 
 
-def test_a_rig_of_block_objects_is_the_rig_of_the_file(folder):
+def test_a_rig_of_block_objects_equals_the_rig_of_the_file(folder):
     from_file = simulate("lag", duration=0.5)
     rig = Rig.from_blocks({"plant": Lag(gain=0.75), "source": Source(), "gain": Gain(k=2.0)}, duration=0.5)
     wired = simulate(rig)

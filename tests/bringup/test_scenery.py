@@ -1,4 +1,4 @@
-"""A robot's bag shows the robot: description, frames and path, the same bytes whoever ran the nodes."""
+"""A robot's bag contains the robot: description, frames and path, with the same bytes in every placement."""
 
 import hashlib
 from pathlib import Path
@@ -36,7 +36,7 @@ def matrix(transform):
 
 
 @pytest.mark.parametrize(("scenario", "tip", "joints"), ROBOTS)
-def test_the_frames_in_the_bag_are_forward_kinematics_of_its_own_description(tmp_path, scenario, tip, joints):
+def test_the_frames_in_the_bag_are_forward_kinematics_of_its_description(tmp_path, scenario, tip, joints):
     bag = signals(run(scenario, "inprocess", tmp_path))
     ((start, text),) = messages(bag, "robot_description")
     model = pin.buildModelFromXML(text.data)
@@ -67,7 +67,7 @@ def test_the_frames_in_the_bag_are_forward_kinematics_of_its_own_description(tmp
     assert np.ptp(q, axis=0).max() > 1e-6  # it has moved
 
 
-def test_they_are_offered_to_who_comes_later_and_cost_little(tmp_path):
+def test_frames_are_offered_to_late_subscribers_and_cost_little(tmp_path):
     with BagReader(run("manipulator_adsmc", "inprocess", tmp_path)) as bag:
         latched = {t.name for t in bag.topics if t.offered[0].durability == QosDurability.TRANSIENT_LOCAL}
         assert latched == {"/robot_description", "/tf_static", "/markers"}
@@ -80,7 +80,7 @@ def test_they_are_offered_to_who_comes_later_and_cost_little(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_the_bag_is_the_same_from_processes_containers_and_memory(tmp_path):
+def test_the_bag_is_the_same_from_processes_containers_and_in_process(tmp_path):
     modes = ("inprocess", "processes", "container")
     bags = [run("manipulator_adsmc", mode, tmp_path / mode, "0.1") for mode in modes]
     topics = [signals(b).recording.topics for b in bags]

@@ -1,4 +1,4 @@
-"""What a shell brings in and would get between softrig and its packages: left out, in a line that names it."""
+"""Shell settings that would replace packages of softrig are left out, and a line names them."""
 
 import os
 import subprocess
@@ -17,7 +17,7 @@ SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
         ("LD_LIBRARY_PATH", "/conda/lib:/mine", "LD_LIBRARY_PATH: /conda/lib is left out: conda's libraries"),
     ],
 )
-def test_what_would_replace_a_package_of_the_set_up_is_left_out(tmp_path, name, value, text):
+def test_packages_that_would_replace_one_of_the_set_up_are_left_out(tmp_path, name, value, text):
     (tmp_path / "broken" / "numpy").mkdir(parents=True)
     (tmp_path / "broken" / "numpy" / "__init__.py").write_text("raise ImportError('broken')\n")
     (tmp_path / "mine").mkdir()
@@ -36,7 +36,7 @@ def test_what_would_replace_a_package_of_the_set_up_is_left_out(tmp_path, name, 
         assert "/mine" in done.stdout
 
 
-def test_a_python_with_the_wheels_of_ros_starts_once_and_other_programs_see_nothing_of_their_libraries():
+def test_a_python_with_the_wheels_of_ros_starts_once_and_other_programs_do_not_see_their_libraries():
     ours = ("PYTHON", "VIRTUAL_ENV", "LD_", "AMENT_", "COLCON_", "_ROS_")
     user = {k: v for k, v in os.environ.items() if not k.startswith(ours)} | {"LD_LIBRARY_PATH": "/mine"}
 

@@ -1,4 +1,5 @@
-"""A pack from somebody else: data until it is confirmed, code from one folder, figures as its own bag gives them."""
+"""A pack from another person: only data until it is confirmed, code from one folder, figures computed from its own bag.
+"""
 
 import io
 import json
@@ -39,7 +40,7 @@ def about(**more):
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory):
-    """What `softrig new` writes, by place in a pack."""
+    """The files that `softrig new` writes, by place in a pack."""
     folder = new_package(NAME, tmp_path_factory.mktemp("new"))
     files = {f"packages/{NAME}/{f.relative_to(folder)}": f.read_text() for f in folder.rglob("*") if f.is_file()}
     return files | {f"scenario/{NAME}.yaml": (folder / f"scenarios/{NAME}.yaml").read_text()}
@@ -47,7 +48,7 @@ def sources(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def alone(tmp_path, monkeypatch):
-    """A cache, an environment and modules of the test's own; no terminal."""
+    """Separate cache, environment and modules for the test; no terminal."""
     for module in (packed, brought, sandbox):
         monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "cache")
     for name in ("SOFTRIG_SCENARIOS", "AMENT_PREFIX_PATH", "PYTHONPATH"):
@@ -70,8 +71,8 @@ def run(file, *words, out="again"):
     return main(["run", "--like", str(file), "--mode", "inprocess", "--no-plots", "--out", out, *words])
 
 
-def test_code_runs_only_once_it_is_confirmed(sources, tmp_path, capsys, monkeypatch):
-    """Refused without a terminal, refused by anything but yes, run with --trust, and packed again from its run."""
+def test_code_runs_only_after_confirmation(sources, tmp_path, capsys, monkeypatch):
+    """Refused without a terminal, refused by any answer but yes, run with --trust, and packed again from its run."""
     monkeypatch.chdir(tmp_path)
     touched = tmp_path / "touched"
     plant = f"packages/{NAME}/{NAME}/plant.py"
@@ -109,7 +110,7 @@ class Terminal:
 
 @pytest.fixture(scope="module")
 def made(sources, tmp_path_factory):
-    """A pack with bag of a run of the package, made where it was confirmed."""
+    """A pack with the bag of a run of the package, made where it was confirmed."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
         for module in (packed, brought, sandbox):
@@ -127,7 +128,7 @@ def made(sources, tmp_path_factory):
     return files | sources | bag
 
 
-def test_who_looks_runs_nothing_of_it(made, tmp_path, capsys, monkeypatch):
+def test_looking_at_a_pack_runs_none_of_its_code(made, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant, touched = f"packages/{NAME}/{NAME}/plant.py", tmp_path / "touched"
     evil = made | {
@@ -157,8 +158,8 @@ def test_a_confirmed_pack_repeats_number_for_number(made, tmp_path, capsys, monk
 
 
 @pytest.mark.long
-def test_a_study_brings_its_code_and_repeats_once_that_is_confirmed(made, tmp_path, capsys, monkeypatch):
-    """Packed where the package is, refused without a word, repeated row for row with --trust."""
+def test_a_study_carries_its_code_and_repeats_after_confirmation(made, tmp_path, capsys, monkeypatch):
+    """Packed where the package is, refused without confirmation, repeated row for row with --trust."""
     monkeypatch.chdir(tmp_path)
     for place, text in made.items():
         if place.startswith(f"packages/{NAME}/"):
@@ -233,7 +234,7 @@ SETUP = f"packages/{NAME}/setup.cfg"
         (f"scenario/{NAME}.yaml", "nodes:", OUTSIDE, "names '/etc/passwd', a file outside of the pack"),
     ],
 )  # fmt: skip
-def test_what_reaches_out_of_its_folder_is_refused(place, old, new, message, sources, tmp_path, capsys):
+def test_a_path_out_of_the_folder_is_refused(place, old, new, message, sources, tmp_path, capsys):
     assert place != SETUP or old in sources[place]
     text = sources[place].replace(old, new)
     file = zipped(tmp_path / "x.zip", {"pack.json": about()} | sources | {place: text})
@@ -265,7 +266,7 @@ def test_a_refused_pack_leaves_nothing_behind(more, text, sources, tmp_path, cap
     assert left == [] or "sources alone" in text
 
 
-def test_a_list_of_entries_is_bounded_before_it_is_read(tmp_path):
+def test_a_list_of_entries_is_limited_before_it_is_read(tmp_path):
     file = zipped(tmp_path / "x.zip", {"pack.json": about()})
     data = bytearray(file.read_bytes())
     at = data.rindex(b"PK\x05\x06")
@@ -275,7 +276,7 @@ def test_a_list_of_entries_is_bounded_before_it_is_read(tmp_path):
         packed.unpack(file, tmp_path / "new")
 
 
-def test_what_would_run_is_listed_by_its_true_name(sources, tmp_path):
+def test_code_that_would_run_is_listed_by_its_true_name(sources, tmp_path):
     fmu = zipped(tmp_path / "m.fmu", {"modelDescription.xml": "x", "binaries/linux64/m\u202eos.so": "x"})
     files = {"pack.json": about(), "scenario/0a/\u043cotor.dat": fmu.read_bytes()} | sources
     files[f"packages/{NAME}/{NAME}/fast.so"] = b"\x7fELF"
@@ -289,8 +290,8 @@ def test_what_would_run_is_listed_by_its_true_name(sources, tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt-get install gcc")
-def test_a_node_in_c_is_code_and_whoever_looks_compiles_none_of_it(tmp_path, capsys, monkeypatch):
-    """A flag of a compiler can start a program, so a scenario that names sources is code before it is compiled."""
+def test_a_node_in_c_is_code_and_looking_at_it_compiles_nothing(tmp_path, capsys, monkeypatch):
+    """A compiler flag can start a program, so a scenario that names sources counts as code."""
     monkeypatch.chdir(tmp_path)
     new_native("law", tmp_path / "law", "c", "softrig")
     assert main(["run", "law/law.yaml", "--mode", "inprocess", "--no-plots", "--out", "run"]) == 0
@@ -324,7 +325,7 @@ def test_a_node_in_c_is_code_and_whoever_looks_compiles_none_of_it(tmp_path, cap
 
 
 def with_law(tmp_path, sources, **law):
-    """Find the code of a pack that has a node in C, or one with the entry `link`."""
+    """Return the code of a pack that has a node in C, or one with the entry `link`."""
     name = f"scenario/{NAME}.yaml"
     scenario = yaml.safe_load(sources[name])
     parameters = {"sources": ["law.c"], "header": "law.h", "flags": law.pop("flags", [])}
@@ -379,7 +380,7 @@ def test_a_board_in_a_pack_is_listed(port, sources, tmp_path):
 
 @pytest.mark.parametrize("listed", [True, False])
 def test_a_package_needs_no_setup_cfg(listed, sources, tmp_path, capsys, monkeypatch):
-    """Of an older file without it nothing can be known of what it offers, which is said."""
+    """For an older file without it the executables are unknown, which is reported."""
     monkeypatch.chdir(tmp_path)
     points = {line.split(" = ")[0].strip(): line.split(" = ")[1] for line in sources[SETUP].splitlines() if ":" in line}
     offers = {NAME: {"console_scripts": points}} if listed else {}
@@ -389,14 +390,14 @@ def test_a_package_needs_no_setup_cfg(listed, sources, tmp_path, capsys, monkeyp
     assert (f"package {NAME} has no executable" in capsys.readouterr().err) is not listed
 
 
-def test_a_package_that_is_here_runs_in_place_of_the_packs(sources, tmp_path, monkeypatch):
+def test_an_installed_package_runs_in_place_of_the_packed_one(sources, tmp_path, monkeypatch):
     monkeypatch.setattr(cargo, "_is_rig_package", lambda name: name == NAME)
     folder = packed.opened(zipped(tmp_path / "x.zip", {"pack.json": about()} | sources))
     result = cargo.cargo_of(folder, packed.about(folder))
     assert (result.packages, result.kept_out, bool(result)) == ((), (NAME,), False)
 
 
-def test_entry_points_and_data_files_are_laid_out_from_what_was_read(sources, tmp_path):
+def test_entry_points_and_data_files_are_laid_out_from_the_parsed_files(sources, tmp_path):
     offers = {NAME: {"console_scripts": {"tool": f"{NAME}.plant:tool"}}}
     files = {"pack.json": about(offers=offers)} | sources
     folder = packed.opened(zipped(tmp_path / "x.zip", files))
@@ -430,7 +431,7 @@ def sent(tmp_path_factory):
 
 
 def forged(sent, place, change):
-    """The same with one file changed, the list of files as well."""
+    """The same with one file changed, and the manifest adapted."""
     content = {**sent, place: change(sent[place].decode()).encode()}
     text = json.loads(content["pack.json"]) | {"files": {}}
     return content | {"pack.json": json.dumps(text)}
@@ -456,7 +457,7 @@ def other_run(text):
         ("scenario/mine.yaml", lambda t: t.replace("delta: 5.0", "delta: 5.5"), "its scenario is not that of its run"),
     ],
 )
-def test_figures_are_computed_and_what_does_not_belong_together_is_said(place, change, text, sent, tmp_path, capsys):
+def test_figures_are_computed_and_inconsistencies_reported(place, change, text, sent, tmp_path, capsys):
     files = sent if place is None else forged(sent, place, change)
     file = zipped(tmp_path / "x.zip", files)
     assert main(["report", str(file), "--out", str(tmp_path / "report.html")]) == 0
@@ -469,7 +470,7 @@ def test_figures_are_computed_and_what_does_not_belong_together_is_said(place, c
     assert text is None or any(text in line for line in last)
 
 
-def test_bag_and_figures_of_two_runs_are_no_run(sent, tmp_path, capsys):
+def test_bag_and_figures_of_two_different_runs_are_refused(sent, tmp_path, capsys):
     folder = tmp_path / "run"
     (folder / "bag").mkdir(parents=True)
     for place in sent:
@@ -482,7 +483,7 @@ def test_bag_and_figures_of_two_runs_are_no_run(sent, tmp_path, capsys):
 
 
 def test_the_digest_of_a_run_follows_from_its_bag_and_its_scenario(sent, tmp_path):
-    """Each half by itself, from what stands in the file."""
+    """Each half separately, from the content of the file."""
     from softrig_bags.read import read_bag
 
     file = zipped(tmp_path / "x.zip", sent)
@@ -522,7 +523,7 @@ def test_a_signature_is_shown_and_one_of_other_bytes_is_refused(tmp_path, monkey
 
 
 def test_a_confined_process_has_no_network_and_writes_nothing(tmp_path):
-    """Harmless tries of our own in a process of our own."""
+    """With harmless attempts in a separate process."""
     if why := confined.forbidden():
         pytest.skip(why)
     (tmp_path / "kept").write_text("x")
@@ -548,7 +549,7 @@ print(of(lambda: os.mkdir("/run/x")))
     assert result.stdout.split() == ["x", "OSError", "OSError", "OSError", "False", "3", "OSError"], result
 
 
-def test_without_namespaces_it_is_said(sources, tmp_path, capsys, monkeypatch):
+def test_missing_namespaces_are_reported(sources, tmp_path, capsys, monkeypatch):
     fmu = zipped(tmp_path / "m.fmu", {"modelDescription.xml": "x"})
     monkeypatch.setattr(trust, "forbidden", lambda: "Operation not permitted")
     monkeypatch.setattr(trust, "need", lambda *_: None)
@@ -560,8 +561,8 @@ def test_without_namespaces_it_is_said(sources, tmp_path, capsys, monkeypatch):
 
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which("bwrap") is None, reason="no bubblewrap")
-def test_in_bubblewrap_a_confirmed_package_writes_its_results_alone(sources, tmp_path, monkeypatch):
-    """In a process of its own: the module tries to write beside its results and to reach a port of ours."""
+def test_in_bubblewrap_a_confirmed_package_writes_only_its_results(sources, tmp_path, monkeypatch):
+    """In a separate process: the module tries to write beside its results and to reach one of our ports."""
     plant, touched = f"packages/{NAME}/{NAME}/plant.py", tmp_path / "touched"
     tries = (
         "import contextlib, socket\nwith contextlib.suppress(OSError):\n"

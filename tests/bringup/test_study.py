@@ -75,7 +75,7 @@ def rows_of(study, out, **keys):
 # points -----------------------------------------------------------------------------------------------------------
 
 
-def test_runs_are_cases_times_grid_times_draws_times_seeds():
+def test_runs_are_the_product_of_cases_grid_draws_and_seeds():
     demo = study(
         cases={"a": {}, "b": {"plant.gain": 2.0}},
         grid={"gain.k": [1, 2, 3]},
@@ -132,11 +132,11 @@ def test_a_latin_hypercube_has_one_point_in_each_slice():
         ),
     ],
 )
-def test_a_folder_is_named_by_what_is_varied(words, name):
+def test_a_folder_is_named_by_the_varied_parameters(words, name):
     assert folder_name("lag", make_parser().parse_args(["study", "lag", *words.split()])) == name
 
 
-def test_long_names_of_folders_stay_apart():
+def test_long_names_of_folders_stay_distinct():
     names = {
         folder_name("lag", make_parser().parse_args(["study", "lag", "--grid", f"gain.k={'1,' * 99}{k}"]))
         for k in range(3)
@@ -166,7 +166,7 @@ def test_long_names_of_folders_stay_apart():
         ),
     ],
 )
-def test_a_study_that_makes_no_sense_is_refused(keys, message):
+def test_a_contradictory_study_is_refused(keys, message):
     with pytest.raises(ScenarioError, match=message):
         study(**keys)
 
@@ -182,7 +182,7 @@ def test_a_study_that_makes_no_sense_is_refused(keys, message):
         ({"scenario": "leg"}, "scenario 'leg' is unknown"),
     ],
 )
-def test_what_no_run_could_do_is_said_before_the_first(folder, keys, message):
+def test_an_impossible_run_is_reported_before_the_first(folder, keys, message):
     with pytest.raises(ScenarioError, match=message):
         run_study(study(**keys), folder / "out", workers=1)
     assert (folder / "out" / "rows.jsonl").exists() is False
@@ -191,7 +191,7 @@ def test_what_no_run_could_do_is_said_before_the_first(folder, keys, message):
 # rows -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_row_tells_how_to_repeat_its_run(folder):
+def test_a_row_states_how_to_repeat_its_run(folder):
     assert main(["study", "lag", "--grid", "gain.k=1,2.5", "--seeds", "2", "--force", "--duration", "0.25",
                  "--workers", "1", "--out", "out"]) == 0  # fmt: skip
     table = pyarrow.parquet.read_table(folder / "out" / "table.parquet").to_pylist()
@@ -220,7 +220,7 @@ def test_a_shared_value_is_a_parameter_of_a_study(folder):
     assert rows[0]["figures"] != rows[1]["figures"]
 
 
-def test_each_study_reads_its_scenario_anew(folder):
+def test_each_study_reads_its_scenario_again(folder):
     first, again = (rows_of(study(), folder / name) for name in ("first", "again"))
     (folder / "scenarios" / "lag.yaml").write_text(LAG.replace("  last:", "  end:") + "seed: 5\n")
     changed = rows_of(study(), folder / "changed")
@@ -228,14 +228,14 @@ def test_each_study_reads_its_scenario_anew(folder):
     assert (changed[0]["seed"], changed[0]["figures"]) == (5, {"end": first[0]["figures"]["last"], "never": None})
 
 
-def test_a_run_that_breaks_is_a_row_with_its_reason(folder, capsys):
+def test_a_broken_run_is_a_row_with_its_reason(folder, capsys):
     assert main(["study", "lag_breaks", "--grid", "plant.gain=1,2", "--workers", "1", "--out", "out"]) == 3
     rows = [json.loads(line) for line in (folder / "out" / "rows.jsonl").read_text().splitlines()]
     assert len(rows) == 2
     assert all("gain" in r["error"] for r in rows)
 
 
-def test_an_interrupted_study_goes_on_where_it_was(folder):
+def test_an_interrupted_study_is_resumed(folder):
     demo = study(grid={"gain.k": [1.0, 2.0, 3.0]}, seeds=2)
     whole = rows_of(demo, folder / "whole")
     part = folder / "part"
@@ -250,7 +250,7 @@ def test_an_interrupted_study_goes_on_where_it_was(folder):
         run_study(study(grid={"gain.k": [1.0]}), part, workers=1)
 
 
-def test_rows_of_another_scenario_or_code_are_not_taken_over(folder, monkeypatch):
+def test_rows_of_another_scenario_or_code_are_not_reused(folder, monkeypatch):
     file, out = folder / "scenarios" / "lag.yaml", folder / "out"
     demo = study(grid={"gain.k": [1.0, 2.0]}, seeds=[0])
     first = rows_of(demo, out)
@@ -286,7 +286,7 @@ def test_a_log_without_rows_is_empty(folder):
     assert list(Log(folder / "log", 1).rows()) == []
 
 
-def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder, monkeypatch):
+def test_the_number_of_workers_does_not_matter_and_a_killed_one_loses_nothing(folder, monkeypatch):
     demo = study(grid={"gain.k": [0.5 + 0.05 * k for k in range(40)]}, duration=5.0)
     here = rows_of(demo, folder / "here")
     killed, add = [], Log.add
@@ -306,7 +306,7 @@ def test_workers_do_not_matter_and_a_killed_one_costs_nothing(folder, monkeypatc
 
 
 def damaged(lines):
-    """Each way in which a file of rows may be wrong, with the numbers of the rows that are right."""
+    """Each kind of damage in a file of rows, with the numbers of the undamaged rows."""
     other = json.dumps(json.loads(lines[1]) | {"overrides": {"gain.k": 7.0}}).encode() + b"\n"
     lacks = json.dumps({k: v for k, v in json.loads(lines[1]).items() if k != "figures"}).encode() + b"\n"
     return {
@@ -332,7 +332,7 @@ def damaged(lines):
         "of no run",
     ],
 )
-def test_rows_are_read_as_far_as_they_are_right_and_nothing_of_them_is_lost(kind, folder, capsys):
+def test_undamaged_rows_are_read_and_none_of_them_is_lost(kind, folder, capsys):
     demo = study(grid={"gain.k": [1.0, 2.0, 3.0]})
     whole = rows_of(demo, folder / "out")
     file = folder / "out" / "rows.jsonl"
@@ -357,7 +357,7 @@ def test_two_studies_do_not_write_into_one_folder(folder):
 
 
 @pytest.mark.parametrize("name", ["rows.jsonl", "report.html", "table.csv", "study.json", "plot_01_figures_over_k.svg"])
-def test_a_study_writes_over_nothing_that_is_not_its_own(name, folder, capsys):
+def test_a_study_overwrites_only_its_own_files(name, folder, capsys):
     command = ["study", "lag", "--grid", "gain.k=1,2", "--workers", "1", "--out", "out"]
     (folder / "out").mkdir()
     (folder / "out" / name).write_text("theirs")
@@ -370,7 +370,7 @@ def test_a_study_writes_over_nothing_that_is_not_its_own(name, folder, capsys):
     assert (folder / "out" / name).read_text() == "theirs"
 
 
-def test_a_study_follows_no_link_that_was_put_into_its_folder(folder):
+def test_a_study_follows_no_link_in_its_folder(folder):
     command = ["study", "lag", "--grid", "gain.k=1,2", "--workers", "1", "--out", "out"]
     assert main(command) == 0
     first = {p.name for p in (folder / "out").iterdir()}
@@ -387,7 +387,7 @@ def test_a_study_follows_no_link_that_was_put_into_its_folder(folder):
 
 
 def session(pid):
-    """Processes of a session that live."""
+    """Live processes of a session."""
     result = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
@@ -400,7 +400,7 @@ def session(pid):
     ("number", "status"),
     few([(signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.long), (signal.SIGKILL, -9)], 1),
 )
-def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
+def test_a_killed_study_leaves_no_process(folder, number, status):
     command = [sys.executable, "-m", "softrig_bringup", "study", "lag", "--duration", "2", "--seeds", "1000",
                "--force", "--workers", "2", "--out", "out"]  # fmt: skip
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
@@ -414,7 +414,7 @@ def test_a_study_that_is_killed_leaves_no_process(folder, number, status):
 # over the runs ----------------------------------------------------------------------------------------------------
 
 
-def test_summaries_by_hand():
+def test_summaries_agree_with_an_independent_computation():
     rows = [
         {"case": c, "seed": s, "scenario": "lag", "overrides": {"k": k}, "figures": {"f": f}}
         for c, s, k, f in [("a", 0, 1, 1.0), ("a", 1, 1, 3.0), ("b", 0, 2, 8.0), ("b", 1, 2, None)]
@@ -452,8 +452,8 @@ def test_summaries_by_hand():
                              "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}}, {"seeds": 1}),
     ],
 )  # fmt: skip
-def test_the_page_of_a_study_and_what_is_printed_are_as_expected(name, keys, made, folder, capsys, monkeypatch):
-    """Rows by formula; one of them broke where there is more than one seed."""
+def test_the_page_of_a_study_and_its_printed_text_are_as_expected(name, keys, made, folder, capsys, monkeypatch):
+    """Rows by formula; one of them broke at a point with more than one seed."""
     demo, rows = study(**keys), [row | {"wall_s": 0.25, "ticks": 10} for row in many(**made)]
     if name != "best":
         rows[2] |= {"error": "node gain: RuntimeError: gone", "figures": {}}
@@ -467,7 +467,7 @@ def test_the_page_of_a_study_and_what_is_printed_are_as_expected(name, keys, mad
     check_expected(f"studies/page_{name}", [*printed, *page_lines(text)])
 
 
-def test_expectations_and_claims_of_a_study_are_held(folder, capsys):
+def test_expectations_and_claims_of_a_study_are_checked(folder, capsys):
     text = """
 title: Gains
 scenario: lag
@@ -514,7 +514,7 @@ def a_row(number, k, value, seed=0, never=()):
     }
 
 
-def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better():
+def test_runs_without_a_value_are_marked_and_counted_and_do_not_improve_the_median():
     rows = [a_row(0, 1.0, 0.5), a_row(1, 1.0, 0.6), a_row(2, 1.0, 0.7)]
     rows += [a_row(3, 2.0, 0.4), a_row(4, 2.0, None, never=["settling"]), a_row(5, 2.0, None, never=["settling"])]
     figure = on_paper(pictures._over(rows, "gain.k", ["settling"], {}, banded=True))
@@ -528,7 +528,7 @@ def test_runs_without_a_value_are_marked_counted_and_make_the_median_no_better()
 
 
 @pytest.mark.parametrize("number", [pictures.TICKS, pictures.TICKS + 1])
-def test_so_many_values_get_a_tick_each_and_no_more(number):
+def test_up_to_a_limit_each_value_gets_a_tick(number):
     few, values = number == pictures.TICKS, [0.1 + k for k in range(number)]
     (ax,) = on_paper(pictures._over([a_row(0, k, 0.5) for k in values], "gain.k", ["settling"], {}, banded=True)).axes
     assert (list(ax.get_xticks()) == values) == few
@@ -539,7 +539,7 @@ def test_so_many_values_get_a_tick_each_and_no_more(number):
     assert (list(ax.get_xticks()) == values) == few
 
 
-def test_a_study_says_never_where_a_figure_never_comes(folder, capsys):
+def test_a_study_reports_never_for_a_figure_without_a_value(folder, capsys):
     assert (
         main(["study", "lag", "--grid", "gain.k=1:3", "--grid", "plant.gain=1,2", "--out", "out", "--workers", "1"])
         == 0
@@ -570,12 +570,12 @@ def test_ranges_have_both_ends(text, result):
 
 
 @pytest.mark.parametrize("text", ["1:5:0", "1:0:1", "0:1:1e-9"])
-def test_ranges_of_nothing_or_without_end_are_refused(text):
+def test_empty_and_infinite_ranges_are_refused(text):
     with pytest.raises(ScenarioError, match="at least one and at most"):
         values("gain.k", text)
 
 
-def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, capsys):
+def test_a_search_keeps_to_its_limits_and_its_best_is_not_a_lucky_seed(folder, capsys):
     options = ["study", "lag", "--search", "last", "--draws", "8", "--maximise", "--draw", "gain.k=0.5..5", "--workers",
                "1"]  # fmt: skip
     assert main([*options, "--subject-to", "last <= 0.2", "--out", "some"]) == 0
@@ -594,7 +594,7 @@ def test_a_search_keeps_to_its_limits_and_its_best_is_no_lucky_seed(folder, caps
     assert [r["number"] for r in best(demo, pairs)] == [2, 3]
 
 
-def test_a_search_finds_the_best_gain_whatever_the_workers_and_goes_on(folder):
+def test_a_search_finds_the_best_gain_with_any_workers_and_resumes(folder):
     parameters = {"gain.k": {"uniform": [0.5, 4.0]}}
     search = {"figure": "last", "aim": "maximise", "count": 24, "batch": 4, "seed": 2, "parameters": parameters}
     whole = rows_of(study(search=search), folder / "whole")
@@ -631,7 +631,7 @@ def test_a_search_finds_the_best_gain_whatever_the_workers_and_goes_on(folder):
         ),
     ],
 )
-def test_pictures_follow_from_the_form(folder, keys, pictures):
+def test_pictures_follow_from_the_form_of_the_study(folder, keys, pictures):
     (folder / "studies" / "demo.yaml").write_text(json.dumps({"title": "Demo", "scenario": "lag"} | keys))
     assert main(["study", "demo", "--workers", "1", "--force", "--out", "out"]) == 0
     drawn = [p.name for p in sorted((folder / "out").glob("*.svg"))]
@@ -646,7 +646,7 @@ UNITS = {"settling": "s", "power": "W", "gain.k": "N/m", "plant.gain": "1/s", "l
 
 
 def many(cases=("",), over=(("gain.k", (1.0, 2.0, 3.0)),), seeds=2):
-    """Rows by formula; of some runs a figure never comes, of one it was not measured, one broke."""
+    """Rows by formula; in some runs a figure never gets a value, in one it was not measured, one broke."""
     for number, (case, at, seed) in enumerate(
         itertools.product(cases, itertools.product(*(v for _, v in over)), range(seeds))
     ):
@@ -660,7 +660,7 @@ def many(cases=("",), over=(("gain.k", (1.0, 2.0, 3.0)),), seeds=2):
 
 
 def keeping(rows):
-    """With a signal each: a line of six samples."""
+    """With one signal each: a line of six samples."""
     for row in rows:
         x = [k * row["figures"]["power"] for k in range(6)]
         yield row | {"signals": {"lag/state/x/position": {"end": 0.5, "x": [] if row["number"] == 1 else x}}}
@@ -691,7 +691,7 @@ def test_pictures_of_studies_are_as_expected(name, keys, rows):
     check_expected(f"studies/{name}", (line for title, f in drawn for line in (title, *figure_lines(f))))
 
 
-def test_the_history_of_a_search_holds_the_best_so_far():
+def test_the_history_of_a_search_shows_the_best_so_far():
     search = {"figure": "settling", "count": 3, "parameters": {"gain.k": {"uniform": [1.0, 3.0]}}}
     rows = [a_row(0, 1.0, 0.5), a_row(1, 2.0, 0.7), a_row(2, 3.0, 0.3)]
     for aim, result in (("minimise", [0.5, 0.5, 0.3]), ("maximise", [0.5, 0.7, 0.7])):
@@ -719,7 +719,7 @@ def test_an_unknown_name_or_option_is_one_line(capsys):
         assert len(error.splitlines()) == 1
 
 
-def test_what_is_drawn_has_the_forms_that_the_page_lists_and_no_option_swallows_the_name():
+def test_drawn_formats_are_those_of_the_page_and_no_option_swallows_the_name():
     given = {"gain.k": "log 0.1..10", "plant.gain": "1..2*2", "plant.limit": "1,2:4"}
     words = [part for name, text in given.items() for part in ("--draw", f"{name}={text}")]
     options = make_parser().parse_args(["study", *words, "--grid", "source.value=1,2", "lag"])

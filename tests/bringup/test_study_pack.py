@@ -1,4 +1,4 @@
-"""A study as one file: it repeats row for row elsewhere, says so, and tells nothing of the machine it comes from."""
+"""A study as one file: it repeats row for row elsewhere, reports it, and contains nothing about its machine."""
 
 import hashlib
 import json
@@ -50,7 +50,7 @@ def test_a_study_packs_and_repeats_row_for_row(folder, capsys):
     assert "1 of 4 rows are others; row 1: figures {'rise_time': 9.0" in capsys.readouterr().out
 
 
-def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
+def test_archives_can_read_the_content_of_a_pack(folder, capsys):
     """RO-Crate 1.1: a descriptor of the root, which has a name, a description, a date, a licence and its parts."""
     assert main(["pack", "s", "--out", "a.softrig.zip"]) == 0
     assert main(["run", "dc_motor_smc_b2", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "r"]) == 0
@@ -97,7 +97,7 @@ def test_an_archive_reads_what_is_in_a_pack(folder, capsys):
     assert root["license"]["@id"] == "https://spdx.org/licenses/CC-BY-4.0"
 
 
-def test_what_is_no_study_or_not_whole_is_refused(folder, capsys):
+def test_an_incomplete_study_or_something_else_is_refused(folder, capsys):
     lines = (folder / "s" / "rows.jsonl").read_text().splitlines(keepends=True)
     (folder / "s" / "rows.jsonl").write_text("".join(lines[:3]))
     for words, text in (
@@ -113,8 +113,8 @@ def test_what_is_no_study_or_not_whole_is_refused(folder, capsys):
     assert "holds another study (scenario" in capsys.readouterr().err
 
 
-def test_a_bag_in_a_pack_is_that_of_the_run_but_for_folders(folder, monkeypatch):
-    """Equal words give equal bytes; a pack's bag has the run's messages, and no file names a folder of its machine."""
+def test_a_bag_in_a_pack_equals_that_of_the_run_except_folders(folder, monkeypatch):
+    """Equal inputs give equal bytes; a pack's bag has the run's messages, and no file names a folder of its machine."""
     (folder / "p.yaml").write_text("/**:\n  ros__parameters:\n    delta: 3.0\n")
     words = ["run", "mine.yaml", "--mode", "inprocess", "--duration", "0.2", "--no-plots", "--params-file", "p.yaml"]
     assert main([*words, "--out", "r"]) == 0
@@ -133,12 +133,12 @@ def test_a_bag_in_a_pack_is_that_of_the_run_but_for_folders(folder, monkeypatch)
         assert main(["run", "--like", f"{name}.zip", "--mode", "inprocess", "--no-plots", "--out", f"a{name}"]) == 0
 
 
-def test_folders_go_and_what_looks_like_one_stays():
+def test_folders_are_removed_and_texts_like_a_folder_stay():
     entries = {"a": ["/tmp/ann/my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "/tmp/b/c": 1.5}
     assert placeless(entries) == {"a": ["my rig/x.py", "see /motor/state/shaft and https://doi.org/10.1/2"], "c": 1.5}
 
 
-def test_a_row_that_broke_keeps_no_folder_of_its_machine():
+def test_a_broken_row_keeps_no_folder_of_its_machine():
     row = {"number": 0, "scenario": "dc_motor_smc_b2", "case": "", "seed": 0, "overrides": {}, "figures": {},
            "error": "node gain: ValueError: x (/home/ann/my rig/src/gain.py, line 3)", "wall_s": 0.1}  # fmt: skip
     assert b"/home" not in packed.rows_alone([row])

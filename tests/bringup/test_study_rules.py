@@ -1,4 +1,5 @@
-"""The small rules of studies, each by hand: what is drawn, asked, kept, judged, labelled, and what is refused."""
+"""The small rules of studies, each computed independently: drawing, searching, caching, judging, labels and refusals.
+"""
 
 import itertools
 import json
@@ -48,7 +49,7 @@ U = [0.0, 0.125, 0.5, 0.75, 0.999]
         ({"choice": ["x", 7, [1, 2]]}, ["x", "x", 7, [1, 2], [1, 2]]),
     ],
 )
-def test_a_number_of_the_unit_interval_is_a_value_of_the_distribution(given, values):
+def test_a_number_of_the_unit_interval_maps_to_a_value_of_the_distribution(given, values):
     result = _values(Distribution.model_validate(given), np.array(U))
     assert result == (pytest.approx(values, rel=1e-12) if isinstance(values[0], float) else values)
     assert _values(Distribution.model_validate({"normal": [0.0, 1.0]}), np.array([1.0])) == pytest.approx(
@@ -56,7 +57,7 @@ def test_a_number_of_the_unit_interval_is_a_value_of_the_distribution(given, val
     )
 
 
-def test_points_take_their_numbers_in_the_order_of_their_parameters():
+def test_points_use_their_numbers_in_the_order_of_their_parameters():
     parameters = {"a": {"uniform": [0.0, 1.0]}, "v": {"uniform": [[0.0, 10.0, 0.0], [1.0, 20.0, 0.0]]},
                   "w": {"log_uniform": [[1.0, 1.0], [10.0, 100.0]]}, "i": {"integers": [0, 9]},
                   "one": {"normal": [[0.0], 1.0]}}  # fmt: skip
@@ -84,7 +85,7 @@ def test_points_take_their_numbers_in_the_order_of_their_parameters():
         ({"integers": [2, 1]}, "integers: expected a lower and an upper bound"),
     ],
 )
-def test_a_distribution_that_is_none_is_refused(given, text):
+def test_an_unknown_distribution_is_refused(given, text):
     with pytest.raises(ValueError, match=text):
         Distribution.model_validate(given)
     for fine in ({"uniform": [1, 1]}, {"integers": [2, 2]}, {"log_uniform": [1e-9, 1.0]}, {"normal": [5.0, 0.0]}):
@@ -95,7 +96,7 @@ DRAFTS = {name: SimpleNamespace(filled=lambda seed=seed: SimpleNamespace(seed=se
           (("lag", 5), ("other", 7))}  # fmt: skip
 
 
-def test_runs_are_all_combinations_the_last_one_changing_first():
+def test_runs_are_all_combinations_the_last_parameter_changes_fastest():
     given = study(
         cases={"a": {"p": 1}, "b": {"scenario": "other", "g": 9}}, grid={"g": [1, 2], "h": [3, 4]},
         draws={"count": 2, "parameters": {"u": {"uniform": [0, 1]}}}, seeds=[4, 6],
@@ -123,8 +124,8 @@ PARAMETERS = {"a.x": {"uniform": [0.0, 4.0]}, "a.l": {"log_uniform": [0.1, 10.0]
 
 @pytest.mark.parametrize("sampler", ["tpe", "random"])
 @pytest.mark.parametrize("aim", ["minimise", "maximise"])
-def test_a_search_asks_and_tells_as_optuna_is_reported_by_hand(sampler, aim):
-    """Batches of three, two seeds each, their mean told; a figure that is lacking is the worst."""
+def test_a_search_asks_and_tells_as_optuna_called_directly(sampler, aim):
+    """Batches of three, two seeds each, with their mean; a missing figure counts as the worst."""
     given = study(
         search={"figure": "f", "count": 14, "batch": 3, "seed": 2, "sampler": sampler, "aim": aim,
                 "parameters": PARAMETERS, "subject_to": {"g": "at most 2"}}, seeds=[4, 6], figures=["h"],
@@ -165,7 +166,7 @@ def test_a_search_asks_and_tells_as_optuna_is_reported_by_hand(sampler, aim):
 
 
 @pytest.mark.parametrize("given", [{"normal": [0.0, 1.0]}, {"uniform": [[0.0], [1.0]]}])
-def test_a_search_goes_over_numbers_and_choices_alone(given):
+def test_a_search_varies_numbers_and_choices_only(given):
     with pytest.raises(ScenarioError, match=r"search: parameter a: expected uniform, log_uniform, integers or choice"):
         engine._optuna("a", Distribution.model_validate(given))
 
@@ -178,12 +179,12 @@ def test_a_search_goes_over_numbers_and_choices_alone(given):
         (math.inf, {"at_most": 2.0}, 1e300), (None, {"at_most": 2.0}, 1e300), (math.inf, {"at_least": 2.0}, 1e300),
     ],
 )  # fmt: skip
-def test_how_far_a_figure_is_beyond_its_limits(value, limits, by):
+def test_the_distance_of_a_figure_beyond_its_limits_is_as_expected(value, limits, by):
     result = row(figures={"f": value if value != math.inf else None}, never=["f"] if value == math.inf else [])
     assert engine.beyond(result, "f", Expectation.model_validate(limits)) == pytest.approx(by)
 
 
-def test_a_folder_of_other_content_is_refused_with_what_has_changed(tmp_path):
+def test_a_folder_of_other_content_is_refused_with_the_changes(tmp_path):
     file = tmp_path / "study.json"
     here = {"grid": 1, "scenarios": {"a": 1, "b": 2}, "code": {"p": "x"}, "files": {"n": 1}}
     assert engine.same(here, file, "study") == json.dumps(here, indent=1) + "\n"
@@ -228,7 +229,7 @@ def of_case(number, k=1.0):
         ({"signals": {}}, True), ({"signals": []}, False), ({"passed": 1}, False), ({"seed": 1.0}, False),
     ],
 )  # fmt: skip
-def test_a_row_has_its_keys_of_their_kinds(change, right):
+def test_a_row_has_its_keys_of_their_types(change, right):
     line = json.dumps(of_case(3) | change).encode()
     assert (_row(line) is not None) == right
     lacking = of_case(3)
@@ -239,7 +240,7 @@ def test_a_row_has_its_keys_of_their_kinds(change, right):
     assert _row(b"{") is None
 
 
-def test_a_log_knows_its_rows_and_says_where_another_run_has_the_number(tmp_path):
+def test_a_log_knows_its_rows_and_reports_a_number_of_another_run(tmp_path):
     log = Log(tmp_path / "rows", 3)
     log.add(of_case(1, 2.0))
     assert (len(log), log.knows(case(1, 2.0)), log.knows(case(0))) == (1, True, False)
@@ -254,7 +255,7 @@ def test_a_log_knows_its_rows_and_says_where_another_run_has_the_number(tmp_path
     fewer.close()
 
 
-def test_a_batch_runs_what_is_left_and_gives_all_in_order(tmp_path, monkeypatch, capsys):
+def test_a_batch_runs_what_is_missing_and_returns_all_in_order(tmp_path, monkeypatch, capsys):
     ran, shown = [], []
     monkeypatch.setattr(
         "softrig_bringup.study.batch.run", lambda w: ran.append(w.case.number) or of_case(w.case.number)
@@ -316,7 +317,7 @@ def test_a_run_leaves_its_figures_in_its_row(monkeypatch):
         work.run(work.Work(case(0), figures=("x", "y")))
 
 
-def test_a_run_that_breaks_leaves_why_and_bad_input_goes_on(monkeypatch):
+def test_a_broken_run_records_its_reason_and_bad_input_is_raised(monkeypatch):
     def breaks(error):
         def simulate(*_, **__):
             raise error
@@ -335,7 +336,7 @@ def test_a_run_that_breaks_leaves_why_and_bad_input_goes_on(monkeypatch):
 
 
 def test_margins_are_of_requirements_and_of_figures_with_a_bound(monkeypatch):
-    """Of a figure how far it is inside its bound; what goes beyond all numbers stands for infinity."""
+    """For a figure: how far it is inside its bound; a distance beyond all numbers counts as infinity."""
     numbers = {"req": 0.25, "both": 0.5, "fig": 3.0, "far": math.inf, "lost": math.nan}
     expect = {"both": Expectation(at_most=9.0), "fig": Expectation(at_most=2.5), "far": Expectation(at_least=1.0)}
     scenario = SimpleNamespace(expect=expect, requirements={"req": 1, "both": 1})
@@ -363,7 +364,7 @@ def test_margins_are_of_requirements_and_of_figures_with_a_bound(monkeypatch):
     [([1.0, 2.0], ""), ([1.0, math.inf], "1 of 2 never"), ([math.nan] * 3, "3 of 3 not measured"),
      ([math.inf, math.nan, math.nan, 1.0], "1 of 4 never, 2 of 4 not measured"), ([-math.inf], "")],
 )  # fmt: skip
-def test_how_many_runs_have_no_value(values, text):
+def test_runs_without_a_value_are_counted(values, text):
     assert work.absent(values) == text
 
 
@@ -375,13 +376,13 @@ def test_how_many_runs_have_no_value(values, text):
     [([1, 2.5, None], [1.0, 2.5, None]), (["a", None], ["a", None]), ([True, False], [True, False]),
      ([True, 1], ["true", "1"]), ([[1, 2], None], ["[1, 2]", None]), (["a", 1], ['"a"', "1"]), ([None], [None])],
 )  # fmt: skip
-def test_a_column_is_of_numbers_texts_or_flags_or_is_reported(values, column):
+def test_a_column_has_numbers_texts_or_flags_or_is_reported(values, column):
     result = table._column(values)
     assert result == column
     assert [type(v) for v in result] == [type(v) for v in column]
 
 
-def test_each_statistic_is_that_of_its_name():
+def test_each_statistic_is_computed_as_named():
     rows = [row(k, figures={"f": v}, overrides={"p": k % 2}, seed=k, case="ab"[k % 2]) for k, v in
             enumerate([4.0, 1.0, 3.0, 9.0, 8.0])]  # fmt: skip
 
@@ -405,7 +406,7 @@ def test_each_statistic_is_that_of_its_name():
     assert (value(lost, statistic="count"), value(lost, statistic="share", of="at least 3")) == (6.0, 4.0 / 6.0)
 
 
-def test_summaries_are_held_to_what_is_expected_and_published():
+def test_summaries_are_compared_with_expected_and_published_values():
     about = {"figure": "f", "statistic": "max"}
     claim = {"where": "Table I", "verdict": "reproduced", "published": 2.0}
     given = study(
@@ -437,7 +438,7 @@ def test_the_best_candidate_has_all_its_seeds_within_the_limits():
     assert page.best(study(), rows) == []
 
 
-def test_a_figure_is_written_or_why_it_is_none():
+def test_a_figure_is_printed_or_the_reason_why_it_has_no_value():
     rows = [row(figures={"f": 1.23456789}), row(never=["f"]), row(), row(error="gone")]
     assert [page._figure(r, "f") for r in rows] == ["1.23457", "never", "–", ""]
     assert page._figures_of(rows[:1], "f") == "1.23457"
@@ -449,7 +450,7 @@ def test_a_figure_is_written_or_why_it_is_none():
     assert (page._heading("rise_time", "s"), page._heading("share", "")) == ("rise time (s)", "share")
 
 
-def test_a_run_is_labelled_by_what_was_changed():
+def test_a_run_is_labelled_by_its_changes():
     drawn = study(draws={"count": 1, "parameters": {"b.y": {"uniform": [0, 1]}}}, grid={"a.x": [1]})
     result = row(case="one", overrides={"a.x": 1, "b.y": 0.123456, "c.z": "w"})
     assert page._changes(drawn, result) == "one, x 1, y 0.1235, z w"
@@ -461,7 +462,7 @@ def test_a_run_is_labelled_by_what_was_changed():
                          row(overrides={"a.x": [1, 2]})) == "x [1, 2]"  # fmt: skip
 
 
-def test_what_can_be_drawn_is_chosen():
+def test_signals_and_figures_to_draw_are_selected():
     rows = [row(figures={"a": None, "b": 1.0}, overrides={"n.x": 1, "n.s": "t", "n.c": 2, "n.f": True})]
     rows.append(row(figures={"a": None, "c": 1.0, "d": None}, never=["d"],
                     overrides={"n.x": 2.5, "n.s": 1, "n.c": 2, "n.f": False}))  # fmt: skip
@@ -477,19 +478,19 @@ def test_what_can_be_drawn_is_chosen():
     [([1.0, 3.0], 2.0), ([1.0, math.inf, math.inf], math.nan), ([1.0, 2.0, math.inf], 2.0), ([math.nan, 4.0], 4.0),
      ([math.nan], math.nan), ([1.0, math.inf], math.nan)],
 )  # fmt: skip
-def test_a_median_counts_what_never_comes_as_the_largest(values, middle):
+def test_a_median_counts_an_event_that_never_happens_as_the_largest(values, middle):
     assert pictures._median(np.array(values)) == pytest.approx(middle, nan_ok=True)
 
 
 @pytest.mark.parametrize(("share", "grid"), [(4, True), (5, False)])
-def test_a_map_is_a_grid_where_a_quarter_of_its_cells_is_known(share, grid):
+def test_a_map_is_a_grid_if_a_quarter_of_its_cells_is_known(share, grid):
     rows = [row(k, figures={"f": 1.0 * k}, overrides={"x": 1.0 * k, "y": 1.0 * k}) for k in range(share)]
     ax = on_paper(pictures._map(rows, ["x", "y"], "f", {})).axes[0]
     assert (type(ax.collections[0]).__name__ == "QuadMesh") == grid
 
 
 @pytest.mark.parametrize("seeds", [1, 2, 3])
-def test_a_band_over_a_parameter_is_explained_where_there_is_one(seeds):
+def test_a_band_over_a_parameter_is_explained(seeds):
     rows = [row(figures={"f": 1.0 * k}, overrides={"x": 1.0 * (k % 2)}, seed=k) for k in range(2 * seeds)]
     for banded in (True, False):
         figure = on_paper(pictures._over(rows, "x", ["f"], {}, banded=banded))
@@ -511,8 +512,8 @@ def test_in_parallel_coordinates_the_best_is_drawn_last():
 
 
 @pytest.mark.parametrize("seeds", [1, 3])
-def test_bands_are_of_six_groups_at_most_each_of_runs_that_went_as_far(seeds):
-    """One of the seeds broke off before its first sample, another one half the way."""
+def test_bands_show_at_most_six_groups_up_to_their_common_end(seeds):
+    """One of the seeds broke off before its first sample, another one half-way."""
     given = study(cases={name: {} for name in "abcdefg"}, signals=["s"], samples=5, seeds=seeds)
     rows = [row(case=name, seed=k) | {"signals": {"s": {"end": 2.0, "x": [k + 1.0 * j for j in range(5)]}}}
             for name in "abcdefg" for k in range(seeds)]  # fmt: skip
@@ -533,7 +534,7 @@ def test_bands_are_of_six_groups_at_most_each_of_runs_that_went_as_far(seeds):
 
 @pytest.fixture
 def told(monkeypatch):
-    """The lines of a page of some rows."""
+    """The lines of a page with some rows."""
     monkeypatch.setattr(page, "load_scenario", lambda name: SimpleNamespace(cites=()))
 
     def lines(rows, held=(), **keys):
@@ -544,7 +545,7 @@ def told(monkeypatch):
 
 
 @pytest.mark.parametrize("verdict", ["reproduced", "not_checkable"])
-def test_a_verdict_is_words_or_a_mark_where_it_does_not_hold(told, verdict):
+def test_a_verdict_is_in_words_or_a_mark_if_it_does_not_hold(told, verdict):
     about = {"text": "It does.", "where": "Table I", "published": 2.0, "asked": "within 5 %", "measured_text": "2.1",
              "verdict": verdict, "reason": "so"}  # fmt: skip
     for holds, word in ((True, verdict.replace("_", " ")), (False, f"✗ {verdict}: not borne out")):
@@ -554,7 +555,7 @@ def test_a_verdict_is_words_or_a_mark_where_it_does_not_hold(told, verdict):
 
 
 @pytest.mark.parametrize("most", [2, 3])
-def test_a_page_has_the_first_runs_and_says_so(told, monkeypatch, most):
+def test_a_page_lists_the_first_runs_and_says_so(told, monkeypatch, most):
     monkeypatch.setattr(page, "LONGEST", most)
     lines = told([row(k, figures={"f": 1.0 * k}) for k in range(3)])
     assert sum(line.startswith(tuple(f"tr: {k} |" for k in range(3))) for line in lines) == most

@@ -1,4 +1,4 @@
-"""What the runs of a study say together, against scipy, closed forms and simulated coverage."""
+"""Statistics over the runs of a study, against scipy, closed forms and simulated coverage."""
 
 import csv
 import json
@@ -29,7 +29,7 @@ def study(**keys):
 
 
 def rows_of(given, figure, cases=("",)):
-    """Rows of a study by a formula of case, draw and seed, in the order in which they are numbered."""
+    """Rows of a study by a formula of case, draw and seed, in numbered order."""
     seeds = given.seeds or [0]
     points = draw(given.draws) if given.draws else [{}]
     of = [(c, k, point, seed) for c in cases for k, point in enumerate(points) for seed in seeds]
@@ -40,7 +40,7 @@ def rows_of(given, figure, cases=("",)):
                "never": ["f"] if value == math.inf else []}  # fmt: skip
 
 
-def test_a_requirement_counts_in_the_runs_that_it_judges(folder):  # noqa: F811
+def test_a_requirement_counts_in_the_runs_in_which_it_is_judged(folder):  # noqa: F811
     with (folder / "scenarios" / "lag.yaml").open("a") as file:
         file.write("shared: {x: lag/state/x/position}\nrequirements: {low: always x <= 1, high: always x >= 0.1}\n")
     rows, required = [*rows_of(given := study(seeds=4), lambda *at: at[-1])], ["low", "high"]
@@ -82,7 +82,7 @@ def test_the_interval_of_a_quantile_covers_it_by_the_binomial_distribution(n, q)
     assert value == pytest.approx(1.0 + q * (n - 1))
 
 
-def test_what_never_happens_is_the_largest():
+def test_an_event_that_never_happens_is_the_largest():
     result = estimate.quantile(np.array([math.inf] * 3 + [1.0, 2.0] * 20), 0.99)
     assert (result.value, result.high) == (math.inf, pytest.approx(math.nan, nan_ok=True))
     assert estimate.quantile(np.array([1.0] * 30 + [math.inf]), 0.5) == (1.0, 1.0, 1.0)
@@ -100,8 +100,8 @@ def test_what_never_happens_is_the_largest():
         (lambda x: estimate.clustered(x, np.mean), lambda rng: rng.normal(0.0, 1.0, (30, 1)) + np.zeros(3), 0.0, 0.89),
     ], 3),
 )  # fmt: skip
-def test_intervals_cover_what_they_are_of(estimator, draws, true, least, monkeypatch):
-    """200 samples; the bounds are three standard errors of such a simulation below what is promised, or published."""
+def test_intervals_have_their_stated_coverage(estimator, draws, true, least, monkeypatch):
+    """200 samples; the bounds are three standard errors of such a simulation below the stated or published coverage."""
     monkeypatch.setattr(estimate, "RESAMPLES", 599)
     rng = np.random.default_rng(66)
     gathered = [estimator(draws(rng)) for _ in range(200)]
@@ -118,7 +118,7 @@ def test_the_interval_of_a_difference_is_that_of_scipys_bootstrap_for_many_pairs
     assert estimate.difference(pairs) == result
 
 
-def test_p_values_are_adjusted_as_holm_wrote_it():
+def test_p_values_are_adjusted_by_holms_method():
     assert estimate.holm([0.01, 0.04, 0.03, math.nan, 0.02]) == pytest.approx(
         [0.04, 0.06, 0.06, math.nan, 0.06], nan_ok=True
     )
@@ -126,7 +126,7 @@ def test_p_values_are_adjusted_as_holm_wrote_it():
 
 
 @pytest.mark.parametrize("width", [1.5, 0.3, 0.05])
-def test_so_many_runs_make_an_interval_as_narrow_and_no_fewer(width):
+def test_the_stated_number_of_runs_makes_an_interval_as_narrow_and_no_smaller_one_does(width):
     def of_mean(n):
         return 2.0 * stats.t.ppf(0.975, n - 1) * 0.7 / math.sqrt(n)
 
@@ -171,8 +171,10 @@ def test_sobol_indices_of_ishigamis_function_are_its_closed_form():
     assert line.deviation.value == pytest.approx(math.sqrt(total), rel=0.03)
 
 
-def test_cases_are_held_against_each_other_draw_by_draw():
-    """The draws decide nearly all; what the second law gains is small, and found since both have the same draws."""
+def test_cases_are_compared_draw_by_draw():
+    """The draws decide nearly everything; the small advantage of the second law is found because both have the same
+    draws.
+    """
     noise = np.random.default_rng(3).normal(0.0, 0.01, (2, 60))
     given = study(cases={"a": {}, "b": {}}, draws={"count": 60, "parameters": {"n.x": UNIFORM}})
 
@@ -194,7 +196,7 @@ def test_cases_are_held_against_each_other_draw_by_draw():
     assert result.lines[1].mean.high - result.lines[1].mean.low > 30 * (d.difference.high - d.difference.low)
 
 
-def test_what_never_happens_counts_in_the_shares_and_not_in_the_differences():
+def test_an_event_that_never_happens_counts_in_the_shares_and_not_in_the_differences():
     given = study(cases={"a": {}, "b": {}}, draws={"count": 8, "parameters": {"n.x": UNIFORM}})
     values = {"a": [1.0] * 8, "b": [math.inf, None, 1.0, 0.5, 0.5, 0.5, 2.0, math.inf]}
     result = statistics(given, list(rows_of(given, lambda case, k, point, seed: values[case][k], "ab")), {})
@@ -206,7 +208,7 @@ def test_what_never_happens_counts_in_the_shares_and_not_in_the_differences():
 
 
 def test_seeds_of_a_draw_belong_together():
-    """Five seeds that hardly differ are no five draws: the interval is that of the draws."""
+    """Five seeds that hardly differ are not five draws: the interval is that of the draws."""
     given = study(seeds=5, draws={"count": 30, "method": "random", "parameters": {"n.x": UNIFORM}})
     rows = list(rows_of(given, lambda case, k, point, seed: point["n.x"] + 1e-6 * seed))
     result = statistics(given, rows, {})
@@ -233,7 +235,7 @@ def test_seeds_that_change_nothing_are_one_run(draws):
     assert only.notes[0].startswith("the 3 seeds of a are one run")
 
 
-def test_a_grid_point_is_a_sample_of_its_own():
+def test_each_grid_point_is_a_separate_sample():
     given = study(grid={"n.k": [0.01, 0.010001]}, seeds=4)
     rows = [
         row | {"overrides": {"n.k": k}, "number": 4 * j + row["seed"]}
@@ -245,7 +247,7 @@ def test_a_grid_point_is_a_sample_of_its_own():
     assert statistics(study(grid={"n.k": [1, 2]}), [rows[0], rows[4]], {}).lines == []  # single runs are no sample
 
 
-def test_a_summary_that_chooses_no_case_is_one_of_each():
+def test_a_summary_without_a_case_is_made_for_each_case():
     given = study(
         cases={"a": {}, "b": {}},
         summaries={"m": {"figure": "f"}, "of_b": {"figure": "f", "where": {"case": "b"}}},
@@ -261,7 +263,7 @@ def test_a_summary_that_chooses_no_case_is_one_of_each():
         study(cases={"a": {}, "b": {}}, summaries={"m": {"figure": "f"}}, claims=claim)
 
 
-def test_a_map_of_each_case():
+def test_a_map_is_drawn_for_each_case():
     rows = [
         row | {"overrides": {"n.x": 1.0 * i, "n.y": 1.0 * j}, "case": case, "figures": {"f": 10.0 * (case == "b") + i}}
         for case in "ab"
@@ -288,14 +290,14 @@ def test_a_map_of_each_case():
         (Estimate(0.0, -1e-9, 1e-9), "0 [-1.0e-09, 1.0e-09]"),
     ],
 )  # fmt: skip
-def test_an_estimate_is_written_as_finely_as_its_interval_allows(result, text):
+def test_an_estimate_is_rounded_to_its_interval(result, text):
     assert tabled.written_estimate(result) == text
 
 
 # the command ------------------------------------------------------------------------------------------------------
 
 
-def test_a_study_of_two_laws_says_all_this_unasked(folder, capsys):  # noqa: F811
+def test_a_study_of_two_laws_reports_all_of_this_by_default(folder, capsys):  # noqa: F811
     words = ["study", "lag", "--against", "plant.gain=2.0", "--draw", "gain.k=1..2", "--draws", "6", "--subject-to",
              "last <= 0.1", "--width", "last=0.001", "--duration", "0.1", "--workers", "1", "--out", "out"]  # fmt: skip
     assert main(words) == 0
@@ -345,13 +347,13 @@ def test_seeds_of_a_rig_without_random_numbers_are_refused_unless_forced(folder,
         ("--against lag", "--against lag: it is that scenario itself"),
     ],
 )
-def test_what_is_asked_and_makes_no_sense_is_refused(words, text):
+def test_contradictory_requests_are_refused(words, text):
     with pytest.raises(ScenarioError, match=text):
         study_of(make_parser().parse_args(["study", "lag", *words.split()]))
 
 
-def test_of_few_pairs_the_interval_is_students():
-    """The bootstrap covers 0.75 of three normal pairs, 0.92 of five; from ten on both cover what they say."""
+def test_for_few_pairs_the_interval_is_students():
+    """The bootstrap covers 0.75 of three normal pairs, 0.92 of five; from ten on both have their stated coverage."""
     for n in (2, 3, 9):
         pairs = np.random.default_rng(n).normal(1.0, 2.0, n)
         wanted = stats.ttest_1samp(pairs, 0.0).confidence_interval(0.95)
@@ -362,8 +364,8 @@ def test_of_few_pairs_the_interval_is_students():
     assert estimate.difference(wide) == pytest.approx((wide.mean(), wanted.low, wanted.high), abs=0.4)
 
 
-def test_what_only_some_cases_set_has_no_axis():
-    """Two values of a parameter against the scenario as it is, which has none: nothing is drawn over it."""
+def test_a_parameter_that_only_some_cases_set_has_no_axis():
+    """Two values of a parameter against the unchanged scenario, which does not set it: nothing is drawn over it."""
     rows = [{"overrides": {"p.R": r} | ({"c.k": k} if k else {})} for k in (0, 1, 2) for r in (0.1, 0.2)]
     assert pictures.numeric(rows) == ["p.R"]
     assert pictures.numeric(rows[2:]) == ["p.R", "c.k"]

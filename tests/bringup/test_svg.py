@@ -1,4 +1,4 @@
-"""Pictures of pages as SVG: ticks as matplotlib has them, curves with all of their extremes, descriptions."""
+"""Pictures of pages as SVG: ticks as in matplotlib, curves with all of their extremes, descriptions."""
 
 import math
 import re
@@ -86,7 +86,7 @@ def test_one_tick_has_the_digits_of_its_limits_and_none_has_none():
     [("Cost, $/h", 7, False, "Cost, 10⁷ $/h"), ("Cost", -4, False, "Cost, 10⁻⁴"), ("V", 12, True, "10¹² V"),
      ("", 7, False, "10⁷"), ("a, b, V", 5, False, "a, b, 10⁵ V"), ("V", 0, True, "V")],
 )  # fmt: skip
-def test_a_factor_stands_before_the_unit(title, power, unit, result):
+def test_a_factor_is_written_before_the_unit(title, power, unit, result):
     assert with_power(title, power, unit) == result
 
 
@@ -100,7 +100,7 @@ def test_shades_are_those_of_matplotlib(name):
     assert shades(name, [math.nan, -1.0, 2.0]) == ["", *(to_hex(colormaps[name](v)) for v in (0.0, 1.0))]
 
 
-def test_no_letter_is_wider_than_it_is_taken_for():
+def test_no_letter_is_wider_than_assumed():
     font = ImageFont.truetype(f"{get_data_path()}/fonts/ttf/DejaVuSans.ttf", 1000)
     for letter in map(chr, range(32, 127)):
         assert -10 < 1000 * width_of(letter, 1.0) - font.getlength(letter) < 130, letter
@@ -129,7 +129,7 @@ def test_a_path_has_the_ends_and_extremes_of_its_curve(values, steps, columns):
     assert len(piece) <= 2 * (4 * columns + 4 if columns < math.inf else len(values))
 
 
-def test_a_path_is_broken_where_there_is_no_value_and_leaves_out_what_lies_on_a_level():
+def test_a_path_has_a_gap_for_missing_values_and_leaves_out_points_on_a_level():
     x, y = np.arange(8.0), np.array([1.0, 1.0, 1.0, math.nan, 5.0, 7.0, math.inf, 2.0])
     assert path(x, y, False, 100.0) == "M0 1l2 0M4 5l1 2M7 2h0"
     assert path(x[:0], y[:0], False, 100.0) == ""
@@ -160,12 +160,12 @@ def drawn(tmp_path_factory):
 
 
 def test_pictures_of_a_page_are_as_expected(drawn):
-    """Each element a line."""
+    """One line for each element."""
     lines = (line for text in drawn.values() for line in text.replace("><", ">\n<").splitlines())
     check_expected("pictures/svg", lines)
 
 
-def test_each_picture_has_a_name_and_a_description_of_its_own_that_are_read_out(drawn):
+def test_each_picture_has_a_name_and_a_description_for_screen_readers(drawn):
     ids = []
     for text in drawn.values():
         root = ET.fromstring(text)
@@ -178,7 +178,7 @@ def test_each_picture_has_a_name_and_a_description_of_its_own_that_are_read_out(
     assert "accepted; limit; published; violated." in drawn["plot_01_all"]
 
 
-def test_a_page_has_pictures_as_parts_of_itself_that_turn_dark_with_it_and_not_on_paper(drawn):
+def test_pictures_are_embedded_in_a_page_and_turn_dark_on_screen_but_not_on_paper(drawn):
     text = page("t", [picture(svg_text, "") for svg_text in drawn.values()])
     assert text.count("<svg") >= len(drawn)
     assert "xmlns" not in text
@@ -195,7 +195,7 @@ def test_equal_pictures_are_equal_bytes_and_others_have_other_names(drawn, tmp_p
     assert again == drawn
 
 
-def test_nothing_lies_outside_of_the_picture_or_over_another_text(drawn):
+def test_no_element_is_outside_the_picture_or_over_another_text(drawn):
     for text in drawn.values():
         root = ET.fromstring(text)
         wide, high = float(root.get("width")), float(root.get("height"))
@@ -222,7 +222,7 @@ def inner(text):
     return result
 
 
-def test_axes_of_a_row_and_of_a_column_have_their_edges_in_line():
+def test_axes_of_a_row_and_of_a_column_have_aligned_edges():
     one = figure((10.0, 6.0))
     grid = one.add_gridspec(2, 2)
     for k, values in enumerate(([0.0, 1e-3], [0.0, 12345.0], [5.0, 6.0], [0.0, 1.0])):
@@ -263,7 +263,7 @@ def test_limits_are_those_of_matplotlib(values):
     assert fixed.limits() == (0.0, 11.0)  # no room beyond what sticks
 
 
-def test_a_curve_stands_where_its_values_are():
+def test_a_curve_is_drawn_at_its_values():
     one = figure()
     ax = one.subplots()
     ax.plot([0.0, 1.0, 2.0], [0.0, 10.0, 5.0], color="#123456")
@@ -277,7 +277,7 @@ def test_a_curve_stands_where_its_values_are():
     assert float(curve.get("stroke-width")) == pytest.approx(1.4 * 110 / 72 * 10, abs=0.1)
 
 
-def test_both_axes_of_a_plane_of_one_unit_have_one_scale():
+def test_both_axes_of_a_plane_with_one_unit_have_the_same_scale():
     one = figure((7.0, 6.4))
     ax = one.subplots()
     ax.plot(np.cos(np.arange(7.0)), 0.1 * np.sin(np.arange(7.0)))
@@ -325,7 +325,7 @@ def test_bars_boxes_maps_and_dots_are_those_of_matplotlib():
     assert svg(three).count("<circle") == len(dots.colours) == 2
 
 
-def test_marks_at_the_edge_are_not_cut_and_stand_at_a_share_of_the_height():
+def test_marks_at_the_edge_are_not_cut_and_have_their_height_as_a_share():
     one = figure()
     ax = one.subplots()
     ax.plot([0.0, 1.0], [0.0, 1.0])
@@ -340,7 +340,7 @@ def test_marks_at_the_edge_are_not_cut_and_stand_at_a_share_of_the_height():
     assert ax.get_ylim() == (-0.05, 1.05)  # a share of the height is no value
 
 
-def test_a_legend_has_rows_above_the_axes_and_a_sample_of_each_entry():
+def test_a_legend_is_above_the_axes_with_a_sample_of_each_entry():
     one = figure()
     ax = one.subplots()
     t = np.linspace(0.0, 1.0, 20)
@@ -358,7 +358,7 @@ def test_a_legend_has_rows_above_the_axes_and_a_sample_of_each_entry():
     assert "two &amp; more" in text
 
 
-def test_a_picture_without_anything_is_one_and_says_what_is_lacking():
+def test_an_empty_picture_states_what_is_missing():
     one = figure()
     one.column(1)[0].set_axis_off()
     one.supxlabel("nothing published: a < b")
@@ -367,7 +367,7 @@ def test_a_picture_without_anything_is_one_and_says_what_is_lacking():
     assert ET.fromstring(text).findall(f"{SVG}svg") == []
 
 
-def test_a_picture_is_drawn_anew_for_print_with_all_of_its_calls():
+def test_a_picture_is_drawn_again_for_print_with_all_of_its_calls():
     run = simulate(rig_of(marked()))
     entry = run.rig.scenario.plots[0]
     from softrig_bringup.plots.curves import Source

@@ -1,4 +1,5 @@
-"""The pages of the systems are read alike: one order of headings, three sentences and a picture first, formulas set."""
+"""The pages of the systems have one order of headings, begin with three sentences and a picture, and typeset formulas.
+"""
 
 import re
 
@@ -27,7 +28,7 @@ def _parsed(value):
 
 
 def parts(name):
-    """Text of a page by heading; what stands before the first one under an empty name."""
+    """Text of a page by heading; the text before the first heading has an empty name."""
     text = pages()[name].read_text()
     bare = _FENCED.sub(lambda m: re.sub("^#", " ", m[0], flags=re.M), text)
     result = re.split(r"^## (.+)\n", bare, flags=re.M)
@@ -56,7 +57,7 @@ def test_a_page_has_its_parts_in_their_order(name):
     assert "<!-- sources: " in sources
 
 
-def test_what_a_page_says_to_set_can_be_set():
+def test_parameters_that_a_page_proposes_can_be_set():
     tried = []
     for name in SYSTEMS:
         result = parts(name)
@@ -69,7 +70,7 @@ def test_what_a_page_says_to_set_can_be_set():
 
 
 @pytest.mark.parametrize("name", sorted(name for name, page in pages().items() if page.suffix == ".md"))
-def test_formulas_can_be_set_and_long_tables_fold(name):
+def test_formulas_can_be_typeset_and_long_tables_fold(name):
     text = _COMMENT.sub("", pages()[name].read_text())
     for formula in re.findall(r"^```math\n(.*?)^```$", text, re.S | re.M):
         tex2mathml(formula, as_block=True)

@@ -1,4 +1,4 @@
-"""Notebooks for teaching: kept without results, their links lead somewhere, what they show is what the verbs give."""
+"""Notebooks for teaching: stored without results, their links are valid, and they show what the verbs print."""
 
 import contextlib
 import io
@@ -21,7 +21,7 @@ def cells(name, kind):
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)
-def test_a_notebook_is_kept_without_results_and_speaks_of_what_there_is(name):
+def test_a_notebook_is_stored_without_results_and_names_things_that_exist(name):
     assert pages()[name].suffix == ".ipynb"
     for cell in json.loads(pages()[name].read_text())["cells"]:
         assert cell["cell_type"] == "markdown" or (cell["outputs"], cell["execution_count"]) == ([], None)

@@ -1,4 +1,4 @@
-"""Text from files is text: no markup, no commands to a terminal, no end of a run."""
+"""Text from files is text: it contains no markup and no terminal commands, and it cannot end a run."""
 
 import pytest
 from softrig_bringup.cli import main
@@ -41,7 +41,7 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("title", [ALL, *(pytest.param(text, marks=pytest.mark.long) for text in TEXTS)])
-def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
+def test_a_title_is_shown_unchanged_whatever_it_contains(title, folder, capsys):
     (folder / "scenarios" / "lag.yaml").write_text(LAG.replace("TITLE", title))
     (folder / "studies" / "lags.yaml").write_text(STUDY.replace("TITLE", title))
     calls = [
@@ -59,6 +59,6 @@ def test_a_title_is_shown_as_it_stands_whatever_it_holds(title, folder, capsys):
         assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in printed or arguments[0] in ("check", "report")
 
 
-def test_control_characters_are_shown_and_nothing_else_is_changed():
+def test_control_characters_are_made_visible_and_nothing_else_is_changed():
     assert plain("a\x1b[0m\x00\x7f\u202e\r") == r"a\x1b[0m\x00\x7f\u202e\r"
     assert plain("ü 中 \t\n é") == "ü 中 \t\n é"

@@ -1,4 +1,4 @@
-"""The tutorials are true: what they tell a reader to write and to type works, in order, and gives what they show."""
+"""The tutorials are true: the files and commands that a reader types work, in order, and print what the page shows."""
 
 import os
 import re
@@ -35,7 +35,7 @@ MARK = "@@ block"
 
 
 class Block(NamedTuple):
-    """What stands in a page: a file to write, commands to type, or what these print."""
+    """A part of a page: a file to write, commands to type, or their output."""
 
     kind: str
     text: str
@@ -74,7 +74,7 @@ def script(result: list[Block]) -> str:
 
 
 def shown(expected: str, printed: str) -> str:
-    """Say which line of an example was not printed, in order; `...` stands for anything."""
+    """Return the line of an example that was not printed, in order; `...` stands for anything."""
     lines = iter([" ".join(line.split()) for line in printed.splitlines()])
     for line in filter(None, (" ".join(e.split()) for e in expected.splitlines())):
         pattern = ".*".join(map(re.escape, line.split("...")))
@@ -87,7 +87,7 @@ def shown(expected: str, printed: str) -> str:
 @pytest.mark.processes
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", TUTORIALS)
-def test_a_tutorial_does_what_it_says(name, tmp_path):
+def test_a_tutorial_does_what_it_describes(name, tmp_path):
     if name == "board_tutorial" and not (shutil.which("avr-gcc") and CORE.is_dir() and HEADER.is_file()):
         pytest.skip(f"needs an AVR compiler and simavr (Debian: {DEBIAN})")
     result = blocks(pages()[name].read_text())
@@ -145,8 +145,8 @@ def test_the_commands_of_a_tutorial_are_commands(name):
                     verbs.parse_args(words)
 
 
-def test_a_table_of_a_tutorial_expects_what_the_scenario_expects():
-    """As the run of a tutorial would find, which takes too long to be tried each day."""
+def test_a_table_of_a_tutorial_has_the_expectations_of_the_scenario():
+    """The run itself takes too long to be tried each day."""
     held = set()
     for name in TUTORIALS:
         scenario = None
@@ -166,7 +166,7 @@ def test_a_table_of_a_tutorial_expects_what_the_scenario_expects():
     assert held >= {"first_run", "own_controller"}
 
 
-def test_what_an_example_shows_is_held_against_what_was_printed():
+def test_the_output_of_an_example_is_compared_with_what_was_printed():
     assert shown("a  1 s\nb ... s\n", "x\na 1 s  \ny\nb 0.3 s\n") == ""
     assert shown("a 1 s\n", "a 2 s\n") == "a 1 s"
     assert shown("b\na\n", "a\nb\n") == "a"  # in order

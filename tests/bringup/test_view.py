@@ -1,4 +1,6 @@
-"""The page beside a run, over its websocket as a browser has it: knobs, pause, step; nothing of it in the numbers."""
+"""The page beside a run, over its websocket as a browser has it: parameters, pause, step; it does not affect the
+numbers.
+"""
 
 import errno
 import json
@@ -50,7 +52,7 @@ raise SystemExit(main())
 
 @contextmanager
 def running(*words, start=("-m", "softrig_bringup")):
-    """A command of ours; gives its process and the lines that it has printed so far."""
+    """A command of ours; returns its process and the lines that it has printed so far."""
     process = subprocess.Popen(
         [sys.executable, *start, *map(str, words)],
         text=True,
@@ -67,7 +69,7 @@ def running(*words, start=("-m", "softrig_bringup")):
 
 @contextmanager
 def forked(*words):
-    """A command of ours in a fork of this process, which spares its imports; as `running`."""
+    """A command of ours in a fork of this process, which saves its imports; as `running`."""
     reader, writer = os.pipe()
 
     def child():
@@ -90,7 +92,7 @@ def forked(*words):
 
 
 def address(process):
-    """Where the page is."""
+    """The address of the page."""
     for line in process.stderr:
         if match := re.search(r"the page is (http[^\s;]+)", line):
             return match[1]
@@ -98,7 +100,7 @@ def address(process):
 
 
 class Browser:
-    """A page as a browser sees it: what it shows, what somebody does with it."""
+    """A page as a browser has it: its content, and actions of a person."""
 
     def __init__(self, url, **arguments):
         from bokeh.client import pull_session
@@ -119,7 +121,7 @@ class Browser:
         self.session._document_patched(MessageSentEvent(self.document, "bokeh_event", ButtonClick(self[name])))
 
     def until(self, condition):
-        """Take what the server sends until the page shows something; the time limit of tests ends what never comes."""
+        """Read what the server sends until the page shows something; the time limit of tests ends an endless wait."""
 
         def seen():
             if self["echo"].text != (beat := self["beat"].text):
@@ -139,7 +141,7 @@ class Browser:
 @pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize("mode", ["processes", "container"])
-def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_the_same_run_without(tmp_path, mode):
+def test_a_run_paused_stepped_and_changed_on_its_page_has_the_bag_of_the_same_run_without_a_page(tmp_path, mode):
     words = ("dc_motor_smc", "--duration", "0.1", "--no-plots")
     with running("view", *words, "--mode", mode, "--out", tmp_path / "seen") as process:
         url = address(process)
@@ -177,8 +179,8 @@ def test_a_run_is_held_stepped_and_turned_from_its_page_and_its_bag_is_that_of_t
 @pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.parametrize("mode", ["processes", "container"])
-def test_two_pages_turn_one_knob(mode, tmp_path):
-    """At the very tick at which the run is held, and while it goes: all see the newest, and the run repeats."""
+def test_two_pages_change_one_parameter(mode, tmp_path):
+    """At the very tick at which the run is paused, and while it runs: all see the newest value, and the run repeats."""
     words = ("dc_motor_smc", "--duration", "0.5", "--no-plots", "--mode", mode, "--out", tmp_path / "run")
     with running("view", *words) as process:
         url = address(process)
@@ -214,7 +216,7 @@ def test_two_pages_turn_one_knob(mode, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
-def test_a_gain_turned_on_the_page_is_that_of_the_board(tmp_path):
+def test_a_gain_changed_on_the_page_changes_on_the_board(tmp_path):
     name, node, folder = "dc_motor_smc_b2", "dc_motor_smc", tmp_path / "firmware"
     export_firmware(rig_of(name), node, folder, "host", rows=20, drawn=2)
     build = ["cc", *FLAGS, "-D_POSIX_C_SOURCE=200809L", "-o", node, "main.c", f"{node}.c", f"{node}_link.c", "-lm"]
@@ -244,7 +246,7 @@ def test_a_gain_turned_on_the_page_is_that_of_the_board(tmp_path):
 
 
 @pytest.mark.long
-def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_path):
+def test_a_run_goes_back_from_its_page_and_the_branch_equals_run_from(tmp_path):
     words = ("dc_motor_smc", "--mode", "inprocess", "--duration", "0.1", "--no-plots")
     words = ("view", *words, "--pace", "full", "--out", tmp_path / "first")
     with running(*words, start=("-c", HASTY)) as process:
@@ -279,7 +281,7 @@ def test_a_run_goes_back_from_its_page_and_the_branch_is_that_of_run_from(tmp_pa
     assert "branched at 0.04 s" in content["changed"]
 
 
-def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_run(tmp_path):
+def test_parameters_stay_changed_after_going_back_and_the_old_branch_can_be_run(tmp_path):
     source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
     session, control = source.session, source.control
     session.go(0.05)
@@ -311,8 +313,9 @@ def test_knobs_stay_turned_on_the_way_back_and_the_branch_that_was_left_can_be_r
     ]
 
 
-def test_a_full_disk_takes_nothing_from_a_run_in_the_process_of_its_page(tmp_path, monkeypatch, capsys):
-    """What cannot be left is not left, what is kept for a killed process is given up once, and an end comes again."""
+def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, monkeypatch, capsys):
+    """What cannot be written is left out, shards for a killed process are given up once, and a run can be ended again.
+    """
     (tmp_path / "log").mkdir()
     for full in ("log/rig.shard", f".left_1.yaml.{os.getpid()}.part"):
         (tmp_path / full).symlink_to("/dev/full")
@@ -378,15 +381,15 @@ def test_a_full_disk_takes_nothing_from_a_run_in_the_process_of_its_page(tmp_pat
         here(rig, Placement("inprocess", paused=False, pace=0.0), "127.0.0.1:0", folder, broken)
 
 
-def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do_to_it(monkeypatch):
-    """A tick takes a second of the wall, or half of one; done ten times in it this must not give a tick each time."""
+def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do(monkeypatch):
+    """A tick takes a second of wall-clock time, or half of one; ten actions within it must not trigger a tick each."""
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
     monkeypatch.setattr("softrig_bringup.view.here.time", clock)
     source = Here(Session("dc_motor_smc", duration=0.1), False, PERIOD := 1e-4)
     knob, control = "dc_motor_smc.delta", source.control
 
     def ticks(seconds, do):
-        """How many there were while something was done at each tenth."""
+        """The number of ticks while an action was repeated at each tenth."""
         first = source.session.t
         for k in range(10 * seconds):
             do(k)
@@ -407,7 +410,7 @@ def test_a_page_in_the_process_of_its_rig_keeps_the_pace_whatever_people_do_to_i
     assert ticks(1, lambda k: None) == pytest.approx(3, abs=1.01)
 
 
-def test_what_a_browser_asks_for_is_done_in_the_thread_of_the_ticks():
+def test_requests_of_a_browser_run_in_the_thread_of_the_ticks():
     asked = []
     source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, asked.append)
     source.session.go(0.05)
@@ -418,7 +421,7 @@ def test_what_a_browser_asks_for_is_done_in_the_thread_of_the_ticks():
 
 
 @pytest.mark.parametrize("at", ["0.0.0.0:0", pytest.param("127.0.0.1:0", marks=pytest.mark.long)])
-def test_only_who_says_the_token_is_let_in(tmp_path, at):
+def test_only_requests_with_the_token_are_accepted(tmp_path, at):
     assert main(["run", "dc_motor_smc", "--mode", "inprocess", "--duration", "0.05", "--no-plots", "--out",
                  str(tmp_path / "run")]) in (0, 1)  # fmt: skip
     with forked("view", tmp_path / "run", "--address", at) as process:
@@ -453,7 +456,7 @@ def test_only_who_says_the_token_is_let_in(tmp_path, at):
         assert "Traceback" not in process.stderr.read()
 
 
-def test_what_a_browser_should_not_say_is_reported_in_one_line(caplog):
+def test_an_invalid_message_of_a_browser_is_reported_in_one_line(caplog):
     logger = logging.getLogger("bokeh.server.protocol_handler")
     logger.addFilter(one := OneLine())
     try:
@@ -467,7 +470,7 @@ def test_what_a_browser_should_not_say_is_reported_in_one_line(caplog):
     assert "a page sent an invalid message: ValueError: cannot convert float NaN to integer" in caplog.text
 
 
-def test_a_flood_of_what_a_browser_should_not_say_is_a_few_lines(caplog):
+def test_a_flood_of_invalid_messages_of_a_browser_is_a_few_lines(caplog):
     logger = logging.getLogger("bokeh.server.views.ws")
     logger.addFilter(one := OneLine())
     try:
@@ -498,7 +501,7 @@ def test_a_track_keeps_extremes_and_stays_small():
     assert np.array_equal(table.columns["x"][-300:], x[-300:])  # the newest are whole
 
 
-def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
+def test_a_slider_changes_its_parameter_and_follows_it():
     asked, document = [], Document()
     rig = rig_of("dc_motor_smc_faults")
     control = Control(rig, lambda *words: asked.append(words), lambda: 0.0, lambda: "")
@@ -549,11 +552,11 @@ def test_a_slider_turns_the_knob_of_its_number_and_follows_it():
         ((0.0, 1.0), 0.01, (0.0, 1.0)),
     ],
 )
-def test_a_slider_spans_what_is_near_its_value(bounds, value, ends):
+def test_a_slider_spans_a_range_around_its_value(bounds, value, ends):
     assert reach(Knob("node", "name", "", "", value, float, bounds)) == ends
 
 
-def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_words():
+def test_requests_to_a_completed_run_or_a_recording_are_refused_in_one_line():
     asked, over = [], ["ended"]
     control = Control(rig_of("dc_motor_smc"), lambda *words: asked.append(words), lambda: 1.0, lambda: over[0])
     control.turn("me", "dc_motor_smc.k", 3.0)
@@ -573,7 +576,7 @@ def test_what_is_asked_of_a_run_that_is_over_or_of_a_recording_is_refused_in_wor
     assert control.knobs["dc_motor_smc.k"].value == 3.0
 
 
-def test_the_knobs_of_the_laws_come_first_and_those_of_plants_and_sources_last():
+def test_the_parameters_of_controllers_come_first_and_those_of_plants_and_sources_last():
     control = Control(rig_of("dc_motor_smc_faults"), lambda *words: None, lambda: 0.0, lambda: "")
     assert [*dict.fromkeys(control.roles.values())] == ["law", "fault", "source", "plant"]
     assert next(iter(control.roles)) == "dc_motor_smc"
@@ -587,7 +590,7 @@ def test_a_picture_that_enlarges_another_is_not_shown_twice():
     assert {p.title for p in plots_of(rig)} == plots.keys() - {"Armature voltage, enlarged"}
 
 
-def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():
+def test_pictures_begin_with_the_length_of_the_run_and_the_drawing_at_rest():
     document, rig = Document(), rig_of("dc_motor_smc_b2")
     source = Recorded(rig, Signals(Recording([])), {})
     source.live, source.outcome, source.length = True, "", 6.0
@@ -604,7 +607,7 @@ def test_pictures_begin_at_the_length_of_the_run_and_the_drawing_at_rest():
     assert "running at the wall&#x27;s pace" in document.select_one({"name": "state"}).text
 
 
-def test_a_page_says_who_is_awaited_while_a_rig_starts(tmp_path):
+def test_a_page_names_the_nodes_that_a_starting_rig_waits_for(tmp_path):
     document, rig = Document(), rig_of("dc_motor_smc_b2")
     source = Live(rig, tmp_path, False)
     control = Control(rig, lambda *words: None, lambda: 0.0, lambda: "", True, 1.0)
@@ -629,7 +632,7 @@ def test_a_page_says_who_is_awaited_while_a_rig_starts(tmp_path):
     assert source.waited < 1000.0
 
 
-def test_a_page_that_breaks_is_started_again_and_at_last_the_run_is_let_go(tmp_path, capsys, monkeypatch):
+def test_a_page_that_breaks_is_restarted_and_finally_the_run_continues_without_it(tmp_path, capsys, monkeypatch):
     asked = []
     monkeypatch.setattr(
         "softrig_bringup.view.run_pages.Remote",

@@ -1,4 +1,4 @@
-"""The page in a real browser: values are read off it, a gain turned, a fault switched, a button pressed."""
+"""The page in a real browser: values are read from it, a gain is changed, a fault switched, a button pressed."""
 
 import json
 import os
@@ -66,7 +66,7 @@ class Chromium:
         self.until(f"return {MODEL}.text.includes(arguments[1])", "log", text)
 
     def click(self, name):
-        """Press what a person would: the button in the shadow of its widget."""
+        """Press as a person would: the button in the shadow DOM of its widget."""
         self.driver.execute_script(
             f"const m = {MODEL}; const v = Bokeh.index.find_one(m); v.shadow_el.querySelector('button').click()", name
         )
@@ -77,7 +77,7 @@ class Chromium:
 
 @pytest.mark.long
 @pytest.mark.parametrize("pace", ["lockstep", "real time"])
-def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
+def test_a_person_uses_the_page_of_the_induction_motor(tmp_path, capsys, pace):
     file, out = tmp_path / "drive.yaml", tmp_path / "run"
     file.write_text(SCENARIO.format(slow=SLOW_DRIVE if pace == "real time" else ""))
     live = ("view", file, "--realtime", "--duration", 10)
@@ -129,7 +129,7 @@ def test_a_person_at_the_page_of_the_induction_motor(tmp_path, capsys, pace):
 
 
 @pytest.mark.long
-def test_a_page_whose_server_is_killed_comes_back_and_the_run_goes_on(tmp_path):
+def test_a_page_whose_server_is_killed_comes_back_and_the_run_continues(tmp_path):
     with running("view", "dc_motor_smc_b2", "--no-plots", "--out", tmp_path / "run") as process:
         browser = Chromium(address(process))
         try:
@@ -151,8 +151,8 @@ def test_a_page_whose_server_is_killed_comes_back_and_the_run_goes_on(tmp_path):
 
 
 @pytest.mark.long
-def test_a_person_goes_back_and_on_with_another_gain(tmp_path, capsys):
-    """In process: the branch is, byte for byte, what `run --from` makes of it; the run that had ended stays."""
+def test_a_person_goes_back_and_continues_with_another_gain(tmp_path, capsys):
+    """In process: the branch equals what `run --from` makes of it, byte for byte; the run that had ended stays."""
     out = tmp_path / "run"
     arguments = ("view", "dc_motor_smc_b2", "--mode", "inprocess", "--pace", "full", "--duration", 1, "--no-plots")
     with running(*arguments, "--out", out) as process:

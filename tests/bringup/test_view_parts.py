@@ -1,4 +1,4 @@
-"""What a page is made of behind what it shows: what is kept of a run, where it comes from, its address, its end."""
+"""The parts behind a page: the data of a run, where they come from, the address of the page, and its end."""
 
 import json
 import math
@@ -35,7 +35,7 @@ from tornado.ioloop import IOLoop
 
 
 class Rows:
-    """A track as its documentation has it: rows in a list, thinned four by four."""
+    """A track as its documentation describes it: rows in a list, four reduced to one."""
 
     def __init__(self, limit):
         self.limit, self.rows, self.labels, self.thinned = limit, [], [], False
@@ -73,7 +73,7 @@ class Rows:
 
 
 @pytest.mark.parametrize("seed", few(range(4), 2))
-def test_a_track_is_its_rows_thinned_four_by_four(seed):
+def test_a_track_is_its_rows_reduced_four_to_one(seed):
     rng, now = random.Random(seed), 0.0
     limit = [40, 41, 64, 5000][seed]
     track, rows = Track(limit), Rows(limit)
@@ -104,7 +104,7 @@ def test_a_track_is_its_rows_thinned_four_by_four(seed):
             }
 
 
-def test_a_track_keeps_two_hundred_thousand_messages():
+def test_a_track_stores_two_hundred_thousand_messages():
     track = Track()
     for _ in range(2):
         track.append(np.arange(100_000.0), {"x": np.zeros(100_000)})
@@ -146,8 +146,8 @@ def clock(monkeypatch):
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_run_has_come_as_far_as_all_have_spoken_for(run, clock, held):
-    """A message of a topic holds for a period of its node in lockstep; in real time the newest one counts."""
+def test_the_time_of_a_run_is_that_up_to_which_all_nodes_have_published(run, clock, held):
+    """In lockstep a message is valid for a period of its node; in real time the newest one counts."""
     rig, rng = run.rig, random.Random(3)
     source = Growing(rig) if held else Growing(rig, False)
     periods = {p.topic: m.params.period for m in rig.members for p in m.outputs if not p.sporadic}
@@ -179,7 +179,7 @@ def test_a_run_has_come_as_far_as_all_have_spoken_for(run, clock, held):
     assert source.end == pytest.approx(max(newest.values()))
 
 
-def test_who_has_said_nothing_is_awaited_before_who_looks_for_others(run, clock):
+def test_silent_nodes_are_awaited_before_those_that_wait_for_others(run, clock):
     source = Growing(run.rig)
     names = [m.name for m in run.rig.members]
     assert source.awaited == names
@@ -207,7 +207,7 @@ def written(folder, run, upto, epoch=0, status=None):
         (folder / f"{m.name}.status").write_text(json.dumps({"state": "running", "epoch": epoch} | (status or {})))
 
 
-def test_a_run_under_way_is_what_its_nodes_have_written(run, tmp_path, clock):
+def test_a_running_run_is_read_from_the_files_of_its_nodes(run, tmp_path, clock):
     source = Live(run.rig, tmp_path, False)
     source.read_new()
     assert (source.end, source.changes) == (0.0, [])
@@ -237,7 +237,7 @@ def test_a_run_under_way_is_what_its_nodes_have_written(run, tmp_path, clock):
     assert source.status == {"b": {}}
 
 
-def test_in_real_time_nothing_is_shown_before_the_plant_says_when_it_began(run, tmp_path):
+def test_in_real_time_nothing_is_shown_before_the_plant_reports_its_start(run, tmp_path):
     epoch = 1_700_000_000_000_000_000
     source = Live(run.rig, tmp_path, True)
     written(tmp_path, run, 100_000_000, epoch)
@@ -270,7 +270,7 @@ def test_a_recording_is_cut_to_a_window_with_the_message_before_it(run):
 # in the process of its page -------------------------------------------------------------------------------------------
 
 
-def test_a_slice_of_ticks_ends_in_time_and_a_pace_is_waited_for(clock, monkeypatch):
+def test_a_slice_of_ticks_ends_in_time_and_the_pace_is_kept(clock, monkeypatch):
     source = Here(Session("dc_motor_smc", duration=0.01), False, 0.0)
     step = source._step
     monkeypatch.setattr(source, "_step", lambda: (step(), setattr(clock, "now", clock.now + 0.02)))
@@ -289,8 +289,8 @@ def test_a_slice_of_ticks_ends_in_time_and_a_pace_is_waited_for(clock, monkeypat
     assert source.turn() == 0.01
 
 
-def test_the_part_of_a_tick_that_was_waited_for_stays_over_a_pause(clock):
-    """A tick begins with each second of the wall; 0.9 s of one are over when somebody pauses for 5 s."""
+def test_the_elapsed_part_of_a_tick_survives_a_pause(clock):
+    """A tick begins with each second of wall-clock time; 0.9 s of one have passed when somebody pauses for 5 s."""
     source = Here(Session("dc_motor_smc", duration=0.1), False, 1e-4)
     source.turn()
     first, results = source.session.t, []
@@ -303,7 +303,7 @@ def test_the_part_of_a_tick_that_was_waited_for_stays_over_a_pause(clock):
     assert results == [1, 1, 1, 1, 2]
 
 
-def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, clock):
+def test_actions_on_a_rig_in_the_process_of_its_page_are_reported(tmp_path, clock):
     source = Here(Session("dc_motor_smc", duration=0.01), False, 1.0)
     control = source.control
     assert (control.goes_back, control.buttons, control.held, control.pace) == (True, [], False, 1.0)
@@ -343,7 +343,7 @@ def test_what_is_done_to_a_rig_in_the_process_of_its_page_is_said(tmp_path, cloc
 
 
 class NoPages:
-    """Pages that nobody looks at; who came leaves when the run is over."""
+    """Pages that nobody looks at; a visitor leaves when the run has ended."""
 
     url, made = "http://here", []
 
@@ -385,7 +385,7 @@ def concluding(result, status=7):
     return conclude
 
 
-def test_a_run_in_the_process_of_its_page_is_concluded_once_and_gives_its_status(quiet, capsys):
+def test_a_run_in_the_process_of_its_page_is_concluded_once_and_returns_its_status(quiet, capsys):
     done = []
     rig = rig_of("dc_motor_smc", duration=0.02)
     placement = Placement("inprocess", paused=False, pace=0.0)
@@ -402,8 +402,8 @@ def test_a_run_in_the_process_of_its_page_is_concluded_once_and_gives_its_status
     assert "the page is http://here" in capsys.readouterr().err
 
 
-def test_what_goes_back_from_a_run_that_is_over_goes_beside_and_ctrl_c_ends_it_there(quiet, monkeypatch, tmp_path):
-    """A look at a time: back, a knob and a step, and Ctrl-C, which gets out of the loop as a signal's does."""
+def test_a_branch_of_a_completed_run_is_written_beside_it_and_ctrl_c_ends_it(quiet, monkeypatch, tmp_path):
+    """One action at a time: back, a parameter and a step, and Ctrl-C, which leaves the loop as a signal does."""
     done, messages = [], []
 
     def left(pages):
@@ -430,7 +430,7 @@ def test_what_goes_back_from_a_run_that_is_over_goes_beside_and_ctrl_c_ends_it_t
     assert NoPages.made[0].source.branched == []
 
 
-def test_ctrl_c_after_the_way_back_and_before_a_tick_leaves_nothing_beside(quiet, monkeypatch, tmp_path):
+def test_ctrl_c_after_going_back_and_before_a_tick_leaves_nothing_beside(quiet, monkeypatch, tmp_path):
     done, messages = [], []
 
     def left(pages):
@@ -472,7 +472,7 @@ def test_an_address_without_a_port_is_refused(address):
         free_address(address)
 
 
-def test_an_address_of_nobody_is_refused_by_what_the_system_says():
+def test_an_address_that_does_not_exist_is_refused_with_the_systems_reason():
     with pytest.raises(ScenarioError, match=r"--address 192\.0\.2\.1:0: "):
         free_address("192.0.2.1:0")
 
@@ -484,7 +484,7 @@ def test_tokens_cannot_be_guessed():
 
 
 def asked(host="127.0.0.1", token="", cookie=""):
-    """A request as a browser makes it, and the cookies that it is given."""
+    """A request as a browser makes it, and the cookies that it gets."""
     given = {}
     handler = SimpleNamespace(
         request=SimpleNamespace(host_name=host),
@@ -507,7 +507,7 @@ def asked(host="127.0.0.1", token="", cookie=""):
         (("localhost",), {"host": "localhost", "cookie": "wrong"}, "with its token is wanted", False),
     ],
 )
-def test_who_says_the_token_is_let_in_and_a_cookie_keeps_it(names, request_of, refused, kept):
+def test_a_request_with_the_token_is_accepted_and_a_cookie_keeps_it(names, request_of, refused, kept):
     handler, given = asked(**request_of)
     guard = _Token("right", names)
     arrived = guard.get_user_async(handler)
@@ -524,7 +524,7 @@ def test_who_says_the_token_is_let_in_and_a_cookie_keeps_it(names, request_of, r
 
 
 class Loop:
-    """An event loop by hand."""
+    """An artificial event loop."""
 
     def __init__(self):
         self.calls, self.stopped = [], False
@@ -537,7 +537,7 @@ class Loop:
 
 
 class NoServer:
-    """Bokeh's server: what it was asked to be, and who is there."""
+    """Stands for Bokeh's server: its configuration, and who is connected."""
 
     def __init__(self, applications, io_loop, **asked):
         self.applications, self.io_loop, self.asked = applications, io_loop, asked
@@ -564,7 +564,7 @@ def pages(run, monkeypatch):
     assert not result.server.started
 
 
-def test_a_server_is_asked_for_what_the_address_says(pages, monkeypatch):
+def test_a_server_is_configured_for_its_address(pages, monkeypatch):
     about = dict(pages.server.asked)
     about.pop("extra_patterns")
     port, guard = about.pop("port"), about.pop("auth_provider")
@@ -583,7 +583,7 @@ def test_a_server_is_asked_for_what_the_address_says(pages, monkeypatch):
     other.close()
 
 
-def test_a_run_that_is_over_is_shown_until_the_last_browser_has_gone(pages):
+def test_a_completed_run_is_shown_until_the_last_browser_has_gone(pages):
     results = []
     for connections in ([], [0], [], [0, 1], [1], [0], []):
         pages.server.sessions = [SimpleNamespace(connection_count=n) for n in connections]
@@ -591,7 +591,7 @@ def test_a_run_that_is_over_is_shown_until_the_last_browser_has_gone(pages):
     assert results == [False] * 6 + [True]  # who only asked was nobody; who is away may load the page again
 
 
-def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatch, run):
+def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run):
     clock = SimpleNamespace(now=50.0)
     clock.monotonic = lambda: clock.now
     monkeypatch.setattr(serve, "time", clock)
@@ -633,7 +633,7 @@ def test_figures_are_measured_now_and_then_while_a_run_goes_on(pages, monkeypatc
         assert ([r.name for r in results], result) == ([r.name for r in run.results], so_far)
 
 
-def test_each_browser_has_a_number_and_the_look_that_it_asks_for(pages, monkeypatch):
+def test_each_browser_has_a_number_and_the_style_that_it_asks_for(pages, monkeypatch):
     made = []
     monkeypatch.setattr(
         serve, "Page", lambda document, source, control, figures, who, how, style: made.append((who, how, style))
@@ -649,7 +649,7 @@ def test_each_browser_has_a_number_and_the_look_that_it_asks_for(pages, monkeypa
     ]
 
 
-def test_a_page_that_cannot_be_made_is_said_and_something_is_left_of_it(pages, monkeypatch, capsys):
+def test_a_page_that_cannot_be_made_is_reported_and_its_head_remains(pages, monkeypatch, capsys):
     def fails(*_):
         raise ValueError("no such plot")
 
@@ -680,10 +680,10 @@ WATCHED = {
     ("more", "held", "pace"),
     [({}, True, 2.0), ({"paused": False}, False, 2.0), ({"realtime": True}, True, None), ({"pace": 0.0}, True, 0.0)],
 )
-def test_a_page_beside_a_run_follows_what_the_nodes_write_until_it_is_over(
+def test_a_page_beside_a_run_follows_the_files_of_the_nodes_until_it_ends(
     run, tmp_path, monkeypatch, capsys, more, held, pace
 ):
-    """The process of a page by hand: its looks one by one, and the lines of the run."""
+    """The process of a page, stepped by the test: its updates one by one, and the lines of the run."""
     seen, remotes = [], []
 
     class Beside(NoPages):
@@ -768,7 +768,7 @@ def told_of(page):
         ({"stopped": 2}, {"over": "stopped by SIGINT at t = 0.1 s", "wrong": False}, False),
     ],
 )
-def test_the_page_is_reported_how_the_run_ended_and_waited_for(tmp_path, capsys, run_of, line, waits):
+def test_the_page_is_informed_how_the_run_ended_and_waited_for(tmp_path, capsys, run_of, line, waits):
     with page(load_scenario("dc_motor_smc"), tmp_path, Placement("container"), "127.0.0.1:0") as beside:
         wrote, ended = [], []
         beside._process = SimpleNamespace(
@@ -792,7 +792,7 @@ def test_the_page_is_reported_how_the_run_ended_and_waited_for(tmp_path, capsys,
     assert beside._ends
 
 
-def test_a_page_that_was_never_opened_or_has_ended_is_not_reported(tmp_path, capsys):
+def test_a_page_that_was_never_opened_or_has_ended_is_not_informed(tmp_path, capsys):
     beside = RunPages(load_scenario("dc_motor_smc"), tmp_path, Placement("container"), "127.0.0.1:0")
     beside.over(None, tmp_path)
     beside._process = SimpleNamespace(poll=lambda: 0)
@@ -800,7 +800,7 @@ def test_a_page_that_was_never_opened_or_has_ended_is_not_reported(tmp_path, cap
     assert capsys.readouterr().err == ""
 
 
-def test_the_process_of_a_page_is_reported_what_it_must_know(tmp_path, monkeypatch):
+def test_the_process_of_a_page_gets_its_configuration(tmp_path, monkeypatch):
     started = []
     monkeypatch.setattr(run_pages_module.subprocess, "Popen", lambda command, **how: started.append((command, how)))
     placement = Placement("processes", "realtime", paused=True, pace=0.5)
@@ -833,7 +833,7 @@ def test_the_process_of_a_page_is_reported_what_it_must_know(tmp_path, monkeypat
 
 
 class Piped:
-    """A process with its streams in memory; `lines` is what it says."""
+    """A process with its streams in memory; `lines` is what it prints."""
 
     def __init__(self, command, **asked):
         self.command, self.asked, self.wrote, self.ended = command, asked, [], []
@@ -898,7 +898,7 @@ def test_answers_of_nodes_go_to_whoever_asked(piped, tmp_path):
     assert list(asks._asked) == [1]
 
 
-def test_a_process_that_is_let_go_ends_by_itself_or_by_force(piped):
+def test_a_process_that_is_released_ends_by_itself_or_by_force(piped):
     asks, process, _ = piped()
     asks.close()
     assert process.ended == ["closed", 2.0]
@@ -908,7 +908,7 @@ def test_a_process_that_is_let_go_ends_by_itself_or_by_force(piped):
     assert process.ended == ["closed", 2.0, "killed", None]
 
 
-def test_what_a_page_has_started_ends_with_it_by_force():
+def test_processes_started_by_a_page_end_with_it_by_force():
     code = "import subprocess, time; print(subprocess.Popen(['sleep', '60']).pid, flush=True); time.sleep(60)"
     page = subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, process_group=0
@@ -922,7 +922,7 @@ def test_what_a_page_has_started_ends_with_it_by_force():
         page.stdout.close()
 
 
-def test_the_process_of_a_page_reads_what_it_must_know_and_ignores_ctrl_c(tmp_path, monkeypatch, capsys):
+def test_the_process_of_a_page_reads_its_configuration_and_ignores_ctrl_c(tmp_path, monkeypatch, capsys):
     messages, asked = [], []
     (tmp_path / "view.json").write_text(json.dumps(WATCHED | {"directory": str(tmp_path), "scenario": {}}))
     monkeypatch.setattr(serve.sys, "argv", ["serve", str(tmp_path / "view.json")])
@@ -971,7 +971,7 @@ def test_a_recording_is_shown_until_it_is_interrupted(run, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(("ends", "starts"), [(False, 3), (True, 0)])
-def test_a_page_that_ends_with_its_run_is_not_started_again(tmp_path, monkeypatch, capsys, ends, starts):
+def test_a_page_that_ends_with_its_run_is_not_restarted(tmp_path, monkeypatch, capsys, ends, starts):
     page_of = RunPages(load_scenario("dc_motor_smc"), tmp_path, Placement("container", paused=False), "127.0.0.1:0")
     page_of._watched["domain"], page_of._ends = 7, ends
     made = []
@@ -991,7 +991,7 @@ def test_a_page_that_ends_with_its_run_is_not_started_again(tmp_path, monkeypatc
         ("dc_motor_smc_faults", "noise", {"value", "active"}, {"points", "delay"}),
     ],
 )
-def test_knobs_of_laws_that_are_not_chosen_are_idle(scenario, node, used, idle):
+def test_parameters_of_unselected_controllers_are_idle(scenario, node, used, idle):
     control = Control(rig_of(load_scenario(scenario)), lambda *_: None, lambda: 0.0, lambda: "")
     results = {knob.name: knob.idle for knob in control.knobs.values() if knob.node == node}
     assert {name for name in used | idle if results[name]} == idle

@@ -1,4 +1,4 @@
-"""The wheel: everything is in it, and it works in an environment that knows nothing of the checkout."""
+"""The wheel: it is complete, and it works in an environment without the checkout."""
 
 import importlib.metadata
 import json
@@ -32,12 +32,12 @@ def wheel(tmp_path_factory):
 
 
 def environment(folder, **more):
-    """What a user has who has heard of nothing."""
+    """The environment of a user without ROS and without settings."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(OURS)}
     return kept | {"HOME": str(folder), "PYTHONNOUSERSITE": "1"} | more
 
 
-def test_everything_is_in_it_and_nothing_of_this_machine(wheel):
+def test_the_wheel_is_complete_and_contains_nothing_of_this_machine(wheel):
     with zipfile.ZipFile(wheel) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     data = {name.partition(".data/data/")[2] for name in files}
@@ -61,7 +61,7 @@ def test_everything_is_in_it_and_nothing_of_this_machine(wheel):
     assert metadata.partition("\n\n")[2].strip() == PAGE.strip()
 
 
-def test_its_page_shows_what_it_has():
+def test_its_page_lists_its_content():
     shown = re.findall(r"^    softrig (\w+)", PAGE, re.MULTILINE)
     assert {"list", "run", "new"} <= set(shown) <= set(make_parser()._subparsers._group_actions[0].choices)
     assert not {"setup", "docs", "bench", "env"} & set(shown)
@@ -79,7 +79,7 @@ for verb in ([*run, "one", "--mode", "inprocess"], ["bag", "info", "one/bag"], [
 
 
 @pytest.mark.long
-def test_without_ros_what_needs_it_says_so_and_the_rest_works(tmp_path):
+def test_without_ros_verbs_that_need_it_say_so_and_the_rest_works(tmp_path):
     done = subprocess.run([sys.executable, "-c", WITHOUT], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert re.findall(r"^status (\d)", done.stdout, re.MULTILINE) == ["0", "0", "2", "2"]
     assert done.stderr.splitlines() == [f"softrig: {WITHOUT_ROS}"] * 2
@@ -118,7 +118,7 @@ def use(prefix, folder, variables):
 
 
 @pytest.mark.long
-def test_it_works_beside_the_packages_that_are_here(wheel, tmp_path):
+def test_it_works_beside_the_packages_that_are_installed(wheel, tmp_path):
     prefix = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", prefix], check=True)
     subprocess.run([sys.executable, "-m", "pip", "--python", prefix / "bin" / "python", "install", "-q", "--no-deps",
@@ -148,7 +148,7 @@ def contents(wheel):
 
 
 @pytest.mark.long
-def test_pip_brings_all_that_it_needs(wheel, tmp_path):
+def test_pip_installs_all_that_it_needs(wheel, tmp_path):
     """From the registry, or from the wheels in SOFTRIG_WHEELS."""
     wheels = os.environ.get("SOFTRIG_WHEELS")
     prefix = tmp_path / "venv"
@@ -173,7 +173,7 @@ def test_pip_brings_all_that_it_needs(wheel, tmp_path):
     "words",
     ["--workspace my_rig run my_rig", "setup", "docs", "bench native", "env", "env colcon build", "python -c x"],
 )
-def test_what_only_a_checkout_has_is_refused_with_the_reason(words, capsys):
+def test_verbs_that_only_a_checkout_has_are_refused_with_the_reason(words, capsys):
     assert main(words.split()) == 2
     (text,) = capsys.readouterr().err.splitlines()
     assert "scripts/softrig" in text
@@ -183,8 +183,8 @@ def test_what_only_a_checkout_has_is_refused_with_the_reason(words, capsys):
 @pytest.mark.parametrize(
     ("where", "first"), [("", "    pip install . && softrig run"), ("/x/softrig", "    /x/softrig --workspace . run")]
 )
-def test_a_new_package_names_what_is_there(where, first, tmp_path, monkeypatch, capsys):
-    """Neither --workspace nor colcon from a wheel; where a checkout has the command, both."""
+def test_a_new_package_names_available_tools(where, first, tmp_path, monkeypatch, capsys):
+    """Neither --workspace nor colcon from a wheel; both if a checkout has the command."""
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
     if where:
         monkeypatch.setenv("SOFTRIG_COMMAND", where)

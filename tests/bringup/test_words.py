@@ -1,4 +1,4 @@
-"""Words that pages, messages and docstrings do without: each has a standard term in CONTRIBUTING's language guide."""
+"""Words that pages, messages and docstrings avoid: the glossary of the language guide has a standard term for each."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What people of ROS find in a package: a changelog that bloom reads, a page that tells all of the launch file."""
+"""What ROS users find in a package: a changelog that bloom reads, and a page with all arguments of the launch file."""
 
 import re
 from itertools import pairwise
@@ -18,7 +18,7 @@ PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
 @pytest.mark.parametrize("package", sorted(p.parent.name for p in PACKAGES.glob("*/package.xml")))
 def test_the_changelog_has_the_form_that_bloom_reads(package):
-    """The package's name between two bars, then sections of versions: what is not released, or that of package.xml."""
+    """The package's name between two bars, then sections of versions: unreleased, or that of package.xml."""
     lines = (PACKAGES / package / "CHANGELOG.rst").read_text().splitlines()
     title = f"Changelog for package {package}"
     assert lines[:4] == ["^" * len(title), title, "^" * len(title), ""]
@@ -110,7 +110,7 @@ def test_the_tag_of_ros2_control_and_the_controllers_fit_the_plant(scenario, con
         assert {f"{j}/{k}" for j in joints for k in kinds} <= names
 
 
-def test_the_scenario_of_the_page_takes_an_array_in_place_of_a_law(tmp_path):
+def test_the_scenario_of_the_page_uses_an_array_in_place_of_a_controller(tmp_path):
     page = (PACKAGES / "softrig_bringup/doc/workspace.md").read_text()
     (block,) = re.findall(r"((?:^    .*\n)+)", page[page.index("to a `forward_command_controller`") :], re.M)[:1]
     (tmp_path / "mine.yaml").write_text(re.sub("^    ", "", block, flags=re.M))

@@ -18,7 +18,7 @@ AREAS += ("doors", "links", "services", "floods", "ends")
 
 
 def main() -> int:
-    """Run what is asked for and print one table."""
+    """Run the requested attacks and print one table."""
     parser = argparse.ArgumentParser(prog="scripts/campaign", description=__doc__.splitlines()[0])
     parser.add_argument("areas", nargs="*", metavar="AREA", help=f"{', '.join(AREAS)} (default all)")
     parser.add_argument("--count", type=int, default=200, help="cases an area")

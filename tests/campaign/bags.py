@@ -21,7 +21,7 @@ STATE, VECTOR, NUMBER = "sensor_msgs/msg/JointState", "geometry_msgs/msg/Vector3
 
 @cache
 def whole(storage: str, compression: str) -> Path:
-    """A sound bag of three topics."""
+    """An undamaged bag of three topics."""
     recording = Recording([("a/state", STATE), ("b", VECTOR), ("c", NUMBER)])
     layouts = [Layout(STATE, "", ["x", "y"], {"position": 2}), Layout(VECTOR, "abc"), Layout(NUMBER)]
     for k in range(200):
@@ -33,7 +33,7 @@ def whole(storage: str, compression: str) -> Path:
 
 
 def damaged(content: bytes, chance: random.Random) -> bytes:
-    """Cut, zero, overwrite, double or blow up a part of a file."""
+    """Truncate, zero, overwrite, double or blow up a part of a file."""
     at = chance.randrange(len(content) + 1)
     size = chance.choice((1, 4, 8, 64, 512))
     match chance.randrange(7):
@@ -53,7 +53,7 @@ def damaged(content: bytes, chance: random.Random) -> bytes:
 
 
 def retyped(victim: Path, chance: random.Random) -> None:
-    """Put values of another kind where a bag's metadata, or a cell of its database, has one."""
+    """Put values of another type into a bag's metadata or a cell of its database."""
     other = [None, {"a": 1}, ["x"], -1, 2**70, 1.5, "text", "", True, {}]
     if victim.suffix == ".db3":
         with closing(sqlite3.connect(victim)) as db:

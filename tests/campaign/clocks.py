@@ -1,4 +1,6 @@
-"""A run while the clock of the machine is stepped to and fro: in lockstep the same bits, in real time the same pace."""
+"""A run while the clock of the machine is stepped back and forth: in lockstep the same bits, in real time the same
+pace.
+"""
 
 import hashlib
 import mmap
@@ -27,7 +29,7 @@ SHIM = Path(__file__).with_name("clock.c")
 
 @cache
 def shim() -> Path:
-    """Compile what is preloaded, once."""
+    """Compile the preloaded library, once."""
     made = Path(tempfile.gettempdir()) / f"clock-{os.getuid()}-{hashlib.sha256(SHIM.read_bytes()).hexdigest()[:16]}.so"
     if not made.exists():
         new = made.with_suffix(f".{os.getpid()}")
@@ -76,7 +78,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def step(chance: random.Random, ahead: Path, over: threading.Event) -> None:
-    """Step the clock now and then until it is over; what starts meanwhile sees one or two of them."""
+    """Step the clock now and then until the run has ended; processes started during the run see one or two steps."""
     with ahead.open("r+b") as file, mmap.mmap(file.fileno(), 8) as shared:
         while not over.wait(chance.uniform(0.5, 5.0)):
             struct.pack_into("q", shared, 0, int(chance.choice((-1, 1)) * chance.choice(LENGTHS) * 1e9))

@@ -1,4 +1,4 @@
-"""Files, libraries, programs of strangers: read as what they mean, or refused in a line; nothing stays."""
+"""Files, libraries, programs of strangers: read with their meaning, or refused in one line; nothing remains of them."""
 
 import importlib.util
 import os
@@ -40,7 +40,7 @@ UNITS = "unit;p_min_MW;p_max_MW;a_usd_per_MW2h;b_usd_per_MWh;c_usd_per_h\na;1;20
 
 
 def attack(seed: int, directory: Path) -> None:
-    """Bring something damaged or hostile to one door."""
+    """Pass something damaged or hostile to one reader."""
     chance = random.Random(seed)
     door = DOORS[seed % len(DOORS)]
     (directory / "case").write_text(f"seed {seed}, {door.__name__}")
@@ -55,7 +55,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def damaged(data: bytes, chance: random.Random) -> bytes:
-    """Return a text with one to four things of it changed."""
+    """Return a text with one to four parts changed."""
     for _ in range(chance.randint(1, 4)):
         words = re.split(rb"([\s,;:=\"<>{}\[\]]+)", data)
         k = chance.randrange(len(words))
@@ -93,7 +93,7 @@ def exported() -> Path:
 
 
 def robot(chance: random.Random, directory: Path) -> None:
-    """A URDF; what is read has the masses that stand in it."""
+    """A URDF; the parsed robot has the masses in it."""
     file = directory / "a.urdf"
     file.write_bytes(damaged(URDF.read_bytes(), chance))
     text = read_urdf(str(file))

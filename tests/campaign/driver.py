@@ -30,7 +30,7 @@ class TooLong(BaseException):
 
 
 class Stopped(BaseException):
-    """The campaign has ended, by its limit or because it was killed: the case cleans up and counts as not tried."""
+    """The campaign has ended, at its limit or because it was killed: the case cleans up and counts as not tried."""
 
 
 def _alarm(number: int, frame: object) -> None:
@@ -75,13 +75,13 @@ def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path
 
 
 def cpu() -> float:
-    """Give the CPU time of this process and of those that it has started, s."""
+    """Return the CPU time of this process and of those that it has started, s."""
     spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(s.ru_utime + s.ru_stime for s in spent)
 
 
 def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None, jobs: int) -> dict[str, list]:
-    """Run all areas; gives area to [tried, survived, findings, CPU s]. SIGTERM and SIGINT end it as the limit does."""
+    """Run all areas; return area to [tried, survived, findings, CPU s]. SIGTERM and SIGINT end it as the limit does."""
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
     table = {area: [0, 0, [], 0.0] for area in counts}

@@ -1,4 +1,6 @@
-"""Each phase of `run` and `view` is interrupted by signals of another process: what it says is true, nothing stays."""
+"""Each phase of `run` and `view` is interrupted by signals of another process: its report is true, and nothing stays
+behind.
+"""
 
 import json
 import os
@@ -51,7 +53,7 @@ LATEST = 6.0  # s
 
 
 def attack(seed: int, directory: Path) -> None:
-    """Interrupt one run in one phase, and compare what it says with what there is."""
+    """Interrupt one run in one phase, and compare its report with its files."""
     chance = random.Random(seed)
     door, mode, phase = CASES[seed % len(CASES)]
     signals = SIGNALS[(seed // len(CASES)) % len(SIGNALS)]
@@ -89,7 +91,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def marked(phase: str, duration: float, marks: int, held: int, go: int) -> None:
-    """Have the run report that a phase begins, and wait there until it has been interrupted."""
+    """Make the run report the beginning of a phase, and wait there until it has been interrupted."""
     os.close(go)  # else the end of the wait below would not be seen
     if phase == "any":
         os.write(marks, b"x")
@@ -158,7 +160,7 @@ def strike(chance: random.Random, runner: int, phase: str, signals: tuple[signal
 
 
 def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], said: str, out: Path) -> None:
-    """Hold status and line against what there is."""
+    """Compare status and report with the files."""
     lines = [line for line in said.splitlines() if line.startswith("softrig: stopped")]
     written = (out / "metrics.json").exists() and (out / "report.html").exists()
     if phase == "page" or (phase == "any" and status in (0, 1)):  # it was over before
@@ -181,7 +183,7 @@ def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], said: st
 
 
 def keep(line: str, out: Path) -> None:
-    """Do what the line says makes what is missing."""
+    """Check that the command in the report makes what is missing."""
     if NOTHING in line:
         assert not out.exists() or not [p for p in out.iterdir() if p.name not in ("log", ".softrig")], [*out.iterdir()]
         return

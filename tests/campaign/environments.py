@@ -1,4 +1,4 @@
-"""Commands in strange environments: done, or one line and a status that says what is wrong; never a hang or a trace."""
+"""Commands in strange environments: they succeed, or end with one line and a status; never a hang or a traceback."""
 
 import ctypes
 import os
@@ -30,7 +30,7 @@ LIMIT = 150.0  # s
 
 @dataclass
 class Case:
-    """One command and where it is run."""
+    """One command and its environment."""
 
     directory: Path
     chance: random.Random
@@ -44,12 +44,12 @@ class Case:
 
     @property
     def work(self) -> Path:
-        """Its current directory."""
+        """The current directory of the command."""
         return self.directory / "work"
 
     @property
     def out(self) -> Path:
-        """Where a run writes."""
+        """The folder in which a run writes."""
         return self.work / "out"
 
 
@@ -111,7 +111,7 @@ def full_output(case: Case) -> None:
 
 
 def gone_reader(case: Case) -> None:
-    """A pipe that nobody reads."""
+    """A pipe that is not read."""
     reader, writer = os.pipe()
     os.close(reader)
     if case.chance.random() < 0.7:
@@ -121,7 +121,7 @@ def gone_reader(case: Case) -> None:
 
 
 def domains(case: Case) -> None:
-    """A ROS_DOMAIN_ID that is none."""
+    """An invalid ROS_DOMAIN_ID."""
     case.variables["ROS_DOMAIN_ID"] = case.chance.choice(("abc", "-1", "233", "9" * 30, "", " 5", "0x10", "1.5"))
 
 
@@ -136,7 +136,7 @@ def middlewares(case: Case) -> None:
 
 
 def ros_variables(case: Case) -> None:
-    """ROS variables with values that mean nothing."""
+    """ROS variables with meaningless values."""
     (case.directory / "bad.xml").write_text("<dds><profiles")
     pairs = (("ROS_AUTOMATIC_DISCOVERY_RANGE", "BOGUS"), ("ROS_LOCALHOST_ONLY", "2"), ("ROS_STATIC_PEERS", ";;;"),
              ("ROS_DISCOVERY_SERVER", "no:port"), ("FASTRTPS_DEFAULT_PROFILES_FILE", "/nonexistent.xml"),
@@ -159,7 +159,7 @@ def variables(case: Case) -> None:
 
 
 def homes(case: Case) -> None:
-    """No home, a home that is none, or one that cannot be written."""
+    """No home, an invalid home, or one that cannot be written."""
     case.variables.pop("XDG_CACHE_HOME", None)
     match case.chance.randrange(5):
         case 0:
@@ -177,12 +177,12 @@ def homes(case: Case) -> None:
 
 
 def temporaries(case: Case) -> None:
-    """No place for temporary files."""
+    """No folder for temporary files."""
     case.variables["TMPDIR"] = case.chance.choice(("/nowhere", "/dev/null", "/proc", "\n"))
 
 
 def powerless() -> None:
-    """Let permissions hold for root too."""
+    """Let permissions apply to root too."""
     library = ctypes.CDLL(None)
     for capability in (1, 2):  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
         library.prctl(24, capability, 0, 0, 0)
@@ -216,7 +216,9 @@ def small_disk(case: Case) -> None:
 
 
 def mounted(mount: str) -> list[str]:
-    """Give the beginning of a command line that mounts something for the command alone; nothing where one may not."""
+    """Return the beginning of a command line that mounts something only for the command; empty without the right to
+    mount.
+    """
     with suppress(OSError):
         for how in (["unshare", "-m"], ["unshare", "-Urm"]):
             if subprocess.run([*how, "sh", "-c", mount], capture_output=True).returncode == 0:
@@ -254,13 +256,13 @@ def lost_directory(case: Case) -> None:
 
 
 def signals(case: Case) -> None:
-    """Signals ignored by whoever started it, as nohup, cron and some shells do."""
+    """Signals ignored by the parent process, as nohup, cron and some shells do."""
     number = case.chance.choice((signal.SIGCHLD, signal.SIGINT, signal.SIGHUP, signal.SIGTERM))
     case.before.append(lambda: signal.signal(number, signal.SIG_IGN))
 
 
 def names(case: Case) -> None:
-    """Names that are no text."""
+    """Names that are not text."""
     case.command = [os.fsdecode(b"o\xffut") if word == "out" else word for word in case.command]
 
 
@@ -300,7 +302,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def run(case: Case, command: list[str]) -> tuple[int, str]:
-    """Run the command; gives its status and what it printed into files."""
+    """Run the command; return its status and what it printed into files."""
 
     def before() -> None:
         for step in case.before:
@@ -339,7 +341,7 @@ def run(case: Case, command: list[str]) -> tuple[int, str]:
 
 
 def judge(case: Case, status: int, text: str) -> None:
-    """Hold what came of it against what may come."""
+    """Compare the result with what is allowed."""
     assert (left := orphans(case.directory)) == [], f"{len(left)} processes live on"
     allowed = {"out", "tables", "report.html", "runs", os.fsdecode(b"o\xffut")}
     there = {p.name for p in case.work.iterdir() if not p.name.endswith(".hprof")}
@@ -356,7 +358,7 @@ def judge(case: Case, status: int, text: str) -> None:
 
 
 def closed_error(case: Case) -> bool:
-    """Whether nobody could have read what was said."""
+    """Return whether no reader could have received the output."""
     return any(step.__qualname__.startswith("closed.") for step in case.before)
 
 

@@ -1,4 +1,5 @@
-"""Floods of service calls from clients that leave without a goodbye: the rig goes on, says why it stands, and ends.
+"""Floods of service calls from clients that leave without a goodbye: the rig continues, reports why it is paused, and
+ends.
 
 A case is a rig in processes, in a container or in real time, and what its clients call: refused sets, valid ones,
 pauses, steps, resumes, lists, and the services of simulation_interfaces where it is installed. `doc/lab/tests.md` has a
@@ -137,14 +138,14 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def _flood(clients: list[subprocess.Popen], what: str, chance: random.Random) -> None:
-    """Keep two clients at work, each of which leaves soon."""
+    """Keep two clients busy, each of which leaves soon."""
     if sum(c.poll() is None for c in clients) < 2:
         arguments = [what, "/dc_motor_smc", "/dc_motor_plant", str(chance.randrange(10**9))]
         clients.append(subprocess.Popen([sys.executable, "-c", CLIENT, *arguments]))
 
 
 class Watch:
-    """Ticks of a rig and what it says of itself, as /diagnostics shows them."""
+    """Ticks of a rig and its reports, as /diagnostics shows them."""
 
     def __init__(self, call: Client) -> None:
         self.ticks, self.longest, self.unexplained, self.said = 0, 0.0, 0.0, set[str]()

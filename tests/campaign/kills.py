@@ -1,4 +1,5 @@
-"""A node or the runner of a rig killed at some moment: what was recorded is exact, the status right, nothing left."""
+"""A node or the runner of a rig is killed at some moment: recordings are exact, the status is right, nothing remains.
+"""
 
 import os
 import random
@@ -21,17 +22,17 @@ LATEST = 4.0  # s
 
 
 class Enough(Exception):
-    """The reference is as long as what it is compared with."""
+    """The reference recording is as long as the compared one."""
 
 
 @cache
 def names() -> list[str]:
-    """Give the names of all scenarios."""
+    """Return the names of all scenarios."""
     return sorted(list_scenarios())
 
 
 def drawn(chance: random.Random) -> str:
-    """Draw a scenario of at most six nodes, all of them ours, that is not over at once."""
+    """Draw a scenario of at most six nodes, all of them ours, that takes some time."""
     while True:
         scenario = load_scenario(name := chance.choice(names()))
         small = len(scenario.nodes) <= 6 and not any(n.external for n in scenario.nodes.values())
@@ -40,7 +41,7 @@ def drawn(chance: random.Random) -> str:
 
 
 def attack(seed: int, directory: Path) -> None:
-    """Start one run as the command line does, kill, and look at everything it leaves."""
+    """Start one run as the command line does, kill a process, and examine everything that it leaves."""
     chance = random.Random(seed)
     name = drawn(chance)
     mode = chance.choice(("processes", "processes", "container"))
@@ -62,7 +63,7 @@ def attack(seed: int, directory: Path) -> None:
 def strike_and_judge(
     chance: random.Random, runner: int, name: str, seed: int, directory: Path, before: set[str]
 ) -> None:
-    """Kill at some moment and look at everything that is left."""
+    """Kill at some moment and examine everything that remains."""
     out, message = directory / "out", directory / "said"
     if chance.random() < 0.7:  # in the midst of it; else whatever it is then doing
         deadline = time.monotonic() + 60.0
@@ -83,7 +84,7 @@ def strike_and_judge(
 
 
 def fork(command: list[str], path: Path, begin: Callable[[], None] = lambda: None) -> int:
-    """Run the command line in a process of its own without importing everything again; `begin` is called in it."""
+    """Run the command line in a separate process without importing everything again; `begin` is called in it."""
     runner = os.fork()
     if runner:
         return runner
@@ -105,7 +106,7 @@ def fork(command: list[str], path: Path, begin: Callable[[], None] = lambda: Non
 
 
 def strike(chance: random.Random, runner: int, directory: Path) -> tuple[str, int]:
-    """Kill somebody; says whom and by what."""
+    """Kill a process; return which and by which signal."""
     nodes = [number for number, _ in of_run(directory) if number != runner]
     if nodes and chance.random() < 0.6:
         number = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM, signal.SIGSTOP))
@@ -122,7 +123,7 @@ def strike(chance: random.Random, runner: int, directory: Path) -> tuple[str, in
 
 
 def ended(runner: int) -> int:
-    """Wait for the runner; gives its exit status, negative for a signal."""
+    """Wait for the runner; return its exit status, negative for a signal."""
     deadline = time.monotonic() + 150.0
     while time.monotonic() < deadline:
         number, status = os.waitpid(runner, os.WNOHANG)
@@ -135,7 +136,7 @@ def ended(runner: int) -> int:
 
 
 def judge_status(status: int, victim: str, number: int, text: str, out: Path) -> None:
-    """Hold the exit status against what was done."""
+    """Compare the exit status with what was done."""
     over = (0, 1)  # it was over, or as good as over, before
     if victim == "runner":
         allowed = (-number,) if number == signal.SIGKILL else (ENDINGS[number],)
@@ -150,7 +151,7 @@ def judge_status(status: int, victim: str, number: int, text: str, out: Path) ->
 
 
 def judge_record(scenario: Scenario, seed: int, out: Path, directory: Path) -> None:
-    """What is in the bag, or in the shards of a killed runner, is the beginning of what a run in process gives."""
+    """Check that the bag, or the shards of a killed runner, are the beginning of the recording in process."""
     bag = out / "bag"
     if not bag.exists():
         if not any((out / "log").glob("*.shard")):

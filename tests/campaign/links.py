@@ -1,4 +1,4 @@
-"""Links to boards, buses and PLCs: files that describe a node, ADS servers and adapters at a serial port that lie."""
+"""Links to boards, buses and PLCs: wrong files that describe a node, and wrong ADS servers and serial adapters."""
 
 import os
 import pty
@@ -61,7 +61,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def damaged(chance: random.Random, directory: Path, files: dict[str, bytes]) -> None:
-    """Run a rig whose link names a damaged file: a line says so, or the port is not there."""
+    """Run a rig whose link names a damaged file: one line reports it, or the missing port."""
     suffix = chance.choice(tuple(files))
     data = bytearray(files[suffix])
     for _ in range(chance.randrange(1, 5)):
@@ -82,7 +82,7 @@ def damaged(chance: random.Random, directory: Path, files: dict[str, bytes]) -> 
 
 
 def session(line, layout: Layout) -> None:
-    """Go through ticks in real time: no answer is taken, none lasts."""
+    """Compute ticks in real time: no answer is accepted, and none takes long."""
     values = layout.step.pack(0, 1.0, 0.0, 0.0, True, 0.0)
     for k in range(TICKS):
         begun = time.monotonic()
@@ -121,7 +121,7 @@ def serve(server: socket.socket, kind: str, chance: random.Random) -> None:
 
 
 def answer(client: socket.socket, kind: str, chance: random.Random) -> None:
-    """Answer one client: with bytes of no sense, or a right head before wrong data."""
+    """Answer one client: with meaningless bytes, or a right header before wrong data."""
     try:
         while (asked := client.recv(4096)) and kind != "close":
             head, data, length, tcp = asked[6:38], struct.pack("<II", 0, 4) + b"abcd", None, None
@@ -148,7 +148,7 @@ def answer(client: socket.socket, kind: str, chance: random.Random) -> None:
 
 
 def adapter(chance: random.Random, directory: Path, member, dbc: bytes) -> None:
-    """Open a CAN adapter at a serial port that says what no adapter says."""
+    """Open a CAN adapter at a serial port that answers as no adapter does."""
     here, there = pty.openpty()
     tty.setraw(here)
     os.set_blocking(here, False)

@@ -1,4 +1,6 @@
-"""Hostile messages, parameters and presses over the real middleware to every live node: it refuses, and lives on."""
+"""Hostile messages, parameters and button presses over the real middleware to every live node: it rejects them and
+lives on.
+"""
 
 import json
 import os
@@ -90,7 +92,7 @@ class Attacker:
         self.executor.spin_once(0.005)
 
     def message(self, k: int) -> bytes:
-        """Make a message: sound, damaged, with numbers or a stamp that cannot be."""
+        """Make a message: valid, damaged, or with impossible numbers or an impossible stamp."""
         chance, port, encode = self.chance, self.ports[k], self.encoders[k]
         stamp = time.time_ns() if self.live else 0
         values = [float(v) for v in port.safe] if port.safe else [0.0] * port.size
@@ -119,12 +121,12 @@ class Attacker:
 
 
 def topic(port: Port) -> str:
-    """Give the full name of a topic of the node."""
+    """Return the full name of a topic of the node."""
     return port.topic.replace("~", "/victim") if port.topic.startswith("~") else f"/{port.topic.lstrip('/')}"
 
 
 def attack(seed: int, directory: Path) -> None:
-    """Start one executable by hand, attack it, stop it."""
+    """Start one executable alone, attack it, stop it."""
     chance = random.Random(seed)
     package, executable, block = blocks()[seed % len(blocks())]
     live = chance.random() < 0.7
@@ -152,7 +154,7 @@ def attack(seed: int, directory: Path) -> None:
 def bombard(
     chance: random.Random, process: subprocess.Popen, block: type, status: Path, domain: int, live: bool
 ) -> None:
-    """Attack a node that has been started."""
+    """Attack a running node."""
     while not status.exists():
         if process.poll() is not None:
             assert process.returncode == 2, f"it ended at its start with status {process.returncode}"
@@ -199,7 +201,7 @@ def _parameters(attacker: Attacker, block: type) -> None:
 
 
 def _judge(attacker: Attacker, process: subprocess.Popen, status: Path, live: bool) -> None:
-    """It lives, has counted what it refused, answers with finite numbers, and ends when it is told to."""
+    """It lives, has counted its rejected messages, answers with finite numbers, and ends on request."""
     before = status.stat().st_mtime_ns
     deadline = time.monotonic() + 15.0
     while status.stat().st_mtime_ns <= before and process.poll() is None:

@@ -1,4 +1,4 @@
-"""Packs of somebody else with something wrong: refused in a line, nothing written elsewhere, nothing imported."""
+"""Packs of another person with something wrong: refused in one line, nothing written elsewhere, nothing imported."""
 
 import io
 import json
@@ -32,7 +32,7 @@ WORDS = (
 
 
 def attack(seed: int, directory: Path) -> None:
-    """Make a pack, change one to three things of it, and open it as `run --like` does before anybody confirms."""
+    """Make a pack, change one to three parts, and open it as `run --like` does before the confirmation."""
     chance = random.Random(seed)
     packed.cache_folder = lambda: directory / "cache"
     file = directory / "x.softrig.zip"
@@ -55,7 +55,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def made(directory: Path) -> dict[str, bytes]:
-    """Give a sound pack by place."""
+    """Return a valid pack by place."""
     folder = new_package(NAME, directory)
     files = {f"packages/{NAME}/{f.relative_to(folder)}": f.read_bytes() for f in folder.rglob("*") if f.is_file()}
     about = {"format": 1, "scenario": NAME, "packages": {NAME: "0.0.1"}}
@@ -64,7 +64,7 @@ def made(directory: Path) -> dict[str, bytes]:
 
 
 def damaged(files: dict[str, bytes], chance: random.Random) -> bytes:
-    """Give the bytes of the file, something of it changed."""
+    """Return the bytes of the file with something changed."""
     for _ in range(chance.randint(1, 3)):
         place = chance.choice(sorted(files))
         match chance.randrange(5):

@@ -35,7 +35,7 @@ EXTREME = (*NUMBERS, *SLIPS)
 
 
 def executables() -> Iterator[tuple[str, str, type[Block]]]:
-    """Give package, executable and block of every node that is installed."""
+    """Return package, executable and block of every node that is installed."""
     for package in sorted({d.name for d in importlib.metadata.distributions() if d.name.startswith("softrig_")}):
         for name in renamed.executables(package):
             try:
@@ -51,7 +51,7 @@ def blocks() -> list[tuple[str, str, type[Block]]]:
 
 
 def extreme(declaration: Declaration, chance: random.Random) -> object:
-    """Give a value at or beyond an edge, or of another kind altogether."""
+    """Return a value at or beyond a bound, or of another type."""
     default, low, high = declaration.default, declaration.lower, declaration.upper
     edges: list[float] = [bound for bound in (low, high) if bound is not None]
     if chance.random() < 0.6:  # all within the bounds: what the models themselves make of it
@@ -103,7 +103,8 @@ def feeder(ports: list[Port], seed: int) -> type[Block]:
 
 
 def attack(seed: int, directory: Path) -> None:
-    """One executable with one to three extreme parameters: refused, broken with a line, or run with finite numbers."""
+    """One executable with one to three extreme parameters: refused, broken with one line, or run with finite numbers.
+    """
     chance = random.Random(seed)
     package, executable, block = chance.choice(blocks())
     known = declarations(block.Params)
@@ -120,7 +121,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def named(parameter: str, text: str) -> bool:
-    """Whether a parameter, or the last part of its dotted name, is a word of a message."""
+    """Return whether a parameter, or the last part of its dotted name, is a word of a message."""
     return any(re.search(rf"(?<!\w){re.escape(word)}(?!\w)", text) for word in (parameter, parameter.split(".")[-1]))
 
 

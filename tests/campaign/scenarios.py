@@ -1,4 +1,4 @@
-"""Mutated scenario files: read, wired, judged and run for a few ticks, or refused in one line."""
+"""Mutated scenario files: read, wired, checked and run for a few ticks, or refused in one line."""
 
 import random
 import re
@@ -67,7 +67,7 @@ def attack(seed: int, directory: Path) -> None:
 
 
 def use(path: Path) -> None:
-    """Read, wire and judge a scenario; run what is quick for a few ticks."""
+    """Read, wire and check a scenario; run a few ticks of a quick one."""
     scenario: Scenario = load_scenario(str(path))
     rig = rig_of(scenario)
     figures_of(rig)

@@ -1,4 +1,5 @@
-"""Hostile calls of the parameter services of live nodes: by hand, and in a rig in mid-run, in lockstep or in real time.
+"""Hostile calls of the parameter services of live nodes: started alone, and in a rig during a run, in lockstep or in
+real time.
 
 Each declared parameter, `run.*` and rclpy's own too, must keep its type, its range and its existence; the node answers
 each call and goes on.
@@ -99,7 +100,7 @@ class Client:
         return self.node.create_client(kind, name)
 
     def turn(self) -> None:
-        """Take what has come."""
+        """Process messages that have arrived."""
         self._executor.spin_once(0.02)
 
     def close(self) -> None:
@@ -120,7 +121,7 @@ class Target:
         self.values, self.described = self.get(self.names), self.describe(self.names)
 
     def get(self, names: Sequence[str]) -> dict[str, ParameterValue]:
-        """Return the present values: of those that have one."""
+        """Return the present values of the parameters that have one."""
         results = {}
         for name in names:  # rclpy answers a list with one that has no value by an empty list
             for one in self.call(GetParameters, f"{self.name}/get_parameters", names=[name]).values:
@@ -134,7 +135,7 @@ class Target:
         return {one.name: one for one in result}
 
     def set(self, parameters: list[Parameter], together: bool) -> list[Any]:
-        """Set; the result of each."""
+        """Set parameters; return the result of each."""
         while True:
             if together:
                 results = [self.call(SetParametersAtomically, f"{self.name}/set_parameters_atomically",
@@ -171,7 +172,7 @@ class Target:
         return refused
 
     def strange(self, most: int) -> None:
-        """Call with names that there are not, with one twice, with nothing, and with good and bad ones together."""
+        """Call with unknown names, with one name twice, with none, and with good and bad ones together."""
         good = next(n for n in self.names if n in self.values)
         known = Parameter(name=good, value=self.values[good])
         for name in (*STRANGE, good + ".", good.upper() + "_"):
@@ -197,7 +198,7 @@ class Target:
         assert [r.successful for r in self.set([known, gone, known], together=False)] == [True, False, True]
 
     def unchanged(self) -> None:
-        """Check that all is as it was."""
+        """Check that all parameters are as before."""
         assert sorted(self.call(ListParameters, f"{self.name}/list_parameters", depth=0).result.names) == self.names
         now = self.get(self.names)
         for name, before in self.values.items():
@@ -220,7 +221,7 @@ def check(where: str, now: ParameterValue, kept: ParameterValue, descriptor: Any
 
 
 def content(one: ParameterValue) -> Any:
-    """Return what a value holds."""
+    """Return the content of a value."""
     result = getattr(one, FIELDS[one.type]) if 0 < one.type < len(FIELDS) else None
     return list(result) if one.type > Type.PARAMETER_STRING else result
 
@@ -232,7 +233,7 @@ def shown(one: ParameterValue) -> str:
 
 @cache
 def cases() -> list[tuple[str, str, str]]:
-    """List what is attacked: package and executable or '' and scenario, and the state it is in.
+    """List the targets: package and executable, or '' and scenario, and their state.
 
     Scenarios are as few as hold all executables of any; all executables are tried alone, too.
     """
@@ -252,7 +253,7 @@ def cases() -> list[tuple[str, str, str]]:
 
 
 def attack(seed: int, directory: Path) -> None:
-    """Attack all parameters of one executable by hand, or of all nodes of one rig in mid-run."""
+    """Attack all parameters of one executable alone, or of all nodes of one rig during a run."""
     package, name, state = cases()[seed % len(cases())]
     (directory / "case").write_text(f"{package} {name} {state}\n")
     with alone(package, name, state, directory) if package else rig(name, state, directory) as (domain, alive):
@@ -277,7 +278,7 @@ def attack(seed: int, directory: Path) -> None:
 
 @contextmanager
 def alone(package: str, executable: str, mode: str, directory: Path) -> Iterator[tuple]:
-    """Start one node by hand; gives its domain and what checks that it lives."""
+    """Start one node alone; return its domain and a check that it lives."""
     status, message = directory / "status.json", directory / "said"
     with free_domain() as domain, message.open("wb") as output:
         os.environ.update(environment(domain, directory))
@@ -310,7 +311,7 @@ def alone(package: str, executable: str, mode: str, directory: Path) -> Iterator
 
 @contextmanager
 def rig(scenario: str, state: str, directory: Path) -> Iterator[tuple]:
-    """Run a scenario for long; gives its domain and what checks that it goes on."""
+    """Run a scenario for a long time; return its domain and a check that it continues."""
     message, files = directory / "said", directory / "run"
     with free_domain() as domain:
         pass  # the run reserves it

@@ -75,7 +75,7 @@ def drawn_rig(chance: random.Random) -> tuple[Rig, list[list[str]], int]:
 
 
 def attack(seed: int, directory: Path) -> None:
-    """Start two or three rigs at once."""
+    """Start two or three rigs together."""
     chance = random.Random(seed)
     drawn = [drawn_rig(chance) for _ in range(chance.choice((2, 2, 3)))]
     (directory / "case").write_text("\n".join(f"{r.scenario.model_dump(mode='json')} in {c}" for r, c, _ in drawn))

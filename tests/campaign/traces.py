@@ -1,4 +1,4 @@
-"""What a run leaves behind that it should not: processes, shared memory, files outside its directory."""
+"""What a run must not leave behind: processes, shared memory, files outside its directory."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ SHARED = Path("/dev/shm")
 
 
 def of_run(directory: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    """Give number and environment of every process whose logs go below a directory: nodes and what they start."""
+    """Return number and environment of every process whose logs are below a directory: nodes and what they start."""
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit() or int(entry.name) == os.getpid():
             continue
@@ -29,7 +29,7 @@ def of_run(directory: Path) -> Iterator[tuple[int, dict[str, str]]]:
 
 
 def orphans(directory: Path, seconds: float = 15.0) -> list[int]:
-    """Give the processes of a run that are still there when that time is over, and kill them."""
+    """Return the processes of a run that still exist after a time, and kill them."""
     deadline = time.monotonic() + seconds
     while (left := [number for number, _ in of_run(directory)]) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -42,12 +42,12 @@ def orphans(directory: Path, seconds: float = 15.0) -> list[int]:
 
 
 def segments() -> set[str]:
-    """Give the names of what the middleware has in shared memory now."""
+    """Return the names of the middleware's files in shared memory."""
     return {p.name for fast in FAST for p in SHARED.glob(f"*{fast}*")}
 
 
 def left_in_memory(before: set[str], domain: int | None) -> list[str]:
-    """Give the files that came since, have no living owner and that the next runs would not remove either.
+    """Return new files without a living owner that the next runs would not remove either.
 
     Other runs of this machine come and go, and die, meanwhile: only what outlives three clearings is judged, and
     what lies in the domain only if nobody uses that again by now.
@@ -71,6 +71,6 @@ def left_in_memory(before: set[str], domain: int | None) -> list[str]:
 
 
 def _judged(name: str, ours: set[str]) -> bool:
-    """Whether the next run removes a file: ports of another domain go when that is used again."""
+    """Return whether the next run removes a file: ports of another domain are removed when that is used again."""
     stem = name.removesuffix("_el")
     return stem in ours if "_port" in name else stem != name

@@ -1,4 +1,4 @@
-"""A law and a plant in C as members: the struct is the state, and what is wrong with a library ends by its name."""
+"""A controller and a plant in C as nodes: the struct is the state, and errors of a library end the run by name."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def rig_with(
     duration: float = 0.5,
     plant: dict[str, Any] | None = None,
 ) -> Rig:
-    """Make the rig of a scenario, one node of it in C; as it is without parameters."""
+    """Make the rig of a scenario with one node in C, unchanged without parameters."""
     result = copy.deepcopy(contents_of(scenario))
     if parameters:
         result["nodes"][node] = {"package": "softrig_control", "executable": executable, "parameters": parameters}
@@ -86,7 +86,7 @@ def f32(x: float) -> float:
     return float(np.float32(x))
 
 
-def test_the_law_is_what_its_text_says_in_single_precision() -> None:
+def test_the_law_computes_its_source_in_single_precision() -> None:
     """Against numpy's float32, operation by operation."""
     law = ByHand(CController(CParams(**PI), "pi"))
     one = np.float32
@@ -115,7 +115,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("node", "executable"),
     [("dc_motor_pid", "c_controller"), pytest.param("dc_motor_plant", "c_plant", marks=pytest.mark.long)],
 )
-def test_what_export_writes_comes_back_with_the_same_bits(exported: Path, node: str, executable: str) -> None:
+def test_exported_c_runs_as_a_node_with_the_same_bits(exported: Path, node: str, executable: str) -> None:
     scenario, duration = EXPORTED[node]
     parameters = {
         "period": float(next(m.schedule.period for m in rig_of(scenario).members if m.name == node)),
@@ -131,7 +131,7 @@ def test_what_export_writes_comes_back_with_the_same_bits(exported: Path, node: 
 
 @pytest.mark.parametrize("make", [plain, pytest.param(engine.compiled, marks=pytest.mark.long)])
 def test_native_code_calls_it_by_its_address(monkeypatch: pytest.MonkeyPatch, make: Any) -> None:
-    """Its text in Python, and by numba; where the library answers by a status, Python takes the tick."""
+    """In Python's text, and by numba; if the library returns a status, Python runs the tick."""
     native = the_same(lambda: rig_with(PI), monkeypatch, make)
     assert native.ticks >= 48
     fitted._counts.clear()  # it is another library
@@ -139,7 +139,7 @@ def test_native_code_calls_it_by_its_address(monkeypatch: pytest.MonkeyPatch, ma
     assert broken.given_up == 1
 
 
-def test_it_goes_back_branches_and_takes_live_changes() -> None:
+def test_it_goes_back_branches_and_accepts_live_changes() -> None:
     for parameters in (PI, faulty("STATIC")):
         plain, back = Session(rig_with(parameters)), Session(rig_with(parameters))
         plain.go(0.5)
@@ -153,7 +153,7 @@ def test_it_goes_back_branches_and_takes_live_changes() -> None:
         assert other.recording.topics != plain.recording.topics
 
 
-def test_hidden_state_gives_the_run_of_one_that_hides_none_and_says_so() -> None:
+def test_hidden_state_gives_the_same_run_as_declared_state_and_is_reported() -> None:
     pure, hiding = simulate(rig_with(PI)), [simulate(rig_with(faulty("STATIC"))) for _ in range(2)]
     for run in hiding:  # a run leaves nothing to the next
         assert run.recording.topics == pure.recording.topics
@@ -162,13 +162,13 @@ def test_hidden_state_gives_the_run_of_one_that_hides_none_and_says_so() -> None
     assert "hidden_state" not in pure.blocks["dc_motor_pid"].reports
 
 
-def test_state_that_no_file_shows_is_found_by_ticks_that_come_again() -> None:
+def test_state_that_no_file_shows_is_found_by_repeated_ticks() -> None:
     runs = [simulate(rig_with(faulty("RANDOM"))) for _ in range(2)]
     assert runs[0].recording.topics == runs[1].recording.topics
     assert "has other answers when it comes again" in runs[0].blocks["dc_motor_pid"].reports["hidden_state"][1]
 
 
-def test_its_state_is_what_an_fmu_or_a_node_that_comes_back_keeps() -> None:
+def test_its_state_is_kept_by_an_fmu_and_by_a_restarted_node() -> None:
     for parameters in (PI, faulty("STATIC")):
         one, other = (ByHand(CController(CParams(**parameters), "pi")) for _ in range(2))
         for k in range(5):
@@ -179,7 +179,7 @@ def test_its_state_is_what_an_fmu_or_a_node_that_comes_back_keeps() -> None:
         assert other.block.save(other.x) is not None
 
 
-def test_in_a_process_of_its_own_the_numbers_are_the_same() -> None:
+def test_in_a_separate_process_the_numbers_are_the_same() -> None:
     law, apart = (ByHand(CController(CParams(**PI, isolated=isolated), "pi")) for isolated in (False, True))
     for k in range(5):
         ask = {"motor_reference": (10.0 * k,), "motor_state": (float(k),)}
@@ -187,7 +187,7 @@ def test_in_a_process_of_its_own_the_numbers_are_the_same() -> None:
         assert apart.x == law.x
 
 
-def test_the_linear_view_sees_through_it() -> None:
+def test_the_linear_view_includes_it() -> None:
     """Its integral is a state, and the poles of the loop are those of python-control."""
     values = [*PI["values"][:2], "limit [V] = 1e5", *PI["values"][3:]]
     rig = rig_with(PI | {"flags": ["-DREAL=double"], "values": values}, plant={"vmax": 1e5})
@@ -212,7 +212,7 @@ def test_the_linear_view_sees_through_it() -> None:
     ],
 )
 @pytest.mark.parametrize("isolated", [False, True])
-def test_what_breaks_ends_the_run_by_name(fault: str, message: str, isolated: bool) -> None:
+def test_a_failing_library_ends_the_run_by_name(fault: str, message: str, isolated: bool) -> None:
     if isolated and fault != "CRASH":
         return
     message = message.replace(" in pi_step", "") if isolated else message
@@ -221,7 +221,7 @@ def test_what_breaks_ends_the_run_by_name(fault: str, message: str, isolated: bo
     assert message in str(result.value)
 
 
-def test_one_that_hangs_is_given_up_when_it_is_isolated() -> None:
+def test_a_hanging_library_is_abandoned_if_it_is_isolated() -> None:
     with pytest.raises(RunError, match=r"pi.c at t = 0.2 s: gave no answer within 0.2 s"):
         simulate(rig_with(faulty("HANG", isolated=True, timeout=0.2)))
 
@@ -234,8 +234,8 @@ def test_one_that_hangs_is_given_up_when_it_is_isolated() -> None:
         pytest.param("FORKS", "gave no answer within 0.5 s", marks=pytest.mark.long),
     ],
 )
-def test_one_that_ends_or_leaves_its_process_ends_alone_and_leaves_nothing_behind(fault: str, message: str) -> None:
-    """`exit` in a law would end softrig itself, with the status 0 of a run that passed."""
+def test_a_library_that_exits_ends_alone_and_leaves_nothing_behind(fault: str, message: str) -> None:
+    """`exit` in a law would end softrig itself, with the status 0 of a passed run."""
     before = {p.name for p in Path("/proc").glob("[0-9]*")}
     with pytest.raises(RunError, match=rf"pi.c at t = 0.2 s: {message}"):
         simulate(rig_with(faulty(fault, isolated=fault == "CLOSES", timeout=0.5)))
@@ -243,7 +243,7 @@ def test_one_that_ends_or_leaves_its_process_ends_alone_and_leaves_nothing_behin
     assert not [p for p in left if b"shim_pi" in p.read_bytes()]
 
 
-def test_one_that_calls_what_acts_on_the_whole_process_says_why_it_runs_apart() -> None:
+def test_a_library_that_affects_the_whole_process_reports_why_it_runs_separately() -> None:
     run = simulate(rig_with(faulty("EXIT"), duration=0.1))
     assert (
         run.blocks["dc_motor_pid"].reports["apart"][1].startswith("pi.c calls exit, which would act on all of softrig")
@@ -253,8 +253,10 @@ def test_one_that_calls_what_acts_on_the_whole_process_says_why_it_runs_apart() 
 
 @pytest.mark.long
 @pytest.mark.parametrize("isolated", [False, True])
-def test_how_the_processor_computes_is_what_it_was(isolated: bool) -> None:
-    """Rounding upward, one and the half of its last bit is more than one; flushed, a subnormal number is 0."""
+def test_the_floating_point_mode_of_the_processor_is_restored(isolated: bool) -> None:
+    """If it rounded upward, one plus half of its last bit would be more than one; if it flushed, a subnormal number
+    would be 0.
+    """
     least, bit = struct.unpack("2d", struct.pack("2d", 5e-324, 2.0**-53))  # nothing for the compiler to fold
     with pytest.raises(RunError, match="leaves the processor with another rounding mode"):
         simulate(rig_with(faulty("ROUNDING", isolated=isolated)))
@@ -264,12 +266,12 @@ def test_how_the_processor_computes_is_what_it_was(isolated: bool) -> None:
 
 
 @pytest.mark.long
-def test_one_that_prints_more_than_a_pipe_holds_is_not_held_up() -> None:
+def test_a_library_that_prints_more_than_a_pipe_holds_does_not_block() -> None:
     run, quiet = (simulate(rig_with(p, duration=0.25)) for p in (faulty("PRINTS", isolated=True), PI))
     assert run.recording.topics == quiet.recording.topics
 
 
-def test_giving_up_publishes_its_outputs_keeps_its_state_and_is_counted() -> None:
+def test_a_tripped_law_publishes_its_outputs_keeps_its_state_and_is_counted() -> None:
     run = simulate(rig_with(faulty("GIVES_UP")))
     step = run.blocks["dc_motor_pid"]
     assert step.reports["gave_up"][1:] == (
@@ -297,7 +299,7 @@ def test_giving_up_publishes_its_outputs_keeps_its_state_and_is_counted() -> Non
         ({"flags": ["-DFAULT=("]}, "pi.c does not compile: "),
     ],
 )
-def test_what_does_not_fit_is_refused_before_a_run(changes: dict[str, Any], message: str) -> None:
+def test_a_mismatch_is_refused_before_a_run(changes: dict[str, Any], message: str) -> None:
     with pytest.raises((ParameterError, ValueError)) as result:
         CController(CParams(**(PI | changes)), "pi")
     assert message in str(result.value)
@@ -313,7 +315,7 @@ def test_a_library_of_another_machine_is_refused(tmp_path: Path) -> None:
         CParams(**(PI | {"sources": [], "library": str(library)}))
 
 
-def test_a_library_that_is_built_again_waits_for_the_next_run(tmp_path: Path) -> None:
+def test_a_rebuilt_library_is_loaded_with_the_next_run(tmp_path: Path) -> None:
     library = tmp_path / "libpi.so"
 
     def build(*flags: str) -> None:
@@ -339,7 +341,7 @@ PAIRS = (("c++", "g++"), ("fortran", "gfortran"), ("rust", "cargo"))
     ("language", "tool"),
     [("c", "cc"), *(pytest.param(*pair, marks=pytest.mark.long) for pair in PAIRS)],
 )
-def test_what_new_writes_runs_as_its_scenario_expects(language: str, tool: str, tmp_path: Path) -> None:
+def test_the_result_of_new_runs_as_its_scenario_expects(language: str, tool: str, tmp_path: Path) -> None:
     if shutil.which(tool) is None:
         pytest.skip(f"needs {tool}: apt-get install {'g++' if tool == 'g++' else tool}")
     scenario = new_native("my_pi", tmp_path / "my_pi", language, "softrig")
@@ -366,7 +368,7 @@ def test_its_own_build_and_test_pass(language: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["[" * 100_000, '{"period_s": [1e999, 1], "ports": 3}', '{"period_s": [1, 0], "ports": []}']
 )
-def test_a_description_that_is_none_is_refused_in_a_line(text, tmp_path):
+def test_an_invalid_description_is_refused_in_one_line(text, tmp_path):
     (tmp_path / "law.json").write_text(text)
     with pytest.raises(ValueError, match=r"^law\.json describes no node: .*; expected what `softrig export c` writes$"):
         described(tmp_path / "law.json")

@@ -1,4 +1,6 @@
-"""How an FMU is called, against one that writes down each call: by the state machines of the FMI, numbers by hand."""
+"""How an FMU is called, against a stand-in that records each call: by the state machines of FMI, with precomputed
+numbers.
+"""
 
 import sys
 from itertools import pairwise
@@ -28,7 +30,7 @@ def word(x):
 
 
 class Played:
-    """An FMU of which each method writes its call down and answers what was said beforehand, in that order."""
+    """An FMU whose methods record their calls and return prepared answers, in that order."""
 
     def __init__(self, three, slope=lambda t, x: [-x[0]], x=(1.0,), **answers):
         self.calls, self.answers, self.t, self.x = [], {k: [*v] for k, v in answers.items()}, 0.0, [*x]
@@ -98,7 +100,7 @@ class Played:
 
 @pytest.fixture
 def played(monkeypatch):
-    """Make an `Instance` of an FMU that is played, and give both; what is asked of FMPy is written down, too."""
+    """Make an `Instance` of a stand-in FMU and return both; calls to FMPy are recorded, too."""
 
     def make(version, exchange=False, steps=1, outputs=(), inputs=(), start=(), log=False, tolerance=None, **about):
         fmu = Played(version == 3, **about)
@@ -174,7 +176,7 @@ def told(played):
 
 
 def test_calls_are_as_expected(played):
-    """At the start x = 1; it falls by itself, and below 0.7, which is an event, within the last quarter second."""
+    """At the start x = 1; it decays, and below 0.7, which is an event, within the last quarter second."""
     check_expected("fmu/calls", told(played))
 
 
@@ -208,8 +210,8 @@ def test_the_integrator_is_the_classical_one_cut_at_time_events(played, version)
     assert [c for c in fmu.calls if "completed" in c] == ["completedIntegratorStep()"] * 5
 
 
-def test_an_indicator_that_comes_to_zero_is_an_event(played):
-    """It has been above; from zero on, and below, nothing is new."""
+def test_an_indicator_that_reaches_zero_is_an_event(played):
+    """It was above zero before; from zero on, and below, there is no further event."""
     one, fmu = played(2, True, slope=lambda t, x: [-2.0])
     fmu.edge = 0.5
     one.begin()
@@ -264,7 +266,7 @@ DISCARDED = FMICallException("fmi2DoStep", 2)
         ),
     ],
 )
-def test_what_is_refused_is_reported_and_the_next_begin_makes_another(played, version, exchange, answers, text):
+def test_a_refusal_is_reported_and_the_next_begin_makes_another_instance(played, version, exchange, answers, text):
     kind = "Float64" if version == 3 else "Real"
     one, fmu = played(version, exchange, tolerance="", inputs=((kind, 1, 0, 1),), **answers)
     one.begin()
@@ -281,7 +283,7 @@ def test_what_is_refused_is_reported_and_the_next_begin_makes_another(played, ve
     assert fmu.calls[0].startswith("instantiate")
 
 
-def test_what_an_fmu_asks_of_its_status_is_its_last_time_and_whether_it_has_ended(played):
+def test_an_fmu_is_asked_for_its_last_time_and_whether_it_has_ended(played):
     one, fmu = played(2, doStep=[DISCARDED], getBooleanStatus=[True], getRealStatus=[0.5])
     one.begin()
     with pytest.raises(Refusal, match=r"at 0\.5 s$"):
@@ -301,7 +303,7 @@ def test_what_an_fmu_asks_of_its_status_is_its_last_time_and_whether_it_has_ende
         ("Integer", 2.5, "an input is a whole number, got 2.5"),
     ],
 )
-def test_numbers_become_what_a_variable_is(played, kind, x, result):
+def test_numbers_become_the_type_of_their_variable(played, kind, x, result):
     one, fmu = played(2, inputs=((kind, 1, 0, 1),))
     one.begin()
     if isinstance(result, str):
@@ -313,7 +315,7 @@ def test_numbers_become_what_a_variable_is(played, kind, x, result):
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_state_is_freed_also_where_it_cannot_be_kept_or_put_back(played, version):
+def test_a_state_is_freed_even_if_it_cannot_be_saved_or_restored(played, version):
     serialize = "serializeFMUState" if version == 3 else "serializeFMUstate"
     one, fmu = played(version, **{serialize: [OSError("full")]}, setFMUState=[OSError("old")])
     for call, text, freed in ((one.keep, "full", "'state'"), (lambda: one.restore(b"bytes"), "old", "'restored'")):

@@ -1,4 +1,4 @@
-"""The process of an FMU of its own, with a system that is played: what is asked of it, in order, and what is told."""
+"""The separate process of an FMU, with a stand-in for the system: its requests, in order, and its reports."""
 
 import errno
 import os
@@ -28,7 +28,7 @@ def word(x):
 
 
 class System:
-    """The operating system: each call is written down, and answered as was said beforehand."""
+    """The operating system: each call is recorded and gets its prepared answer."""
 
     def __init__(self, **answers):
         self.calls, self.answers = [], {k: [*v] for k, v in answers.items()}
@@ -123,12 +123,12 @@ def told(monkeypatch):
         yield from (f"  {call}" for call in system.calls)
 
 
-def test_what_is_asked_of_the_system_is_as_expected(monkeypatch):
+def test_calls_of_the_system_are_as_expected(monkeypatch):
     check_expected("fmu/child", told(monkeypatch))
 
 
 class Pipe:
-    """Gives what comes in turn, an error as one."""
+    """Returns prepared objects in turn, and raises prepared errors."""
 
     def __init__(self, *comes, full=False):
         self.comes, self.sent, self.full, self.closed = [*comes], [], full, False
@@ -186,7 +186,7 @@ def test_calls_are_answered_until_the_other_end_is_closed(monkeypatch, end, fold
 
 
 class Ended:
-    """The end of a process, once."""
+    """The end of a process, raised once."""
 
     def __init__(self):
         self.alive, self.count = True, 0
@@ -220,7 +220,7 @@ def isolated(pipe, ready=True, code=0, seconds=2.5):
         (lambda one: one.begin(), ("begin", ())),
     ],
 )
-def test_a_call_is_sent_and_its_answer_given(call, sent):
+def test_a_call_is_sent_and_its_answer_returned(call, sent):
     one, asked, _ = isolated(Pipe((True, "found")))
     assert call(one) == "found"
     assert one._pipe.sent == [sent]
@@ -228,7 +228,7 @@ def test_a_call_is_sent_and_its_answer_given(call, sent):
     assert one._end.alive
 
 
-def test_a_start_may_take_as_long_as_a_call_where_that_is_longer():
+def test_a_start_may_take_as_long_as_a_call_if_that_is_longer():
     one, asked, _ = isolated(Pipe((True, ()), (True, None)), seconds=90.0)
     one.begin()
     one.tune([1])
@@ -247,7 +247,7 @@ def test_a_start_may_take_as_long_as_a_call_where_that_is_longer():
         (Pipe(EOFError()), True, None, "crashed: its process closed the pipe by which it is asked"),
     ],
 )
-def test_what_is_not_answered_is_reported_and_ends_it(pipe, ready, code, text):
+def test_a_missing_answer_is_reported_and_ends_it(pipe, ready, code, text):
     one, _, waited = isolated(pipe, ready, code)
     with pytest.raises(Refusal) as refused:
         one.keep()
@@ -259,7 +259,7 @@ def test_what_is_not_answered_is_reported_and_ends_it(pipe, ready, code, text):
     assert one._end.count == 1
 
 
-def test_a_new_process_begins_where_the_one_before_has_ended(monkeypatch):
+def test_a_new_process_begins_where_the_previous_one_ended(monkeypatch):
     one, _, _ = isolated(Pipe((True, ())))
     launched = []
     monkeypatch.setattr(one, "_launch", lambda: launched.append(setattr(one, "_end", Ended())), raising=False)
@@ -272,7 +272,7 @@ def test_a_new_process_begins_where_the_one_before_has_ended(monkeypatch):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_process_is_asked_to_end_and_killed_where_it_does_not(late):
+def test_a_process_is_asked_to_end_and_killed_if_it_does_not(late):
     asked, pipe = [], Pipe()
 
     def wait(limit=None):
@@ -286,7 +286,7 @@ def test_a_process_is_asked_to_end_and_killed_where_it_does_not(late):
     assert pipe.closed
 
 
-def test_it_is_launched_with_its_end_of_the_pipe_and_reported_where_to_import_from(monkeypatch):
+def test_it_is_launched_with_its_end_of_the_pipe_and_its_import_path(monkeypatch):
     mine, started, registered = Pipe((True, None)), [], []
 
     class Theirs:

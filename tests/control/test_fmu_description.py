@@ -1,4 +1,4 @@
-"""What an FMU says of itself and what of it is put where: descriptions by hand, each answer and refusal as text."""
+"""What an FMU declares and how softrig uses it: artificial descriptions, each answer and refusal as text."""
 
 import sys
 import zipfile
@@ -84,7 +84,7 @@ def variables(three):
 
 @pytest.fixture
 def fmu(monkeypatch, tmp_path):
-    """Write an FMU of which FMPy reads a description made by hand; gives its file."""
+    """Write an FMU with an artificial description that FMPy reads; return its file."""
 
     def make(version="2.0", name="made", files=("binaries/here/m.so",), **about):
         three = version.startswith("3")
@@ -135,7 +135,7 @@ def port_words(port):
 
 
 def answers(result, entries, outward, **more):
-    """A side of an FMU, or why there is none."""
+    """One side of an FMU, or the reason why there is none."""
     yield f"  {'says' if outward else 'reads'} {'; '.join(entries)}{''.join(f', {k} {v}' for k, v in more.items())}"
     try:
         ports, places = mapped(result, entries, outward, **more)
@@ -230,7 +230,7 @@ def told(fmu):
             yield from (f"    alone: {row}" for row in _values(given, {21}) if version == "3.0")
 
 
-def test_what_a_description_says_and_what_is_made_of_it_is_as_expected(fmu):
+def test_a_description_and_its_interpretation_are_as_expected(fmu):
     check_expected("fmu/description", told(fmu))
 
 
@@ -264,7 +264,7 @@ def test_what_a_description_says_and_what_is_made_of_it_is_as_expected(fmu):
         ),
     ],
 )
-def test_interfaces_and_whether_a_state_is_kept(fmu, about, interfaces, serialises):
+def test_interfaces_and_whether_a_state_can_be_saved_are_read(fmu, about, interfaces, serialises):
     result = describe(str(fmu(**about)))
     assert (result.interfaces, result.serialises) == (interfaces, serialises)
 
@@ -291,7 +291,7 @@ def test_interfaces_and_whether_a_state_is_kept(fmu, about, interfaces, serialis
         ("2.0", ("a..b/c", "binaries/here/m.so"), ""),
     ],
 )
-def test_files_that_are_none_for_us(fmu, version, files, text):
+def test_unusable_files_are_refused(fmu, version, files, text):
     path = fmu(version, files=files)
     if not text:
         assert describe(str(path)).version == version
@@ -301,7 +301,7 @@ def test_files_that_are_none_for_us(fmu, version, files, text):
     assert text in str(refused.value)
 
 
-def test_an_fmu_is_unpacked_once_and_refused_beyond_its_bounds(fmu, tmp_path, monkeypatch):
+def test_an_fmu_is_unpacked_once_and_refused_beyond_its_limits(fmu, tmp_path, monkeypatch):
     monkeypatch.setattr(description, "cache_folder", lambda: tmp_path / "cache")
     path = fmu()
     with zipfile.ZipFile(path) as archive:
@@ -327,7 +327,7 @@ def test_an_fmu_is_unpacked_once_and_refused_beyond_its_bounds(fmu, tmp_path, mo
     assert [*folder.parent.iterdir()] == [folder]
 
 
-def test_start_values_of_an_array_are_all_or_the_same():
+def test_an_array_has_a_start_value_for_each_element_or_one_for_all():
     def starts(kind, start, dims=(3,)):
         return Variable("x", 0, kind, "input", start, None, None, None, False, dims).starts()
 
@@ -338,7 +338,7 @@ def test_start_values_of_an_array_are_all_or_the_same():
     assert [type(x) for x in starts("Real", "1") + starts("Integer", "1")] == [float] * 3 + [int] * 3
 
 
-def test_units_become_each_other_by_factor_and_offset():
+def test_units_are_converted_by_factor_and_offset():
     def variable(unit):
         return Variable("x", 0, "Real", "output", None, None, None, unit)
 

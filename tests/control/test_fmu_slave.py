@@ -1,4 +1,4 @@
-"""A node inside an FMU, without a tool around it: what it declares as text, its steps against arithmetic by hand."""
+"""A node inside an FMU, without a tool around it: its description as text, its steps against precomputed numbers."""
 
 import json
 import re
@@ -37,7 +37,7 @@ class CartParams(BlockParams):
 
 
 class Cart(Plant[CartParams]):
-    """Moves as it is pushed,
+    """A cart that moves as it is pushed.
 
     and nothing else."""
 
@@ -58,7 +58,7 @@ class Sum(NamedTuple):
 
 
 class Law(Block[CartParams]):
-    """Adds up what it hears; says nothing of nothing."""
+    """Adds up its inputs; publishes nothing if there are none."""
 
     INPUTS, OUTPUTS = (STATE, WANTED), (ANSWER,)
 
@@ -78,7 +78,7 @@ class Made(Node, Fmi2Slave):
 
 @pytest.fixture
 def made(tmp_path, monkeypatch):
-    """Make what is in the FMU of a block."""
+    """Make the content of the FMU of a block."""
 
     def make(block, start=None, **parameters):
         monkeypatch.setattr(slave, "load_block", lambda *given: {("here", "made"): block}[given])
@@ -129,11 +129,11 @@ def lines(element, depth=0):
             yield from lines(part, depth + 1)
 
 
-def test_what_it_declares_is_as_expected(made):
+def test_the_description_is_as_expected(made):
     check_expected("fmu/slave", [*lines(made(Cart).to_xml()), *lines(made(Law, {"state": [4.0, 6.0]}).to_xml({}))])
 
 
-def test_a_plant_says_at_the_end_of_a_step_what_it_has_then(made):
+def test_a_plant_outputs_the_state_at_the_end_of_a_step(made):
     fmu = made(Cart, {"push": [0.5, 4.0]})
     assert get(fmu, X, SPEED, "other.push.x.effort", "other.push.y.effort") == [0.5, 0.0, 0.5, 4.0]
     assert fmu.do_step(0.0, PERIOD)
@@ -146,7 +146,7 @@ def test_a_plant_says_at_the_end_of_a_step_what_it_has_then(made):
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]  # what is safe, where nobody has spoken
 
 
-def test_a_law_says_its_answer_and_keeps_it_while_it_is_silent(made):
+def test_a_controller_outputs_its_answer_and_holds_it_while_it_is_silent(made):
     fmu = made(Law, {"wanted": [0.5]})
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]  # at first what is safe
     put(fmu, x=4.0)
@@ -160,7 +160,7 @@ def test_a_law_says_its_answer_and_keeps_it_while_it_is_silent(made):
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [19.0, 3 * PERIOD]
 
 
-def test_an_input_that_may_stay_without_a_value_has_none_until_it_is_set(made):
+def test_an_optional_input_has_no_value_until_it_is_set(made):
     fmu = made(Law)
     put(fmu, x=1.0)
     assert fmu.do_step(0.0, PERIOD)
@@ -186,7 +186,7 @@ def test_an_input_that_may_stay_without_a_value_has_none_until_it_is_set(made):
         (Law, {"x": 9.5}, PERIOD, "it is far"),
     ],
 )
-def test_a_step_that_cannot_be_is_refused(made, block, values, step, text):
+def test_an_impossible_step_is_refused(made, block, values, step, text):
     """By an exception: PythonFMU makes fmi2Fatal of it, which every tool reports."""
     fmu = made(block)
     put(fmu, **values)
@@ -237,7 +237,7 @@ def test_parameters_count_from_the_end_of_the_initialisation(made):
 
 
 @pytest.mark.parametrize("block", [Cart, Law])
-def test_a_state_goes_back_and_into_another_instance(made, block):
+def test_a_state_is_restored_and_moved_into_another_instance(made, block):
     fmu = made(block)
 
     def go(one, begin, count):

@@ -1,4 +1,4 @@
-"""What a modelDescription.xml says and an FMU's node does with it: real files, read by FMPy; nothing is run."""
+"""Each item of modelDescription.xml and what softrig does with it: real files, read by FMPy; nothing is run."""
 
 import re
 import zipfile
@@ -75,7 +75,7 @@ def fmu(folder, text):
     return describe(str(path))
 
 
-def test_the_offset_of_a_unit_does_not_count_for_a_difference(tmp_path, given):
+def test_the_offset_of_a_unit_does_not_apply_to_a_difference(tmp_path, given):
     """20 degC are 293.15 K; a difference of 2 degC is one of 2 K."""
     unit = fmu(tmp_path, given)
     assert conversion(unit.variable("T"), "K") == (1.0, 273.15)
@@ -112,7 +112,7 @@ def test_values_outside_are_refused(tmp_path, given, entry, why):
         start_values(fmu(tmp_path, given), [entry])
 
 
-def test_bounds_of_unsigned_numbers_count(tmp_path):
+def test_bounds_of_unsigned_numbers_are_checked(tmp_path):
     """FMPy drops them."""
     with pytest.raises(ValueError, match="expected 2 to 4"):
         start_values(fmu(tmp_path, THREE), ["small = 5"])
@@ -131,12 +131,12 @@ def test_an_alias_is_a_name_of_its_variable(tmp_path):
         ("<ModelStructure/>", "<ModelStructure/><Rest/>", "Rest is no part of modelDescription.xml"),
     ],
 )
-def test_what_is_no_part_of_the_standard_is_refused(tmp_path, given, old, new, why):
+def test_items_outside_the_standard_are_refused(tmp_path, given, old, new, why):
     with pytest.raises(ScenarioError, match=why):
         fmu(tmp_path, given.replace(old, new))
 
 
-def test_what_has_no_effect_is_noted(tmp_path):
+def test_items_without_effect_are_reported(tmp_path):
     assert fmu(tmp_path, TWO).notes == ()
     (note,) = fmu(tmp_path, TWO.replace('startTime="0"', 'startTime="3"')).notes
     assert note == "m.fmu: DefaultExperiment@startTime is ignored: a rig and its FMU begin at 0 s"
@@ -144,7 +144,7 @@ def test_what_has_no_effect_is_noted(tmp_path):
     assert [n for n in fmu(tmp_path, text).notes if "clocks is ignored" in n]
 
 
-def test_the_table_has_no_refused_names_that_files_of_the_standard_have():
+def test_the_table_refuses_no_names_that_files_of_the_standard_use():
     assert {use for use, _ in FMI.table.values()} == {"used", "ignored"}
 
 
@@ -176,13 +176,13 @@ def test_the_table_has_no_refused_names_that_files_of_the_standard_have():
     ids=lambda part: "" if "\n" in part else part[:30],
 )
 def test_a_description_that_contradicts_itself_is_refused_by_name(tmp_path, model, old, new, text):
-    """Duplicates, numbers that are none, factors of zero: tools export them, and each would give a wrong number."""
+    """Duplicates, invalid numbers, factors of zero: tools export them, and each would give a wrong number."""
     assert old in model
     with pytest.raises(ValueError, match=re.escape(text)):
         fmu(tmp_path, model.replace(old, new, 1))
 
 
-def test_a_unit_whose_name_means_something_else_here_must_be_stated(tmp_path):
+def test_a_unit_with_a_different_meaning_here_must_be_declared(tmp_path):
     """An FMU may call minutes m: 2 of them are 120 s, and never 2 metres."""
     minutes = '<Unit name="m"><BaseUnit s="1" factor="60"/></Unit>'
     text = TWO.replace('<Unit name="K">', minutes + '<Unit name="K">').replace('unit="degC" start="20"', 'unit="m"')
@@ -203,7 +203,7 @@ def test_the_size_of_an_array_cannot_be_set(tmp_path):
         start_values(result, ["size = 3"])
 
 
-def test_an_fmu_that_is_unpacked_or_packed_with_its_folder_says_how_it_is_packed(tmp_path):
+def test_an_fmu_that_is_unpacked_or_packed_with_its_folder_is_refused_with_how_to_pack_it(tmp_path):
     (tmp_path / "modelDescription.xml").write_text(TWO)
     with pytest.raises(ValueError, match=r"is an unpacked FMU, expected the file: `cd .* && zip -r"):
         describe(str(tmp_path))
@@ -213,7 +213,7 @@ def test_an_fmu_that_is_unpacked_or_packed_with_its_folder_says_how_it_is_packed
         describe(str(tmp_path / "m.fmu"))
 
 
-def test_a_start_value_that_no_message_carries_is_refused(tmp_path):
+def test_a_start_value_that_no_message_can_carry_is_refused(tmp_path):
     result = fmu(tmp_path, TWO.replace('start="20"', 'start="INF"'))
     with pytest.raises(ValueError, match="T starts at inf, which no message carries"):
         mapped(result, ["a/b/position = T"], False)

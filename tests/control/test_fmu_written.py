@@ -1,4 +1,4 @@
-"""What an export as an FMU is made of, and why there is none: with the tool that puts it together played."""
+"""What an exported FMU contains, and why an export is refused: with a stand-in for the packing tool."""
 
 import json
 import sys
@@ -17,7 +17,7 @@ pytest.importorskip("pythonfmu")
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What the tool has been asked for; its answer can be changed."""
+    """The calls of the tool; its answer can be changed."""
     result = SimpleNamespace(calls=[], answer=SimpleNamespace(returncode=0, stderr=""))
 
     def run(command, **about):
@@ -42,7 +42,7 @@ def motor():
     return rig_of("dc_motor_smc")
 
 
-def test_a_node_is_written_with_its_script_and_what_it_is(asked, motor, tmp_path):
+def test_a_node_is_written_with_its_script_and_its_description(asked, motor, tmp_path):
     path = export(motor, "dc_motor_plant", tmp_path / "not" / "there")
     assert path == tmp_path / "not" / "there" / "dc_motor_plant.fmu"
     assert path.parent.is_dir()
@@ -80,7 +80,7 @@ def test_the_seed_and_the_first_values_are_those_of_the_scenario(asked, tmp_path
 @pytest.mark.parametrize(
     ("stderr", "text"), [("", "no reason given"), ("first\nlast one\n", "last one"), ("  \n", "no reason given")]
 )
-def test_why_there_is_none_is_the_last_that_the_tool_said(asked, motor, tmp_path, stderr, text):
+def test_the_reason_of_a_failed_export_is_the_last_line_of_the_tool(asked, motor, tmp_path, stderr, text):
     asked.answer = SimpleNamespace(returncode=1, stderr=stderr)
     with pytest.raises(ScenarioError, match=f"^node dc_motor_plant: no FMU: {text}$"):
         export(motor, "dc_motor_plant", tmp_path)
@@ -108,7 +108,7 @@ def test_nodes_that_cannot_be_exported_are_reported(motor, tmp_path):
     assert _can(SimpleNamespace(block_class=DcMotorPlant)) == ("canGetAndSetFMUstate", "canSerializeFMUstate")
 
 
-def test_the_verb_writes_each_and_says_where(asked, tmp_path, capsys, monkeypatch):
+def test_the_verb_writes_each_fmu_and_prints_where(asked, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["fmu", "dc_motor_smc", "dc_motor_plant", "dc_motor_smc"]) == 0
     assert capsys.readouterr().out == "dc_motor_plant.fmu\ndc_motor_smc.fmu\n"

@@ -41,7 +41,7 @@ def scaled(rng, n, decades=12):
 
 
 def matrices(kind, rng):
-    """Draw matrices of orders up to 20; the larger the order, the fewer."""
+    """Draw matrices of orders up to 20, fewer for larger orders."""
     for n in (1, 2, 3, 4, 6, 9, 20):
         a = rng.normal(size=(n, n)) / math.sqrt(n)
         if kind == "plain":
@@ -58,7 +58,7 @@ def matrices(kind, rng):
 
 
 def right_expm(a):
-    """By the Taylor series of mpmath after many halvings: another way to the same as `exact` takes."""
+    """By the Taylor series of mpmath after many halvings: a method other than that of `exact`."""
     n, halvings = len(a), 60
     x, result, term = high(a) / mpmath.mpf(2) ** halvings, mpmath.eye(len(a)), mpmath.eye(len(a))
     for k in range(1, 9):
@@ -178,7 +178,7 @@ def test_an_exponential_has_its_closed_form():
         ([[math.nan]], "expected finite ones"),
     ],
 )
-def test_what_has_no_exponential_is_refused(a, message):
+def test_a_matrix_without_an_exponential_is_refused(a, message):
     with pytest.raises(ValueError, match=message):
         expm(a)
 
@@ -219,7 +219,7 @@ def test_a_transfer_function_of_high_order_has_the_response_of_its_residues(mode
 
 
 def test_sampling_does_not_depend_on_units():
-    """A filter at 1 Hz in seconds is one at 1 GHz in nanoseconds: the same numbers but for rounding."""
+    """A filter at 1 Hz in seconds is one at 1 GHz in nanoseconds: the same numbers except for rounding."""
     num, den = scipy.signal.butter(6, 2.0 * math.pi, analog=True)
     slow = transfer.sample_transfer_function(num.tolist(), den.tolist(), 0.05).step_response(100)
     fast = transfer.sample_transfer_function(
@@ -264,7 +264,7 @@ def test_a_difference_equation_has_the_polynomials_of_its_poles(order):
     assert model.step_response(60) == pytest.approx(wanted, rel=1e-11)
 
 
-def test_a_difference_equation_that_no_float_holds_is_refused():
+def test_a_difference_equation_that_floats_cannot_represent_is_refused():
     den, _ = modal(np.geomspace(1.0, 30.0, 6), 0.05)
     with pytest.raises(ValueError, match="the step response of the difference equation of order 12 would be off by"):
         Carima.from_continuous((1.0,), den, 0.01)
@@ -274,14 +274,14 @@ def test_a_difference_equation_that_no_float_holds_is_refused():
     )
 
 
-def test_what_does_not_solve_its_riccati_equation_is_not_returned(monkeypatch):
+def test_a_matrix_that_does_not_solve_its_riccati_equation_is_not_returned(monkeypatch):
     assert riccati([[0.5]], [[1.0]], [[1.0]]) == pytest.approx((math.sqrt(0.25**2 + 4.0) + 0.25) / 2.0)
     monkeypatch.setattr("softrig_control.riccati.RESIDUAL", -1.0)
     with pytest.raises(ValueError, match="no such law"):
         lqr([[0.5]], [[1.0]], [1.0], [1.0])
 
 
-def test_balancing_keeps_a_matrix_and_makes_its_rows_and_columns_alike():
+def test_balancing_preserves_a_matrix_and_equalises_its_rows_and_columns():
     rng = np.random.default_rng(3)
     s = scaled(rng, 6)
     a = rng.normal(size=(6, 6)) * s[:, None] / s
@@ -295,14 +295,14 @@ def test_balancing_keeps_a_matrix_and_makes_its_rows_and_columns_alike():
     assert np.max(np.abs(np.log2(sizes.sum(axis=0) / sizes.sum(axis=1)))) < 4.0
 
 
-def test_a_number_that_never_settles_is_none():
+def test_a_number_that_never_settles_has_no_settling_time():
     with pytest.raises(exact.UnsettledError, match="not settled with 6400 bits"):
         exact.settled(lambda bits: bits)
 
 
 @pytest.mark.parametrize("order", [1, 2, 4, 6])
-def test_gains_of_a_plant_in_other_units_are_those_gains_in_other_units(order):
-    """Units by powers of two, whose scaling rounds nothing: k_i x_i stays, however far they are from each other."""
+def test_gains_of_a_plant_in_other_units_are_the_same_gains_in_other_units(order):
+    """Units by powers of two, whose scaling rounds nothing: k_i x_i stays, however different the units are."""
     rng = np.random.default_rng(order)
     a, b, c = rng.normal(size=(order, order)), rng.normal(size=order), rng.normal(size=order)
     poles = [-1.0 - k for k in range(order + 1)]

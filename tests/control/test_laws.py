@@ -1,4 +1,4 @@
-"""Small laws, filters and signals against their formulas, in exact fractions or by another library."""
+"""Small controllers, filters and signals against their formulas, in exact fractions or by another library."""
 
 import cmath
 import math
@@ -53,7 +53,7 @@ def test_a_fuzzy_surface_is_the_mean_of_its_rules(first, second, constants, conj
     assert TakagiSugeno((first, second), rules, conjunction)(*at) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_rules_of_a_fuzzy_controller():
+def test_the_rules_of_a_fuzzy_controller_are_checked():
     assert sum_rules(3) == [[-1, -1, 0], [-1, 0, 1], [0, 1, 1]]
     assert sum_rules(5)[0] == [-2, -2, -2, -1, 0]
     for peaks, rules, text in (
@@ -97,8 +97,8 @@ def fed(levels, reference):
 
 @given(st.lists(st.integers(9, 20), min_size=9, max_size=16))
 @settings(max_examples=60, deadline=None, derandomize=True)
-def test_a_loop_swings_when_eight_swings_are_alike_and_do_not_decay(steps):
-    """A sample each, up and down by so many eighths: a swing is known one sample after its end."""
+def test_a_loop_is_in_a_limit_cycle_after_eight_equal_swings_that_do_not_decay(steps):
+    """One sample each, up and down by so many eighths: a swing is known one sample after its end."""
     levels = [0.0]
     for k, step in enumerate(steps):
         levels.append(levels[-1] + (step if k % 2 == 0 else -step) / 8.0)
@@ -111,7 +111,7 @@ def test_a_loop_swings_when_eight_swings_are_alike_and_do_not_decay(steps):
     assert fed(levels, 50.0) == expected  # a fiftieth of 50 is less than each
 
 
-def test_edges_of_a_limit_cycle():
+def test_the_detector_of_limit_cycles_is_exact_at_its_limits():
     level = [0.0, 1.0] * 6
     assert fed([x * 1.01 for x in level], 50.0)[-1] == 1.01
     assert fed(level, 50.0)[-1] == 0.0  # as small as what does not count
@@ -131,7 +131,7 @@ def test_edges_of_a_limit_cycle():
 
 
 def held(*levels):
-    """Samples of levels, each so many samples long."""
+    """Samples of levels, each for a number of samples."""
     return [y for y, samples in levels for _ in range(samples)]
 
 
@@ -150,7 +150,7 @@ def test_a_swing_has_ended_after_three_times_the_longest_of_the_newest_eight():
 
 
 @pytest.mark.parametrize("anew", ["reference", "rest"])
-def test_swings_before_a_new_reference_or_a_rest_have_no_time_any_more(anew):
+def test_swings_before_a_new_reference_or_a_rest_do_not_count(anew):
     """Quick ones follow slow ones: a pause that is shorter than three slow swings ends them."""
     slow = held(*[(2.0 * (k % 2), 8) for k in range(6)])
     quick = [0.0, 2.0] * 3
@@ -164,7 +164,7 @@ def test_swings_before_a_new_reference_or_a_rest_have_no_time_any_more(anew):
         assert (results[-1] == 2.0) == swings, pause
 
 
-def test_a_pid_is_its_difference_equations():
+def test_a_pid_equals_its_difference_equations():
     rng = np.random.default_rng(5)
     for anti_windup in (True, False):
         p = PidParams(kp=2.5, ki=3.0, kd=0.25, n_filter=16.0, u_max=4.0, anti_windup=anti_windup)
@@ -182,8 +182,8 @@ def test_a_pid_is_its_difference_equations():
             assert x == pytest.approx((float(integral), float(d), float(error)), rel=1e-12, abs=1e-12)
 
 
-def test_a_pid_at_its_edges():
-    """At the limit itself the integral goes on, and without error it has nowhere to be driven."""
+def test_a_pid_is_exact_at_its_limits():
+    """At the limit itself the integral continues, and without an error the limit does not stop it."""
     law = Pid(PidParams(kp=2.0, ki=1.0, u_max=1.0), 0.5)
     assert law(PidState(), 0.5)[0].integral == 0.25
     assert law(PidState(), 0.75)[0].integral == 0.0
@@ -200,7 +200,7 @@ def test_a_pid_at_its_edges():
 
 @given(st.lists(EIGHTHS, min_size=6, max_size=6), st.booleans(), st.sampled_from([0.0, 0.5]))
 @settings(max_examples=40, deadline=None, derandomize=True)
-def test_a_state_feedback_is_its_law(numbers, anti_windup, kr):
+def test_a_state_feedback_equals_its_equation(numbers, anti_windup, kr):
     xi, r, y, a, b, ki = map(Fraction, numbers)
     law = StateFeedback((0.5, -2.0), float(ki), 0.25, 3.0, kr=kr, anti_windup=anti_windup)
     u = Fraction(kr) * r + ki * xi - a / 2 + 2 * b
@@ -219,7 +219,7 @@ def test_a_state_feedback_is_its_law(numbers, anti_windup, kr):
     assert law.go_on(float(xi), same, (float(a), float(b)), float(r)) == float(xi)
 
 
-def test_a_phase_locked_loop_is_its_formula():
+def test_a_phase_locked_loop_equals_its_formula():
     gains, w0, T = PllParams(kp=20.0, ki=300.0, least=0.5), 314.0, 1e-3
     loop = PhaseLockedLoop(gains, w0, T)
     x, theta, summed, omega = loop.first(0.25), 0.25, 0.0, w0
@@ -242,7 +242,7 @@ def test_a_phase_locked_loop_is_its_formula():
 
 @pytest.mark.parametrize("step", [0.05, 0.5, 0.9, 1.5, 2.0, 2.5])
 @pytest.mark.parametrize("damping", [0.0, 0.1, 0.5, 0.75, 1.0, 3.0])
-def test_a_filter_is_made_where_it_is_stable(step, damping):
+def test_an_unstable_filter_is_refused(step, damping):
     omega, period = 40.0, step / 40.0
     rate = [-omega * omega * period, 1.0 - 2.0 * damping * step]
     stable = np.abs(np.linalg.eigvals([[1.0 + period * rate[0], period * rate[1]], rate])).max() < 1.0 - 1e-9
@@ -271,7 +271,7 @@ def test_a_profile_holds_each_value_until_the_next(times, at):
     assert NEVER == 2**63 - 1
 
 
-def test_small_pieces():
+def test_small_parts_are_as_expected():
     assert [switching(s, d) for s, d in ((2.0, 0.0), (-2.0, 2.0), (0.0, 0.0), (0.0, 1.0))] == [1.0, -0.5, 0.0, 0.0]
     assert switching(3.0) == 1.0
     assert add((1.0, 2.0), (3.0,)) == (4.0, 2.0)
@@ -301,7 +301,7 @@ def certificate(modulus=0.5, definite=1.0, decrease=0.0, largest=1.0):
     return Certificate(np.zeros((1, 1)), np.array([[-largest]]), np.array([modulus]), definite, 0.0, decrease)
 
 
-def test_what_a_certificate_needs():
+def test_a_certificate_states_its_conditions():
     assert certificate().valid
     assert certificate(np.nextafter(1.0, 0.0), 1.1e-9, -0.9e-9).valid
     for wrong in ((1.0,), (0.5, 1e-9), (0.5, 1.0, -1e-9), (0.5, 1.5e-9, 0.0, 2.0)):
@@ -339,7 +339,7 @@ def test_what_a_certificate_needs():
         (lambda: split("a//position"), "'a//position': expected topic/channel/field"),
     ],
 )
-def test_what_cannot_be_is_said(make, text):
+def test_impossible_values_are_refused(make, text):
     with pytest.raises(ValueError) as refused:  # noqa: PT011
         make()
     assert str(refused.value).startswith(text)
@@ -348,7 +348,7 @@ def test_what_cannot_be_is_said(make, text):
 @pytest.mark.parametrize(
     "model", [Carima((1.0, -1.5, 0.75), (2.0,)), Carima((1.0, -0.5), (0.0, 1.0, 3.0)), Carima((1.0,), (4.0, 5.0))]
 )
-def test_the_companion_of_a_model_answers_a_pulse_as_its_difference_equation(model):
+def test_the_companion_form_of_a_model_has_the_pulse_response_of_its_difference_equation(model):
     a, b, c = companion(model)
     n = max(len(model.a) - 1, len(model.b))
     assert (a.shape, b.shape, c.shape) == ((n, n), (n, 1), (1, n))
@@ -373,13 +373,13 @@ def test_the_companion_of_a_model_answers_a_pulse_as_its_difference_equation(mod
         (CertificateParams, {"K": (1.0, 2.0), "Qbar": (1.0,) * 3}, "K has 2, Qbar 3 values, expected 2 and 4, or none"),
     ],
 )
-def test_parameters_that_cannot_be_are_refused_before_anything_is_made_of_them(model, given, text):
+def test_impossible_parameters_are_refused_before_they_are_used(model, given, text):
     with pytest.raises(ValueError) as refused:  # noqa: PT011
         model(**given)
     assert text in str(refused.value)
 
 
-def test_what_is_just_allowed():
+def test_values_at_the_limits_are_accepted():
     assert Tuning(1, 1, 1, 0.0)
     assert Tuning(2, 2, 2)
     assert Carima((1.0,), (0.0, 1.0)).b == (0.0, 1.0)
@@ -398,13 +398,13 @@ def test_what_is_just_allowed():
         ({"N1": 12}, "N1 = 12, Np = 11"),
     ],
 )
-def test_a_predictive_law_that_cannot_be(given, text):
+def test_an_impossible_predictive_controller_is_refused(given, text):
     with pytest.raises(ParameterError, match=text):
         GpcController(**given)
 
 
-def test_a_predictive_law_trips_beyond_its_edges_and_at_the_third_bad_sample():
-    """Below and at `trip_low`, above `trip_high`; the command from then on is the safe one, whatever is measured."""
+def test_a_predictive_controller_trips_beyond_its_limits_and_at_the_third_bad_sample():
+    """Below and at `trip_low`, above `trip_high`; from then on the command is the safe one, whatever is measured."""
     model = {"a": (1.0, -0.5), "b": (1.0,), "trip_low": 1.0, "trip_high": 3.0, "u_safe": 7.0, "set_point": 2.0}
     for y, trips in ((3.0, False), (3.0000001, True), (1.0, True), (1.0000001, False)):
         law = ByHand(GpcController(**model))
@@ -430,7 +430,7 @@ def test_a_predictive_law_trips_beyond_its_edges_and_at_the_third_bad_sample():
         assert outputs["health"][0] == (2.0 if k % 3 else 0.0)
 
 
-def test_a_predictive_law_takes_a_bad_sample_for_the_last_one_under_the_held_command():
+def test_a_predictive_controller_replaces_a_bad_sample_by_the_prediction_under_the_held_command():
     given = {"a": (1.0, -0.5), "b": (1.0, 0.25), "set_point": 2.0, "lam": 0.5}
     law, gpc = ByHand(GpcController(**given)), Gpc(Carima(given["a"], given["b"]), Tuning(weight=0.5))
     x, last = gpc.first(1.5, 0.0), 1.5
@@ -467,13 +467,13 @@ def test_a_predictive_law_takes_a_bad_sample_for_the_last_one_under_the_held_com
         ({"limits": (1.0,)}, "limits has 1 values, expected 2"),
     ],
 )
-def test_a_link_that_cannot_be(given, text):
+def test_an_impossible_link_is_refused(given, text):
     with pytest.raises(ValueError) as refused:  # noqa: PT011
         LinkParams(**given)
     assert text in str(refused.value)
 
 
-def test_a_watched_margin_of_zero_holds_and_what_is_below_is_reported_once():
+def test_a_watched_margin_of_zero_holds_and_a_negative_one_is_reported_once():
     watched = ByHand(RequirementMonitor(formula="always x <= 1"))
     watched.block.ages = lambda name: 0
     results = []
@@ -492,7 +492,7 @@ def test_a_watched_margin_of_zero_holds_and_what_is_below_is_reported_once():
         ends.update(10_000_000, state=(2.0,))
 
 
-def test_rows_of_a_profile():
+def test_rows_of_a_profile_are_checked():
     class Params(ProfileParams):
         values: tuple[float, ...] = (1.0, 2.0)
 

@@ -1,4 +1,4 @@
-"""Linear-quadratic laws against python-control, and by what they mean."""
+"""Linear-quadratic controllers against python-control, and by their definition."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from softrig_drives.dc_motor.plant import DcMotorPlant
 
 
 @pytest.mark.parametrize("inputs", [1, 2])
-def test_lqr_is_that_of_the_control_library(inputs):
+def test_lqr_equals_that_of_the_control_library(inputs):
     import control  # a second of each worker, were it above
 
     rng = np.random.default_rng(3)
@@ -21,7 +21,7 @@ def test_lqr_is_that_of_the_control_library(inputs):
         assert np.array(lqr(a, b, [1.0] * n, [2.0] * inputs)) == pytest.approx(diagonal, rel=1e-8, abs=1e-10)
 
 
-def test_the_law_of_a_plant_makes_its_loop_stable():
+def test_the_controller_of_a_plant_makes_its_loop_stable():
     model = Sampled(DcMotorPlant()).linearise((0.0, 0.0, 0.0), (0.0,))
     assert max(abs(np.linalg.eigvals(model.A))) == pytest.approx(1.0)  # the angle
     loop = model.A - model.B @ np.array(lqr(model.A, model.B, (100.0, 1.0, 0.0), (0.1,)))
@@ -37,6 +37,6 @@ def test_the_law_of_a_plant_makes_its_loop_stable():
         ([[1.0]], [[1.0]], [1.0, 2.0], [1.0], r"Q \(2, 2\)"),
     ],
 )
-def test_what_has_no_law_is_reported(a, b, q, r, text):
+def test_a_plant_without_a_stabilising_controller_is_reported(a, b, q, r, text):
     with pytest.raises(ValueError, match=text):
         lqr(a, b, q, r)

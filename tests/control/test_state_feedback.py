@@ -57,7 +57,7 @@ def test_a_bad_design_is_refused(plant, poles, error, text):
         place(*plant, poles)
 
 
-def test_law_saturates_and_integrates_after_the_output():
+def test_the_controller_saturates_and_integrates_after_the_output():
     law = StateFeedback((2.0, 3.0), 10.0, 0.1, 5.0)
     xi, u = law(0.0, 1.0, (0.5, 0.0), 0.0)
     assert u == -1.0
@@ -81,7 +81,7 @@ def test_settle_starts_without_a_bump():
     assert law(xi, 4.0, (0.3, 4.0), 4.0)[1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_other_gains_go_on_without_a_bump():
+def test_other_gains_continue_without_a_bump():
     before, law = (StateFeedback(k, ki, 0.1, 50.0) for k, ki in (((2.0, 3.0), 10.0), ((4.0, 1.0), 5.0)))
     state, r = (0.3, 4.0), 4.5
     command = before(1.7, r, state, 4.0)[1]
@@ -95,7 +95,7 @@ def test_other_gains_go_on_without_a_bump():
     start=st.tuples(*[st.floats(-10, 10)] * 4),
 )
 @settings(max_examples=60, deadline=None)
-def test_replay_is_the_plant_itself(late, commands, start):
+def test_replay_equals_the_plant_itself(late, commands, start):
     phi, gamma = zero_order_hold(MASSES[0], [[b] for b in MASSES[1]], 0.05)
     replay = CommandReplay(phi, gamma, 12)
     history, x, past = replay.nothing(), np.array(start), [np.array(start)]
@@ -106,7 +106,7 @@ def test_replay_is_the_plant_itself(late, commands, start):
     assert replay.present(history, past[-1 - late], late) == pytest.approx(tuple(x), rel=1e-9, abs=1e-9)
 
 
-def test_replay_knows_how_far_back_it_can_see():
+def test_replay_knows_its_longest_delay():
     phi, gamma = zero_order_hold(MOTOR[0], [[b] for b in MOTOR[1]], 0.01)
     replay = CommandReplay(phi, gamma, 5)
     history = replay.nothing()

@@ -57,7 +57,7 @@ class Board:
 
 
 class QuietWire:
-    """Bytes that arrive at once and whole; time stands."""
+    """Bytes that arrive complete and without delay; time does not pass."""
 
     def __init__(self, *boards):
         self.boards, self.waiting, self.time = boards, b"", 0.0
@@ -86,7 +86,7 @@ class QuietWire:
 
 
 class NoisyWire(QuietWire):
-    """A wire on which frames are cut, flipped, doubled, delayed, lost, or get zeros, and that is pulled out at times.
+    """A wire on which frames are cut, flipped, doubled, delayed, lost, or get zeros, and that is unplugged at times.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ can = __import__("can")  # the tests that use this module skip without it
 
 
 class Node:
-    """Answers requests; `step` gives the signals of an answer from those of a request and the state."""
+    """Answers requests; `step` returns the signals of an answer from those of a request and the state."""
 
     def __init__(self, file, name, step, first):
         self.db, self.name, self.step, self.first = cantools.database.load_file(file), name, step, first
@@ -26,7 +26,7 @@ class Node:
         self.parts, self.answer = {}, []
 
     def feed(self, frame):
-        """Return the frames with which the node answers one."""
+        """Return the frames with which the node answers a frame."""
         message = next((m for m in self.db.messages if m.frame_id == frame.arbitration_id), None)
         if message is None or len(frame.data) != message.length or frame.is_remote_frame or frame.is_error_frame:
             return []
@@ -57,7 +57,8 @@ def framed(message, values):
 
 
 class Bus:
-    """What `CanLine` asks of python-can, in memory with a time of its own; frames arrive late, twice or not at all."""
+    """The part of python-can that `CanLine` uses, in memory with its own time; frames arrive late, twice or not at all.
+    """
 
     def __init__(self, rng, rate, *nodes, pulled=0.0):
         self.rng, self.rate, self.nodes, self.pulled = rng, rate, nodes, pulled

@@ -9,7 +9,7 @@ KINDS = {"UDINT": "I", "BOOL": "?", "LINT": "q", "LREAL": "d"}
 
 
 class _Link(Program):
-    """The link program, whose function block is that of another text."""
+    """The link program, which contains the function block of another text."""
 
     def __init__(self, text, block):
         self.inner = block
@@ -24,7 +24,7 @@ class _Link(Program):
 
 
 class Plc:
-    """What `AdsLine` asks of a PLC.
+    """The part of a PLC that `AdsLine` uses.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Plc:
 
 
 class Net:
-    """The way to a PLC, with a time of its own; calls are lost, time out and copy half."""
+    """The network to a PLC, with its own time; calls are lost, time out and copy half."""
 
     def __init__(self, plc, rng, rate=0.0, pulled=0.0):
         self.plc, self.rng, self.rate, self.pulled = plc, rng, rate, pulled

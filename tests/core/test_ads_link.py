@@ -37,7 +37,7 @@ def layout():
 
 
 def total(own):
-    """Be a program whose answer shows each request that it has taken."""
+    """A program whose answer shows each request that it has received."""
 
     def work(request, answer):
         if request.first:
@@ -66,7 +66,7 @@ def command(answer):
 
 
 @pytest.mark.parametrize(("calls", "seed"), [(CALLS, 1), pytest.param(MANY, 2, marks=pytest.mark.long)])
-def test_no_lost_or_torn_copy_brings_a_wrong_answer_in_lockstep(calls, seed):
+def test_no_lost_or_torn_copy_gives_a_wrong_answer_in_lockstep(calls, seed):
     rng = random.Random(seed)
     net = Net(Plc(law()[0], work=total({})), rng, 0.3, pulled=0.001)
     line = line_of(net)
@@ -82,7 +82,7 @@ def test_no_lost_or_torn_copy_brings_a_wrong_answer_in_lockstep(calls, seed):
 
 
 @pytest.mark.parametrize(("calls", "seed"), [(CALLS, 3), pytest.param(MANY, 4, marks=pytest.mark.long)])
-def test_real_time_takes_the_answer_to_its_tick_or_none(calls, seed):
+def test_real_time_accepts_the_answer_to_its_tick_or_none(calls, seed):
     def work(request, answer):
         answer.command_armature_effort = request.state_shaft_velocity
         return False
@@ -119,7 +119,7 @@ def test_another_build_is_refused_by_name():
         line_of(net, digest="00000000").ask(Kind.STEP, request(0, 1.0))
 
 
-def test_a_second_rig_at_one_program_brings_no_answer_to_the_first():
+def test_a_second_rig_at_one_program_gets_no_answer_of_the_first():
     plc = Plc(law()[0], work=total({}))
     nets = [Net(plc, random.Random(k)) for k in range(2)]
     first, second = map(line_of, nets)
@@ -130,7 +130,7 @@ def test_a_second_rig_at_one_program_brings_no_answer_to_the_first():
     assert first.counts.strays > 0
 
 
-def test_a_number_that_is_not_finite_is_no_answer():
+def test_a_number_that_is_not_finite_is_not_an_answer():
     def work(request, answer):
         answer.command_armature_effort = float("nan")
         return False
@@ -142,7 +142,7 @@ def test_a_number_that_is_not_finite_is_no_answer():
     assert (line.counts.damaged, line.counts.lost) == (1, 1)
 
 
-def test_a_plc_that_is_not_there_ends_a_lockstep_run_with_its_reason():
+def test_a_missing_plc_ends_a_lockstep_run_with_its_reason():
     net = Net(Plc(law()[0], work=total({})), random.Random(0))
     net.back = 1e9
     with pytest.raises(RunError, match="the PLC ads:test cannot be reached: no route to host"):
@@ -199,7 +199,7 @@ class Served:
         self.server.close()
 
 
-def test_a_law_on_a_plc_over_ads_is_the_law_without_to_the_bit(exported):
+def test_a_controller_on_a_plc_over_ads_has_the_same_bits_as_without(exported):
     pytest.importorskip("pyads", reason="needs pyads (scripts/softrig setup hardware)")
     host = "127.0.0.71"
     with Served(host):
@@ -226,12 +226,12 @@ def test_a_plc_that_is_off_ends_a_run_in_one_line(exported):
 
 
 @pytest.mark.parametrize("port", ["", "\n", "1.2.3.4/851", "1.2.3.4.1.1", "1.2.3.4.1.300/851", "1.2.3.4.1.1/x"])
-def test_a_port_that_is_none_is_refused(port):
+def test_an_invalid_port_is_refused(port):
     with pytest.raises(ValueError, match=r"expected (ads:NETID/PORT|a name without control)"):
         LinkEntry(port=f"ads:{port}", firmware="f")
 
 
-def test_a_file_that_is_no_program_or_of_other_parameters_is_refused(exported, tmp_path):
+def test_a_file_that_is_not_a_program_or_has_other_parameters_is_refused(exported, tmp_path):
     (tmp_path / "bad.TcPOU").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ScenarioError, match=r"bad.TcPOU is no NODE_link.TcPOU"):
         program_of(tmp_path / "bad.TcPOU")

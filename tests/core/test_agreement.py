@@ -1,4 +1,4 @@
-"""Nodes of a rig that must mean the same."""
+"""Nodes of a rig that must agree on a quantity."""
 
 import math
 
@@ -16,7 +16,7 @@ class MassParams(BlockParams):
 
 
 class Judge(Block[MassParams]):
-    """Speaks of the mass."""
+    """States the mass."""
 
     @classmethod
     def agreed(cls, params):
@@ -24,18 +24,18 @@ class Judge(Block[MassParams]):
         return {"cart/mass": params.mass, "cart/loads": params.loads}
 
     def update(self, x, t):
-        """Say nothing."""
+        """Publish nothing."""
         return x, {}
 
 
 class Law(Judge):
-    """Has an idea of its own of it."""
+    """Assumes a value of its own."""
 
     agreed = Block.agreed
 
     @classmethod
     def assumed(cls, params):
-        """What it takes the cart for."""
+        """The assumed mass of the cart."""
         return {"cart/mass": params.mass, "cart/colour": "red"}
 
 
@@ -47,25 +47,25 @@ class Law(Judge):
         ({"loads": (1.0,)}, "must agree on cart/loads"),
     ],
 )
-def test_those_who_speak_of_one_quantity_must_agree(change, text):
+def test_nodes_that_state_one_quantity_must_agree(change, text):
     Rig.from_blocks({"one": Judge(), "other": Judge(), "law": Law(**change)}, 1.0)
     with pytest.raises(ScenarioError, match=text):
         Rig.from_blocks({"one": Judge(), "other": Judge(**change)}, 1.0)
 
 
-def test_the_last_digit_of_a_product_is_no_disagreement():
+def test_the_last_digit_of_a_product_is_not_a_disagreement():
     rig = Rig.from_blocks({"one": Judge(mass=0.3), "other": Judge(mass=0.1 * 3.0)}, 1.0)
     masses = [m.params.mass for m in rig.members if m.name != rig.clock.name]
     assert masses == [0.3, 0.1 * 3.0]
 
 
-def test_what_a_law_takes_for_granted_may_differ_and_is_reported():
+def test_an_assumption_of_a_controller_may_differ_and_is_reported():
     rig = Rig.from_blocks({"one": Judge(), "law": Law(mass=3.0)}, 1.0)
     assert assumptions(rig.members) == ["law takes cart/mass to be 3, one has 2"]
     assert assumptions(Rig.from_blocks({"one": Judge(), "law": Law()}, 1.0).members) == []
 
 
-def test_an_argument_of_a_figure_is_what_a_node_says():
+def test_an_argument_of_a_figure_can_refer_to_a_node():
     text = agreed_values(Rig.from_blocks({"one": Judge(mass=3.0)}, 1.0).members)
     agreed = {"mass": "cart/mass"}
     assert agreeing(text, {"band": 0.1}, agreed) == {"band": 0.1, "mass": 3.0}
@@ -89,7 +89,7 @@ def test_an_argument_of_a_figure_is_what_a_node_says():
         (math.nan, True),
     ],
 )
-def test_what_cannot_be_is_no_result(value, fits):
+def test_an_impossible_figure_is_not_a_result(value, fits):
     @figure("%", possible=(0.0, 100.0))
     def share(signals):
         return value
@@ -101,7 +101,7 @@ def test_what_cannot_be_is_no_result(value, fits):
             Figure("share", share, {}, "%", 1.0)({})
 
 
-def test_an_impossible_figure_fails_though_nothing_is_expected_of_it(monkeypatch):
+def test_an_impossible_figure_fails_even_without_an_expectation(monkeypatch):
     @figure("%", possible=(0.0, 100.0))
     def share(signals):
         return 340.0

@@ -19,7 +19,7 @@ EPOCH_NS = 1_700_000_000_123_456_789
 
 
 def bag(folder, function, period, *, epoch=0, left=False, until=4.0, topic="plant/state", begin=0.0):
-    """A bag of one topic with two values, stamped from `epoch` on; `left`: the bag says so."""
+    """A bag of one topic with two values, stamped from `epoch` on; `left`: the metadata has the epoch."""
     recording = Recording([(topic, STATE)])
     for k in range(round(begin / period), round(until / period) + 1):
         stamp = epoch + round(k * period * 1e9)
@@ -33,7 +33,7 @@ def wave(t):
 
 
 @pytest.mark.parametrize("left", [True, False])
-def test_real_time_against_lockstep_is_aligned_by_itself(tmp_path, capsys, left):
+def test_real_time_and_lockstep_are_aligned_automatically(tmp_path, capsys, left):
     a = bag(tmp_path / "a", wave, 0.01)
     b = bag(tmp_path / "b", lambda t: wave(t) + 0.001, 0.01, epoch=EPOCH_NS, left=left)
     assert compare(a, b).unrelated
@@ -74,8 +74,8 @@ def test_the_time_shift_is_found(tmp_path, late):
         ("7", 7),
     ],
 )  # fmt: skip
-def test_an_epoch_is_a_whole_number_that_64_bits_may_hold(tmp_path, left, epoch):
-    """As a bag has it; anything else is none, and times count as they stand."""
+def test_an_epoch_is_an_integer_of_64_bits(tmp_path, left, epoch):
+    """As in a bag; anything else is ignored, and times stay as they are."""
     recording = Recording([("plant/state", STATE)])
     recording.add(0, 5, LAYOUT.encode(5, (1.0, 1.0)))
     write_bag(tmp_path / "bag", recording, custom_data={EPOCH: left})
@@ -83,8 +83,8 @@ def test_an_epoch_is_a_whole_number_that_64_bits_may_hold(tmp_path, left, epoch)
     assert (read._epoch, read.from_start) == (epoch, True)
 
 
-def test_the_start_is_that_of_the_first_message_that_is_compared(tmp_path):
-    """A bag of somebody else begins with a topic that the other one lacks."""
+def test_the_start_is_that_of_the_first_compared_message(tmp_path):
+    """A bag of another recorder begins with a topic that the other one lacks."""
     a = bag(tmp_path / "a", wave, 0.01)
     recording = Recording([("before", STATE), ("plant/state", STATE)])
     for topic, offset in ((0, 0.0), (1, 0.7)):
@@ -108,14 +108,14 @@ def test_different_rates_are_compared_at_the_samples_of_the_slower_one(tmp_path,
     assert main_compare([str(tmp_path / "a"), str(tmp_path / "b"), "--align", "--abs", "1e-12"]) == 0
 
 
-def test_rates_that_never_meet_are_off_by_the_straight_line_alone(tmp_path):
+def test_rates_without_common_samples_differ_only_by_interpolation(tmp_path):
     a = bag(tmp_path / "a", wave, 0.001)
     b = bag(tmp_path / "b", wave, 0.0317)
     x, _ = align(a, b).deviations
     assert 0.0 < x.largest < 2.0 * (3.0 * 0.001) ** 2 / 8.0 * 1.01  # peak curvature times step^2 / 8
 
 
-def test_what_one_lacks_is_named_and_what_has_no_time_in_common_refused(tmp_path):
+def test_missing_topics_are_named_and_bags_without_a_common_time_refused(tmp_path):
     a = bag(tmp_path / "a", wave, 0.01)
     b = bag(tmp_path / "b", wave, 0.01, topic="other")
     with pytest.raises(BagError, match="no topic with messages in both"):
@@ -125,7 +125,7 @@ def test_what_one_lacks_is_named_and_what_has_no_time_in_common_refused(tmp_path
         align(a, later)
 
 
-def test_not_a_number_is_no_agreement(tmp_path):
+def test_nan_does_not_agree(tmp_path):
     a = bag(tmp_path / "a", wave, 0.01)
     b = bag(tmp_path / "b", lambda t: np.nan if t == 1.0 else wave(t), 0.01, epoch=EPOCH_NS)
     result = align(a, b, default=Tolerance(absolute=1e9))
@@ -134,7 +134,7 @@ def test_not_a_number_is_no_agreement(tmp_path):
     assert json.loads(result.to_json())["deviations"][0]["agrees"] is False
 
 
-def test_bitwise_knows_no_alignment(tmp_path, capsys):
+def test_a_bitwise_comparison_does_not_align(tmp_path, capsys):
     bag(tmp_path / "a", wave, 0.01)
     assert main_compare([str(tmp_path / "a"), str(tmp_path / "a"), "--align", "--bitwise"]) == 2
     assert "--align with --bitwise" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What is used below rclpy's public interface: each self-test can fail, and the public way then gives the same."""
+"""Uses of rclpy below its public interface: each self-test can fail, and the public way then gives the same."""
 
 import ast
 from pathlib import Path
@@ -24,7 +24,7 @@ C = {"softrig_nodes/seam/health.py", "softrig_nodes/processes/fork_server.py"}  
 
 @pytest.fixture
 def public(monkeypatch):
-    """Take the public way of a use, or of all."""
+    """Use the public way for one use, or for all."""
 
     def choose(name):
         monkeypatch.setenv(uses.VARIABLE, name)
@@ -48,7 +48,7 @@ def node():
 
 
 @pytest.mark.parametrize("name", uses.USES)
-def test_a_use_works_here_and_one_that_is_otherwise_falls_back(name, monkeypatch):
+def test_a_use_works_here_and_a_changed_one_falls_back(name, monkeypatch):
     uses.works.cache_clear()
     assert uses.works(name)
     use = uses.USES[name]
@@ -66,8 +66,8 @@ def test_a_use_works_here_and_one_that_is_otherwise_falls_back(name, monkeypatch
     uses.works.cache_clear()
 
 
-def test_nothing_else_in_the_packages_goes_below():
-    """By imports, and ctypes; private attributes are ruff's (SLF001), which exempts this room alone."""
+def test_no_other_module_uses_private_interfaces():
+    """By imports, and ctypes; private attributes are checked by ruff (SLF001), which exempts this folder only."""
     results = []
     for file in PACKAGES.glob("softrig_*/softrig_*/**/*.py"):
         if "below" in file.parts or not {"softrig_nodes", "softrig_bags"} & set(file.parts):
@@ -82,8 +82,8 @@ def test_nothing_else_in_the_packages_goes_below():
     assert results == [("softrig_nodes/softrig_nodes/preloaded.py", "rclpy.experimental.events_executor")]
 
 
-def test_nothing_else_calls_what_rclpy_keeps_behind_a_handle():
-    """`handle` of a publisher, subscription or node is rclpy's C object, whose methods are of no public interface."""
+def test_no_other_module_calls_the_objects_behind_a_handle():
+    """`handle` of a publisher, subscription or node is rclpy's C object, whose methods are not public."""
     results = []
     for file in PACKAGES.glob("softrig_*/**/*.py"):
         if "below" not in file.parts and ".handle." in (text := file.read_text()):
@@ -123,7 +123,7 @@ def test_the_public_way_gives_the_same(node, public):
     node.destroy_subscription(reader)
 
 
-def test_an_empty_list_has_a_type_where_rclpy_lets_it(node, public):
+def test_an_empty_list_has_a_type_if_rclpy_allows_it(node, public):
     public("")
     node.declare_parameter("empty", [])
     uses.make_empty(node, "empty", Parameter.Type.DOUBLE_ARRAY)
@@ -135,7 +135,7 @@ def test_an_empty_list_has_a_type_where_rclpy_lets_it(node, public):
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_a_rig_that_goes_the_public_way_has_the_same_bits(public, tmp_path):
+def test_a_rig_that_uses_the_public_way_has_the_same_bits(public, tmp_path):
     public("all")
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.1))
     outcome = run_processes(rig, 0, tmp_path, Placement())

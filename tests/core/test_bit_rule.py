@@ -1,6 +1,7 @@
-"""What decides a number uses no BLAS, no LAPACK, no transcendental function of numpy: their bits depend on the CPU;
-and no built-in `sum`, whose bits depend on the version of Python. Numpy's sums of arrays are let pass: they add in one
-order at every level, and on arm64. So are `math.fsum`, which is exact, and `functools.reduce`, whose order is written.
+"""Code that decides a number uses no BLAS, no LAPACK, no transcendental function of numpy: their bits depend on the
+CPU; and no built-in `sum`, whose bits depend on the version of Python. Numpy's sums of arrays are allowed: they add in
+one order at every level, and on arm64. So are `math.fsum`, which is exact, and `functools.reduce`, whose order is
+fixed.
 
 `jit` refuses them in what it compiles; here they are refused in plants, laws and solvers. The same reading of the
 sources finds the functions of the C library that they call: `bits.math_digest` is of those. Not seen by this rule:
@@ -104,7 +105,7 @@ EXEMPT = {
 
 
 def counts(call: ast.Call) -> bool:
-    """Whether a `sum` can only be one of whole numbers: of comparisons, ones, lengths."""
+    """Return whether a `sum` can only be one of integers: of comparisons, ones, lengths."""
     of = call.args[0]
     term = of.elt if isinstance(of, (ast.GeneratorExp, ast.ListComp)) else of
     return (
@@ -124,7 +125,7 @@ SEEN = re.compile(
 
 
 def uses(module: str, source: str) -> set[str]:
-    """Where a module uses what is refused: qualified names of the functions or classes."""
+    """Where a module uses something forbidden: qualified names of the functions or classes."""
     result: set[str] = set()
     if not SEEN.search(source):
         return result
@@ -170,14 +171,14 @@ NAMED = re.compile(rf"\bfrom\s+({'|'.join(MODULES)})\s+import\s+(\([^)]*|.*)")
 
 
 def functions(home: str, name: str) -> tuple[set[str], set[str]]:
-    """Which functions of the C library a name of a module is made of: real, complex."""
+    """The functions of the C library that a name of a module uses: real, complex."""
     if home == "cmath":
         return PARTS.get(name, set()), {name} - EXACT - PARTS.keys() | {name} & {"sqrt"}
     return {name} - EXACT if hasattr(math, name) else set(), set()
 
 
 def calls(source: str) -> set[tuple[str, str]]:
-    """What a module calls by itself, in CasADi's C or from numpy: names with their modules."""
+    """The calls of a module itself, in CasADi's C or from numpy: names with their modules."""
     result: set[tuple[str, str]] = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
@@ -190,7 +191,7 @@ def calls(source: str) -> set[tuple[str, str]]:
 
 
 def called(sources: Iterable[str]) -> tuple[set[str], set[str]]:
-    """Which functions of the C library modules call: real, complex."""
+    """The functions of the C library that modules call: real, complex."""
     pairs: set[tuple[str, str]] = set()
     for source in sources:
         written = {*CALLS.findall(source)} | ({("math", "pow")} if "**" in source else set())
@@ -203,7 +204,7 @@ def called(sources: Iterable[str]) -> tuple[set[str], set[str]]:
 
 @cache
 def deciding() -> dict[str, str]:
-    """Each module that decides numbers, read."""
+    """The syntax tree of each module that decides numbers."""
     result: dict[str, str] = {}
     for short in DECIDING:
         root = PACKAGES / f"softrig_{short}"
@@ -216,7 +217,7 @@ def deciding() -> dict[str, str]:
 
 @cache
 def found() -> dict[str, str]:
-    """Each use to what exempts it, empty where nothing does."""
+    """Each use with its exemption, empty if there is none."""
     names: dict[str, str] = {}
     for module, source in deciding().items():
         for name in uses(module, source):
@@ -224,12 +225,12 @@ def found() -> dict[str, str]:
     return names
 
 
-def test_what_decides_the_bits_uses_nothing_that_depends_on_the_cpu():
+def test_code_that_decides_the_bits_uses_nothing_that_depends_on_the_cpu():
     assert sorted(name for name, exempt in found().items() if not exempt) == []
 
 
-def test_the_digest_is_of_the_functions_in_use():
-    """Neither of more, which would tell machines apart that give the same bits, nor of fewer."""
+def test_the_digest_covers_exactly_the_functions_in_use():
+    """More would distinguish machines that give the same bits, and fewer would not notice a difference."""
     real, whole = called(source for module, source in deciding().items() if module != "softrig_core.bits")
     assert real == {*bits.FUNCTIONS, *bits.OF_TWO}
     assert whole == {*bits.COMPLEX}
@@ -252,5 +253,5 @@ def test_no_exemption_outlives_its_reason():
      ("y = dense.total(row)", False), ("n = sum(x > 0.0 for x in row)", False), ("y = math.sumprod(a, b)", True),
      ("x = sum(p.size for p in waves)", True)],
 )  # fmt: skip
-def test_the_rule_sees_what_it_should(code, refused):
+def test_the_rule_finds_forbidden_uses(code, refused):
     assert bool(uses("module", code)) == refused

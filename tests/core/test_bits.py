@@ -1,4 +1,4 @@
-"""What the machine decides: pinned before numpy is loaded, however a rig starts, and known by its results."""
+"""Settings that the machine would decide: pinned before numpy is loaded in every start, and stored with the results."""
 
 import ast
 import json
@@ -19,7 +19,7 @@ UNPINNED = {name: value for name, value in os.environ.items() if name not in bit
 
 
 def python(code, **variables):
-    """What another process says, started without pins."""
+    """The output of another process, started without pins."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=UNPINNED | variables)
     assert done.returncode == 0, done.stderr
     return done
@@ -27,7 +27,7 @@ def python(code, **variables):
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda p: p.name)
 def test_each_package_begins_with_the_core(package):
-    """A node's first import is of its package: what pins numpy's choice comes before anything that loads numpy."""
+    """A node first imports its package: what pins numpy's kernels must come before anything that loads numpy."""
     statements = ast.parse((package / package.name / "__init__.py").read_text()).body
     harmless = ("__future__", "importlib", "typing")  # nothing of numpy in them
     first = next(s for s in statements if not isinstance(s, ast.Expr) and getattr(s, "module", "") not in harmless)
@@ -94,7 +94,7 @@ def test_a_node_is_pinned_before_it_loads_numpy(tmp_path):
         marker.touch()
 
 
-def test_the_command_line_and_what_is_started_are_pinned(tmp_path, monkeypatch):
+def test_the_command_line_and_its_processes_are_pinned(tmp_path, monkeypatch):
     assert (
         python(f"{WIDE}\nimport sys, softrig_bringup.cli\nassert 'numpy' not in sys.modules\n{PINNED}").stdout
         == "True\n"
@@ -125,7 +125,7 @@ def test_a_wheels_prefix_is_found_and_joined_where_processes_start(tmp_path, mon
     assert os.environ["AMENT_PREFIX_PATH"] == "/a"
 
 
-def test_what_the_user_has_set_stays():
+def test_settings_of_the_user_stay():
     chosen = {bits.CORE: "Prescott", "NPY_ENABLE_CPU_FEATURES": "X86_V2"}
     environ = dict(chosen)
     bits.pin(environ, wider=True)
@@ -162,7 +162,7 @@ def test_sines_and_hypot_of_arrays_are_the_c_librarys_at_every_level(features):
     python(SINES, **features)  # the rule of test_bit_rule.py lets plants and laws use them
 
 
-def test_the_digest_tells_another_math_library(monkeypatch):
+def test_the_digest_distinguishes_another_math_library(monkeypatch):
     result = bits.math_digest.__wrapped__
     assert result() == result() == bits.math_digest()
     assert all(low < high for low, high in bits.FUNCTIONS.values())  # its arguments differ

@@ -1,4 +1,4 @@
-"""Time, ports, answers and parameters of blocks, also in words (`tests/expected`).
+"""Time, ports, answers and parameters of blocks, against independent code and expected texts.
 
 Sources: the pages tick and scenario_file, as naive models of the contracts on lists and exact fractions.
 """
@@ -40,7 +40,7 @@ from softrig_core.wire.cdr import Layout
 
 
 def said(function, *given, **words):
-    """What a function gives, or the line of what it raises."""
+    """The result of a function, or the line of its error."""
     try:
         return repr(function(*given, **words))
     except (ValueError, TypeError) as error:
@@ -52,7 +52,9 @@ def said(function, *given, **words):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_schedule_is_a_list_of_stamps(seed):
-    """Ticks k = 0, 1, ... at k periods, rounded to the nearest ns, halves up; all else is looked up in that list."""
+    """Ticks k = 0, 1, ... at k periods, rounded to the nearest ns, halves up; everything else is looked up in that
+    list.
+    """
     rng = random.Random(seed)
     for _ in range(10):
         clock = Fraction(rng.randint(1, 40), rng.choice([1, 7, 1000, 2880, 10**6, 3 * 10**8, 10**9]))
@@ -87,7 +89,7 @@ def test_a_schedule_is_a_list_of_stamps(seed):
         assert (result.dtype, result.tolist()) == (np.int64, wanted)
 
 
-def test_runs_that_are_too_short_or_have_no_end():
+def test_runs_that_are_too_short_or_infinite_are_refused():
     half = Fraction(1, 2 * 10**9)
     assert Schedule("0.01", None, Fraction(1, 100) - half).ticks == 1
     assert said(Schedule, "0.01", None, 0.009999999).startswith("ValueError: duration 0.01 s is shorter")
@@ -101,7 +103,7 @@ def test_runs_that_are_too_short_or_have_no_end():
 
 
 def test_the_simplest_number_between_two_is_the_first_of_all_fractions_in_order():
-    """By their denominators; floats next to them mean them, negative ones as well."""
+    """By their denominators; floats next to a fraction mean it, negative ones as well."""
     for q in range(1, 20):
         for p in range(-25, 26):
             if math.gcd(p, q) == 1 and p:
@@ -116,7 +118,7 @@ def test_the_simplest_number_between_two_is_the_first_of_all_fractions_in_order(
 
 
 def all_ports():
-    """One of each kind."""
+    """One port of each kind."""
     return {
         "joint_state": joint_state("a", "t", ["x", "y"], position="m", velocity=["m/s", "1"], effort="N"),
         "some fields of it": joint_state("a", "t", ["x", "y"], velocity="rad/s", safe=(1, 2)),
@@ -164,7 +166,7 @@ def test_ports_are_as_expected():
     check_expected("ports", lines)
 
 
-def test_what_a_port_takes_is_finite_and_within_its_limits():
+def test_a_port_accepts_finite_values_within_its_limits():
     port = all_ports()["command"]
     for value in (2.0, -2.0, 2.0000001, -2.1, math.inf, -math.inf, math.nan):
         used = math.isfinite(value) and abs(value) <= 2.0
@@ -175,8 +177,8 @@ def test_what_a_port_takes_is_finite_and_within_its_limits():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_one_port_sends_another_reads_by_the_names_of_its_values(seed):
-    """By label; missing channels of a partial one are its safe values, and bytes say what the numbers say."""
+def test_a_message_of_one_port_is_read_by_another_by_names(seed):
+    """By label; missing channels of a partial one get their safe values, and bytes give the same numbers."""
     rng = random.Random(seed)
     kinds = ("position", "velocity", "effort")
     for _ in range(25):
@@ -217,11 +219,11 @@ def test_arrays_are_numbered_in_the_order_of_calls():
 
 
 def joints(names):
-    """A message of positions; no port has two channels of one name, others may send such."""
+    """A message of positions; other publishers may send two channels of one name."""
     return Layout("sensor_msgs/msg/JointState", "", names, {"position": len(names)}).encode(3, (1.0, 2.0)[: len(names)])
 
 
-def test_what_does_not_fit_is_expected():
+def test_a_mismatch_is_reported_as_expected():
     two = joint_state("a", "t", ["x", "y"], position="m")
     pairs = {
         "another type": (two, number("a", "t", "m")),
@@ -254,7 +256,7 @@ def test_what_does_not_fit_is_expected():
 # answers --------------------------------------------------------------------------------------------------------------
 
 
-def test_what_was_heard_in_one_go_is_a_row_of_messages():
+def test_messages_received_together_are_one_row():
     stamps, values = np.array([3, 5, 9]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
     received, row = ReceivedMessages(stamps, values), ((3, (1.0, 2.0)), (5, (3.0, 4.0)), (9, (5.0, 6.0)))
     assert (tuple(received), len(received), repr(received)) == (row, 3, repr(row))
@@ -280,7 +282,7 @@ def test_what_was_heard_in_one_go_is_a_row_of_messages():
         ((10**400,), False),
     ],
 )
-def test_usual_are_floats_the_sum_of_whose_squares_is_not_above_a_bound(values, yes):
+def test_usual_values_are_floats_with_a_sum_of_squares_below_a_bound(values, yes):
     assert usual(values, 25.0) is yes
 
 
@@ -395,7 +397,7 @@ class Counting(Block[Every]):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_block_that_goes_back_is_as_it_was(seed):
-    """Ticks, changes, ticks that are dropped, going back: against a list of what was, by hand."""
+    """Ticks, changes, dropped ticks, going back: against an independent list of states."""
     rng, held, kept = random.Random(seed), ByHand(Counting()), []
     count, gain, own, reports = 0, 0.4, 0.4, {}
     for _ in range(60):
@@ -428,7 +430,7 @@ def test_a_block_that_goes_back_is_as_it_was(seed):
     assert (held.x, held.reports, held.anew) == ((0, own), {}, set())
 
 
-def test_what_is_reported_is_noted_by_who_holds_the_block():
+def test_reports_are_collected_by_the_caller_of_the_block():
     block = Counting()
     block.report(Level.WARN, "a", "before it is held")
     held = ByHand(block)
@@ -445,14 +447,14 @@ def test_what_is_reported_is_noted_by_who_holds_the_block():
     assert (held.reports, block.age("any"), block.health(), block.latched(), block.markers()) == ({}, 0, {}, {}, ())
 
 
-def test_a_sample_before_the_first_message_is_of_time_zero():
+def test_a_sample_before_the_first_message_has_time_zero():
     assert all_ports()["vector3"].initial == Sample(0, (0.0, 0.0, 0.0))
     assert list(itertools.islice(all_ports()["scalars"].units, 2)) == ["K", "Pa"]
     assert issubclass(Refused, ValueError)
 
 
 class Loud(Plant[BlockParams]):
-    """Reports whatever it is asked."""
+    """Reports whatever it receives."""
 
     OUTPUTS = (scalars("out", "out", {"a": ""}),)
 
@@ -465,7 +467,7 @@ class Loud(Plant[BlockParams]):
         return (*x, t)
 
 
-def test_what_a_plant_reports_by_hand_is_reported_at_once():
+def test_reports_of_a_plant_without_a_rig_are_returned_immediately():
     plant = ByHand(Loud())
     assert plant.outputs(5) == {"out": (1.0,)}
     assert plant.reports == {"outputs": (Level.WARN, "at 5", 1)}

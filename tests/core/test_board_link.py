@@ -1,4 +1,4 @@
-"""The link to a board: frames, a wire that damages them, boards that are others, and a rig with a board in it."""
+"""The link to a board: frames, a wire that damages them, wrong boards, and a rig with a board in it."""
 
 import copy
 import ctypes
@@ -42,7 +42,7 @@ SCENARIO, NODE = "dc_motor_smc_b2", "dc_motor_smc"
 
 @pytest.fixture(scope="module")
 def firmware(tmp_path_factory):
-    """Folder, name, layout, requests of a run, and what an undisturbed board answers to them."""
+    """Folder, name, layout, requests of a run, and the answers of an undisturbed board."""
     folder = tmp_path_factory.mktemp("firmware")
     rig = rig_of(SCENARIO)
     name, layout = export_firmware(rig, NODE, folder, "host", rows=600, drawn=20)
@@ -75,7 +75,7 @@ def build_of(firmware):
 @given(
     st.binary(max_size=700) | st.lists(st.sampled_from([b"\0", b"\1" * 253, b"\2" * 254, b"\3" * 255])).map(b"".join)
 )
-def test_cobs_has_no_zero_and_comes_back(body):
+def test_cobs_has_no_zero_and_decodes_to_its_input(body):
     data = encoded(body)
     assert 0 not in data
     assert decoded(data) == body
@@ -134,7 +134,7 @@ def lockstep(firmware, wire, steps):
     return line, [line.ask(Kind.STEP, step) for step in steps]
 
 
-def test_a_quiet_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
+def test_an_undisturbed_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
     folder, _, _, steps, answers = firmware
     line, result = lockstep(firmware, QuietWire(Board(folder / "board.so", tmp_path)), steps)
     assert result == answers
@@ -142,7 +142,7 @@ def test_a_quiet_wire_has_the_answers_of_python(firmware, tmp_path, drawn):
 
 
 @pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 1), pytest.param(MANY, 2, marks=pytest.mark.long)])
-def test_no_damaged_frame_brings_a_wrong_answer_in_lockstep(frames, seed, firmware, tmp_path, drawn):
+def test_no_damaged_frame_gives_a_wrong_answer_in_lockstep(frames, seed, firmware, tmp_path, drawn):
     folder, _, _, steps, answers = firmware
     rng = random.Random(seed)
     used, happened, counted = 0, {}, 0
@@ -159,7 +159,7 @@ def test_no_damaged_frame_brings_a_wrong_answer_in_lockstep(frames, seed, firmwa
 
 
 @pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 4), pytest.param(MANY, 5, marks=pytest.mark.long)])
-def test_real_time_takes_an_answer_of_the_request_or_none(frames, seed, firmware, tmp_path, drawn):
+def test_real_time_accepts_an_answer_to_the_request_or_none(frames, seed, firmware, tmp_path, drawn):
     folder, _, _, steps, _ = firmware
     rng = random.Random(seed)
     board = Board(folder / "board.so", tmp_path)
@@ -201,7 +201,7 @@ def test_two_boards_at_one_port_are_refused(firmware, tmp_path, drawn):
         lockstep(firmware, QuietWire(*boards), firmware[3][:1])
 
 
-def test_a_second_board_that_comes_later_is_not_heard(firmware, tmp_path, drawn):
+def test_a_second_board_that_appears_later_is_ignored(firmware, tmp_path, drawn):
     wire = QuietWire(Board(firmware[0] / "board.so", tmp_path))
     line, result = lockstep(firmware, wire, firmware[3][:10])
     wire.boards = (*wire.boards, Board(firmware[0] / "board.so", tmp_path))
@@ -236,7 +236,7 @@ def linked_rig(firmware, port, **more):
     return rig_of(replace(draft, raw=merge(draft.raw, {"nodes": {NODE: {"link": link}}})))
 
 
-def test_a_rig_with_a_board_over_a_pty_is_the_rig_without(firmware):
+def test_a_rig_with_a_board_over_a_pty_equals_the_rig_without(firmware):
     pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
     folder, name, *_ = firmware
     here, there = pty.openpty()
@@ -268,7 +268,7 @@ def test_gains_change_on_the_board_between_two_ticks(firmware):
 
 
 @pytest.mark.parametrize("realtime", [False, True])
-def test_gains_that_view_changes_count_from_the_next_tick_on(realtime, firmware, tmp_path, monkeypatch):
+def test_gains_that_view_changes_take_effect_at_the_next_tick(realtime, firmware, tmp_path, monkeypatch):
     folder = firmware[0]
     rig = rig_of(SCENARIO)
     entry = LinkEntry(port="program:x", firmware=str(folder / f"{NODE}.json"))
@@ -371,7 +371,7 @@ def test_a_link_that_cannot_work_is_refused_before_the_run(change, reported, fir
         rig_of(replace(draft, raw=merge(merge(draft.raw, link), change)))
 
 
-def test_a_port_that_cannot_be_opened_ends_the_run_by_a_line(firmware):
+def test_a_port_that_cannot_be_opened_ends_the_run_with_one_line(firmware):
     pytest.importorskip("serial", reason="needs pyserial (scripts/softrig setup hardware)")
     with pytest.raises(RunError, match=r"the port /dev/nowhere cannot be opened: .*No such file"):
         simulate(linked_rig(firmware, "/dev/nowhere", timeout=0.01))
@@ -414,7 +414,7 @@ def test_a_link_costs_little_beside_the_bare_port(firmware):
 
 
 @pytest.mark.parametrize("port", ["file", "folder", "/dev/null", "/dev/zero"])
-def test_what_is_no_serial_port_is_refused_at_once(port, tmp_path):
+def test_a_device_that_is_not_a_serial_port_is_refused_immediately(port, tmp_path):
     pytest.importorskip("serial")
     (tmp_path / "file").write_text("no port")
     (tmp_path / "folder").mkdir()
@@ -440,8 +440,8 @@ def places(of, path=()):
 
 
 @pytest.mark.parametrize("place", [*places(DESCRIBED)])
-def test_a_description_says_what_it_must_or_is_refused_at_its_place(place, tmp_path):
-    """Each part is left out and replaced by values of every other kind."""
+def test_a_description_is_complete_or_refused_with_the_place(place, tmp_path):
+    """Each part is left out and replaced by values of every other type."""
     file = tmp_path / "law.json"
     strange = (None, True, -1, 10**400, math.inf, math.nan, "", "\0", "a b", [], [1], [[]], {}, {"a": 1}, "x" * 400)
     for value in strange:
@@ -464,7 +464,7 @@ def test_a_description_says_what_it_must_or_is_refused_at_its_place(place, tmp_p
         assert len(refused) <= 300
 
 
-def test_arrays_that_are_larger_than_what_is_described_are_not_made(tmp_path):
+def test_arrays_that_are_larger_than_described_are_not_created(tmp_path):
     port = DESCRIBED["ports"][0] | {"type": "std_msgs/msg/Float64MultiArray", "dims": [["x", 10**9]]}
     (tmp_path / "law.json").write_text(json.dumps(DESCRIBED | {"ports": [port]}))
     with pytest.raises(ValueError, match=r"ports\.0: .*port state has 1 values, expected as many as its dims give"):
@@ -472,7 +472,7 @@ def test_arrays_that_are_larger_than_what_is_described_are_not_made(tmp_path):
 
 
 def test_ctrl_c_in_a_terminal_does_not_reach_a_simulated_board():
-    """It goes to the group of the run, which ends the board itself."""
+    """It is sent to the process group of the run, which ends the board itself."""
     wire = Simulated(["cat"])
     try:
         assert os.getpgid(wire._process.pid) == wire._process.pid

@@ -39,7 +39,7 @@ channels = count()
 
 @pytest.fixture
 def own(tmp_path):
-    """DBC of a port with a limit of its own on each side."""
+    """DBC of a port with a separate limit on each side."""
     ports = (scalars("u", "u", {"v": "V"}, limits=(12.0,)),), (scalars("y", "y", {"w": "rad/s", "i": "A"}),)
     return file_of(tmp_path, ports), ports
 
@@ -55,7 +55,7 @@ def line_of(own, bus, build=BUILD, timeout=0.05):
 
 
 def total(state, tick, given):
-    """Be a node whose answer shows each request that it has taken."""
+    """A node whose answer shows each request that it has received."""
     return state + given["u_v_position"], {"y_w_position": state + given["u_v_position"], "y_i_position": tick}
 
 
@@ -71,7 +71,7 @@ def asked(line, ports, k, u):
 
 
 @pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 1), pytest.param(MANY, 2, marks=pytest.mark.long)])
-def test_no_disturbed_bus_brings_a_wrong_answer_in_lockstep(own, frames, seed):
+def test_no_disturbed_bus_gives_a_wrong_answer_in_lockstep(own, frames, seed):
     rng, ports = random.Random(seed), own[1]
     bus = Bus(rng, 0.2, node_of(own), pulled=0.01)
     line = line_of(own, bus)
@@ -88,7 +88,7 @@ def test_no_disturbed_bus_brings_a_wrong_answer_in_lockstep(own, frames, seed):
 
 
 @pytest.mark.parametrize(("frames", "seed"), [(FRAMES, 3), pytest.param(MANY, 4, marks=pytest.mark.long)])
-def test_real_time_takes_the_answer_to_its_tick_or_none(own, frames, seed):
+def test_real_time_accepts_the_answer_to_its_tick_or_none(own, frames, seed):
     rng, ports = random.Random(seed), own[1]
     node = node_of(own, lambda x, tick, given: (x, {"y_w_position": given["u_v_position"], "y_i_position": tick}))
     bus = Bus(rng, 0.2, node, pulled=0.002)
@@ -109,7 +109,7 @@ def test_real_time_takes_the_answer_to_its_tick_or_none(own, frames, seed):
     assert min(counts.lost, counts.late, counts.rejoined, counts.reopened, counts.damaged) > 0
 
 
-def test_numbers_go_round_and_a_node_that_restarts_ends_a_lockstep_run(own):
+def test_numbers_wrap_around_and_a_node_that_restarts_ends_a_lockstep_run(own):
     node = node_of(own)
     bus = Bus(random.Random(0), 0.0, node)
     line = line_of(own, bus)
@@ -193,13 +193,13 @@ def sent(own, value):
         (-12.0, -(2**31) + 1, []),
     ],
 )
-def test_a_value_is_limited_before_it_becomes_a_whole_number(own, value, raw, limited):
+def test_a_value_is_limited_before_it_becomes_an_integer(own, value, raw, limited):
     data, cut = sent(own, value)
     assert int.from_bytes(data[3:7], "little", signed=True) == raw
     assert (data[:3], cut) == (b"\5\0\x09", limited)
 
 
-def test_bits_that_a_signal_does_not_have_are_not_cut(own):
+def test_values_beyond_the_bits_of_a_signal_are_not_truncated(own):
     own[0].write_text(
         own[0].read_text().replace("u_v_position : 24|32@1-", "u_v_position : 24|8@1-").replace("[-12.0|12.0]", "[0|0]")
     )
@@ -207,7 +207,7 @@ def test_bits_that_a_signal_does_not_have_are_not_cut(own):
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_what_is_not_finite_is_refused(own, value):
+def test_a_number_that_is_not_finite_is_refused(own, value):
     with pytest.raises(RunError, match="u_v_position would be"):
         sent(own, value)
 
@@ -236,7 +236,7 @@ def test_what_is_not_finite_is_refused(own, value):
         ('"V"', '"A"', "is in 'A', expected 'V', which is another quantity; write the channel's unit"),
     ],
 )
-def test_a_dbc_that_does_not_fit_is_refused(own, old, new, text):
+def test_a_mismatching_dbc_is_refused(own, old, new, text):
     file, ports = own
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
@@ -246,7 +246,7 @@ def test_a_dbc_that_does_not_fit_is_refused(own, old, new, text):
 
 
 @pytest.mark.parametrize("scale", ["0", "1e999", "nan"])
-def test_a_scale_that_is_none_is_refused(own, scale):
+def test_an_invalid_scale_is_refused(own, scale):
     file, ports = own
     (line,) = (line for line in file.read_text().splitlines() if "SG_ u_v" in line)
     file.write_text(file.read_text().replace(line[line.index("(") : line.index(")")], f"({scale},0"))
@@ -254,7 +254,7 @@ def test_a_scale_that_is_none_is_refused(own, scale):
         messages_of(file, "n", *ports, BUILD)
 
 
-def test_a_file_that_is_too_long_or_none_is_refused(own, tmp_path):
+def test_a_missing_or_too_long_file_is_refused(own, tmp_path):
     file, ports = own
     file.write_bytes(file.read_bytes() + b"\n" * LONGEST)
     with pytest.raises(ScenarioError, match="has more than"):
@@ -266,7 +266,7 @@ def test_a_file_that_is_too_long_or_none_is_refused(own, tmp_path):
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 30))])
-def test_a_damaged_file_is_read_or_refused_in_a_line(own, seed):
+def test_a_damaged_file_is_read_or_refused_in_one_line(own, seed):
     file, ports = own
     good, rng = file.read_bytes(), random.Random(seed)
     for _ in range(40):
@@ -286,7 +286,7 @@ def test_a_damaged_file_is_read_or_refused_in_a_line(own, seed):
         assert "\n" not in text
 
 
-def test_long_names_and_letters_that_a_dbc_has_not_come_back(tmp_path):
+def test_long_names_and_characters_that_a_dbc_cannot_hold_are_restored(tmp_path):
     labels = {"x" * 40: "V", "x" * 40 + "y": "V", "größe": "A", 'a" SG_ b': "A"}
     ports = (scalars("u", "u", labels),), (scalars("y", "y", {"w": "rad/s"}),)
     result = messages_of(file_of(tmp_path, ports), "n", *ports, BUILD)
@@ -307,7 +307,7 @@ def test_two_nodes_may_share_a_bus_but_no_identifier(tmp_path):
 
 
 class Peer(threading.Thread):
-    """The law itself at the other end of a virtual bus."""
+    """The controller itself at the other end of a virtual bus."""
 
     def __init__(self, channel, file):
         super().__init__(daemon=True)
@@ -352,7 +352,7 @@ def law(tmp_path, capsys):
     return file
 
 
-def test_a_law_on_the_bus_is_the_law_without_to_the_digits_of_a_float(law):
+def test_a_controller_on_the_bus_equals_the_one_without_to_the_digits_of_a_float(law):
     channel = f"rig{next(channels)}"
     peer = Peer(channel, law)
     peer.start()
@@ -373,12 +373,12 @@ def test_a_silent_bus_ends_a_lockstep_run_in_one_line(law):
 
 
 @pytest.mark.parametrize(("port", "text"), [("can:nonsense/0", "cannot be opened"), ("can:slcan//dev/none", "No such")])
-def test_an_interface_that_is_none_ends_a_run_in_one_line(law, port, text):
+def test_an_unknown_interface_ends_a_run_in_one_line(law, port, text):
     with pytest.raises(RunError, match=text):
         simulate(linked_rig(law, 0, port=port, timeout=0.01))
 
 
-def test_other_parameters_than_the_dbc_is_of_are_refused(law):
+def test_parameters_other_than_those_of_the_dbc_are_refused(law):
     draft = read_draft(SCENARIO)
     nodes = {NODE: {"link": {"port": "can:virtual/0", "firmware": str(law)}, "parameters": {"period": 0.02}}}
     with pytest.raises(ScenarioError, match="of other parameters of dc_motor_smc; export the DBC again"):
@@ -430,7 +430,7 @@ class InC:
 
 @pytest.fixture(scope="module")
 def coded(tmp_path_factory):
-    """Folder, DBC, build and the member of a law whose node is C."""
+    """Folder, DBC, build and the node of a controller that runs as C."""
     if shutil.which("cc") is None:
         pytest.skip("needs a C compiler (Debian: apt-get install gcc)")
     folder, rig = tmp_path_factory.mktemp("can_c"), rig_of(SCENARIO)

@@ -1,4 +1,6 @@
-"""Parameters that change while a rig runs: checked like those of the start, between two ticks, alike in every place."""
+"""Parameters that change while a rig runs: checked like those of the start, applied between two ticks, alike in every
+placement.
+"""
 
 import json
 import random
@@ -87,7 +89,7 @@ def test_a_change_takes_effect_at_the_first_tick_that_is_not_earlier():
     assert a[0][k] >= 0.0501 > a[0][k] - float(law.schedule.period)
 
 
-def test_replay_into_one_node_takes_the_changes():
+def test_replay_into_one_node_applies_the_changes():
     rig = changed_rig(*CASES["sliding mode"][:3])
     recording = in_process(rig)
     law = next(m for m in rig.members if m.name == "dc_motor_smc")
@@ -121,28 +123,28 @@ def test_other_gains_of_a_pid_do_not_move_its_output():
         ({"dc_motor_smc": 60.0}, "expected node.parameter with node one of"),
     ],
 )
-def test_a_change_that_cannot_be_is_refused_before_the_run(changes, text):
+def test_an_impossible_change_is_refused_before_the_run(changes, text):
     with pytest.raises(ScenarioError, match=r"^dc_motor_smc_b2: change at 0\.05 s: ") as error:
         changed_rig("dc_motor_smc_b2", 0.1, {0.05: changes})
     assert text in str(error.value)
 
 
-def test_what_only_another_change_allows_is_checked_in_the_order_of_time():
+def test_a_change_that_another_change_permits_is_checked_in_order_of_time():
     allowed = {0.05: {"dc_motor_smc.reference_limit": 40.0}, 0.06: {"dc_motor_smc.set_point": 30.0}}
     changed_rig("dc_motor_smc_b2", 0.1, dict(reversed(allowed.items())))
     with pytest.raises(ScenarioError, match=r"change at 0\.04 s: .*beyond reference_limit"):
         changed_rig("dc_motor_smc_b2", 0.1, {**allowed, 0.04: {"dc_motor_smc.set_point": 30.0}})
 
 
-def test_ports_and_what_nodes_agree_on_do_not_change():
+def test_ports_and_agreed_quantities_do_not_change():
     class OfParams(BlockParams):
-        """Parameters that say more than they should."""
+        """Parameters with wrong declarations."""
 
         size: int = param(1, "channels", live=True)
         limit: float = param(1.0, "of the plant", live=True)
 
     class Odd(Block[OfParams]):
-        """Declares as live what cannot be."""
+        """Declares as live what cannot change."""
 
         @classmethod
         def ports(cls, params):
@@ -172,7 +174,7 @@ def test_metrics_and_report_show_what_changed_and_when(tmp_path):
 
 
 def events(recording):
-    """The changes that a recording holds, as a scenario says them."""
+    """The changes in a recording, in the form of a scenario."""
     return [
         (t / 1e9, {f"{node}.{name}": value for name, value in values.items()})
         for t, node, values in recorded(recording)
@@ -181,8 +183,8 @@ def events(recording):
 
 @pytest.mark.parametrize("groups", [(), [["dc_motor_plant", "dc_motor_smc"]]])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
-    """Somebody sets parameters at any moment; a script of the record gives the same bytes."""
+def test_a_manually_tuned_run_is_repeated_from_its_recording(seed, groups):
+    """Somebody sets parameters at any moment; a script made from the recording gives the same bytes."""
     rig = changed_rig("dc_motor_smc_b2", 0.3, {0.2: {"dc_motor_smc.set_point": 8.0}}, faults=OFFSET)
     world, rng = World(), random.Random(seed)
     run = SimulatedRig(rig, world, "lockstep", seed, groups=groups)
@@ -207,8 +209,10 @@ def test_a_run_that_was_tuned_by_hand_is_repeated_from_its_record(seed, groups):
 
 
 @pytest.mark.parametrize("late", [-1, 0, 1])
-def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_has_the_same_bytes(late):
-    """Of two people who turn one knob between the same two ticks the later one counts, and the other is told."""
+def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_repeat_with_the_same_bytes(late):
+    """If two people change one parameter between the same two ticks, the later value counts, and the other person is
+    informed.
+    """
     rig, world, messages = changed_rig("dc_motor_smc_b2", 0.1, {}), World(), []
     run = SimulatedRig(rig, world, "lockstep")
     law = run.adapters["dc_motor_smc"]
@@ -231,8 +235,8 @@ def test_sets_at_the_very_moment_of_a_tick_hold_from_one_tick_and_a_repetition_h
     assert not differences(run.recording, in_process(changed_rig("dc_motor_smc_b2", 0.1, script)))
 
 
-def test_of_a_flood_of_sets_each_holds_from_a_tick_or_is_named_as_replaced():
-    """Also before the first tick, where each set once checked all that waited: a rig that was flooded never began."""
+def test_in_a_flood_of_sets_each_takes_effect_or_is_named_as_replaced():
+    """Also before the first tick, where each set once checked all pending ones, so that a flooded rig never began."""
     rig, world, rng, messages = changed_rig("dc_motor_smc_b2", 0.3, {}), World(), random.Random(1), []
     run = SimulatedRig(rig, world, "lockstep")
 
@@ -252,7 +256,7 @@ def test_of_a_flood_of_sets_each_holds_from_a_tick_or_is_named_as_replaced():
 
 
 def tuned(folder, duration="0.3"):
-    """The folder of a run whose law somebody has tuned while it ran."""
+    """The folder of a run whose controller somebody has tuned while it ran."""
     world = World()
     run = SimulatedRig(changed_rig("dc_motor_smc_b2", float(duration), {}), world, "lockstep", seed=5)
     for at, values in ((20_030_000, {"k": 60.0}), (20_050_000, {"delta": 1.0, "k": 30.0})):
@@ -286,7 +290,7 @@ def test_run_like_repeats_a_tuned_run_and_its_repetition(tmp_path, capsys):
     assert "expected a scenario, --like RUN, or --from RUN@T" in capsys.readouterr().err
 
 
-def test_of_nothing_no_repetition_is_said(tmp_path):
+def test_an_empty_repetition_is_not_reported(tmp_path):
     run = simulate("dc_motor_smc_b2", duration=0.1)
     before = Recalled(tmp_path, Namespace(), tmp_path, Recording(()), 0, {}, {})
     same, reported = compared(before, run, {})
@@ -296,7 +300,7 @@ def test_of_nothing_no_repetition_is_said(tmp_path):
 
 @pytest.mark.parametrize(("at", "reported"), [(0.17, True), (0.18, True), (0.19, False)])
 def test_a_sporadic_sender_is_compared_up_to_two_of_its_ticks_before_the_end(tmp_path, at, reported):
-    """In real time its last ticks may be over before it has answered them."""
+    """In real time the run may end before it has answered its last ticks."""
     nodes = {"plant": "plant", "burst": {"executable": "burst", "parameters": {"at": [0.05, at]}}, "gain": "burst_gain"}
     rig = rig_of(make_scenario(nodes, 0.2))
     whole, cut = in_process(rig), in_process(rig)
@@ -309,7 +313,7 @@ def test_a_sporadic_sender_is_compared_up_to_two_of_its_ticks_before_the_end(tmp
         assert (f"differs from {tmp_path}: lag/burst from t = {at:g} s; " in text[0]) is reported
 
 
-def test_what_is_refused_while_it_runs_changes_nothing():
+def test_a_refused_change_during_a_run_changes_nothing():
     rig = changed_rig("dc_motor_smc_b2", 0.3, {})
     run = SimulatedRig(rig, World(), "lockstep")
     step = run.adapters["dc_motor_smc"].step
@@ -328,7 +332,7 @@ def test_what_is_refused_while_it_runs_changes_nothing():
     st.lists(st.booleans(), max_size=3), st.lists(st.integers(-9, 9), max_size=3),
     st.lists(st.floats(0, 1), max_size=3),
     st.lists(st.text(max_size=3), max_size=3)), max_size=3), st.integers(0, 2**60))  # fmt: skip
-def test_a_recorded_change_is_a_parameter_event_as_ros_has_it(values, t):
+def test_a_recorded_change_is_a_parameter_event_of_ros(values, t):
     data = encode(t, "/a/node", values)
     assert decode(data) == (t, "/a/node", values)
     message = typestore().deserialize_cdr(data, "rcl_interfaces/msg/ParameterEvent")
@@ -336,14 +340,14 @@ def test_a_recorded_change_is_a_parameter_event_as_ros_has_it(values, t):
     assert [p.name for p in message.changed_parameters] == list(values)
 
 
-def test_a_recorded_change_that_is_cut_off_is_reported():
+def test_a_truncated_recorded_change_is_reported():
     data = encode(0, "/node", {"k": 1.0})
     for n in range(len(data)):
         with pytest.raises(CdrError, match=r"rcl_interfaces/msg/ParameterEvent"):
             decode(data[:n])
 
 
-def test_a_fault_that_is_set_off_is_off_whoever_switched_it_on():
+def test_a_fault_that_is_switched_off_is_off_whoever_switched_it_on():
     params = {"topic_in": "axis/state", "fields": ("position",), "kind": "offset", "value": (2.0,), "active": False}
     fault = ByHand(load_block("softrig_control", "fault")(**params))
 
@@ -362,7 +366,7 @@ def test_a_fault_that_is_set_off_is_off_whoever_switched_it_on():
     assert said(6) == 3.0  # the parameters of now, without the button
 
 
-def test_references_in_changes_stand_for_what_parameters_are_at_the_start(tmp_path):
+def test_references_in_changes_refer_to_the_parameters_at_the_start(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(
         "extends: dc_motor_smc_b2\ntitle: t\nduration: 0.1\nshared: {gain: 60.0}\nchanges:\n"

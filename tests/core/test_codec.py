@@ -46,14 +46,14 @@ def joint_message(stamp, names, position=(), velocity=(), effort=(), frame=""):
 
 @pytest.mark.parametrize("port", PORTS, ids=lambda p: f"{p.msgtype}{p.fields}")
 @given(data=st.data(), stamp=STAMPS)
-def test_what_a_port_writes_it_reads_back_bit_for_bit(port, data, stamp):
+def test_a_written_port_is_read_back_bit_for_bit(port, data, stamp):
     values = tuple(data.draw(FLOATS) for _ in range(port.size))
     result = Decoder(port)(port.layout().encode(stamp, values))
     assert struct.pack(f"{port.size}d", *result[1]) == struct.pack(f"{port.size}d", *values)
     assert result[0] == (-1 if port.msgtype == "std_msgs/msg/Float64" else stamp)
 
 
-def test_a_message_is_of_the_world_where_its_port_names_no_other_frame():
+def test_a_message_has_the_frame_world_unless_its_port_names_another():
     text = joint_state("a", "t", ("x",), position="m").layout().encode(5, (1.0,))
     assert parse("sensor_msgs/msg/JointState", text).frame_id == "world"
     for theirs in (text, joint_message(5, ["x"], (1.0,)), joint_message(5, ["x"], (1.0,), frame="map")):
@@ -63,7 +63,7 @@ def test_a_message_is_of_the_world_where_its_port_names_no_other_frame():
     assert number("a", "t", "V").frame == ""
 
 
-def test_an_array_without_a_layout_is_taken_from_people_only():
+def test_an_array_without_a_layout_is_accepted_from_outside_only():
     bare = Layout("std_msgs/msg/Float64MultiArray", counts={"data": 2}).encode(0, (1.0, 2.0))
     assert Decoder(array("a", "t", {"joint": 2}, "V", held=True))(bare) == (-1, (1.0, 2.0))
     with pytest.raises(Refused, match="data has 2 values, expected 3"):
@@ -85,7 +85,7 @@ def test_channels_have_other_names_for_outside_nodes_all_or_none():
 
 @settings(max_examples=40)
 @given(stamp=STAMPS, names=NAMES, frame=st.text(max_size=9).filter(lambda s: "\0" not in s), data=st.data())
-def test_joint_state_bytes_are_those_of_rosbags(stamp, names, frame, data):
+def test_joint_state_bytes_equal_those_of_rosbags(stamp, names, frame, data):
     n = len(names)
     fields = {
         f: tuple(data.draw(FLOATS) for _ in range(n))
@@ -101,7 +101,7 @@ def test_joint_state_bytes_are_those_of_rosbags(stamp, names, frame, data):
     assert [x for values in message.fields.values() for x in values] == flat
 
 
-def test_other_types_are_those_of_rosbags():
+def test_other_types_equal_those_of_rosbags():
     vector, pair = TYPES["geometry_msgs/msg/Vector3"], TYPES["geometry_msgs/msg/Wrench"]
     cases = {
         "geometry_msgs/msg/Vector3Stamped": (
@@ -121,7 +121,7 @@ def test_other_types_are_those_of_rosbags():
         assert port.layout().encode(5, values) == bytes(STORE.serialize_cdr(TYPES[name](*arguments()), name)), name
 
 
-def test_trajectory_point_bytes_are_those_of_rosbags():
+def test_trajectory_point_bytes_equal_those_of_rosbags():
     point = TYPES["trajectory_msgs/msg/JointTrajectoryPoint"](
         np.array([1.0, 2.0]),
         np.array([]),
@@ -170,7 +170,7 @@ def test_a_bad_message_is_refused_with_the_reason(data, reason):
 
 
 @given(st.binary(max_size=200))
-def test_no_bytes_do_more_than_be_refused(data):
+def test_arbitrary_bytes_are_at_most_refused(data):
     for port in PORTS:
         decode = Decoder(port)
         try:
@@ -182,8 +182,8 @@ def test_no_bytes_do_more_than_be_refused(data):
 
 
 @given(st.sampled_from(PORTS), st.lists(st.binary(min_size=8, max_size=8), min_size=40, max_size=40))
-def test_any_numbers_are_refused_or_what_they_are(port, numbers):
-    """Whole messages, so that most of them come to be read."""
+def test_arbitrary_numbers_are_refused_or_read_correctly(port, numbers):
+    """Complete messages, so that most of them can be read."""
     values = struct.unpack(f"<{port.size}d", b"".join(numbers)[: 8 * port.size])
     try:
         _, result = Decoder(port)(port.layout().encode(5, values))
@@ -210,7 +210,7 @@ def test_a_damaged_message_is_refused_or_finite(data):
     assert all(math.isfinite(v) for v in values)
 
 
-def test_a_value_beyond_what_its_unit_can_mean_is_refused():
+def test_a_value_beyond_the_plausible_range_of_its_unit_is_refused():
     port = joint_state("a", "t", ["x", "y"], position="rad", velocity="rad/s")
     decode, encode = Decoder(port), port.layout().encode
     large = (1e9, -1e9, 1e7, 1e7)  # each at its limit, together beyond the smallest
@@ -297,7 +297,9 @@ DIMS = {
 
 
 def drawn_messages():
-    """Of each type some messages: names, frames and lengths of all kinds, the longest beyond what is named singly."""
+    """Some messages of each type: names, frames and lengths of all kinds, the longest beyond the limit of a single
+    name.
+    """
     draw = np.random.default_rng(5)
     for msgtype, ros in ROS.items():
         schema = {i.name: i.kind for i in MESSAGE_TYPES[msgtype].schema if i.kind in ("sequence", "numbers", "flag")}
@@ -351,7 +353,7 @@ def test_messages_of_every_type_are_those_of_rosbags_and_are_read_in_either_orde
 
 
 def test_a_layout_is_known_by_each_of_its_bytes_but_stamp_number_values_and_padding():
-    """Which are these: what two messages of one layout, all of whose bits differ, have in common is fixed."""
+    """Which are variable: whatever two messages of one layout, all of whose bits differ, have in common is fixed."""
     for msgtype, layout, _, values, (little, _) in DRAWN:
         flat = [x for part in values.values() for x in part]
         flagged = MESSAGE_TYPES[msgtype].schema[0].kind == "flag"
@@ -377,7 +379,7 @@ def test_a_layout_is_known_by_each_of_its_bytes_but_stamp_number_values_and_padd
         assert layout.same_shape(np.repeat(block, 3, 0))
 
 
-def test_many_messages_at_once_are_each_what_they_are_singly():
+def test_many_messages_decoded_together_equal_single_ones():
     draw = np.random.default_rng(6)
     for _, layout, _, _, _ in DRAWN:
         marks = draw.integers(0, 10**12 if layout.numbered else 2**31 * 10**9, 4)
@@ -394,7 +396,7 @@ def test_many_messages_at_once_are_each_what_they_are_singly():
         assert all(c.dtype == np.float64 and c.flags.c_contiguous for c in layout.columns(block))
 
 
-def test_a_number_has_at_most_twelve_digits_and_others_may_leave_zeros_out():
+def test_a_number_has_at_most_twelve_digits_and_leading_zeros_are_optional():
     layout = Layout("std_msgs/msg/Float64MultiArray", dims=(("row", 1),), counts={"data": 1}, numbered=True)
     assert parse(layout.msgtype, layout.encode(10**12 - 1, (1.0,))).number == 10**12 - 1
     for too_many in (-1, 10**12):
@@ -434,7 +436,7 @@ CUT = [
 ]
 
 
-def test_a_message_that_is_cut_anywhere_says_inside_which_of_its_parts():
+def test_a_message_that_is_cut_anywhere_names_the_truncated_part():
     whole = Layout("sensor_msgs/msg/JointState", "ab", ["q"], {"effort": 1}).encode(5, (1.0,))
     assert len(whole) == 52
     for ends, at, text in CUT:
@@ -471,7 +473,7 @@ def test_a_message_that_claims_more_than_it_has_is_refused(msgtype, at, count, t
     assert str(error.value) == f"{msgtype}: {text}"
 
 
-def test_as_many_values_as_a_message_has_bytes_may_be_claimed_and_are_not_there():
+def test_a_length_may_claim_at_most_the_bytes_of_the_message():
     whole = Layout("sensor_msgs/msg/JointState", "abcdef", ["q"], {"effort": 1}).encode(5, (1.0,))
     assert len(whole) == 60
     whole += bytes(4)
@@ -480,7 +482,7 @@ def test_as_many_values_as_a_message_has_bytes_may_be_claimed_and_are_not_there(
             parse("sensor_msgs/msg/JointState", whole[:44] + struct.pack("<I", count) + whole[48:])
 
 
-def test_items_are_taken_as_a_tuple_however_few_there_are():
+def test_a_single_item_is_a_tuple_too():
     row = ("a", "b", "c", "d")
     assert [getter(p)(row) for p in ((), (2,), (0,), (3, 1), (1, 1, 2))] == [
         (),

@@ -1,4 +1,4 @@
-"""A node that is killed comes back with its state and its tick: the run says what it says without the kill."""
+"""A node that is killed restarts with its state and its tick: the run is the same as without the kill."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from test_discovery import BASIC, KINDS, MS, perhaps_prompt, slow
 
 
 def fieldbus(topic_in, topic_out, **parameters):
-    """A link that is late: what it says bears another time than its tick's, and often the same twice."""
+    """A link with a delay: its messages have other stamps than their ticks, and often repeat one."""
     state = {"channels": ["x"], "fields": ["position", "velocity"], "units": ["m", "m/s"]}
     parameters |= state | {"topic_in": f"lag/{topic_in}", "topic_out": f"lag/{topic_out}"}
     return {"package": "softrig_control", "executable": "fieldbus_delay", "parameters": parameters}
@@ -42,13 +42,13 @@ COUNTED = {
 
 @cache
 def rig_and_record(kind):
-    """The rig and what it must say."""
+    """The rig and its expected recording."""
     rig = rig_of((KINDS | COUNTED)[kind])
     return rig, in_process(rig)
 
 
 def killed(kind, seed, kills=1):
-    """One run in which nodes are killed at times that are drawn; gives what is wrong with it, and who was killed."""
+    """One run in which nodes are killed at random times; returns what is wrong with it, and which were killed."""
     rng = random.Random(seed)
     rig, expected = rig_and_record(kind)
     longest = rng.choice((1, 5, 20)) * MS
@@ -81,7 +81,7 @@ def killed(kind, seed, kills=1):
 
 
 @pytest.mark.parametrize("kind", few([*KINDS, *COUNTED], 9))
-def test_a_killed_node_comes_back(kind):
+def test_a_killed_node_restarts(kind):
     """At its start, in the middle, at the end; with or without what it had just sent."""
     met = []
     for seed in range(3):
@@ -93,8 +93,8 @@ def test_a_killed_node_comes_back(kind):
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [*KINDS, *COUNTED])
-def test_killed_nodes_come_back(kind):
-    """Up to three, of which one may die while another one comes back, or die again."""
+def test_killed_nodes_restart(kind):
+    """Up to three, of which one may die while another one restarts, or die again."""
     for seed in range(3, 60):
         assert killed(kind, seed, kills=1 + seed % 3)[0] == [], seed
 
@@ -103,7 +103,7 @@ def test_killed_nodes_come_back(kind):
 
 
 class Process:
-    """What the watch of a run needs of a process."""
+    """The part of a process that the watch of a run needs."""
 
     code = None
     pid = 0
@@ -114,7 +114,7 @@ class Process:
 
 @pytest.fixture
 def watched(tmp_path):
-    """The nodes of a rig as children that write their status when they are told to (below 0: busy), and the watch."""
+    """The nodes of a rig as children that write their status on request (below 0: busy), and the watch."""
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "watcher": "watcher", "gain": "gain"}))
     children = [
         Child(
@@ -146,7 +146,7 @@ def watched(tmp_path):
         os.close(child.end)
 
 
-def test_a_node_is_started_again_when_all_others_stand(watched):
+def test_a_node_is_restarted_when_all_others_wait(watched):
     by_name, children, restarts, write, again, text = watched
     write(plant=3, source=3, watcher=3)
     by_name["gain"].process.code = -9
@@ -167,7 +167,7 @@ def test_a_node_is_started_again_when_all_others_stand(watched):
     assert restarts.why(new.member) == "; it was started again 1 of 1 times"
 
 
-def test_who_failed_by_itself_is_not_started_again(watched):
+def test_a_node_that_failed_by_itself_is_not_restarted(watched):
     by_name, children, restarts, _, again, _ = watched
     by_name["gain"].process.code = 3
     assert restarts.check(children) == [by_name["gain"]]
@@ -186,13 +186,13 @@ def test_who_failed_by_itself_is_not_started_again(watched):
         ({"record": False}, "expected a record"),
     ],
 )
-def test_where_no_node_could_come_back_that_is_said_before_the_run(keys, message, lag_rig):
+def test_impossible_restarts_are_refused_before_the_run(keys, message, lag_rig):
     with pytest.raises(ScenarioError, match=f"^--restart: .*{message}"):
         check_restart(lag_rig, Placement(**keys, restart=1))
     check_restart(lag_rig, Placement(**keys))
 
 
-def test_with_a_node_outside_no_node_could_come_back():
+def test_with_an_outside_node_no_node_can_be_restarted():
     nodes = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "external": True}}
     with pytest.raises(ScenarioError, match=r"^--restart: gain is an outside node"):
         check_restart(rig_of(make_scenario(nodes)), Placement(restart=1))

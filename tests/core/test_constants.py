@@ -1,4 +1,6 @@
-"""What a block holds beside x is constant: a tick that writes it is refused at its line, one that changes it later."""
+"""Everything that a block stores outside x is constant: a tick that writes it is refused at its line, one that changes
+it in place later.
+"""
 
 import random
 import re
@@ -21,7 +23,7 @@ class Params(BlockParams):
 
 
 class Law(Block[Params]):
-    """Answers k; each test gives it another bad habit."""
+    """Publishes k; each test adds a forbidden habit."""
 
     OUTPUTS = (scalars("u", "u", {"x": "1"}),)
     habit = staticmethod(lambda law, t: None)
@@ -40,7 +42,7 @@ class Law(Block[Params]):
 
 
 def law(habit, **keys):
-    """A class of its own, which nobody has looked at yet."""
+    """A new class that has not been examined yet."""
     return type("Bad", (Law,), {"habit": staticmethod(habit), **keys})
 
 
@@ -115,7 +117,7 @@ def test_a_tick_that_writes_an_attribute_is_refused_at_its_line(block, method, n
     assert message.value.node == "law"
 
 
-def test_by_hand_and_in_a_session_too():
+def test_an_attribute_is_protected_in_a_session_and_in_a_rig_of_objects_too():
     with pytest.raises(RunError, match=r"Rebinding: `update` writes self\.count"):
         ByHand(Rebinding()).update(0)
     session = Session(Rig.from_blocks({"law": Rebinding()}, 1.0))
@@ -123,7 +125,7 @@ def test_by_hand_and_in_a_session_too():
         session.step()
 
 
-def test_setup_change_reset_and_those_outside_write():
+def test_setup_change_reset_and_code_outside_may_write():
     block = Law(k=2.0)
     block.change(Params(k=3.0))
     assert (block.gain, block.twice) == (3.0, 6.0)
@@ -175,7 +177,7 @@ IN_PLACE = {
 
 @pytest.mark.parametrize("habit", IN_PLACE)
 @pytest.mark.parametrize("session", [False, True])
-def test_a_tick_that_changes_one_in_place_is_named_after_the_second(habit, session):
+def test_a_tick_that_changes_an_attribute_in_place_is_named_after_the_second(habit, session):
     does, name, *held = IN_PLACE[habit]
 
     def setup(self):
@@ -194,14 +196,14 @@ def test_a_tick_that_changes_one_in_place_is_named_after_the_second(habit, sessi
     assert not session or done == [0, 100_000_000]  # and not at the end of the run
 
 
-def test_what_begins_late_is_seen_by_a_thorough_run():
+def test_a_late_change_is_found_by_a_thorough_run():
     late = law(lambda one, t: one.kept.append(t) if t > 500_000_000 else None)
     Session(Rig.from_blocks({"law": late()}, 1.0)).go()  # whose first two ticks are in order
     with pytest.raises(RunError, match=r"self\.kept in place"):
         run(late, thorough=True)
 
 
-def test_scratch_caches_and_changed_parameters_are_no_state():
+def test_scratch_caches_and_changed_parameters_are_not_state():
     def setup(self):
         Law.setup(self)
         self.cache, self.newest = {}, Newest(lambda k: k + 1)
@@ -218,7 +220,7 @@ def test_scratch_caches_and_changed_parameters_are_no_state():
     assert simulate(rig, thorough=True).signals["u/x"].x[-1] == 2.0
 
 
-def test_a_digest_is_of_all_that_an_attribute_leads_to():
+def test_a_digest_covers_everything_that_an_attribute_leads_to():
     one, other = Law(), Law()
     assert contents(one) == contents(other)
     assert not {"self.p", "self.reports", "self.events"} & contents(one).keys()
@@ -229,7 +231,7 @@ def test_a_digest_is_of_all_that_an_attribute_leads_to():
     assert differing(contents(one), contents(other)) == ["self.kept", "self.loop"]
 
 
-def test_what_the_page_teaches_keeps_its_state_in_x(capsys):
+def test_the_examples_of_the_page_keep_their_state_in_x(capsys):
     page = (Path(__file__).parents[2] / "ros_pkgs/softrig_core/doc/model_kit.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     known = {"__name__": "page"}

@@ -155,7 +155,7 @@ def test_a_bad_scenario_is_explained(folder, text, name, expected):
         ),
     ],
 )
-def test_what_a_rig_cannot_be_names_the_line_of_its_file(folder, monkeypatch, entry, expected):
+def test_an_impossible_rig_names_the_line_of_its_file(folder, monkeypatch, entry, expected):
     monkeypatch.setenv("AMENT_PREFIX_PATH", INSTALLED)
     (folder / "bad.yaml").write_text(f"extends: base\nduration: 0.5\n{entry}\n")
     with pytest.raises(ScenarioError, match=expected):
@@ -212,12 +212,12 @@ def test_a_rig_that_cannot_work_is_refused_before_the_start(nodes, text):
     assert text in str(error.value)
 
 
-def test_loading_a_package_that_is_not_there_or_a_tool():
+def test_a_missing_package_and_a_tool_are_refused():
     with pytest.raises(ScenarioError, match="package 'nothing' is not installed"):
         load_block("nothing", "x")
 
 
-def test_in_process_gives_one_message_a_tick_and_repeats_itself(lag_rig):
+def test_in_process_there_is_one_message_a_tick_and_runs_repeat(lag_rig):
     first, second = in_process(lag_rig, 3), in_process(lag_rig, 3)
     assert {n: len(t.times) for n, t in first.topics.items() if t.times} == {
         "/clock": 101,
@@ -229,8 +229,8 @@ def test_in_process_gives_one_message_a_tick_and_repeats_itself(lag_rig):
     assert all(first.topics[n].data == second.topics[n].data for n in first.topics)
 
 
-def test_a_run_tells_of_its_progress_about_a_hundred_times_and_at_its_end(monkeypatch):
-    """Each 2.05 s / 100 is the third of its ticks of 10 ms; the last is none of these."""
+def test_a_run_reports_its_progress_about_a_hundred_times_and_at_its_end(monkeypatch):
+    """2.05 s / 100 is about two of its ticks of 10 ms, so each third tick; the last tick is none of these."""
     monkeypatch.setattr(choice, "unwanted", lambda *given: choice.SHORT)  # on a busy machine ticks would look dear
     monkeypatch.setattr(choice, "writes", lambda *given: False)
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 2.05))
@@ -239,7 +239,7 @@ def test_a_run_tells_of_its_progress_about_a_hundred_times_and_at_its_end(monkey
     assert messages == [*range(0, 2_041_000_000, 30_000_000), 2_050_000_000]
 
 
-def test_how_deep_a_file_is_counts_what_is_closed_no_more():
+def test_the_depth_of_a_file_does_not_count_closed_brackets():
     for text, refused in (
         ("[" + "[], " * 50 + "[" * 39 + "]" * 40, False),
         ("[" + "[], " * 50 + "[" * 40 + "]" * 41, True),
@@ -271,7 +271,7 @@ def test_a_delayed_link_carries_the_time_of_acquisition():
     assert list(table.t[:3]) == pytest.approx([0, 0.01, 0.02])
 
 
-def test_a_slow_block_is_due_on_its_own_ticks_only():
+def test_a_slow_block_runs_at_its_own_ticks_only():
     rig = rig_of(make_scenario(BASIC | {"gain": node("gain", period=0.05)}))
     recording = in_process(rig)
     assert recording.topics["lag/command"].times == [k * 50_000_000 for k in range(20)]
@@ -294,7 +294,7 @@ def test_an_external_node_needs_processes():
         run_inprocess(rig, 0)
 
 
-def test_a_block_is_usable_from_a_prompt():
+def test_a_block_can_be_used_at_a_prompt():
     plant, gain = ByHand(Lag(gain=2.0)), ByHand(Gain(k=3.0))
     command = gain.update(0, state=plant.outputs(0)["state"], reference=(1.0,))["command"]
     plant.advance(0, command=command, offset=None, kick=None)
@@ -317,7 +317,7 @@ MESSAGES = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 2**40), st.binar
 
 
 @given(MESSAGES, st.integers(0, 60))
-def test_a_shard_cut_anywhere_gives_back_all_whole_messages(tmp_path_factory, messages, cut):
+def test_a_shard_truncated_anywhere_gives_back_all_whole_messages(tmp_path_factory, messages, cut):
     path = tmp_path_factory.mktemp("shard") / "x.shard"
     topics = [("a", "std_msgs/msg/Float64"), ("b", "std_msgs/msg/Bool")]
     writer = ShardWriter(path, topics)
@@ -345,7 +345,7 @@ ROWS = st.lists(
 
 
 @given(ROWS, st.integers(0, 60))
-def test_a_shard_gives_rows_of_numbers_as_the_messages_that_they_were(tmp_path_factory, rows, cut):
+def test_rows_of_numbers_in_a_shard_are_read_as_their_messages(tmp_path_factory, rows, cut):
     path = tmp_path_factory.mktemp("shard") / "x.shard"
     topics = [("flag", "std_msgs/msg/Bool"), ("other", "std_msgs/msg/Float64"), ("state", "sensor_msgs/msg/JointState")]
     writer = ShardWriter(path, topics, ROW)
@@ -398,7 +398,7 @@ def test_a_block_of_messages_has_the_bytes_of_each(name, numbered):
     ]
 
 
-def test_the_first_message_of_a_shard_is_there_at_once_and_the_next_come_together(tmp_path):
+def test_the_first_message_of_a_shard_is_written_immediately_and_the_next_together(tmp_path):
     path = tmp_path / "x.shard"
     writer = ShardWriter(path, [("a", "std_msgs/msg/Float64")])
 
@@ -427,7 +427,7 @@ def test_a_shard_cut_in_its_head_has_no_messages(tmp_path):
     assert recording.topics["a"].times == []
 
 
-def test_messages_come_by_time_and_equal_times_in_topic_order():
+def test_messages_are_ordered_by_time_and_equal_times_by_topic():
     recording = Recording([("a", "x"), ("b", "x")])
     for topic, t in [(1, 0), (0, 0), (1, 5), (0, 3)]:
         recording.add(topic, t, bytes([topic]))
@@ -442,6 +442,6 @@ def test_an_unknown_signal_is_explained(lag_rig):
         signals["nothing/x"]
 
 
-def test_a_topic_outlives_its_recording_and_its_neighbours(lag_rig):
+def test_a_topic_is_valid_after_its_recording_is_deleted(lag_rig):
     topic = in_process(lag_rig).topics["lag/state"]
     assert len(topic.data) == len(topic.times) == 101

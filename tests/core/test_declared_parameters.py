@@ -1,4 +1,4 @@
-"""Each declared parameter of each executable keeps type, range and existence, whatever is asked of the services.
+"""Each declared parameter of each executable keeps its type, range and existence, whatever the services are asked.
 
 `tests/processes/test_tuning.py` asks the same of live nodes.
 """
@@ -54,7 +54,7 @@ def blocks():
 
 
 class Stood(ServingNode):
-    """A node with rclpy's own parameters and services, without a context: what would be published is dropped."""
+    """A node with rclpy's own parameters and services, without a context: publications are dropped."""
 
     def __init__(self):
         self.offered = {}
@@ -90,7 +90,7 @@ def event(monkeypatch):
 
 
 def served(node, block, state):
-    """Declare the parameters of a block, and have the services of a node that is at rest, runs, or is in real time."""
+    """Declare the parameters of a block, and have the services of a node at rest, running, or in real time."""
     params, _ = _parameters(node, block)
     adapter = Adapter(Hand("node"), Lag(), RunOptions(mode="realtime" if state == "realtime" else "lockstep",
                       links=Links(owns_clock=True, base="0.01").model_dump_json()))  # fmt: skip

@@ -1,4 +1,4 @@
-"""What holds where nobody says anything is part of the interface: each default and constant is written down.
+"""Defaults are part of the interface: each default and constant is written down.
 
 A scenario, a call and a bag that leave something out mean another thing when a default changes, without a word, and so
 does all that a constant of a module or class decides. Of a parameter its bounds and whether it may change in a run
@@ -61,7 +61,7 @@ NUMBER = bool | int | float
 
 
 def told(value):
-    """A number, or what is made of numbers, in words; of anything else a TypeError."""
+    """A number, or an object of numbers, as text; a TypeError for anything else."""
     if hasattr(value, "tolist"):
         return told(value.tolist())
     if isinstance(value, float | complex):
@@ -78,7 +78,7 @@ def told(value):
 
 
 def constants(name, home, names):
-    """A line for each constant with a number in it, but for paths of this machine."""
+    """A line for each constant with a number in it, except paths of this machine."""
     for constant in names:
         value = getattr(home, constant, None)
         value = value.value if isinstance(value, Enum) else value
@@ -91,14 +91,14 @@ def constants(name, home, names):
 
 
 def parameter(field):
-    """Default and bounds of a parameter, and whether it may change in a run."""
+    """Default and bounds of a parameter, and whether it may change during a run."""
     bounds = [f"{name} {getattr(m, name):.12g}" for m in field.metadata for name in BOUNDS if hasattr(m, name)]
     more = [f"{name} {told(value)}" for name, value in (field.json_schema_extra or {}).items() if name != "unit"]
     return ", ".join([told(field.default), *bounds, *more])
 
 
 def defaults(package):
-    """A line for each."""
+    """One line for each default."""
     for module in pkgutil.walk_packages(import_module(package).__path__, f"{package}."):
         if module.name not in LAZY:
             home = import_module(module.name)
@@ -123,7 +123,7 @@ def defaults(package):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_no_default_changes_without_a_word(package):
+def test_no_default_changes_unnoticed(package):
     lines = [line for line in LIST.read_text().splitlines() if line.startswith(f"{package}.")]
     written, now = (dict(line.split(" = ", 1) for line in result) for result in (lines, defaults(package)))
     known = written.keys() & now.keys()

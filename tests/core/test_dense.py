@@ -31,7 +31,7 @@ def test_product_is_the_matrix_product(left, right, kinds):
 
 
 @given(st.lists(st.tuples(st.floats(-1e9, 1e9), st.floats(-1e9, 1e9)), min_size=1, max_size=30))
-def test_sums_go_from_the_first_term_to_the_last(pairs):
+def test_sums_are_added_from_the_first_term_to_the_last(pairs):
     total = 0.0
     for x, y in pairs:
         total += x * y
@@ -80,7 +80,7 @@ def test_a_singular_matrix_is_refused(a):
         (dense.solve, (4,), (4,), r"solve with shapes \(4,\)"),
     ],
 )
-def test_shapes_that_do_not_fit_are_named(function, a, b, message):
+def test_mismatched_shapes_are_named(function, a, b, message):
     with pytest.raises(ValueError, match=message):
         function(np.ones(a), np.ones(b))
 

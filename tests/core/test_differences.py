@@ -1,4 +1,4 @@
-"""The columns of a rig's map, of maps made by hand: what counts as a state, each matrix, each step, what is told."""
+"""The columns of a rig's map, for artificial maps: what counts as a state, each matrix, each step, what is reported."""
 
 import math
 from itertools import pairwise
@@ -14,7 +14,7 @@ LINK = "law/u"
 
 
 class Map:
-    """x+ = f(x, v, w), said = g(x, v, w): v is what the readers of the link get, w what the sources say.
+    """x+ = f(x, v, w), output = g(x, v, w): v are the values of the link's subscribers, w those of the sources.
 
     `direct` is how much of it the link says at once; what `g` says of the link is the rest.
     """
@@ -68,8 +68,10 @@ def reached(A, some):
 
 @pytest.mark.parametrize("opened", [True, False])
 @pytest.mark.parametrize("seed", range(12))
-def test_of_a_linear_map_it_is_the_map_itself_in_the_states_that_count(seed, opened):
-    """Eighths, so that nothing is rounded. Counts: what moves or is moved, and is heard of; not what nothing moves."""
+def test_the_linear_view_of_a_linear_map_is_the_map_in_the_states_that_count(seed, opened):
+    """In eighths, so that nothing is rounded. A state counts if it moves or is moved, and is observed; not if nothing
+    moves it.
+    """
     rng = np.random.default_rng(seed)
 
     def sparse(*shape, share=0.3):
@@ -154,7 +156,7 @@ def best_step(f, x, size):
         (lambda x: 2.0**-10 * x**5, 2.0, 0.3),
     ],
 )
-def test_a_column_is_taken_where_two_neighbouring_steps_agree_best(f, x, size):
+def test_a_column_is_computed_where_two_neighbouring_steps_agree_best(f, x, size):
     m = Map(lambda s, v, w: np.array([f(s[0])]), lambda s, v, w: [s[0]], [x], [size], [True])
     differences = Differences(m, ["plant/y"], [], "")
     view = differences.view()
@@ -192,7 +194,7 @@ def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
     assert view.state_error > 1e-5
 
 
-def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
+def test_states_are_perturbed_with_alternating_signs_to_test_linearity():
     m = Map(lambda s, v, w: s, lambda s, v, w: [s.sum()], [1.0] * 4, [1.0, 2.0, 4.0, 8.0], [True] * 4)
     m.f = lambda s, v, w: np.roll(s, 1)
     differences = Differences(m, ["plant/y"], [], "")
@@ -206,7 +208,7 @@ def test_states_are_moved_off_in_turn_of_sign_to_see_whether_they_stay_linear():
     assert (-step * [1.0, -1.0, 1.0, 1.0]).tolist() in offs
 
 
-def test_what_rests_at_zero_gets_the_size_by_which_others_move_it():
+def test_a_state_at_zero_gets_the_size_by_which_others_move_it():
     """The second is moved by 16 times the first, of size 8; the third as the second: a 64th of that is just enough."""
     A = np.array([[0.5, 0.0, 0.0], [16.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     m = Map(lambda s, v, w: A @ s, lambda s, v, w: [s.sum()], [8.0, 0.0, 0.0], [8.0, 0.0, 2.0], [True, False, False])
@@ -225,7 +227,7 @@ def fenced(limit):
     return Map(f, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
 
 
-def test_a_step_that_breaks_the_rig_is_too_long_and_where_none_is_short_enough_it_is_reported():
+def test_a_step_that_breaks_the_rig_is_shortened_and_its_failure_reported():
     differences = Differences(fenced(2.0**-10), ["plant/y"], [], "")
     assert differences.view().A.tolist() == [[0.5]]
     assert differences.steps == {0: 2.0**-16}  # of 2^-12 and it
@@ -233,7 +235,7 @@ def test_a_step_that_breaks_the_rig_is_too_long_and_where_none_is_short_enough_i
         Differences(fenced(0.0), ["plant/y"], [], "").view()
 
 
-def test_something_that_is_no_float_and_goes_along_is_reported():
+def test_a_changing_value_that_is_not_a_float_is_reported():
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1.0], [1.0], [True])
     m.others = lambda: [("plant.n", len(m.asked))]
     text = r"^made: plant\.n goes along with plant\.x\[0\] at 1\.5 s, however little that is moved, and is no float"
@@ -270,7 +272,7 @@ def test_too_many_states_are_reported(monkeypatch, count, text):
     assert (not m.asked) == (count > 9)  # before anything is tried
 
 
-def test_numbers_that_are_infinite_or_so_large_that_they_do_not_move_are_no_columns():
+def test_infinite_numbers_and_numbers_too_large_to_move_have_no_columns():
     m = Map(lambda s, v, w: s * [0.5, 1.0], lambda s, v, w: [s[0]], [1.0, math.inf], [1.0, 0.0], [True, True])
     assert Differences(m, ["plant/y"], [], "").view().states == ("plant.x[0]",)
     m = Map(lambda s, v, w: s * 0.5, lambda s, v, w: [s[0]], [1e20], [1.0], [True])

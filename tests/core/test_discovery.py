@@ -1,4 +1,6 @@
-"""Every order of discovery that DDS allows, drawn from seeds: no start loses a message, nor does a sender ahead."""
+"""Every order of discovery that DDS allows, drawn from seeds: no start loses a message, and neither does a publisher
+that is ahead.
+"""
 
 import os
 import random
@@ -61,7 +63,7 @@ KINDS = {name: make_scenario(nodes, 0.05) for name, (nodes, _) in PROCESS_RIGS.i
 
 @cache
 def rig_and_record(kind):
-    """The rig with all nodes ours and what it must say."""
+    """The rig with all nodes ours and its expected recording."""
     rig = rig_of(KINDS[kind])
     return rig, in_process(rig)
 
@@ -74,7 +76,7 @@ def with_guests(kind, outside):
 
 
 def start(kind, seed, outside=(), stalls=0, bare=False):
-    """One run whose orders are drawn; gives what is wrong with it.
+    """One run with random orders of discovery; returns what is wrong with it.
 
     Outside nodes come when they like, make their endpoints one after the other and read what they like.
     """
@@ -124,20 +126,20 @@ def start(kind, seed, outside=(), stalls=0, bare=False):
 
 
 def perhaps_prompt(seed):
-    """Draw whether nodes answer where messages arrive."""
+    """Draw whether nodes answer in the receiving thread."""
     rng = random.Random(f"prompt {seed}")
     return rng if rng.random() < 0.5 else None
 
 
 def stall(run, rng, longest=3_000):
-    """One of the nodes is stopped for a while, its messages wait for it."""
+    """Stop one of the nodes for a while; its messages are queued."""
     if not run.nodes:
         return
     node = rng.choice(list(run.nodes.values()))
     node.stalled = max(node.stalled, run.world.now + rng.randrange(longest * MS))
 
 
-def test_who_is_stopped_while_an_outside_node_is_awaited_asks_nobody_about_it(capfd):
+def test_a_node_that_is_stopped_while_an_outside_node_is_awaited_makes_no_request(capfd):
     """A signal has shut ROS down by then."""
     rng = random.Random(0)
     world = World(lambda *_: 1_000)
@@ -164,7 +166,7 @@ def test_no_start_loses_a_message(kind):
 
 
 class SimulatedRecorder:
-    """Reads topics as the graph shows them to it, up to some seconds later; leaves one of them out."""
+    """Subscribes to topics when the graph shows them, up to some seconds late; leaves one of them out."""
 
     def __init__(self, world, asks, skipped, rng):
         self.rng = rng
@@ -184,8 +186,8 @@ class SimulatedRecorder:
 
 @pytest.mark.parametrize("seeds", [range(4), pytest.param(range(4, 100), marks=pytest.mark.long)], ids=["few", "many"])
 @pytest.mark.parametrize("asks", [True, False], ids=["asks", "is named"])
-def test_a_recorder_in_the_domain_of_a_rig_has_all_of_it(asks, seeds):
-    """From the first message on, whenever it sees what; and what it leaves out holds nobody up."""
+def test_a_recorder_in_the_domain_of_a_rig_records_everything(asks, seeds):
+    """From the first message on, whenever it discovers a topic; a topic that it leaves out delays no node."""
     rig, expected = rig_and_record("three plants")
     for seed in seeds:
         rng = random.Random(seed)
@@ -208,7 +210,7 @@ def test_a_recorder_in_the_domain_of_a_rig_has_all_of_it(asks, seeds):
 
 
 def guests(kind, rng):
-    """Draw who is outside: one plant, or any of the others.
+    """Draw the external nodes: one plant, or any of the others.
 
     Outside nodes that wait for each other are their owners' business, and nobody tells for them when they are silent.
     """
@@ -224,20 +226,20 @@ def guests(kind, rng):
 
 
 @pytest.mark.parametrize("kind", few(KINDS, 7))
-def test_any_node_may_be_outside_reading_any_subset(kind):
+def test_any_node_may_be_external_and_read_any_subset(kind):
     for seed in range(8):
         outside = guests(kind, random.Random(seed))
         assert start(kind, seed, outside, bare=seed % 2) == [], (seed, outside)
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("events", 10), ("record", 54), ("solver", 54)])
-def test_who_is_no_ros_node_hears_the_first_of_all_that_it_reads(kind, seed):
-    """It has no name by which one could ask what it reads: nobody begins while its endpoints still come."""
+def test_a_participant_without_a_ros_node_receives_the_first_message_of_all_its_topics(kind, seed):
+    """Its subscriptions cannot be asked for by a node name: no node begins while its endpoints still appear."""
     assert start(kind, seed, guests(kind, random.Random(seed)), bare=True) == []
 
 
 def death(kind, seed):
-    """One run in which a node dies at any point: the others end, say why, and what they said is right."""
+    """One run in which a node dies at any point: the others end, report why, and what they published is right."""
     rng = random.Random(seed)
     rig, expected = rig_and_record(kind)
     world = World(lambda *_: rng.randrange(1_000, 5 * MS), prompt=perhaps_prompt(seed))
@@ -259,7 +261,9 @@ def death(kind, seed):
 
 
 def death_in_real_time(kind, seed):
-    """As `death`, against the wall clock: who is up goes on without the dead to the end, who waits for it names it."""
+    """As `death`, in real time: the others continue without the dead node to the end, and a node that waits for it
+    names it.
+    """
     rng = random.Random(seed)
     rig, _ = rig_and_record(kind)
     world = World(lambda *_: rng.randrange(1_000, MS))
@@ -278,7 +282,9 @@ def death_in_real_time(kind, seed):
 
 
 def departure(kind, seed):
-    """One start in real time, of nodes that come over three seconds: t = 0 is after the last, nobody misses any."""
+    """One start in real time of nodes that start over three seconds: t = 0 is after the last, and no node misses
+    another.
+    """
     rng = random.Random(seed)
     rig, _ = rig_and_record(kind)
     world = World(lambda *_: rng.randrange(1_000, MS))
@@ -293,7 +299,7 @@ def departure(kind, seed):
 
 
 def called(kind, rng):
-    """Draw nodes that may be outside in real time: what calls for their answers has stamps and is ours."""
+    """Draw external nodes in real time: nodes that trigger them publish stamps and are ours."""
     rig, _ = rig_and_record(kind)
     outside = set(guests(kind, rng)) if rng.random() < 0.5 else set()
     for member in rig.members:
@@ -305,7 +311,7 @@ def called(kind, rng):
 
 
 def real_time(kind, seed, outside=(), stalls=0):
-    """One run in real time whose orders are drawn: what each of our nodes did not say at its ticks it has counted."""
+    """One run in real time with random orders: each of our nodes has counted the ticks at which it did not publish."""
     rng = random.Random(seed)
     ours, expected = rig_and_record(kind)
     rig = with_guests(kind, outside)
@@ -398,16 +404,16 @@ def test_when_a_node_dies_the_others_end_and_name_it(kind):
         assert death_in_real_time(kind, seed) == [], seed
 
 
-def test_who_dies_before_it_reads_is_named_by_who_waits_for_it():
-    """What others say of each other's silence is a consequence: found by one of a hundred thousand seeds."""
+def test_a_node_that_dies_before_it_subscribes_is_named_by_the_one_that_waits_for_it():
+    """Reports about each other's silence are consequences; one of a hundred thousand seeds found this."""
     what, wrong = trial(56041)
     assert what.startswith("death"), what
     assert wrong == []
 
 
 @pytest.mark.parametrize("every", [1, 2, 3, 10])
-def test_the_clock_is_ahead_of_who_follows_by_less_than_a_queue_holds(every):
-    """The follower is stopped at eight ticks in a row: as many messages of a topic wait for it then."""
+def test_the_clock_is_ahead_of_a_follower_by_less_than_a_queue_holds(every):
+    """The follower is stopped at eight ticks in a row: as many messages of a topic are then queued for it."""
     rig = rig_of(make_scenario(BASIC | {"watcher": slow(0.01 * every, executable="watcher")}, 0.6))
     waiting = set()
     for first in range(30, 38):
@@ -430,32 +436,33 @@ def test_the_clock_is_ahead_of_who_follows_by_less_than_a_queue_holds(every):
 
 
 @pytest.mark.parametrize(("without", "followers"), [({}, ["watcher"]), ({"source"}, []), ({"plant"}, [])])
-def test_nobody_follows_where_a_node_is_outside(without, followers):
+def test_there_is_no_follower_beside_an_external_node(without, followers):
     rig = with_guests("two loops at two rates, a chain and a leaf", tuple(without))
     for member in rig.members:
         assert links(rig, member).followers == followers
 
 
-def test_who_may_come_back_is_waited_for_at_each_tick():
+def test_a_node_that_may_restart_is_waited_for_at_each_tick():
     rig, _ = rig_and_record("three who follow")
     for returns, followers in ((False, ["near", "half", "far"]), (True, [])):
         given = node_parameters(rig, rig.members[0], 0, "lockstep", returns=returns)
         assert Links.model_validate_json(given["run.links"]).followers == followers
 
 
-def test_who_is_answered_while_it_speaks_does_not_begin_a_tick_inside_another():
-    """One of a thousand seeds that find a `Monitor` which lets that happen."""
+def test_a_node_that_gets_an_answer_while_it_publishes_starts_no_tick_inside_another():
+    """One of a thousand seeds that find a `Monitor` with this fault."""
     assert trial(522)[1] == []
 
 
 @pytest.mark.parametrize("kind", ["basic", "two plants", "delayed link"])
-def test_real_time_begins_when_all_are_up(kind):
+def test_real_time_begins_when_all_nodes_run(kind):
     for seed in range(5):
         assert departure(kind, seed) == [], seed
 
 
-def test_who_waits_for_a_node_that_cannot_begin_waits_as_long_as_that_may_take_and_it_says_what_it_lacks():
-    """Its graph shows late that somebody reads what it says: the others have begun, and hear nothing of it."""
+def test_a_node_waits_for_one_that_cannot_begin_as_long_as_a_start_may_take_and_reports_what_is_missing():
+    """The graph shows late that its topics have a subscriber: the other nodes have begun, and receive nothing from it.
+    """
     rig, expected = rig_and_record("basic")
     world = World()
     run = SimulatedRig(rig, world, "lockstep", timeout=10.0, start_timeout=60.0)
@@ -468,14 +475,14 @@ def test_who_waits_for_a_node_that_cannot_begin_waits_as_long_as_that_may_take_a
 
 
 @pytest.mark.parametrize("kind", ["basic", "two plants", "end"])
-def test_who_judges_matches_by_the_graph_alone_loses_messages(kind, monkeypatch):
-    """The model shows the race that starts once had: the graph knows a reader before the writer is matched with it."""
+def test_a_node_that_judges_matches_only_by_the_graph_loses_messages(kind, monkeypatch):
+    """The model shows an earlier race of starts: the graph shows a subscriber before the writer is matched with it."""
     monkeypatch.setattr(Output, "readers", property(lambda self: 10**9, lambda self, count: None), raising=False)
     assert any(start(kind, seed) for seed in range(30))
 
 
 def trial(seed):
-    """One of everything: gives what is wrong, with the kind of rig."""
+    """One run of every kind: returns what is wrong, with the kind of rig."""
     kind = list(KINDS)[seed % len(KINDS)]
     what = random.Random(-seed).random()
     if what < 0.1 and kind in ("basic", "two plants", "delayed link"):
@@ -494,7 +501,7 @@ def trial(seed):
 
 
 def share(first, last):
-    """Some seeds; gives a line for each that shows something wrong."""
+    """Some seeds; returns a line for each that shows something wrong."""
     result = ((seed, *trial(seed)) for seed in range(first, last))
     return [f"seed {seed}, {what}: {wrong}" for seed, what, wrong in result if wrong]
 

@@ -23,7 +23,7 @@ with free_domain() as d:
 """
 
 
-def test_two_reservations_differ_and_the_first_comes_free_again():
+def test_two_reservations_differ_and_the_first_becomes_free_again():
     with free_domain() as first:
         with free_domain() as second:
             assert first != second
@@ -33,7 +33,7 @@ def test_two_reservations_differ_and_the_first_comes_free_again():
 
 @pytest.mark.parametrize("home", ["ours", "its own"])
 def test_another_process_holds_its_domain_until_it_dies(home, tmp_path, monkeypatch):
-    """Two suites at once, each with its own home, chose a domain in the same moment."""
+    """Two suites that ran together, each with its own home, chose one domain at the same moment."""
     theirs = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)} if home == "its own" else None
     command = [sys.executable, "-c", HOLD]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=theirs) as child:
@@ -52,8 +52,8 @@ def test_another_process_holds_its_domain_until_it_dies(home, tmp_path, monkeypa
         assert ours == number
 
 
-def test_when_all_are_taken_one_beyond_is_and_who_holds_them_is_known(monkeypatch):
-    """Anybody may hold the hundred names."""
+def test_if_all_are_taken_a_higher_one_is_used_and_the_holders_are_named(monkeypatch):
+    """Any process may hold the hundred names."""
     with free_domain() as first, free_domain() as second:
         monkeypatch.setattr(domain, "DOMAINS", range(first, first + 1))
         with free_domain() as other:
@@ -76,8 +76,8 @@ def test_a_wanted_domain_is_reserved_too():
         pass
 
 
-def test_the_locks_are_the_users_own_and_no_links_or_pipes(tmp_path, monkeypatch):
-    """In the temporary directory anybody could have put a link to a file, or a pipe that waits for ever."""
+def test_the_locks_belong_to_the_user_and_are_not_links_or_pipes(tmp_path, monkeypatch):
+    """In the temporary directory any user could put a link to a file, or a pipe that blocks forever."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("TMPDIR", "/nowhere")
     monkeypatch.setattr(domain, "DOMAINS", range(7, 8))
@@ -92,7 +92,7 @@ def test_the_locks_are_the_users_own_and_no_links_or_pipes(tmp_path, monkeypatch
         assert not (tmp_path / "target").exists()
 
 
-def test_without_a_home_the_locks_are_in_a_folder_of_the_user_alone(tmp_path, monkeypatch):
+def test_without_a_home_the_locks_are_in_a_private_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
     monkeypatch.setattr(compiled, "TEMPORARY", tmp_path)
     own = tmp_path / f"softrig-{os.getuid()}"
@@ -104,7 +104,7 @@ def test_without_a_home_the_locks_are_in_a_folder_of_the_user_alone(tmp_path, mo
 
 
 def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
-    """A participant that somebody else has started, here stood for by the port that it would hold."""
+    """A participant of another process, here represented by the port that it would hold."""
     with free_domain() as number:
         pass
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
@@ -119,7 +119,7 @@ def test_a_domain_with_a_ros_session_is_not_chosen(monkeypatch):
     assert number not in domain.inhabited()
 
 
-def test_a_host_without_loopback_is_reported_at_once(monkeypatch, tmp_path, lag_rig):
+def test_a_host_without_loopback_is_reported_immediately(monkeypatch, tmp_path, lag_rig):
     code = "from softrig_nodes.processes.domain import require_loopback; require_loopback()"
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode:
         pytest.skip("network namespaces are not permitted here")

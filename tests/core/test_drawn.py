@@ -1,4 +1,6 @@
-"""What drawings are made with: rotations by scipy, a camera by its axes, picked rows, words and arrows by hand."""
+"""What drawings are made of: rotations against scipy, a camera by its axes, selected rows, and precomputed words and
+arrows.
+"""
 
 import math
 from itertools import pairwise
@@ -26,14 +28,14 @@ def test_quaternions_turn_and_follow_each_other_as_those_of_scipy(k):
 
 
 def axes(azimuth, elevation):
-    """Towards the camera, to the right and up, as it sees them."""
+    """The axes towards the camera, to the right and up, as the camera sees them."""
     ce, se, ca, sa = math.cos(elevation), math.sin(elevation), math.cos(azimuth), math.sin(azimuth)
     towards, right = np.array([ce * ca, ce * sa, se]), np.array([-sa, ca, 0.0])
     return towards, right, np.cross(towards, right)
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (0.7, 0.3), (-2.0, -0.4), (3.0, 1.5)])
-def test_a_camera_sees_along_its_axes(azimuth, elevation):
+def test_a_camera_projects_along_its_axes(azimuth, elevation):
     towards, right, up = axes(azimuth, elevation)
     camera, rng = Camera(azimuth, elevation, 2.0, (10.0, 20.0)), np.random.default_rng(2)
     for p in rng.normal(size=(5, 3)):
@@ -51,7 +53,7 @@ def test_a_camera_sees_along_its_axes(azimuth, elevation):
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 7, 40])
 @pytest.mark.parametrize("points", [2, 3, 6])
-def test_rows_of_the_past_are_picked_evenly_up_to_now(count, points):
+def test_rows_of_the_past_are_selected_evenly_up_to_now(count, points):
     rows = [{"k": float(k)} for k in range(count)]
     results = [row["k"] for row in tail(rows[:-1], rows[-1], points)]
     assert len(results) == points
@@ -65,7 +67,7 @@ def test_rows_of_the_past_are_picked_evenly_up_to_now(count, points):
         assert all(abs(x - (count - 1) * k / (points - 1)) <= 0.5 for k, x in enumerate(picked))
 
 
-def test_a_quantity_is_its_value_or_at_rest_and_says_so():
+def test_a_quantity_is_its_value_or_at_rest_and_is_labelled_so():
     volts = Quantity("v", "V", 2.5)
     assert [volts(row) for row in ({"v": 7.0}, {}, {"v": math.nan}, {"v": -math.inf})] == [7.0, 2.5, 2.5, 2.5]
     assert [
@@ -127,7 +129,7 @@ def shapes(draw):
     return pen.shapes
 
 
-def test_arrows_boxes_arcs_and_circles():
+def test_arrows_boxes_arcs_and_circles_are_as_expected():
     line, head = shapes(lambda pen: pen.arrow((10.0, 10.0), (10.0, 40.0), "alarm", 3.0, 10.0))
     assert line == Line(((10.0, 10.0), (10.0, 30.0)), "alarm", 3.0)
     assert head == Polygon(((10.0, 40.0), (6.0, 30.0), (14.0, 30.0)), "alarm", "alarm", 0)
@@ -153,7 +155,7 @@ def test_arrows_boxes_arcs_and_circles():
     }
 
 
-def test_readings_stand_below_each_other():
+def test_readings_are_listed_below_each_other():
     text = shapes(
         lambda pen: readings(pen, (10.0, 20.0), [("Speed", "3", "accent"), ("Load", "4", "line")], 50.0, 15.0)
     )
@@ -184,7 +186,7 @@ def test_an_oscillogram_ends_at_its_edges():
         ((4.0, 8.0, 5.0, 6.0), [], (10.0, 60.0)),
     ],
 )
-def test_a_plane_has_its_axes_where_zero_is_inside(full, lines, place):
+def test_a_plane_has_its_axes_at_zero_if_that_is_inside(full, lines, place):
     row = {"x": 2.0, "y": 1.0}
     result = shapes(
         lambda pen: plane(
@@ -197,7 +199,7 @@ def test_a_plane_has_its_axes_where_zero_is_inside(full, lines, place):
     assert {s.role for s in result[1:-2]} <= {"faint"}
 
 
-def test_ranges_of_joints():
+def test_ranges_of_joints_are_drawn():
     text = """<robot name="r">
       <joint name="a" type="revolute"><limit lower="-1" upper="2"/></joint>
       <joint name="b" type="revolute"><limit lower="-9" upper="9"/></joint>

@@ -1,4 +1,4 @@
-"""A rig as a Gymnasium environment: the numbers of the rig, ends of episodes, a policy put back as a node."""
+"""A rig as a Gymnasium environment: the numbers of the rig, ends of episodes, a policy used as a node."""
 
 import importlib.metadata
 import json
@@ -65,7 +65,7 @@ def messages(recording):
         ("rectifier_mpc", "gpc_controller", 0.01),
     ],
 )
-def test_with_its_own_law_as_agent_it_is_the_rig_bit_for_bit(name, law, duration):
+def test_with_its_own_law_as_agent_it_equals_the_rig_bit_for_bit(name, law, duration):
     rig = rig_of(load_scenario(name).changed(duration=duration))
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, 3, recording)
@@ -77,7 +77,7 @@ def test_with_its_own_law_as_agent_it_is_the_rig_bit_for_bit(name, law, duration
         assert messages(env.run.recording) == messages(recording)
 
 
-def test_gymnasium_finds_nothing_wrong():
+def test_gymnasiums_checker_finds_no_fault():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", ".*(normalized space|not having a spec)")  # volts; made by hand
@@ -105,7 +105,7 @@ def test_an_action_is_cut_at_its_bounds():
 
 
 @pytest.mark.long
-def test_side_by_side_they_are_what_each_is_alone():
+def test_environments_side_by_side_equal_single_ones():
     one = motor()
     one.reset(seed=5)
     alone = [one.step([3.0])[0].tolist() for _ in range(5)]
@@ -143,8 +143,8 @@ DRIVE = {"what": "induction_dtc", "duration": 0.02, "reward": lambda now: now["c
     pytest.param(DRIVE | {"replace": "dtc_controller", "act": LEGS}, 2.0, 2_400, marks=pytest.mark.long),
     pytest.param(DRIVE | {"replace": "speed_controller"}, 20.0, 180, marks=pytest.mark.long),
 ])  # fmt: skip
-def test_many_that_native_code_moves_are_what_each_is_alone(keys, size, least):
-    """Over ends of episodes, with noise, and where native code gives one up."""
+def test_many_environments_in_native_code_equal_single_ones(keys, size, least):
+    """Over ends of episodes, with noise, and where native code discards a tick."""
     one = gymnasium.vector.SyncVectorEnv([lambda: RigEnv(**keys)] * 3)
     many = gymnasium.make_vec("softrig/Rig-v0", num_envs=3, **keys)
     draws = np.random.default_rng(1)
@@ -161,7 +161,7 @@ def test_many_that_native_code_moves_are_what_each_is_alone(keys, size, least):
     assert bool(many.unwrapped.reason) == (least == 0)
 
 
-def test_all_begin_anew_where_they_are_reset_at_their_end():
+def test_all_environments_start_again_if_they_are_reset_at_their_end():
     keys = MOTOR | {"observe": ["speed"], "act": ["voltage"], "reward": lambda now: now["speed"], "duration": 0.03}
     many, fresh = (RigVectorEnv(**keys, num_envs=2) for _ in range(2))
     many.reason = fresh.reason = "in Python: each is as quick"
@@ -182,7 +182,7 @@ class Part(NamedTuple):
     on: bool
 
 
-def test_a_state_comes_back_as_it_was_put_wherever_its_complex_numbers_stand():
+def test_a_state_with_complex_numbers_is_restored_as_it_was_stored():
     state = ((1.0 + 2.0j, 3, Part(-4.5, True)), None, (5.0j, (0.25, False)))
     form = Form(state)
     numbers, whole = np.zeros(form.sizes[0]), np.zeros(form.sizes[1], np.int64)
@@ -190,7 +190,7 @@ def test_a_state_comes_back_as_it_was_put_wherever_its_complex_numbers_stand():
     assert repr(form.get(numbers, whole)) == repr(state)
 
 
-def test_a_seed_is_that_of_the_rig_and_drawn_without_one():
+def test_a_seed_is_that_of_the_rig_and_random_without_one():
     env = RigEnv("induction_dtc", "dtc_controller", observe=["i_a"], reward=lambda now: 0.0, duration=0.005)
     law = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of all that it says, a leg on
 
@@ -205,7 +205,7 @@ def test_a_seed_is_that_of_the_rig_and_drawn_without_one():
     assert noise() == drawn
 
 
-def test_an_episode_knows_nothing_of_the_one_before():
+def test_an_episode_does_not_depend_on_the_previous_one():
     env = motor()
     for volts in (3.0, 4.0):
         env.reset(seed=0)
@@ -215,7 +215,7 @@ def test_an_episode_knows_nothing_of_the_one_before():
         assert env.now["voltage"] == volts
 
 
-def test_what_is_violated_ends_an_episode():
+def test_a_violated_requirement_ends_an_episode():
     bounded = rig_of(load_scenario("dc_motor_smc", {"period": 0.01}).changed(duration=0.3))
     scenario = bounded.scenario.model_copy(update={"requirements": {}})
     data = scenario.model_dump() | {"requirements": {"slow": "always abs(speed) <= 0.5"}}
@@ -278,13 +278,13 @@ def test_a_value_beyond_the_limits_of_its_port_ends_an_episode(given, last):
         ({"observe": []}, "observe: expected signals"),
     ],
 )
-def test_what_cannot_be_an_environment_is_reported(keys, message):
+def test_a_rig_that_cannot_be_an_environment_is_reported(keys, message):
     with pytest.raises(ScenarioError, match=message):
         motor(**keys)
 
 
 @pytest.mark.parametrize("action", [[np.nan], [np.inf], [1.0, 2.0], 1.0, []])
-def test_a_bad_action_never_gets_in(action):
+def test_a_bad_action_is_refused(action):
     env = motor()
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"expected an action of \(1,\) finite numbers"):
@@ -292,14 +292,14 @@ def test_a_bad_action_never_gets_in(action):
     env.step([1.0])  # the episode goes on
 
 
-def test_a_reward_that_is_no_number_is_reported():
+def test_a_reward_that_is_not_a_number_is_reported():
     env = motor(reward=lambda now: float("nan"))
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"the reward became nan at t = 0.01 s"):
         env.step([1.0])
 
 
-def test_a_policy_as_a_node_is_the_agent_bit_for_bit():
+def test_a_policy_as_a_node_equals_the_agent_bit_for_bit():
     weights = [-3.0, 0.25]
     env = motor(record=True)
     observation, _ = env.reset(seed=0)
@@ -337,7 +337,7 @@ def test_only_registered_policies_are_found(monkeypatch):
         Policy(weights=(1.0, 2.0, 3.0))
 
 
-def test_a_policy_goes_back_with_what_it_remembers(monkeypatch):
+def test_a_policy_goes_back_with_its_memory(monkeypatch):
     def make(weights, observations, actions):
         total, rows = 0.0, [0.0]
 
@@ -401,7 +401,7 @@ def test_a_policy_of_an_installed_package_runs_as_a_node_and_is_judged_as_the_la
 
 
 @pytest.mark.long
-def test_the_page_trains_a_policy_and_says_what_it_does(tmp_path, monkeypatch, capsys):
+def test_the_page_trains_a_policy_and_its_statements_hold(tmp_path, monkeypatch, capsys):
     pytest.importorskip("cmaes")
     monkeypatch.chdir(tmp_path)
     text = PAGE.read_text()

@@ -1,4 +1,6 @@
-"""Expectations and claims: what is read, refused, holds, agrees and is asked, each edge in a table by hand."""
+"""Expectations and claims: what is read, refused, holds, agrees and is required, with each limit in a precomputed
+table.
+"""
 
 import math
 
@@ -80,7 +82,7 @@ def test_expectations_are_read_or_refused(text, expected):
         ({}, (0.0, 1e300), (NAN, INF), {0.0: NAN}),
     ],
 )
-def test_limits_hold_to_their_edges_and_margins_count_from_bounds(limits, holds, not_holds, margins):
+def test_limits_hold_up_to_their_edges_and_margins_count_from_bounds(limits, holds, not_holds, margins):
     one = Expectation(**limits)
     assert [one.holds(x) for x in (*holds, *not_holds)] == [True] * len(holds) + [False] * len(not_holds)
     assert {x: one.margin(x) for x in margins} == pytest.approx(margins, nan_ok=True)
@@ -114,7 +116,7 @@ def claim(verdict="reproduced", reason="so it is", where="Table 1", **given):
         ({"published": 1.0, "verdict": "seen"}, "Input should be 'reproduced', 'fitted'"),
     ],
 )
-def test_a_claim_is_whole_or_refused(given, text):
+def test_a_claim_is_complete_or_refused(given, text):
     if not text:
         assert claim(**given)
         return
@@ -141,7 +143,7 @@ def test_a_claim_is_whole_or_refused(given, text):
         ({"below": 3.0, "above": 1.0}, {"below": 3.0, "above": 1.0}, (2.0,), (1.0, 3.0), "below 3, above 1"),
     ],
 )
-def test_what_agrees_with_a_claim(given, others, agrees, not_agrees, asked):
+def test_agreement_with_a_claim_is_as_expected(given, others, agrees, not_agrees, asked):
     one = claim(text="it is", **given)
     assert one.asks(others) == asked
     assert [one.agrees(x, others) for x in (*agrees, *not_agrees)] == [True] * len(agrees) + [False] * len(not_agrees)
@@ -149,7 +151,7 @@ def test_what_agrees_with_a_claim(given, others, agrees, not_agrees, asked):
     assert one.references() == [v for k, v in given.items() if isinstance(v, str) and k != "tolerance"]
 
 
-def test_a_claim_agrees_at_the_edge_of_its_tolerance_but_for_rounding():
+def test_a_claim_agrees_at_the_edge_of_its_tolerance_within_rounding():
     one = claim(published=0.3, tolerance=0.1)  # 0.3 - 0.1 is not the double of 0.2
     assert one.agrees(0.2)
     assert one.agrees(0.4)
@@ -157,7 +159,7 @@ def test_a_claim_agrees_at_the_edge_of_its_tolerance_but_for_rounding():
     assert one.agrees(0.3 - 0.1 * (1.0 + 0.9e-9))
 
 
-def test_verdicts_and_words():
+def test_verdicts_and_their_words_are_as_expected():
     held = {
         v: [claim(v, published=1.0).holds(agrees) for agrees in (True, False)]
         for v in ("reproduced", "fitted", "corrected", "refuted", "not_checkable")
@@ -181,7 +183,7 @@ def test_verdicts_and_words():
         ("changed", {(1.0, 0.9): INF, (1.0, 1.0): -INF, (0.9, 1.0): INF, (0.0, NAN): NAN, (NAN, 1.0): NAN}),
     ],
 )
-def test_conditions_decide_and_are_undefined_where_what_they_ask_of_is_no_number(edge, pairs):
+def test_conditions_decide_and_are_undefined_for_figures_without_a_number(edge, pairs):
     results = {pair: float(truth(Condition("x", edge), *pair)) for pair in pairs}
     assert results == pytest.approx(pairs, nan_ok=True)
     assert Condition("x", edge).variable == f"_{edge or 'true'}__x"
@@ -214,7 +216,7 @@ SAID = {"motor.i_max": 10.0, "law.set_point": -4.0, "load.times.1": 0.5, "name":
         ("3 +- -$motor.i_max", "a tolerance is not negative"),
     ],
 )
-def test_an_expectation_takes_numbers_from_nodes(text, expected):
+def test_an_expectation_refers_to_numbers_of_nodes(text, expected):
     def said(name):
         if name not in SAID:
             raise ScenarioError(f"no {name}")
@@ -232,7 +234,7 @@ def test_an_expectation_takes_numbers_from_nodes(text, expected):
     assert parsed.resolved(said).resolved(said) == parsed.resolved(said)
 
 
-def test_a_number_of_an_expectation_is_the_machines_unless_it_is_zero():
+def test_a_number_in_an_expectation_belongs_to_the_machine_unless_it_is_zero():
     assert parse("0 +- 0").follows
     assert parse("at least 0").follows
     assert not parse("0 +- 0.01").follows

@@ -63,7 +63,7 @@ def test_c_has_the_bits_of_python(scenario, node, tmp_path):
     assert result.same
 
 
-def test_odd_drawn_numbers_leave_no_way_without_c(tmp_path):
+def test_random_numbers_leave_no_branch_without_c(tmp_path):
     done = export_c(rig_of("induction_dtc"), "im_plant", tmp_path, rows=200, drawn=200)
     assert not done.discards
     result = replayed(tmp_path, done.name)
@@ -71,7 +71,7 @@ def test_odd_drawn_numbers_leave_no_way_without_c(tmp_path):
     assert result.rows >= 400
 
 
-def test_a_kept_answer_for_another_value_is_given_up_and_said(tmp_path):
+def test_a_kept_answer_for_another_value_is_dropped_and_reported(tmp_path):
     patterns = [1000.0, 800.0, 600.0, 400.0, *[1000.0] * 4]
     overrides = {"shading_source.times": [0.0, 0.01], "shading_source.irradiance": patterns}
     done = export_c(rig_of("pv_mppt", overrides=overrides), "pv_plant", tmp_path, rows=60, drawn=50)
@@ -243,7 +243,7 @@ changes:
 """
 
 
-def test_live_changes_are_replayed_by_parameters_that_are_set(tmp_path):
+def test_live_changes_are_replayed_by_setting_parameters(tmp_path):
     file = tmp_path / "dc_motor_changes.yaml"
     file.write_text(CHANGES)
     done = export_c(rig_of(str(file)), "dc_motor_smc", tmp_path, rows=200, drawn=50)
@@ -255,7 +255,7 @@ def test_live_changes_are_replayed_by_parameters_that_are_set(tmp_path):
     assert replayed(tmp_path, done.name).differing > 50
 
 
-def test_a_state_goes_on_under_other_gains_as_in_python(tmp_path):
+def test_a_state_continues_under_other_gains_as_in_python(tmp_path):
     file = tmp_path / "pid_changes.yaml"
     changes = [{"at": at, "set": {"dc_motor_pid.kp": kp}} for at, kp in ((0.02, 0.9), (0.03, 0.2))]
     file.write_text(json.dumps({"extends": "dc_motor_smc_a3", "changes": changes}))
@@ -307,7 +307,7 @@ def test_the_replay_notices_a_changed_law(law, tmp_path):
     assert replayed(tmp_path, done.name).differing > 100
 
 
-def test_drawn_inputs_hold_errors_of_python(law):
+def test_random_inputs_contain_errors_of_python(law):
     rig, _, _ = law
     member = member_of(rig, "dc_motor_smc")
     golden = golden_calls(rig, "dc_motor_smc", 1, 100)
@@ -342,7 +342,7 @@ int main(void)
 """
 
 
-def test_an_error_leaves_the_state_and_gives_the_safe_value_and_parameters_can_be_set(law, tmp_path):
+def test_an_error_keeps_the_state_and_returns_the_safe_value_and_parameters_can_be_set(law, tmp_path):
     rig, folder, done = law
     assert "delta" in done.settable
     for file in folder.iterdir():
@@ -377,7 +377,7 @@ def test_a_board_has_the_bits_of_python(law, board, tmp_path):
     assert 500 < result.flash < 8000
 
 
-def test_files_say_what_they_are_and_are_the_same_again(law, tmp_path):
+def test_files_describe_themselves_and_are_reproducible(law, tmp_path):
     rig, folder, done = law
     again = export_c(rig, "dc_motor_smc", tmp_path, rows=200, drawn=300)
     assert again.files == done.files
@@ -426,7 +426,7 @@ def test_there_is_no_recursion_no_dynamic_memory_and_no_compiler_warning(law):
         ("economic_dispatch", "dispatch_solver", ["cannot be exported as C", "DispatchSolver, line", "it is a solver"]),
     ],
 )
-def test_what_has_no_c_is_refused_by_its_reason(scenario, node, words, tmp_path):
+def test_a_construct_without_c_is_refused_with_its_reason(scenario, node, words, tmp_path):
     with pytest.raises(ScenarioError) as caught:
         export_c(rig_of(scenario), node, tmp_path, rows=50, drawn=50)
     assert all(word in str(caught.value) for word in words)

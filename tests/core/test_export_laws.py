@@ -1,4 +1,4 @@
-"""Laws that are odd Python: exported C has their bits, or the export is refused with class and line."""
+"""Laws with unusual Python: exported C has their bits, or the export is refused with class and line."""
 
 import dataclasses
 import enum
@@ -27,7 +27,7 @@ class Kept(NamedTuple):
 
 
 class Law(DcMotorSmc):
-    """What it computes is `odd`, of its state, speed, reference and current."""
+    """Publishes `odd`, computed from its state, speed, reference and current."""
 
     def first(self):
         return Kept()
@@ -41,7 +41,7 @@ class Law(DcMotorSmc):
 
 
 class Names(Law):
-    """Names that the C might give to its own variables."""
+    """Names that the C might use for its own variables."""
 
     def odd(self, x, w, r, i):
         u0, i0, b0, look0, t0_ = w + 1.0, r - w, w > 0.5, i * 3.0, TABLE[x.n % 4]
@@ -82,7 +82,7 @@ class Order(Law):
 
 
 class Whole(Law):
-    """Whole numbers beside floats, near the ends of 64 bits and of 53."""
+    """Integers beside floats, near the limits of 64 bits and of 53."""
 
     def odd(self, x, w, r, i):
         n = (6364136223 * (x.n % 1000003) + 1442695) % 4294967296
@@ -114,7 +114,7 @@ def looped(a, n, u0, u0_l):
 
 
 class Loops(Law):
-    """A compiled function with loops that are left, and rows of an array."""
+    """A compiled function with loops that are left early, and rows of an array."""
 
     def odd(self, x, w, r, i):
         return x._replace(n=(x.n + 1) % 7), looped(w, x.n, r, i)
@@ -311,7 +311,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("law", REFUSED, ids=lambda c: c.__name__)
-def test_what_c_would_do_otherwise_is_refused(law):
+def test_constructs_that_c_computes_differently_are_refused(law):
     with pytest.raises(ScenarioError, match=REFUSED[law]):
         c_of(rig_of("dc_motor_smc_b2", classes={"dc_motor_smc": law}), "dc_motor_smc", rows=4, drawn=2)
 
@@ -322,7 +322,7 @@ class Huge(Law):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
-def test_a_drawn_call_with_a_whole_number_beyond_64_bits_may_be_discarded(tmp_path):
+def test_a_random_call_with_an_integer_beyond_64_bits_may_be_discarded(tmp_path):
     done = export_c(
         rig_of("dc_motor_smc_b2", classes={"dc_motor_smc": Huge}), "dc_motor_smc", tmp_path, rows=4, drawn=60
     )
@@ -332,7 +332,7 @@ def test_a_drawn_call_with_a_whole_number_beyond_64_bits_may_be_discarded(tmp_pa
     assert result.gave_up >= 1
 
 
-def test_a_field_that_does_not_exist_is_no_way_of_c():
+def test_a_field_that_does_not_exist_is_refused_in_c():
     done = c_of(rig_of("dc_motor_smc_b2", classes={"dc_motor_smc": Field}), "dc_motor_smc", rows=4, drawn=2)
     assert [reason.partition(": ")[2] for reason in done.discards] == [
         "** of something that is not written out",
@@ -340,7 +340,7 @@ def test_a_field_that_does_not_exist_is_no_way_of_c():
     ]
 
 
-def test_a_text_that_gives_another_answer_than_the_run_is_refused(monkeypatch):
+def test_a_text_with_another_answer_than_the_run_is_refused(monkeypatch):
     own = c_files.law_of
 
     def wrong(*given):
@@ -353,7 +353,7 @@ def test_a_text_that_gives_another_answer_than_the_run_is_refused(monkeypatch):
 
 
 class Steady(Block[MpptParams]):
-    """A fixed duty."""
+    """A constant duty."""
 
     ports = classmethod(lambda cls, params: MpptOptimiser.ports(params))
 
@@ -366,7 +366,7 @@ class Steady(Block[MpptParams]):
 
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler (Debian: apt-get install gcc)")
-def test_rows_of_a_rig_end_where_those_of_a_node_do(tmp_path):
+def test_rows_of_a_rig_end_with_those_of_a_node(tmp_path):
     patterns = {"times": [0.0, 0.01], "irradiance": [1000.0, 800.0, 600.0, 400.0, *[1000.0] * 4]}
     over = {f"shading_source.{name}": value for name, value in patterns.items()}
     rig = rig_of("pv_mppt", overrides=over, classes={"mppt_optimizer": Steady})

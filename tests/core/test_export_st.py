@@ -1,4 +1,6 @@
-"""Structured text: the printed text is run by a reader of its own and held against Python's golden rows."""
+"""Structured text: an independent interpreter runs the printed text, and the result is compared with Python's golden
+rows.
+"""
 
 import ctypes
 import dataclasses
@@ -42,7 +44,7 @@ def law():
     return rig, *st_of(rig, "dc_motor_smc", rows=100, drawn=100)
 
 
-def test_another_law_and_a_status_that_is_forgotten_are_noticed(law):
+def test_another_law_and_a_forgotten_status_are_noticed(law):
     rig, units, done = law
     text, member = text_of(units, done), member_of(rig, "dc_motor_smc")
     changes = (" - p_w)", " + p_w)", "differing"), ("discarded := TRUE", "discarded := FALSE", "wrong_status")
@@ -51,7 +53,7 @@ def test_another_law_and_a_status_that_is_forgotten_are_noticed(law):
         assert getattr(executed(text.replace(old, new), done, member), what) > 0
 
 
-def test_names_are_fit_for_a_language_without_case(law):
+def test_names_suit_a_case_insensitive_language(law):
     _, units, done = law
     text = text_of(units, done)
     names = [line.split(" : ")[0].strip() for line in text.splitlines() if " : " in line and " := " not in line]
@@ -94,7 +96,7 @@ def test_blark_reads_the_files_of_twincat(law, tmp_path):
         ("dc_motor_smc_b2", "dc_motor_metrics", "of the type bytes"),
     ],
 )
-def test_what_has_no_structured_text_is_refused_by_its_reason(scenario, node, words):
+def test_a_construct_without_structured_text_is_refused_with_its_reason(scenario, node, words):
     with pytest.raises(ScenarioError, match=words):
         st_of(rig_of(scenario), node, rows=50, drawn=50)
 
@@ -174,7 +176,7 @@ END_FUNCTION_BLOCK
 """
 
 
-def test_the_reader_has_the_rules_of_the_language():
+def test_the_interpreter_follows_the_rules_of_the_language():
     program = Program(BLOCK)
     block = program.block()
     program.call(block)
@@ -190,12 +192,12 @@ EVIL = "*/ #error \"x\" /* \\ ??/\n#error '*//*' **/ ]]> *) (* (*) ???/ \x1b[31m
 
 
 def bare(text, begin, end):
-    """Return a text without its comments, which end at the first sign of their end: they do not nest."""
+    """Return a text without its comments, which end at the first end mark: they are not nested."""
     return re.sub(f"{re.escape(begin)}.*?{re.escape(end)}", "", text, flags=re.DOTALL)
 
 
 def test_texts_of_a_user_stay_comments(law, monkeypatch):
-    """A docstring, a topic or a unit that ends its comment would be code of whoever compiles the export."""
+    """A docstring, a topic or a unit that ended its comment would be code for anyone who compiles the export."""
     rig, units, done = law
     member = member_of(rig, "dc_motor_smc")
     monkeypatch.setattr(member.block_class, "__doc__", EVIL)

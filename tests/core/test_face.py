@@ -1,4 +1,4 @@
-"""The face of the core: names that are typed, each imported when it is first asked for."""
+"""The public names of the core: typed, and each imported when it is first used."""
 
 import ast
 import inspect
@@ -10,13 +10,13 @@ import softrig_core
 
 
 def typed():
-    """Name to module, of the imports that type checkers read."""
+    """Name to module, from the imports that type checkers read."""
     tree = ast.parse(inspect.getsource(softrig_core))
     nodes = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.level]
     return {alias.asname: f"softrig_core.{node.module}" for node in nodes for alias in node.names if alias.asname}
 
 
-def test_every_name_is_typed_and_is_the_one_of_its_module():
+def test_every_public_name_is_typed_and_is_the_one_of_its_module():
     assert typed() == softrig_core._HOME
     for name, module in typed().items() - {("Held", "softrig_core.former")}:  # a former name of another module's class
         value = getattr(softrig_core, name)
@@ -25,12 +25,12 @@ def test_every_name_is_typed_and_is_the_one_of_its_module():
         assert written == module or not written.startswith("softrig"), name  # where it is written, not passed on
 
 
-def test_a_name_that_is_not_there_is_named():
+def test_an_unknown_name_is_reported():
     with pytest.raises(AttributeError, match="'softrig_core' has no attribute 'Blok'"):
         softrig_core.Blok  # noqa: B018
 
 
-def test_the_face_itself_loads_nothing_heavy():
+def test_importing_the_core_loads_nothing_heavy():
     code = "import sys, softrig_core; dir(softrig_core); print(*sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "softrig_core" in out

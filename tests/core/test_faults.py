@@ -1,4 +1,4 @@
-"""Faults on links: what each does to messages, where a scenario puts them, and that no placement sees a difference."""
+"""Faults on links: what each does to messages, where a scenario puts them, and that all placements give the same."""
 
 import math
 import random
@@ -17,7 +17,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 
 
 def through(values, seed=0, *, toggles=(), fresh=None, **params):
-    """What comes out of a fault at each tick of 10 ms for what goes in; None: silence."""
+    """The output of a fault at each tick of 10 ms for an input; None: silence."""
     about = {"topic_in": "a", "topic_out": "b", "channels": ("x",), "fields": ("position",), "period": 0.01}
     block = ByHand(Fault(name="fault", **{**about, **params}))
     block.reset(seed)
@@ -62,7 +62,7 @@ RAMP = [float(k) for k in range(10)]
         ({"kind": "loss", "burst_begins": 1.0, "burst_ends": 0.5, "lost_in_burst": 0.0}, RAMP),
     ],
 )
-def test_each_kind_does_what_it_says(params, expected):
+def test_each_kind_does_what_its_name_says(params, expected):
     assert through(RAMP, **params) == expected
 
 
@@ -77,11 +77,11 @@ def test_each_kind_does_what_it_says(params, expected):
         {"every": 1.0, "lasts": 0.99},
     ],
 )
-def test_numbers_that_just_make_sense_are_taken(params):
+def test_numbers_at_the_limits_are_accepted(params):
     assert len(through([1.0], **params)) == 1
 
 
-def test_only_what_it_affects_is_changed():
+def test_only_the_selected_values_are_changed():
     two = {"channels": ("a", "b"), "fields": ("position", "velocity"), "kind": "offset"}
     assert through([(1.0, 2.0, 3.0, 4.0)], affects=("b",), value=(10.0,), **two) == [(1.0, 12.0, 3.0, 14.0)]
     assert through([(1.0, 2.0, 3.0, 4.0)], affects=("b/velocity", "a"), value=(1.0, 2.0, 3.0), **two) == [
@@ -89,7 +89,7 @@ def test_only_what_it_affects_is_changed():
     ]
 
 
-def test_the_switch_turns_it_off_and_on_at_a_press():
+def test_the_switch_turns_it_off_and_on_by_its_button():
     pressed = through([1.0] * 8, kind="offset", value=(1.0,), toggles=(2, 3, 6))
     assert pressed == [2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0]
     assert through([1.0] * 4, kind="offset", active=False, toggles=(2,)) == [1.0, 1.0, 2.0, 2.0]
@@ -99,7 +99,7 @@ def test_the_switch_turns_it_off_and_on_at_a_press():
     assert messages == [(2.0,), (1.0,), (1.0,)]
 
 
-def test_silence_before_it_stays_silence():
+def test_missing_messages_stay_missing():
     fresh = [True, False, True, False]
     assert through([1.0] * 4, kind="offset", fresh=fresh) == [2.0, None, 2.0, None]
     late = through([0.0, 0.0, 2.0, 2.0, 4.0, 4.0], kind="delay", delay=0.01, fresh=[True, False] * 3)
@@ -107,7 +107,7 @@ def test_silence_before_it_stays_silence():
 
 
 @given(st.integers(0, 2**31), st.integers(0, 4), st.integers(0, 5))
-def test_what_is_late_arrives_once_in_order_and_never_early(seed, delay, jitter):
+def test_late_messages_arrive_once_in_order_and_never_early(seed, delay, jitter):
     for overtaking in (True, False):
         out = through(range(60), seed, kind="delay", delay=delay / 100, jitter=jitter / 100, overtaking=overtaking)
         arrived = [(k, x) for k, x in enumerate(out) if x is not None]
@@ -116,7 +116,7 @@ def test_what_is_late_arrives_once_in_order_and_never_early(seed, delay, jitter)
         assert all(k - x >= delay for k, x in arrived)
 
 
-def test_noise_and_losses_have_the_statistics_they_name_and_repeat_by_seed():
+def test_noise_and_losses_have_their_stated_statistics_and_repeat_by_seed():
     n = 4000
     noise = through([0.0] * n, 1, kind="noise", value=(0.3,))
     assert noise == through([0.0] * n, 1, kind="noise", value=(0.3,))
@@ -131,7 +131,7 @@ def test_noise_and_losses_have_the_statistics_they_name_and_repeat_by_seed():
     assert bursts.count(None) / begun == pytest.approx(10.0, rel=0.35)
 
 
-def test_when_it_comes_does_not_shift_its_random_numbers():
+def test_the_start_time_does_not_shift_its_random_numbers():
     whole = through([0.0] * 20, kind="noise", value=(1.0,))
     half = through([0.0] * 20, kind="noise", value=(1.0,), start=0.1)
     assert half == [0.0] * 10 + whole[10:]
@@ -160,7 +160,7 @@ def test_when_it_comes_does_not_shift_its_random_numbers():
         ({"probability": 1.5}, "probability"),
     ],
 )
-def test_numbers_that_make_no_sense_are_refused(params, reason):
+def test_impossible_numbers_are_refused(params, reason):
     with pytest.raises(ParameterError, match=reason):
         through([0.0], **params)
 
@@ -186,7 +186,7 @@ SOME = (0.0, 0.02, 0.05)
 
 
 def drawn_fault(kind, rng):
-    """Parameters of a fault on a link of two values, 24 messages of which some do not come, and when it is switched."""
+    """Parameters of a fault on a link of two values, 24 messages some of which are missing, and when it is switched."""
 
     def either():
         return rng.random() < 0.5
@@ -223,7 +223,7 @@ def drawn_fault(kind, rng):
 
 
 def by_hand(p, values, fresh, toggles, random, normal):
-    """What comes out at each tick, written down from the documentation of the parameters; times in ticks of 10 ms."""
+    """The output at each tick, by an implementation of the documentation of the parameters; times in ticks of 10 ms."""
     concerned = [("a", "b").index(name) for name in p["affects"]] or [0, 1]
     kind, n = p["kind"], len(concerned)
     amount = p["value"] * (n if len(p["value"]) == 1 else 1)
@@ -293,7 +293,7 @@ def by_hand(p, values, fresh, toggles, random, normal):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_any_fault_is_what_its_parameters_say(kind):
+def test_any_fault_does_what_its_parameters_say(kind):
     for seed in range(10):
         hold_fault(*drawn_fault(kind, random.Random(f"{kind}{seed}")), seed)
 
@@ -310,8 +310,8 @@ def hold_fault(p, values, fresh, toggles, seed):
     assert [a for a, _ in messages] == [pytest.approx(b, abs=1e-12, nan_ok=True) for _, b in messages]
 
 
-def test_behind_a_link_of_acquisition_times_the_first_message_is_new_whatever_its_stamp():
-    """Before it the port has what is there at first, of no age."""
+def test_after_a_link_of_acquisition_times_the_first_message_is_new_whatever_its_stamp():
+    """Before it, the port has its initial value, without an age."""
     fault = ByHand(
         Fault(topic_in="a", topic_out="b", channels=("x",), fields=("position",), delayed=True, value=(4.0,))
     )
@@ -342,7 +342,7 @@ def faulty(duration=0.3, nodes=BASIC, **faults):
     return rig_of(make_scenario(nodes, duration, faults=faults))
 
 
-def test_a_fault_is_put_before_all_readers_or_one_and_the_record_has_both_sides():
+def test_a_fault_is_inserted_before_all_readers_or_one_and_the_recording_has_both_sides():
     rig = faulty(bias={"link": "lag/state", "kind": "offset", "channels": ["x/position"], "value": [0.25], "from": 0.1})
     run = simulate(rig)
     t, x = run.signals["lag/state/x/position"]
@@ -368,7 +368,7 @@ def test_several_faults_on_a_link_follow_each_other():
     assert list(last) == list(3.0 * (x[: len(last)] + 1.0))
 
 
-def test_a_lost_message_is_a_value_held_with_its_age():
+def test_a_lost_message_is_a_held_value_with_its_age():
     rig = faulty(gone={"link": "lag/command", "kind": "silence", "from": 0.1})
     run = simulate(rig)
     t, u = run.signals["lag/command/u/effort"]
@@ -378,7 +378,7 @@ def test_a_lost_message_is_a_value_held_with_its_age():
     assert set(applied[12:]) == {held}
 
 
-def test_an_outside_reader_which_cannot_be_reported_of_silence_gets_what_is_held():
+def test_an_outside_subscriber_that_cannot_receive_silence_gets_the_held_value():
     held = through(RAMP, kind="silence", start=0.03, stop=0.05, holds=True, initial=(7.0,))
     assert held == [0, 1, 2, 2, 2, 5, 6, 7, 8, 9]
     assert through([1.0] * 3, kind="delay", delay=0.02, holds=True, initial=(7.0,)) == [7.0, 7.0, 1.0]
@@ -387,7 +387,7 @@ def test_an_outside_reader_which_cannot_be_reported_of_silence_gets_what_is_held
     assert not next(m for m in rig.members if m.name == "gone").outputs[0].sporadic
 
 
-def test_what_no_reader_may_take_is_refused_by_each_for_itself():
+def test_messages_that_no_subscriber_accepts_are_rejected_by_each_separately():
     fault = {"link": "lag/state", "kind": "invalid", "every": 0.05, "lasts": 0.01}
     rig = faulty(nodes={**BASIC, "watcher": "watcher"}, bad=fault)
     run = simulate(rig)
@@ -405,7 +405,7 @@ def test_what_no_reader_may_take_is_refused_by_each_for_itself():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_nodes_refuse_it_as_blocks_in_process_do(seed):
+def test_nodes_reject_it_as_blocks_in_process_do(seed):
     rig = faulty(bad={"link": "lag/state -> gain", "kind": "invalid", "probability": 0.3})
     rng = random.Random(seed)
     world = World(lambda *_: rng.randrange(1_000, 5 * MS))
@@ -418,7 +418,7 @@ def test_nodes_refuse_it_as_blocks_in_process_do(seed):
     assert refused == sum(np.isnan(simulate(rig).signals["lag/state/bad/x/position"].x))
 
 
-def test_with_faults_the_seed_alone_decides():
+def test_with_faults_only_the_seed_decides():
     faults = {"noise": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]}}
     one, same, other = (in_process(faulty(**faults), seed) for seed in (3, 3, 4))
     assert differences(one, same) == []
@@ -437,7 +437,7 @@ def test_with_faults_the_seed_alone_decides():
         ({"link": "lag state"}, "pattern"),
     ],
 )
-def test_a_fault_that_cannot_be_is_refused_in_one_line(fault, reason):
+def test_an_impossible_fault_is_refused_in_one_line(fault, reason):
     with pytest.raises((ScenarioError, ValueError), match=reason):
         faulty(it=fault)
     for name in ("bag", "log"):
@@ -450,7 +450,7 @@ def test_a_fault_that_cannot_be_is_refused_in_one_line(fault, reason):
         faulty(plant={"link": "lag/state"})
 
 
-def test_a_faults_numbers_are_set_like_any_parameter(tmp_path):
+def test_the_numbers_of_a_fault_are_set_like_any_parameter(tmp_path):
     from softrig_core import load_scenario
 
     file = tmp_path / "mine.yaml"

@@ -47,7 +47,7 @@ def test_a_delay_between_periods_is_rounded_up_and_reported():
         (1000.0 + 0.5e-9, (1000, False)),
     ],
 )
-def test_a_time_is_whole_periods_but_for_a_billionth(time, expected):
+def test_a_time_is_whole_periods_within_a_billionth(time, expected):
     assert whole_periods(time, 1.0) == whole_periods(time / 4.0, 0.25) == expected
 
 
@@ -68,7 +68,7 @@ def test_jitter_is_uniform_over_whole_periods_and_keeps_the_newest():
 
 @pytest.mark.parametrize("spread", [0, 3, 300])
 def test_a_long_line_is_a_sorted_list(spread):
-    """Held against one list: in order, nearly so (stamps, too), at random; over many blocks; as native code has it."""
+    """Compared with one list: in order, nearly so (stamps, too), random; over many blocks; and in native code."""
     rng, line, plain = random.Random(spread), Line(1), []
     row = line.native()
     for t in range(3000):
@@ -92,7 +92,7 @@ def test_a_long_line_is_a_sorted_list(spread):
     assert line.with_numbers(line.numbers()) == line != line.with_numbers(line.numbers() + 1.0)
 
 
-def test_messages_of_several_values_are_the_same_in_one_row():
+def test_messages_of_several_values_are_delayed_as_one_row():
     line, messages = Line(3), [(30, 3, (1.0, 2.0, 3.0)), (10, 1, (4.0, 5.0, 6.0)), (20, 2, (7.0, 8.0, 9.0))]
     for message in messages:
         line = line.put(*message)
@@ -118,18 +118,18 @@ def test_messages_of_several_values_are_the_same_in_one_row():
             assert left.begin == left.end
 
 
-def test_stamps_never_go_back():
+def test_stamps_never_decrease():
     stamps = [s.stamp for s in pass_through(ByHand(FieldbusDelay(name="link", delay=0.01, jitter=0.2)), 500)]
     assert stamps == sorted(stamps)
 
 
-def test_a_lost_sample_leaves_the_one_before():
+def test_a_lost_sample_leaves_the_previous_one():
     result = ages(ByHand(FieldbusDelay(name="link", delay=0.02, loss=0.3)), ticks=20_000)
     assert result.count(2) / len(result) == pytest.approx(0.7, abs=0.01)
     assert result.count(3) / len(result) == pytest.approx(0.3 * 0.7, abs=0.01)
 
 
-def test_random_numbers_come_from_seed_and_name_only():
+def test_random_numbers_depend_only_on_seed_and_name():
     def make(name, **options):
         return ByHand(FieldbusDelay(name=name, delay=0.02, **options))
 
@@ -147,7 +147,7 @@ def test_values_are_rounded_to_their_steps():
     assert [s.data[1] for s in arrived] == pytest.approx([0.0, 0.3, 0.6, 0.9])
 
 
-def test_a_slow_sender_is_not_sent_twice():
+def test_samples_of_a_slow_sender_are_not_sent_twice():
     link = ByHand(FieldbusDelay(name="link", delay=0.03, loss=0.5))
     link.reset(0)
     stamps = []
@@ -177,7 +177,7 @@ MESSAGES = {
 
 @pytest.mark.parametrize("message", MESSAGES)
 @pytest.mark.parametrize("restamp", [False, True])
-def test_ports_of_every_message_type(message, restamp):
+def test_every_message_type_has_ports(message, restamp):
     link = ByHand(FieldbusDelay(message=message, restamp=restamp, delay=0.01, **MESSAGES[message]))
     (sent,), (arrived,) = FieldbusDelay.ports(link.block.p)
     assert sent.layout().msgtype == arrived.layout().msgtype == message
@@ -193,7 +193,7 @@ def test_ports_of_every_message_type(message, restamp):
 
 
 def with_link(name, receiver, port_topic, duration, **parameters):
-    """The scenario with a link put before one input of a node, nothing else changed."""
+    """The scenario with a link inserted before one input of a node, nothing else changed."""
     base = load_scenario(name)
     nodes = {n: e.model_dump() for n, e in base.nodes.items()}
     late = f"{port_topic}_late"
@@ -209,7 +209,7 @@ def with_link(name, receiver, port_topic, duration, **parameters):
 COMMAND = {"channels": ["armature"], "fields": ["effort"], "restamp": True, "initial": [0.0]}
 
 
-def test_a_link_before_a_plants_command():
+def test_a_link_before_a_plants_command_delays_it():
     late = with_link("dc_motor_fsfb", "dc_axis_plant", "axis/command", 1.0, delay=0.03, **COMMAND)
     signals = Signals(in_process(rig_of(late)))
     t, sent = signals["axis/command/armature/effort"]
@@ -223,7 +223,7 @@ def test_a_link_before_a_plants_command():
     assert y[first + 4] != 0.0
 
 
-def test_a_link_in_another_rig_whose_controller_knows_nothing_of_links():
+def test_a_link_works_in_another_rig_without_a_link():
     name, topic = "dc_motor_smc_b2", "motor/state"
     rig = rig_of(name)
     member = next(m for m in rig.members if m.name == "dc_motor_smc")

@@ -1,4 +1,4 @@
-"""Firmware in simulators of its boards: the answers of this machine, and figures of code and time."""
+"""Firmware in simulators of its boards: the same answers as on this machine, and figures of code and time."""
 
 import json
 import shutil
@@ -56,7 +56,7 @@ def test_a_cortex_m_has_the_bits_of_python(tmp_path):
 
 @avr
 @pytest.mark.long
-def test_what_does_not_fit_an_uno_is_refused_with_its_sizes(tmp_path):
+def test_a_node_too_large_for_an_uno_is_refused_with_its_sizes(tmp_path):
     name, layout = export_firmware(rig_of("dc_motor_smc_b2"), "dc_motor_smc", tmp_path, "arduino", rows=20, drawn=5)
     main = next(tmp_path.glob("*.ino"))
     main.write_text(

@@ -1,4 +1,4 @@
-"""Random formulas of everything that the grammar has, on random records, against the definition in plain loops.
+"""Random formulas of the whole grammar, on random records, against the definition in plain loops.
 
 The records end anywhere: within windows, before them, at their last tick. Numbers are missing, arithmetic is undefined,
 signals come late. Held against the loops: the margin of the whole record, and the live bounds after each of its ticks.
@@ -20,7 +20,7 @@ KNOWN = {"x": None, "y": None, "fault": None, "level": 0.5}
 
 
 def defined(function):
-    """A comparison's distance at an instant, NaN where it is undefined."""
+    """The distance of a comparison at an instant, NaN if it is undefined."""
 
     def distance(s):
         try:
@@ -59,7 +59,7 @@ PAST = ("once", "historically")
 
 
 def draw(rng, leaves):
-    """A formula as nested tuples; intervals in ticks, None without end; some lie between two ticks."""
+    """A formula as nested tuples; intervals in ticks, None without end; some are between two ticks."""
     if leaves <= 1 and rng.random() < 0.6:
         return ("atom", rng.choice([*ATOMS] * 2 + [*CONDITIONS]))
     kind = rng.choice(["not", "and", "or", "->", "always", "eventually", "once", "historically", "until", "since"])
@@ -92,7 +92,7 @@ def write(tree):
 
 
 class Loops:
-    """The definition: least (0) or greatest (1) over what comes after the record, and over what is undefined."""
+    """The definition: least (0) or greatest (1) over what follows the record, and over what is undefined."""
 
     def __init__(self, samples, first, ended):
         self.samples, self.first, self.ended, self.known = samples, first, ended, {}
@@ -156,7 +156,7 @@ class Loops:
         return min(values, default=math.inf) if kind == "always" else max(values, default=-math.inf)
 
     def window(self, tree, k):
-        """Instants of the record that an operator without `until` or `since` asks about."""
+        """Instants of the record that an operator without `until` or `since` considers."""
         kind, (low, high), _ = tree
         n = len(self.samples)
         if kind in PAST:
@@ -186,7 +186,7 @@ class Loops:
         return self.decides(parts[1], at, arrived, lost)
 
     def violated(self, tree):
-        """First and last instants of the spans in which what must always hold surely does not."""
+        """First and last instants of the spans in which what must always hold certainly does not."""
         if tree[0] == "and":
             return sorted(span for part in tree[1:] for span in self.violated(part))
         if tree[0] != "always":
@@ -196,7 +196,7 @@ class Loops:
         return [(a, b) for a, b in zip(begins, [k for k in bad if k + 1 not in bad], strict=True)]
 
     def open_from(self, tree):
-        """First instant at which what an outermost operator without end asks may hold or not."""
+        """First instant at which the condition of an outermost operator without end may hold or not."""
         kind, *parts = tree
         if kind in ("not", "and", "or", "->"):
             return min(self.open_from(part) for part in parts)
@@ -212,7 +212,7 @@ class Loops:
         return set().union(*(self.undefined(part) for part in tree[1:] if isinstance(part[0], str)))
 
     def not_judged(self, tree):
-        """Why it may hold or not."""
+        """The reason why it may hold or not."""
         lost, n = sorted(self.undefined(tree)), len(self.samples)
         if lost and any(self.at(tree, 0, arrived, 0) != self.at(tree, 0, arrived, 1) for arrived in (0, 1)):
             on = len(lost) == n - lost[0]
@@ -236,7 +236,7 @@ def farthest(tree):
 
 
 def drawn(seed):
-    """A formula with its text, the samples of a record, and the tick at which each signal first comes."""
+    """A formula with its text, the samples of a record, and the first tick of each signal."""
     rng = random.Random(seed)
     end = rng.choice([None, None, 0, 3, 6])
     tree = (rng.choice(["always", "eventually"]), (0, end), draw(rng, rng.choice([1, 3, 6])))
@@ -310,7 +310,7 @@ def hold(seed):
 
 
 @pytest.mark.parametrize("text", ["always(x > 0)", "always[0, 1](x > 0)", "x > 0 and eventually(x > 0)"])
-def test_live_the_first_instant_counts(text):
+def test_during_a_run_the_first_instant_counts(text):
     live = Live(read(text, KNOWN)[0])
     opened = live.push(live.first(), 0.0, {"x": -2.0}, {}, {"x": False})
     assert live.bounds(opened)[1] == -2.0

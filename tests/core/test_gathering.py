@@ -1,4 +1,5 @@
-"""An observer that takes some ticks at once against the wall clock knows what one does that is asked at each."""
+"""An observer that processes some ticks together in real time has the same result as one that is called at each tick.
+"""
 
 import random
 
@@ -15,7 +16,7 @@ PERIOD = 0.0005
 
 
 def watchers():
-    """Two of the same: one that gathers, one that is asked at each tick."""
+    """Two equal observers: one that gathers ticks, one that is called at each tick."""
     rig = rig_of(
         "induction_dtc", overrides={f"{n}.period": PERIOD for n in ("im_plant", "dtc_controller", "flux_monitor")}
     )
@@ -26,7 +27,7 @@ def watchers():
 
 
 def kept(step):
-    """What it knows, however it is cut into blocks."""
+    """The state of an observer, for any division into blocks."""
     sizes = [port.size for port in step.inputs]
     columns = []
     for k, size in zip(step.x.seen, sizes, strict=True):
@@ -36,7 +37,7 @@ def kept(step):
 
 
 @pytest.mark.parametrize("seed", few(range(4), 2))
-def test_what_it_keeps_is_what_its_ticks_saw(seed):
+def test_its_state_is_that_of_its_single_ticks(seed):
     chance, (gathering, plain) = random.Random(seed), watchers()
     newest = {}
     for step in (gathering, plain):
@@ -64,7 +65,7 @@ def test_what_it_keeps_is_what_its_ticks_saw(seed):
     assert 400 / stretch <= used < 200  # now and then, and by itself
 
 
-def test_what_a_hundredth_of_a_second_has_brought_is_taken_in_at_its_last_tick():
+def test_ticks_within_a_hundredth_of_a_second_are_processed_at_the_last_one():
     gathering, plain = watchers()
     for step in (gathering, plain):
         step.stamps = {p.name: (lambda: None) for p in step.inputs}
@@ -76,7 +77,7 @@ def test_what_a_hundredth_of_a_second_has_brought_is_taken_in_at_its_last_tick()
 
 
 @pytest.mark.parametrize(("period", "gathers"), [(0.0001, True), (0.006, False)])
-def test_who_is_slow_or_says_something_is_asked_at_each_tick(period, gathers):
+def test_a_slow_or_publishing_node_is_called_at_each_tick(period, gathers):
     rig = rig_of("induction_dtc", overrides={"flux_monitor.period": period})
     results = set()
     for member in rig.members:

@@ -37,7 +37,7 @@ MEASURED = re.compile(r"[\d.]+ s of CPU time")
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two states are the same to the last bit; what is told apart nowhere (buffers, caches) does not count."""
+    """Return whether two states are equal to the last bit; internal buffers and caches do not count."""
     if isinstance(a, str):
         return isinstance(b, str) and MEASURED.sub("", a) == MEASURED.sub("", b)
     if isinstance(a, float | np.floating):
@@ -65,7 +65,7 @@ def held_against(one: Session, other: Session) -> None:
 
 
 def goes_back(name: str) -> None:
-    """Run on from a tick, and once more from its state in a rig that is wired anew."""
+    """Run on from a tick, and once more from its state in a rig that is wired again."""
     session = Session(name)
     before = min(BEFORE, session.ticks // 2)
     session.step(before)
@@ -77,13 +77,13 @@ def goes_back(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DAILY)
-def test_a_rig_wired_anew_goes_on_from_a_kept_state(name):
+def test_a_rig_wired_again_continues_from_a_stored_state(name):
     goes_back(name)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(set(list_scenarios()) - set(DAILY) - {*UNO}))
-def test_every_rig_wired_anew_goes_on_from_a_kept_state(name):
+def test_every_rig_wired_again_continues_from_a_stored_state(name):
     goes_back(name)
 
 
@@ -96,7 +96,7 @@ def short():
     return Session("dc_motor_smc", duration=0.1)
 
 
-def test_back_and_on_with_other_gains_is_the_run_that_had_them_from_there_on():
+def test_going_back_and_on_with_other_gains_equals_the_run_with_them_from_there_on():
     session = short()
     session.go()
     assert (session.over, session.t) == (True, 0.1)
@@ -116,7 +116,7 @@ def test_back_and_on_with_other_gains_is_the_run_that_had_them_from_there_on():
     assert session.recording.topics == plain.recording.topics != simulate(scripted).recording.topics
 
 
-def test_changes_of_the_scenario_are_taken_once_whenever_it_goes_back():
+def test_changes_of_the_scenario_are_applied_once_however_often_it_goes_back():
     own = [{"at": 0.02, "set": {"dc_motor_smc.delta": 0.3}}, {"at": 0.07, "set": {"dc_motor_smc.delta": 0.8}}]
     scenario = rig_of("dc_motor_smc", duration=0.1).scenario.having(changes=own)
     session = Session(scenario)
@@ -127,7 +127,7 @@ def test_changes_of_the_scenario_are_taken_once_whenever_it_goes_back():
     assert session.recording.topics == simulate(scenario).recording.topics
 
 
-def test_a_branch_leaves_its_run_alone():
+def test_a_branch_does_not_change_its_run():
     session = short()
     session.go(0.03)
     session.set(SOFTER)
@@ -141,7 +141,7 @@ def test_a_branch_leaves_its_run_alone():
     assert session.recording.topics != there.recording.topics
 
 
-def test_of_many_ticks_fewer_states_are_kept_and_it_comes_to_any(monkeypatch):
+def test_of_many_ticks_few_states_are_stored_and_any_tick_is_reached(monkeypatch):
     monkeypatch.setattr(module, "KEPT", 4)
     session = short()
     session.set({"dc_motor_smc.delta": 0.6})  # where a state has just been kept
@@ -166,7 +166,7 @@ def test_of_many_ticks_fewer_states_are_kept_and_it_comes_to_any(monkeypatch):
         {"plant": "plant", "source": "source", "gain": {"executable": "gain", "parameters": {"noise": 1.0}}},
     ],
 )
-def test_every_kind_of_port_goes_on_where_it_was(nodes):
+def test_every_kind_of_port_continues_where_it_was(nodes):
     session = Session(make_scenario(nodes, duration=0.5))
     session.go(0.2)
     other = session.branch()
@@ -176,7 +176,7 @@ def test_every_kind_of_port_goes_on_where_it_was(nodes):
 
 
 class Locked(Gain):
-    """Holds something that cannot be kept."""
+    """Contains something that cannot be copied."""
 
     def save(self, x):
         raise RuntimeError("the lock is taken")
@@ -195,7 +195,7 @@ def session_with(law):
     return Session(Rig.from_blocks({"plant": Lag(), "law": law, "source": Source()}, 1.0))
 
 
-def test_what_cannot_be_kept_is_named_with_its_reason():
+def test_a_state_that_cannot_be_stored_is_named_with_the_reason():
     session = session_with(Locked())
     session.go(0.5)  # it runs all the same
     text = r"^this run cannot go back: law: its state at t = 0 s cannot be kept: RuntimeError: the lock is taken"
@@ -229,7 +229,7 @@ def test_a_run_that_broke_can_go_back():
         (lambda s: s.set({"dc_motor_plant.J": 1.0}), r"^node dc_motor_plant: parameter J may not change while running"),
     ],
 )
-def test_what_a_session_refuses_changes_nothing(act, message):
+def test_a_refused_change_of_a_session_changes_nothing(act, message):
     session = short()
     session.go(0.05)
     with pytest.raises(ScenarioError, match=message):
@@ -241,7 +241,7 @@ def test_what_a_session_refuses_changes_nothing(act, message):
 # a finished run ----------------------------------------------------------------------------------------------------
 
 
-def test_a_run_goes_on_otherwise_from_a_time():
+def test_a_run_continues_differently_from_a_time():
     run = simulate("dc_motor_smc", duration=0.1)
     softer = run.branch(0.04, SOFTER)
     stiffer = softer.branch(0.06, {"dc_motor_smc.delta": 0.9}, duration=0.08)
@@ -268,7 +268,7 @@ def test_changes_of_the_scenario_itself_stay():
     assert run.branch(0.05, SOFTER).recording.topics == simulate(scenario.having(changes=with_mine)).recording.topics
 
 
-def test_a_branch_that_is_of_another_run_says_where_it_parts():
+def test_a_branch_of_another_run_says_where_they_differ():
     run = simulate("dc_motor_smc", duration=0.1)
     other = simulate("dc_motor_smc", duration=0.1, overrides={"dc_motor_smc.delta": 0.5})
     other.rig = run.rig
@@ -278,7 +278,7 @@ def test_a_branch_that_is_of_another_run_says_where_it_parts():
 
 
 @pytest.mark.parametrize("t", [0.2, -0.1, float("nan")])
-def test_nobody_branches_from_where_a_run_was_not(t):
+def test_a_branch_from_a_time_outside_the_run_is_refused(t):
     with pytest.raises(ScenarioError, match=r"expected a time that the run has come to, 0 to 0\.1 s$"):
         simulate("dc_motor_smc", duration=0.1).branch(t, SOFTER)
 
@@ -308,7 +308,7 @@ def everything(steps: Any) -> dict[str, dict[str, Any]]:
 
 
 class Numbered(Gain):
-    """A law that publishes an array, which is numbered, and reports at times."""
+    """A law that publishes a numbered array, and reports at times."""
 
     OUTPUTS = (*Gain.OUTPUTS, array("row", "row", {"a": 2}, "V", sporadic=True))
 
@@ -321,8 +321,8 @@ class Numbered(Gain):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_tables_go_back_to_all_that_a_step_holds_however_often(seed: int) -> None:
-    """Drawn ticks, changes and rewinds; what a step holds outside of the tables is found."""
+def test_tables_restore_everything_that_a_step_holds_however_often(seed: int) -> None:
+    """Random ticks, changes and rewinds; a value outside of the tables is found."""
     draw = np.random.default_rng(seed)
     blocks = {"plant": Lag(), "law": Numbered(), "source": Source()}
     rig = Rig.from_blocks(blocks, 3.0)

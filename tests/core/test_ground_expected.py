@@ -1,4 +1,6 @@
-"""What nodes, scenarios and links may say, who must agree with whom, command lines and failures: each in words."""
+"""What nodes, scenarios and links may declare, who must agree with whom, command lines and failures: each as expected
+text.
+"""
 
 import argparse
 import cmath
@@ -33,14 +35,14 @@ from softrig_core.scenario.scenario import FigureEntry, NodeEntry, PlotEntry, Sc
 
 
 def said(function, *given, **words):
-    """What a function gives, or the line of what it raises."""
+    """The result of a function, or the line of its error."""
     try:
         return repr(function(*given, **words))
     except (ScenarioError, RunError, ValueError, TypeError, argparse.ArgumentTypeError) as error:
         return f"{type(error).__name__}: {error}"
 
 
-def test_what_may_be_declared_is_as_expected():
+def test_declarations_are_as_expected():
     lines = [
         f"run.{d.name} = {d.default!r}, {d.type.__name__}, {d.unit!r}, {d.lower} to {d.upper}{', live' * d.live}"
         for d in declarations(RunOptions)
@@ -106,7 +108,7 @@ def member(name, kind=Speaks, **values):
     return SimpleNamespace(name=name, block_class=kind, params=Said(**values))
 
 
-def test_nodes_agree_but_for_the_last_digits():
+def test_nodes_agree_within_the_last_digits():
     lines = []
     for values in (
         {},
@@ -210,7 +212,7 @@ class Wrong(Sends):
         return {"state": (math.nan, 0.0)}
 
 
-def test_what_a_package_offers_is_tried_with_its_own_defaults(monkeypatch):
+def test_the_executables_of_a_package_are_tried_with_their_defaults(monkeypatch):
     def point(target):
         return SimpleNamespace(name="it", value="m:it", load=lambda: target)
 
@@ -232,8 +234,8 @@ def test_what_a_package_offers_is_tried_with_its_own_defaults(monkeypatch):
     assert [p.name for p in entry_points("some")] == ["e0", "e2"]
 
 
-def test_an_executable_is_one_of_its_group(monkeypatch):
-    """A figure function of the same package is none."""
+def test_an_executable_belongs_to_its_entry_point_group(monkeypatch):
+    """A figure function of the same package does not."""
     points = [
         importlib.metadata.EntryPoint("run", "math:sin", "console_scripts"),
         importlib.metadata.EntryPoint("peak", "math:cos", "softrig_figures"),
@@ -253,7 +255,7 @@ def test_an_executable_is_one_of_its_group(monkeypatch):
         assert str(error.value).partition(" (/")[0] == reported
 
 
-def test_a_fingerprint_is_that_of_the_files_but_for_what_is_made_of_them(tmp_path, monkeypatch):
+def test_a_fingerprint_covers_the_files_except_generated_ones(tmp_path, monkeypatch):
     folder = tmp_path / "some_rig_package"
     (folder / "deep").mkdir(parents=True)
     files = {
@@ -297,8 +299,8 @@ def test_a_fingerprint_is_that_of_the_files_but_for_what_is_made_of_them(tmp_pat
 # the bits of a machine ------------------------------------------------------------------------------------------------
 
 
-def test_the_digest_is_that_of_the_functions_written_here():
-    """Bags hold it: who changes it has bags of before be of another machine."""
+def test_the_digest_is_that_of_the_functions_listed_here():
+    """Bags contain it: a change makes earlier bags belong to another machine."""
     intervals = {
         "sin": (-40, 40),
         "cos": (-40, 40),
@@ -332,7 +334,7 @@ def test_the_digest_is_that_of_the_functions_written_here():
 # command lines --------------------------------------------------------------------------------------------------------
 
 
-def test_each_mistake_on_a_command_line_is_one_line():
+def test_each_error_on_a_command_line_is_one_line():
     parser = Parser(prog="softrig run", add_help=False)
     parser.add_argument("name")
     parser.add_argument("--seed", type=Number(int, 0, 9))
@@ -437,7 +439,7 @@ def test_each_failure_has_its_line_and_status(monkeypatch, capsys, tmp_path):
     check_expected("failures", lines)
 
 
-def test_streams_words_and_silence(monkeypatch, capsys, tmp_path):
+def test_streams_words_and_silence_are_as_expected(monkeypatch, capsys, tmp_path):
     with pytest.raises(OSError, match="x") as error, naming(tmp_path):
         raise OSError(5, "x")
     assert error.value.filename == str(tmp_path)
@@ -475,8 +477,8 @@ def test_streams_words_and_silence(monkeypatch, capsys, tmp_path):
     assert json.dumps(guard.LINE) == "1000"
 
 
-def test_who_asks_three_times_for_the_end_gets_it(monkeypatch):
-    """At once while nothing has been done yet; while something may take long, by what ends it."""
+def test_a_third_interrupt_ends_the_process(monkeypatch):
+    """Immediately if nothing has been done yet; during long work, by the signal that ends it."""
     asked = []
 
     def leave(status):
@@ -506,7 +508,7 @@ def test_who_asks_three_times_for_the_end_gets_it(monkeypatch):
         assert installed == [(signal.SIGINT, handler)] * takes
 
 
-def test_what_a_full_disk_does_not_take_is_not_tried_again_when_python_ends(monkeypatch):
+def test_output_that_a_full_disk_refused_is_not_tried_again_at_exit(monkeypatch):
     with open("/dev/full", "w") as full:
         full.write("text")
         monkeypatch.setattr(sys, "stdout", full)

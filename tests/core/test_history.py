@@ -1,4 +1,4 @@
-"""Delay lines and delay equations against closed forms; the independent integrator among the long checks."""
+"""Delay lines and delay equations against closed forms; an independent integrator in the long set."""
 
 import math
 import os
@@ -20,7 +20,7 @@ def linear(t):
     return 2.0 * t - 0.5
 
 
-def test_a_line_is_read_exactly_and_a_curve_to_order_two():
+def test_a_straight_line_is_read_exactly_and_a_curve_to_order_two():
     errors = []
     for n in (16, 32):
         for signal in (linear, math.sin):
@@ -33,7 +33,7 @@ def test_a_line_is_read_exactly_and_a_curve_to_order_two():
     assert math.log2(errors[1] / errors[3]) == pytest.approx(2.0, abs=0.15)
 
 
-def test_between_two_steps_is_exact_for_cubics_and_no_further():
+def test_interpolation_between_two_steps_is_exact_for_cubics():
     for degree, least, most in ((3, 0.0, 1e-13), (4, 1e-3, 1e-1)):
         c = [0.3, -1.0, 0.7, 1.5, 2.0][: degree + 1]
         x, dx = np.polynomial.Polynomial(c), np.polynomial.Polynomial(c).deriv()
@@ -41,7 +41,7 @@ def test_between_two_steps_is_exact_for_cubics_and_no_further():
         assert least <= np.abs(results).max() <= most
 
 
-def test_constant_past_of_several_channels_and_longest_delay():
+def test_a_constant_past_of_several_channels_reaches_the_longest_delay():
     line = History(0.25, 1.0, (1.0, -2.0))
     assert line.at(1.0) == (1.0, -2.0)
     for k in range(1, 9):
@@ -52,7 +52,7 @@ def test_constant_past_of_several_channels_and_longest_delay():
 
 
 def test_state_dependent_and_time_varying_delay_against_closed_form():
-    """A sampled ramp through a delay of the shape of a queue's: y(t) = t - tau(t)."""
+    """A sampled ramp through a delay like that of a queue: y(t) = t - tau(t)."""
     line = History(0.01, 2.0, (-2.0,))
     for k in range(-200, 1000):
         t = 0.01 * k
@@ -62,7 +62,7 @@ def test_state_dependent_and_time_varying_delay_against_closed_form():
             assert line.at(tau)[0] == pytest.approx(t - tau, abs=1e-12)
 
 
-def test_jump_stays_in_its_interval_when_linear():
+def test_a_jump_stays_in_its_interval_with_linear_interpolation():
     line = History(0.1, 1.0)
     for _ in range(5):
         line = line.put((1.0,))
@@ -72,7 +72,7 @@ def test_jump_stays_in_its_interval_when_linear():
 
 
 def test_histories_that_share_rows_are_values():
-    """Who goes on from an older one does not change what the newer one says, over many fillings."""
+    """Continuing from an older one does not change the newer one, over many fillings."""
     line = History(0.1, 1.0)
     old, kept = line, []
     for k in range(60):
@@ -191,7 +191,7 @@ def integral(t, x, past, p, dx):
 
 
 @pytest.mark.parametrize("h", [0.1, 0.05])
-def test_jumps_of_the_state_come_back_sharp(h):
+def test_jumps_of_the_state_stay_sharp(h):
     """The integral of a delayed step is a ramp, exactly, whether or not rounding puts t - 0.5 before the jump."""
     past, x = trajectory(h, 0.5, (0.0, 0.0)), np.array([0.0, 0.0])
     advance = integrator(integral)
@@ -233,7 +233,7 @@ def test_limit_holds_at_each_stage():
 
 
 @pytest.mark.long
-def test_bits_without_numba():
+def test_without_numba_the_bits_are_the_same():
     code = (
         "import math, sys, numpy as np, test_history as t\n"
         "from softrig_core.kit.dde import integrator, trajectory\n"
@@ -267,7 +267,7 @@ def mackey_glass(t, x, past, p, dx):
 
 
 @pytest.mark.long
-def test_against_an_independent_integrator(tmp_path, monkeypatch):
+def test_the_solution_agrees_with_an_independent_integrator(tmp_path, monkeypatch):
     import jitcdde
 
     monkeypatch.chdir(tmp_path)  # its build would take our checkout for its own

@@ -1,4 +1,4 @@
-"""A rig at the pace of the wall clock, held and stepped, over simulated nodes: when ticks are taken, the same bits."""
+"""A rig at the pace of wall-clock time, paused and stepped, over simulated nodes: when ticks run, and the same bits."""
 
 from functools import partial
 
@@ -15,7 +15,7 @@ PERIOD = float(RIG.clock.schedule.period)
 
 @pytest.mark.parametrize("groups", [(), [[m.name for m in RIG.members]]])
 @pytest.mark.parametrize(("pace", "least", "most"), [(0.0, 0.0, 0.55), (0.1, 5.9, 6.4), (1.0, 0.59, 0.7)])
-def test_a_run_takes_as_long_as_its_pace_says_and_has_the_same_bits(groups, pace, least, most):
+def test_a_run_takes_the_time_of_its_pace_and_has_the_same_bits(groups, pace, least, most):
     world = World()
     run, start = SimulatedRig(RIG, world, "lockstep", groups=groups, pace=pace), world.now
     assert set(run.run(60.0).values()) == {"done"}
@@ -50,7 +50,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     assert not differences(run.recording, in_process(RIG))
 
 
-def test_at_a_pace_at_which_nothing_comes_due_nothing_is_taken_however_often_it_is_asked_for():
+def test_at_a_pace_of_zero_nothing_runs_however_often_it_is_asked():
     world, seen = World(), []
     run, start = SimulatedRig(RIG, world, "lockstep", pace=1e-12), world.now
     adapter = run.adapters[CLOCK]
@@ -71,8 +71,8 @@ def test_at_a_pace_at_which_nothing_comes_due_nothing_is_taken_however_often_it_
         (lambda hold, k: hold.ask("resume"), 10),
     ],
 )
-def test_what_has_been_waited_for_a_tick_stays_whatever_people_do_to_the_pace(hands, ticks):
-    """A tick takes a second of the wall, or half of one; who acts ten times in it must not gain a tick each time."""
+def test_the_elapsed_time_of_a_tick_survives_changes_of_the_pace(hands, ticks):
+    """A tick takes a second of wall-clock time, or half of one; ten actions within it must not trigger a tick each."""
     world, seen = World(), []
     run, start = SimulatedRig(RIG, world, "lockstep", pace=PERIOD), world.now
     adapter = run.adapters[CLOCK]
@@ -84,7 +84,7 @@ def test_what_has_been_waited_for_a_tick_stays_whatever_people_do_to_the_pace(ha
     assert seen[0] / 1e9 / PERIOD == pytest.approx(ticks, abs=1.01)
 
 
-def test_a_run_that_was_stepped_by_hand_goes_on_from_where_it_is():
+def test_a_run_that_was_stepped_continues_from_where_it_is():
     world, seen = World(), []
     run, start = SimulatedRig(RIG, world, "lockstep", pace=PERIOD), world.now
     adapter = run.adapters[CLOCK]
@@ -100,8 +100,8 @@ def test_a_run_that_was_stepped_by_hand_goes_on_from_where_it_is():
     assert seen[0] / 1e9 / PERIOD == pytest.approx(24, abs=1.01)
 
 
-def test_who_waits_for_a_slow_pace_is_reported_and_does_not_give_up():
-    """The plant's period takes 20 s of the wall's time: twice as long as any peer waits without a word."""
+def test_a_node_that_waits_for_a_slow_pace_is_informed_and_does_not_time_out():
+    """The plant's period takes 20 s of wall-clock time: twice the time that a peer waits for a sign of life."""
     rig = rig_of(load_scenario("dc_motor_smc_b2").changed(duration=2 * float(RIG.clock.schedule.period)))
     run = SimulatedRig(rig, World(), "lockstep", pace=float(RIG.clock.schedule.period) / 20.0)
     assert set(run.run(100.0).values()) == {"done"}
@@ -109,8 +109,8 @@ def test_who_waits_for_a_slow_pace_is_reported_and_does_not_give_up():
 
 @pytest.mark.parametrize("apart", [0.0, 7.0], ids=["", "clocks apart"])
 @pytest.mark.parametrize("groups", [(), [["dc_motor_plant", "dc_motor_smc"]], [[m.name for m in RIG.members]]])
-def test_in_real_time_the_clock_of_the_rig_stands_and_nothing_is_late_for_it(groups, apart):
-    """Held at t = 0, three single steps, a pause of a minute, one that is taken back at once: the bits of lockstep."""
+def test_in_real_time_the_clock_of_a_paused_rig_stops_and_nothing_is_late(groups, apart):
+    """Paused at t = 0, three single steps, a pause of a minute, one that ends immediately: the bits of lockstep."""
     world, seen = World(), []
     run = SimulatedRig(RIG, world, "realtime", groups=groups, departs=True, paused=True)
     nodes = list(run.adapters.values())
@@ -136,7 +136,7 @@ def test_in_real_time_the_clock_of_the_rig_stands_and_nothing_is_late_for_it(gro
         assert signals[name].x.tolist()[: len(x)] == x, name  # sources in real time speak at the end, too
 
 
-def test_in_real_time_a_rig_with_hardware_does_not_stand_and_none_has_a_pace():
+def test_in_real_time_a_rig_with_hardware_cannot_pause_and_has_no_pace():
     run = SimulatedRig(RIG, World(), "realtime", departs=True)
     assert run.run(0.5)
     assert not run.adapters[CLOCK].hold.go_at(1.0)
@@ -147,7 +147,7 @@ def test_in_real_time_a_rig_with_hardware_does_not_stand_and_none_has_a_pace():
 
 
 class Wall:
-    """A middleware of which only the clock is asked, s."""
+    """A middleware that only has a clock, s."""
 
     now = 0.0
 
@@ -167,7 +167,7 @@ class Wall:
 
 
 @pytest.mark.parametrize(("late", "forgotten"), [(0.25, False), (0.250001, True)])
-def test_a_quarter_of_a_second_is_caught_up_and_more_is_forgotten(late, forgotten):
+def test_a_quarter_of_a_second_is_caught_up_and_more_is_dropped(late, forgotten):
     wall, hold = Wall(), Hold(pace=2.0)
     hold.begin(wall, lambda: None)
     assert hold.holds(0)  # from here on the pace counts

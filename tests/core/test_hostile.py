@@ -44,7 +44,7 @@ import bags
 
 
 class SizeParams(BlockParams):
-    """A size in bounds of which there may be no memory, and numbers that overflow together."""
+    """A size within whose bounds memory may run out, and numbers that overflow together."""
 
     a: float = param(1.0, "factor", gt=0.0)
     b: float = param(1.0, "exponent")
@@ -71,14 +71,14 @@ def test_every_number_of_every_executable_has_bounds():
 
 
 def refusal(model, values):
-    """What is said of values of parameters; beside an unknown one, so that nothing is worked out of all."""
+    """The message for values of parameters; with an unknown one added, so that nothing is set up."""
     with pytest.raises(ParameterError) as error:
         build(model, values | {"?": 0})
     return str(error.value)
 
 
 def edges(model, prefix=""):
-    """Name, bound, the way out of it, and whether it is within itself, of every number of a model."""
+    """Name, bound, the direction out of it, and whether the bound itself is allowed, of every number of a model."""
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, Params):
             yield from edges(field.annotation, f"{prefix}{name}.")
@@ -91,7 +91,9 @@ def edges(model, prefix=""):
 
 
 def test_every_bound_of_every_executable_holds_at_its_edge():
-    """Accepted up to it, refused by name beyond, as declared; what a check of all of them says is no matter here."""
+    """Accepted up to it, refused by name beyond, as declared; messages of checks over all parameters do not matter
+    here.
+    """
     models = {block.Params for _, _, block in blocks()} | {RunOptions}
     tried = 0
     for model, out in itertools.product(models, (-1, 1)):
@@ -125,7 +127,7 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
 
 
 def numbers(model, prefix=""):
-    """Name of every number and every list of numbers of a model, with what is declared of its type."""
+    """Name of every number and every list of numbers of a model, with the declaration of its type."""
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, Params):
             yield from numbers(field.annotation, f"{prefix}{name}.")
@@ -133,8 +135,8 @@ def numbers(model, prefix=""):
             yield prefix + name, str(field.annotation)
 
 
-def test_true_is_no_number_for_any_parameter_of_any_executable():
-    """Alone and in a list; a whole number for one with a fraction is, and a switch still takes true."""
+def test_true_is_not_a_number_for_any_parameter_of_any_executable():
+    """Alone and in a list; an integer is accepted for a float, and a switch still accepts true."""
     tried = 0
     for model in {block.Params for _, _, block in blocks()} | {RunOptions}:
         lists = {name for name, kind in numbers(model) if "tuple" in kind}
@@ -153,7 +155,7 @@ def test_true_is_no_number_for_any_parameter_of_any_executable():
 
 
 @pytest.mark.parametrize("what", ["duration", "timeout", "seed", "clock", "changes", "expect", "claims", "figures"])
-def test_true_is_no_number_in_a_scenario_either(what, tmp_path):
+def test_true_is_not_a_number_in_a_scenario_either(what, tmp_path):
     entries = {
         "changes": "[{at: true, set: {dc_motor_smc.delta: 3.0}}]",
         "expect": "{rise_time: {expected: true}}",
@@ -189,13 +191,13 @@ def test_every_choice_of_every_executable_names_its_words():
         ({"text": "x" * (LONGEST + 1)}, r"parameter text = 'xxx.*\.\.\.: expected at most 10000 characters"),
     ],
 )
-def test_numbers_and_sizes_beyond_sense_are_refused(values, text):
+def test_absurd_numbers_and_sizes_are_refused(values, text):
     with pytest.raises(ParameterError, match=text) as error:
         build(SizeParams, values)
     assert len(str(error.value)) < 250
 
 
-def test_a_set_up_that_fails_names_what_it_was_given():
+def test_a_failing_set_up_names_its_parameters():
     with pytest.raises(ParameterError, match=r"set-up failed with a = 1000000000000\.0, b = 1000000\.0: OverflowError"):
         Size(a=1e12, b=1e6)
     scenario = make_scenario({"plant": {"executable": "plant", "parameters": {}}})
@@ -205,7 +207,7 @@ def test_a_set_up_that_fails_names_what_it_was_given():
         member.block(0)
 
 
-def test_what_does_not_fit_together_names_what_was_given():
+def test_a_contradiction_names_its_parameters():
     class Pair(BlockParams):
         low: float = param(0.0, "low")
         high: float = param(1.0, "high")
@@ -220,7 +222,7 @@ def test_what_does_not_fit_together_names_what_was_given():
         build(Pair, {"low": 2.0})
 
 
-def test_a_parameter_is_named_as_a_word_and_a_check_may_divide_by_nothing():
+def test_a_parameter_is_named_as_a_word_and_a_check_may_divide_by_zero():
     class Line(BlockParams):
         f: float = param(1.0, "factor")
         x: float = param(1.0, "reactance")
@@ -247,7 +249,7 @@ def test_elements_of_a_list_have_bounds():
         build(Rules, {"rules": [0, 4]})
 
 
-def test_no_memory_in_a_set_up_is_its_parameters_too():
+def test_a_set_up_without_memory_names_its_parameters_too():
     class Greedy(Block[SizeParams]):
         def setup(self):
             raise MemoryError
@@ -256,7 +258,7 @@ def test_no_memory_in_a_set_up_is_its_parameters_too():
         Greedy(a=2.0)
 
 
-def test_more_steps_in_a_period_than_ever_end():
+def test_a_period_with_too_many_steps_is_refused():
     check_steps(0.01, 1e-6, "step")
     with pytest.raises(ValueError, match=r"takes 1e\+11 steps of step = 1e-13 s, expected at most 100000"):
         check_steps(0.01, 1e-13, "step")
@@ -307,15 +309,15 @@ FILES = (changes, claims, expectation, golden, requirement_entry, scenario, stud
 
 
 def written():
-    """Models of what people write into files."""
+    """Models of the files that people write."""
     for module in FILES:
         for model in vars(module).values():
             if isinstance(model, type) and issubclass(model, BaseModel) and model.__module__ == module.__name__:
                 yield model
 
 
-def test_no_number_that_people_write_into_a_file_may_be_none():
-    """Infinity and NaN, which YAML has: each field is asked by itself, whatever else its model lacks."""
+def test_no_number_in_a_users_file_may_be_nan_or_infinite():
+    """YAML has both: each field is tried by itself, whatever else its model lacks."""
 
     def refused(model, name, value):
         try:
@@ -335,7 +337,7 @@ def test_no_number_that_people_write_into_a_file_may_be_none():
         assert [(m.__name__, name) for m, name in asked if not refused(m, name, value)] == []
 
 
-def test_an_answer_that_is_no_row_of_numbers_is_the_nodes_fault():
+def test_an_answer_that_is_not_a_row_of_numbers_is_an_error_of_the_node():
     port = number("x", "x", "m")
     for wrong in (5.0, None, ("a",), (1j,), [[1.0]], (10**400,), ("1.0",), "1", b"1", (b"1",)):
         with pytest.raises(RunError, match="law: x is no row of numbers at t = 0 s"):
@@ -357,7 +359,7 @@ def test_damage_is_refused_or_does_not_matter(attack, tmp_path):
         (("bags", "messages", "parameters", "scenarios"), 12),
     ],
 )
-def test_a_short_campaign(areas, number):
+def test_a_short_campaign_passes(areas, number):
     table = driver.campaign(dict.fromkeys(areas, number), 1, PATIENCE, None, 2)
     assert sum(row[0] for row in table.values()) == number * len(areas)
     assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
@@ -366,7 +368,7 @@ def test_a_short_campaign(areas, number):
 @pytest.mark.long
 @pytest.mark.processes
 @pytest.mark.timeout(3600)
-def test_a_campaign_over_the_real_middleware():
+def test_a_campaign_over_the_real_middleware_passes():
     table = driver.campaign({"environments": 20, "kills": 10, "nodes": 30, "starts": 5}, 1, 3000.0, None, 1)
     assert {area: row[2] for area, row in table.items()} == {area: [] for area in table}
 
@@ -402,8 +404,8 @@ def test_a_parameter_of_an_unknown_type_is_refused_and_the_node_lives_on():
             rclpy.shutdown(context=context)
 
 
-def test_every_bound_that_a_node_tells_holds_at_its_edge():
-    """What may change while it runs: the range that ROS checks before the block does has the bounds of the block."""
+def test_every_bound_that_a_node_declares_holds_at_its_edge():
+    """For live parameters: the range that ROS checks before the block has the bounds of the block."""
     import rclpy
     from rclpy.context import Context
     from rclpy.node import Node

@@ -1,4 +1,4 @@
-"""The walks of house.md are those of the code: each function is there, and calls or names the next one."""
+"""The walks of house.md match the code: each function exists, and calls or names the next one."""
 
 import ast
 import importlib
@@ -51,7 +51,7 @@ def source(module, name):
 
 
 @pytest.mark.parametrize(("place", "name"), list(zip(MESSAGE[:-1], NAMES, strict=True)), ids=lambda v: str(v))
-def test_a_message_goes_the_way_that_the_page_tells(place, name):
+def test_a_message_follows_the_path_of_the_page(place, name):
     assert re.search(rf"\b{name}\b", source(*place).partition("\n")[2])
 
 
@@ -60,7 +60,7 @@ def dotted(module, name):
 
 
 def overridden(module, name):
-    """The methods that one overrides, by full name."""
+    """The methods that a method overrides, by full name."""
     made, _, method = name.rpartition(".")
     there = importlib.import_module(module.removesuffix(".py").replace("/", "."))
     return {f"{c.__module__}.{c.__qualname__}.{method}" for c in getattr(there, made).__mro__} if made else set()
@@ -94,12 +94,12 @@ def test_a_message_can_be_followed_by_go_to_definition(place, name, then):
 
 
 @pytest.mark.parametrize("place", PRINTED, ids=lambda v: v[1])
-def test_the_writers_of_ticks_are_where_the_page_says(place):
+def test_the_writers_of_ticks_are_those_of_the_page(place):
     assert re.search(r'"""(Return|Create) ', source(*place))
 
 
 def test_the_texts_of_the_page_are_those_of_the_rig():
-    """Python's lines stand in the law; those of native code are what is written for the rig today."""
+    """The lines in Python are in the controller; those of native code are generated for the rig today."""
     python, method, turn = (
         re.sub(r"^ +", "", text, flags=re.M) for text in re.findall(r"```(?:python|text)\n(.*?)```", PAGE, re.S)
     )

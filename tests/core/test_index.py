@@ -1,4 +1,4 @@
-"""The index of scenarios: what it keeps is what loading gives, and no change of a file passes unseen."""
+"""The index of scenarios: its content equals what loading gives, and every change of a file is noticed."""
 
 import os
 
@@ -28,7 +28,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def loads(monkeypatch):
-    """What `listed` returns, and whether it has loaded a scenario for it."""
+    """The result of `listed`, and whether it has loaded a scenario for it."""
     names = []
 
     def noted(name):
@@ -40,7 +40,7 @@ def loads(monkeypatch):
     return [tuple(row) for row in listed(broken)], bool(names), broken
 
 
-def test_what_is_kept_is_what_loading_gives_until_a_file_changes(folder, tmp_path, monkeypatch):
+def test_the_index_equals_what_loading_gives_until_a_file_changes(folder, tmp_path, monkeypatch):
     one, slow = ("one", "lag", 1.5, "One", "none"), ("one_slow", "lag", 9.0, "One", "none")
     assert loads(monkeypatch) == ([one, slow], True, [])
     assert loads(monkeypatch) == ([one, slow], False, [])
@@ -57,7 +57,7 @@ def test_what_is_kept_is_what_loading_gives_until_a_file_changes(folder, tmp_pat
     assert loads(monkeypatch)[1] is True
 
 
-def test_nothing_is_kept_while_a_file_is_broken_or_where_nothing_can_be_written(folder, tmp_path, monkeypatch):
+def test_nothing_is_stored_while_a_file_is_broken_or_the_index_cannot_be_written(folder, tmp_path, monkeypatch):
     (folder / "bad.yaml").write_text("title: [")
     for _ in range(2):
         rows, loaded, broken = loads(monkeypatch)

@@ -1,4 +1,4 @@
-"""Native loops: the bits of plain Python, a cache that knows what is in it, and nothing imported before its use."""
+"""Native loops: the bits of plain Python, a cache that knows its content, and no import before the first use."""
 
 import enum
 import math
@@ -170,7 +170,7 @@ def hidden(x):
         (hidden, "pow"),
     ],
 )
-def test_what_native_code_computes_differently_is_refused(function, word):
+def test_functions_that_native_code_computes_differently_are_refused(function, word):
     with pytest.raises(ValueError, match=rf"{function.__name__} uses {word}, which native code"):
         jit(function)
 
@@ -191,8 +191,8 @@ def renamed(a):
     return average(a)
 
 
-def test_one_s_own_function_may_be_called_as_one_that_is_refused():
-    """And one that is refused stays it under another name: objects are compared."""
+def test_a_users_function_may_have_the_name_of_a_refused_one():
+    """And a refused one is refused under another name, too: objects are compared."""
     assert jit(own_mean)(np.array([1.0, 2.0, 6.0])) == 3.0
 
     def enclosing(sum):
@@ -275,8 +275,8 @@ def test_functions_of_one_factory_from_two_processes_keep_their_own_code(tmp_pat
     ],
     ids=["function", "constant", "array in a tuple", "default", "by name", "enum", "of numba"],
 )
-def test_all_that_a_function_reaches_is_part_of_its_digest(inner, outer):
-    """Else the cache would hand out the machine code of what it was before."""
+def test_everything_that_a_function_reaches_is_part_of_its_digest(inner, outer):
+    """Otherwise the cache would return the machine code of an earlier version."""
 
     def digest(value):
         p, h, whole = types.ModuleType("p"), types.ModuleType("h"), types.ModuleType("whole")
@@ -290,7 +290,7 @@ def test_all_that_a_function_reaches_is_part_of_its_digest(inner, outer):
     assert digest(2.0) == digest(2.0) != digest(4.0)
 
 
-def test_functions_in_closures_and_as_arguments():
+def test_functions_in_closures_and_as_arguments_are_compiled():
     def scaled(factor):
         @jit
         def scale(x):
@@ -329,7 +329,7 @@ def along(line, at, weights):
     return line.slope * at + line.table[1] * weights[0]
 
 
-def test_tuples_are_handed_over_by_their_parts_and_others_than_the_first_as_they_are():
+def test_tuples_are_passed_by_their_parts_and_further_ones_unchanged():
     table = np.array([0.0, 3.0])
     calls = [
         (Line(2.0, table), 5.0, (10.0, (1.0, 2.0))),  # as later ones most likely are
@@ -342,7 +342,7 @@ def test_tuples_are_handed_over_by_their_parts_and_others_than_the_first_as_they
     assert along.py_func(*calls[0]) == 40.0
 
 
-def test_recursion():
+def test_recursion_is_compiled():
     assert factorial(10.0) == factorial.py_func(10.0) == 3628800.0
 
 
@@ -406,7 +406,7 @@ class _Broken(_Native):
         raise ArithmeticError("only in the run")
 
 
-def test_a_rehearsal_leaves_native_code_ready_and_nothing_else():
+def test_a_rehearsal_compiles_native_code_and_changes_nothing_else():
     assert _twice._run == _twice._first
     assert rehearse(_Native, BlockParams(), "a")
     assert _twice._run != _twice._first

@@ -1,4 +1,4 @@
-"""What runs of a study share is made once, and is what each of them would have made for itself."""
+"""Objects that the runs of a study share are made once, and equal those that each run would have made."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OVERRIDES = {
 
 
 @pytest.mark.parametrize("values", OVERRIDES.values(), ids=OVERRIDES)
-def test_a_draft_with_changed_values_is_the_scenario_that_is_checked_as_a_whole(values):
+def test_a_draft_with_changed_values_equals_the_scenario_checked_as_a_whole(values):
     draft = read_draft("dc_motor_smc_faults" if "drift.value" in values else "dc_motor_smc_b2")
     quick, whole = draft.filled(values), Scenario.model_validate(draft.filled(values).model_dump())
     assert quick.model_dump() == whole.model_dump()
@@ -44,12 +44,12 @@ def test_a_draft_with_changed_values_is_the_scenario_that_is_checked_as_a_whole(
         ({"dc_motor_smc.detla": 1.0}, "did you mean 'delta'"),
     ],
 )
-def test_a_changed_value_that_does_not_fit_is_refused_as_in_a_file(values, message):
+def test_a_wrong_changed_value_is_refused_as_in_a_file(values, message):
     with pytest.raises(ScenarioError, match=message):
         rig_of(read_draft("dc_motor_smc_b2"), overrides=values)
 
 
-def test_rigs_of_one_scenario_share_what_follows_from_it_alone():
+def test_rigs_of_one_scenario_share_what_depends_on_it_alone():
     draft = read_draft("dc_motor_smc_b2")
     one, two = rig_of(draft), rig_of(draft, overrides={"dc_motor_smc.delta": 0.25})
     for a, b in zip(one.members, two.members, strict=True):
@@ -63,7 +63,7 @@ class Params(BlockParams):
     gain: float | bool = param(1.0, "gain", live=True)
 
 
-def test_equal_numbers_of_other_types_are_other_values():
+def test_equal_numbers_of_different_types_are_different_values():
     one, whole, switch = (shared(build, Params, {"gain": v}) for v in (1.0, 1, True))
     assert [type(p.gain) for p in (one, switch)] == [float, bool]
     assert whole is not one
@@ -74,7 +74,7 @@ def test_equal_numbers_of_other_types_are_other_values():
     assert shared(lambda of, values: values, Params, unpicklable := lambda: 0) is unpicklable
 
 
-def test_an_answer_is_kept_by_the_identity_of_the_arguments():
+def test_an_answer_is_cached_by_the_identity_of_the_arguments():
     calls: list[Any] = []
 
     @once_for_objects

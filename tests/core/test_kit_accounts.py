@@ -1,4 +1,4 @@
-"""The model kit and what stands on the ground of the core.
+"""The model kit and the modules on which the core is built.
 
 Sources: naive models of the documented contracts on lists, loops and a watch; exact fractions where numbers count.
 """
@@ -29,7 +29,7 @@ from softrig_core.timebase import Pace
 
 
 def at_age(rows, size, age):
-    """Read a list of samples, of which the newest `size` are kept, at an age in samples: on a line between two."""
+    """Read a list of samples, of which the newest `size` are kept, at an age in samples, by linear interpolation."""
     age = min(age, size - 1)
     newer, older = rows[-1 - math.floor(age)], rows[-1 - math.ceil(age)]
     part = Fraction(age) - math.floor(age)
@@ -39,7 +39,7 @@ def at_age(rows, size, age):
 @pytest.mark.parametrize("native", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_delay_line_is_a_list_of_samples(seed, native, monkeypatch):
-    """As Python has it and as native code does: what is put behind an older one leaves the newer ones as they are."""
+    """In Python and in native code: appending to an older one does not change the newer ones."""
     monkeypatch.setattr(history, "_write", history._write.py_func)
     rng = random.Random(seed)
     step, longest, width = 0.25, rng.choice([0.0, 0.2, 1.0, 1.1]), rng.randint(1, 3)
@@ -78,7 +78,7 @@ def test_a_delay_line_is_a_list_of_samples(seed, native, monkeypatch):
     )
 
 
-def test_the_ring_of_native_code_is_twice_as_long_as_what_counts():
+def test_the_ring_of_native_code_is_twice_as_long_as_needed():
     ring = History(0.5, 1.0, (3.0, 4.0)).native()
     assert (ring.step, ring.longest, ring.size, ring.written, ring.newest) == (0.5, 1.0, 5, 5, (3.0, 4.0))
     assert ring.ring.tolist() == [3.0, 4.0] * 5 + [0.0, 0.0] * 5
@@ -87,7 +87,7 @@ def test_the_ring_of_native_code_is_twice_as_long_as_what_counts():
 @pytest.mark.parametrize(
     ("step", "longest", "size"), [(0.1, 0.3, 6), (0.1, 0.31, 7), (1.0, 0.0, 3), (1.0, 1e-10, 3), (1.0, 1e-8, 4)]
 )
-def test_as_many_samples_are_kept_as_the_longest_delay_reaches(step, longest, size):
+def test_as_many_samples_are_kept_as_the_longest_delay_needs(step, longest, size):
     assert len(History(step, longest).numbers()) == size
 
 
@@ -112,7 +112,7 @@ def hermite(begin, length, x0, x1, dx0, dx1):
 
 
 def read_at(rows, t, late):
-    """Read a list of steps at a time: on a border the step after it, or the one before it where that is `late`."""
+    """Read a list of steps at a time: on a border the step after it, or the one before it if `late`."""
     edge = 1e-9 * rows[-1][1] * (1 if late else -1)
     row = [r for r in rows if t >= r[0] + edge][-1:] or [rows[0]]
     (begin, length, *ends), s = row[0], (t - row[0][0]) / row[0][1]
@@ -121,7 +121,7 @@ def read_at(rows, t, late):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_track_is_a_list_of_steps(seed, monkeypatch):
-    """In a tree: who goes on from an older one leaves the newer ones as they are; read at any time, as native code."""
+    """In a tree: continuing from an older one does not change the newer ones; read at any time, as in native code."""
     monkeypatch.setattr(dde, "between", dde.between.py_func)
     rng = random.Random(seed)
     past = dde.trajectory(0.5, 1.0, lambda t: 2.0 + t)
@@ -195,7 +195,7 @@ class Counted:
         return self.own.random(count)
 
 
-def test_draws_are_the_stream_and_the_newest_rows_are_at_hand():
+def test_random_draws_are_the_stream_and_the_newest_rows_are_cached():
     wanted = np.random.default_rng(5).random(7 * SIZE)
     counted = []
     stream = Draws(lambda: counted.append(Counted()) or counted[-1], "random")
@@ -207,7 +207,7 @@ def test_draws_are_the_stream_and_the_newest_rows_are_at_hand():
     assert (SIZE, KEPT, len(counted)) == (4096, 4, 2)
 
 
-def test_a_stream_goes_on_where_it_was_reported_that_it_is():
+def test_a_stream_continues_at_the_stated_position():
     wanted = np.random.default_rng(7).random(40)
     stream = Stream(np.random.default_rng(7))
     for begin, count in ((0, 3), (3, 2), (20, 5), (4, 6), (4, 1), (30, 0), (30, 2)):
@@ -218,7 +218,7 @@ def test_a_stream_goes_on_where_it_was_reported_that_it_is():
     assert draws.SIZE == SIZE
 
 
-def test_the_newest_answers_are_kept():
+def test_the_newest_answers_are_cached():
     asked: list[int] = []
     newest = Newest(lambda k: asked.append(k) or (k, len(asked)))
     assert (newest.key, newest.answer) == (None, None)
@@ -278,7 +278,7 @@ def a_state():
     )
 
 
-def test_the_numbers_of_a_state_by_their_names():
+def test_the_numbers_of_a_state_have_their_names():
     results = {name: row.tolist() for name, row in read(a_state())}
     assert results == {
         "x": [1.5],
@@ -307,7 +307,7 @@ def test_the_numbers_of_a_state_by_their_names():
     assert (numbers(3).tolist(), split(3, np.empty(0)), put(3, [])) == ([], [], 3)
 
 
-def test_other_numbers_go_where_they_come_from():
+def test_changed_numbers_are_written_back_to_their_places():
     state = a_state()
     row = numbers(state)
     plain = state._replace(z=None, table=None, single=None, planes=None)
@@ -354,7 +354,7 @@ def test_products_and_solutions_are_those_of_exact_fractions(seed):
 # files, packages, errors ----------------------------------------------------------------------------------------------
 
 
-def test_files_of_packages_are_found_overlays_first(tmp_path, monkeypatch):
+def test_files_of_packages_are_found_with_overlays_first(tmp_path, monkeypatch):
     for prefix in ("one", "two"):
         (tmp_path / prefix / "share" / "some" / "data").mkdir(parents=True)
     (tmp_path / "two/share/some/data/table.csv").write_text("2")
@@ -380,7 +380,7 @@ def test_files_of_packages_are_found_overlays_first(tmp_path, monkeypatch):
     assert prefixes() == []
 
 
-def test_errors_say_where_in_the_code_of_their_author(tmp_path):
+def test_errors_name_the_line_in_the_users_code(tmp_path):
     (tmp_path / "own.py").write_text("def fails(x):\n    return 1 / x\n")
     scope: dict[str, Any] = {}
     exec(compile((tmp_path / "own.py").read_text(), str(tmp_path / "own.py"), "exec"), scope)
@@ -400,7 +400,7 @@ def test_errors_say_where_in_the_code_of_their_author(tmp_path):
     assert (RunError("x").node, issubclass(ScenarioError, ValueError)) == ("", True)
 
 
-def test_what_an_extra_brings_is_named(monkeypatch):
+def test_the_package_that_an_extra_installs_is_named(monkeypatch):
     monkeypatch.setitem(EXTRAS, "no_such_package", "some")
     monkeypatch.setitem(EXTRAS, "json", "some")
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)
@@ -429,7 +429,7 @@ def test_what_an_extra_brings_is_named(monkeypatch):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
-    """Against a watch: what has been waited for counts, stops do not, and more than 0.25 s late is not caught up."""
+    """Against a stopwatch: waited time counts, pauses do not, and a lag of more than 0.25 s is not caught up."""
     rng = random.Random(seed)
     rate, now, t = 1.0, 100.0, 0
     pace, gone, seen, stopped = Pace(rate), None, None, False
@@ -468,7 +468,7 @@ def test_a_pace_lets_a_run_go_as_far_as_the_wall_clock_has_gone(seed):
     assert seen is None
 
 
-def test_a_pace_at_its_edges():
+def test_a_pace_is_exact_at_its_limits():
     pace = Pace(1.0)
     assert pace.reach(5.0, 1000) is None
     assert pace.reach(5.0 + 1e-9, 1000) == 1001
@@ -493,7 +493,8 @@ class Absent:
 
 
 def test_numba_is_loaded_without_vectors_that_give_other_bits(monkeypatch):
-    """What is set already stays; where numba is loaded it is too late to say so; the user's environment stays."""
+    """A setting of the user stays; after numba is loaded the setting is too late; the user's environment is unchanged.
+    """
     absent = Absent()
     monkeypatch.setattr(sys, "meta_path", [absent, *sys.meta_path])
     text = "NUMBA_DISABLE_INTEL_SVML"

@@ -1,4 +1,5 @@
-"""All times, sizes and counts by which nodes and runs go, in one table: what each means is said where it is written.
+"""All times, sizes and counts that nodes and runs use, in one table; the meaning of each is documented at its
+definition.
 
 Who changes one on purpose changes it here, too; and knows of the others that it has to do with.
 """
@@ -95,14 +96,14 @@ LIMITS = {
 
 
 @pytest.mark.parametrize("where", LIMITS)
-def test_a_limit_is_what_it_is_said_to_be(where):
+def test_a_limit_has_its_documented_value(where):
     path = where.strip()
     module, _, name = path.rpartition(".")
     holder = getattr(import_module(module), name) if name[0].isupper() else import_module(path)
     assert {key: getattr(holder, key) for key in LIMITS[where]} == LIMITS[where]
 
 
-def test_queues_of_ros_hold_ten_messages_and_what_a_writer_in_lockstep_keeps_is_two_hundred():
+def test_queues_of_ros_hold_ten_messages_and_a_writer_in_lockstep_keeps_two_hundred():
     from softrig_nodes.ros.ros import QOS, WRITTEN
 
     assert [(q.depth, q.reliability.name) for q in (QOS, WRITTEN)] == [(10, "RELIABLE"), (200, "RELIABLE")]

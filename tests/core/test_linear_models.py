@@ -1,4 +1,4 @@
-"""Linear models and equilibria of models made by hand: polynomials, linear systems, and where Newton's method goes."""
+"""Linear models and equilibria of artificial models: polynomials, linear systems, and the path of Newton's method."""
 
 import math
 from typing import NamedTuple
