@@ -1,4 +1,4 @@
-"""Pictures, drawings and pages in words, a line each part: what a test holds against a file that a person can read.
+"""Pictures, drawings and pages as text, one line for each part, so that a test compares them with a readable file.
 
 `SOFTRIG_EXPECTED=write scripts/softrig python -m pytest tests -k expected` writes the files in `tests/expected` again;
 look at the pictures and at the difference before it is committed.
@@ -22,7 +22,7 @@ FOLDER = Path(__file__).parent / "expected"
 
 
 def check_expected(name, lines):
-    """Hold lines against a file."""
+    """Compare lines with a file."""
     results, file = list(lines), FOLDER / f"{name}.txt"
     if os.environ.get("SOFTRIG_EXPECTED") == "write":
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -40,7 +40,7 @@ def _row(values):
 
 
 def _curve(x, y):
-    """Where a curve begins and ends and what it comes to, which each of its points moves."""
+    """First and last point of a curve and a checksum that each of its points changes."""
     x, y = (np.ma.filled(np.ma.asarray(v, float), np.nan) for v in (x, y))
     if len(x) <= 4:
         return f"({_row(x)}; {_row(y)})"
@@ -67,7 +67,7 @@ def _line(line):
 
 
 def _together(lines):
-    """What many lines are made of, and what their points come to."""
+    """The composition of many lines, and a checksum of their points."""
     styles = Counter(_line(line).partition(" ")[2].partition(":")[0].partition(" ")[2] for line in lines)
     x, y = (np.concatenate([np.asarray(c, float) for c in v]) for v in zip(*(i.get_data() for i in lines), strict=True))
     return f"{', '.join(f'{n} {style}' for style, n in styles.items())}: {_curve(x, y)}"
@@ -94,7 +94,7 @@ def on_paper(figure):
 
 
 def figure_lines(figure):
-    """A figure of matplotlib: all that is drawn into it, in order."""
+    """A figure of matplotlib: everything that is drawn into it, in order."""
     yield f"figure {_row(figure.get_size_inches())} in, {figure.dpi:g} dpi"
     yield from (f"  text {_text(t)} at {_row(t.get_position())}" for t in figure.texts)
     yield from (f"  title {_text(t)} at {_row(t.get_position())}" for t in [figure._suptitle] if t is not None)
@@ -134,7 +134,7 @@ def figure_lines(figure):
 
 
 class _Tree(HTMLParser):
-    """A page as nested lists: tag, attributes, what is in it."""
+    """A page as nested lists: tag, attributes, content."""
 
     def __init__(self, text):
         super().__init__()
@@ -166,7 +166,7 @@ INLINE = ("td", "th", "code", "b", "a", "span", "dt", "dd", "title")
 
 
 def page_lines(text, without=()):
-    """A page of HTML: each element on a line, a row of a table on one; nothing below the headings of `without`."""
+    """A page of HTML: one line for each element and each row of a table; nothing below the headings of `without`."""
     yield from _below(_Tree(text).root[2], 0, without)
 
 

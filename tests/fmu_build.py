@@ -46,7 +46,7 @@ RPM = '<BaseUnit rad="1" s="-1" factor="0.10471975511965977"/>'
 
 
 def build_fmu(folder, model, version=2, platform=None, exchange=True):
-    """Compile a model to an FMU; returns its file. FMI 2.0 or 3.0, with both interfaces."""
+    """Compile a model to an FMU; return its file. FMI 2.0 or 3.0, with both interfaces."""
     name = f"{model}{version}"
     library = folder / f"{name}.so"
     constants = [f"-D{k}_={v!r}" for k, v in MotorConstants().model_dump().items()]

@@ -103,7 +103,7 @@ class Worker:
         self.connection.send(todo)
 
     def close(self):
-        """Wait for the end of the process and return its exit status; one that is late is killed."""
+        """Wait for the end of the process and return its exit status; a late one is killed."""
         if not wait([self.ended], LATE):
             os.kill(self.pid, signal.SIGKILL)
         os.close(self.ended)
@@ -112,7 +112,7 @@ class Worker:
 
 
 class Workers:
-    """Distribute files to workers and report what these report."""
+    """Distribute files to workers and pass on what these report."""
 
     def __init__(self, session):
         self.session, self.config = session, session.config
@@ -148,7 +148,7 @@ class Workers:
         worker.give(todo)
 
     def attend(self, worker):
-        """Take the next thing that a worker reports, or its end."""
+        """Process the next report of a worker, or its end."""
         try:
             if not worker.connection.poll():
                 raise EOFError
@@ -168,14 +168,14 @@ class Workers:
         self.config.hook.pytest_runtest_logreport(report=report)
 
     def finished(self, worker):
-        """Go on after a test: the worker has the next one of its file, or gets another file, or ends."""
+        """Continue after a test: the worker gets the next test of its file, or another file, or ends."""
         item = self.session.items[worker.todo.pop(0)]
         self.config.hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
         if not worker.todo:
             worker.give(self.files.pop() if self.files else [])
 
     def lost(self, worker, status):
-        """Fail the test in which a worker ended, and run the others of its file in a new one."""
+        """Fail the test in which a worker ended, and run the others of its file in a new worker."""
         if not worker.todo:
             return
         item = self.session.items[worker.todo[0]]
@@ -187,7 +187,7 @@ class Workers:
 
 
 class Sender:
-    """In a worker, what pytest has in place of the terminal: reports and warnings go to the parent."""
+    """Takes the place of pytest's terminal in a worker: reports and warnings are sent to the parent."""
 
     def __init__(self, config, connection):
         self.config, self.connection = config, connection

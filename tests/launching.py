@@ -1,4 +1,4 @@
-"""What of launch and launch_ros a launch file of ours needs; neither is in the package registries.
+"""The part of launch and launch_ros that our launch file needs; neither is in the package registries.
 
 After launch 3.4 and launch_ros 0.26: an argument has choices, `on_exit` is called with the event and the context, what
 it raises shuts the launch down with status 1, and a shutdown interrupts what still runs.
@@ -85,7 +85,7 @@ MODULES = {
 
 
 def nodes_of(values, **context):
-    """The Node actions of the launch file for these arguments, in a context that has something more."""
+    """The Node actions of the launch file for these arguments, in a context with further variables."""
     before = {name: sys.modules.get(name) for name in MODULES}
     try:
         for name, classes in MODULES.items():
@@ -101,7 +101,7 @@ def nodes_of(values, **context):
 
 
 def launch(values, variables, meddle=lambda processes: None):
-    """Launch until all have ended; gives the status and what was said. `meddle` gets the processes by node name.
+    """Launch until all have ended; return status and output. `meddle` gets the processes by node name.
 
     Several launches on one domain: `values` is a list.
     """

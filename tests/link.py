@@ -1,4 +1,4 @@
-"""A link between two network namespaces that delays, reorders and drops UDP: what netem does, where a kernel lacks it.
+"""A link between two network namespaces that delays, reorders and drops UDP, like netem, which some kernels lack.
 
 ``python link.py FIRST SECOND DELAY_MS JITTER_MS LOSS_PERCENT`` hands each frame that arrives at one interface on to the
 other; run it in a namespace of its own, to which both interfaces belong. Says "ready" when it does.
@@ -21,7 +21,7 @@ def is_udp(frame):
 
 
 def without_checksum(frame):
-    """Leave it out, as UDP allows: within a host the kernel reckons none, and would refuse what stands there."""
+    """Leave the checksum out, as UDP allows: within a host the kernel computes none, and would refuse a wrong one."""
     head = 14 + 4 * (frame[14] & 0x0F)
     offset = int.from_bytes(frame[20:22]) & 0x1FFF
     return frame if offset else frame[: head + 6] + b"\0\0" + frame[head + 8 :]

@@ -11,7 +11,7 @@ from softrig_nodes.processes.fork_server import start_node
 
 
 def script(code, variables, *arguments, output=2):
-    """Run a script with arguments in an environment; what comes back has what `subprocess.Popen` has."""
+    """Run a script with arguments in an environment; return what has the interface of `subprocess.Popen`."""
     command = [str(find_executable("faultrig", "script")), code, *arguments]
     return start_node("faultrig", "script", command, variables, output)
 
@@ -34,11 +34,13 @@ def outside(bench, name, code, *arguments):
 
 
 def go(bench, name):
-    """Let a node, or a script that ends in `SPIN`, leave by Ctrl-C: who is killed is there for 3 s more."""
+    """End a node, or a script that ends in `SPIN`, by Ctrl-C: a killed one stays in the graph for 3 s more."""
     bench.nodes[name].send_signal(signal.SIGINT)
     assert bench.ends(name) == 0
 
 
 def busy():
-    """By how much a second is longer on a host that does so many things at once: each has a processor in its turn."""
+    """How much longer a second takes on a host that does so many things in parallel: each has a processor in
+    its turn.
+    """
     return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))

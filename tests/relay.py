@@ -1,4 +1,4 @@
-"""A plain rclpy node, with nothing of softrig in it, that takes the place of any node of a rig.
+"""A plain rclpy node, without softrig, that takes the place of any node of a rig.
 
     python relay.py FILE
 

@@ -1,4 +1,4 @@
-"""A middleware that is simulated: nodes of a rig in one process, time moved by hand, deliveries in the order of a plan.
+"""A simulated middleware: nodes of a rig in one process, time moved by the test, deliveries in the order of a plan.
 
 The adapters are the real ones. A message takes as long as `latency` says. Without `discovery` writers and readers are
 matched from the start. With it every order that DDS allows is drawn from a seed: nodes come one by one, a writer knows
@@ -45,14 +45,14 @@ class Endpoint:
         return Peer(self.node.name, "/", self.msgtype)
 
     def meets(self, other):
-        """Whether the middleware brings two ends together; not those of a process of several nodes."""
+        """Return whether the middleware connects two endpoints; not those of a process of several nodes."""
         apart = self.node.process is None or self.node.process is not other.node.process
         return apart and self.topic == other.topic and self.msgtype == other.msgtype and self.fits and other.fits
 
 
 @dataclass
 class World:
-    """The graph, the clock and the queue of what is to happen."""
+    """The graph, the clock and the queue of future events."""
 
     latency: Callable[[str, str, str], int] = lambda topic, writer, reader: 1_000
     now: int = 1_700_000_000_000_000_000
@@ -119,7 +119,7 @@ class World:
 
 
 class Discovery:
-    """Who knows of whom from when on, drawn from a seed.
+    """Which node knows of which from when on, drawn from a seed.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ class Discovery:
         world.discovery = self
 
     def _delay(self):
-        """Mostly soon, sometimes late: that is how orders come to differ."""
+        """A delay, mostly short, sometimes long, so that orders differ."""
         return self.rng.randrange(1_000, self.longest if self.rng.random() < 0.3 else self.longest // 20)
 
     def meet(self, writer, reader):
@@ -169,12 +169,12 @@ class Discovery:
         return self._shown[key] <= self.world.now and not gone
 
     def leave(self, node):
-        """A node has finished: it goes when what it sent has arrived."""
+        """A node has finished: it leaves when its messages have arrived."""
         sent = [t for (writer, _), t in self.world.last.items() if writer.node is node]
         self.world.at(max([self.world.now, *sent]) + self._delay(), partial(self.kill, node), node)
 
     def kill(self, node):
-        """The node is no more; the others hear of it later, each on its own."""
+        """The node is gone; each other node learns of it later."""
         node.dead = self.world.now
         for end in (*self.world.writers, *self.world.readers):
             for other in [o for o in end.known if o.node is node]:
@@ -235,7 +235,7 @@ class SimulatedNode(Middleware):
         return self.worked
 
     def hears_now(self, last, accepts):
-        """Whether a message may arrive at once: none that was sent before is under way."""
+        """Return whether a message may arrive immediately: no earlier one is on its way."""
         now = self.world.now
         return self.prompt and not self.dead and max(last, accepts, self.stalled) < now
 
@@ -248,7 +248,7 @@ class SimulatedNode(Middleware):
             end.receive(data)
 
     def in_turn(self, call, *given):
-        """What is not a message."""
+        """Return what is not a message."""
         if self.prompt:
             with self.monitor:
                 call(*given)
@@ -421,7 +421,7 @@ class SimulatedRig:
         return adapter
 
     def kill(self, name, rng):
-        """A node dies, with or without what it has just sent; it is started again when all others stand."""
+        """A node dies, with or without its last messages; it is restarted when all others wait."""
         adapter, node = self.adapters.get(name), self.nodes.get(name)
         if adapter is None or adapter.state == "done" or node.dead or name in self.coming:
             return False
@@ -467,7 +467,7 @@ class SimulatedRig:
 
 
 def some(rig, rng):
-    """Draw nodes of a rig that share processes: mostly none, else two groups of any size."""
+    """Draw nodes of a rig that share processes: mostly none, otherwise two groups of any size."""
     names = [m.name for m in rig.members if not m.external]
     if rng.random() < 0.5:
         return ()

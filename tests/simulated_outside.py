@@ -1,4 +1,4 @@
-"""Somebody else's node in the simulated middleware: it knows topics, types and stamps, nothing of softrig."""
+"""A foreign node in the simulated middleware: it knows topics, types and stamps, and nothing of softrig."""
 
 from functools import partial
 
@@ -8,7 +8,7 @@ from softrig_core import Port
 
 
 class SimulatedOutside:
-    """Somebody else's node in place of ours: it says what ours would say when a topic that it reads calls for it.
+    """A foreign node in place of ours: it publishes what ours would publish when a topic that it reads requires it.
 
     Parameters
     ----------

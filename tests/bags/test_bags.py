@@ -814,7 +814,8 @@ def test_split_bags_are_read_and_repaired(tmp_path, storage):
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 @pytest.mark.parametrize(("begin", "split"), [(0, 0), (7_000, 0), (1_700_000_000 * 10**9, 30), (5, 1)])
 def test_the_metadata_lists_the_content_of_each_file(tmp_path, storage, begin, split):
-    """At any start time; a file is full after its duration, the tenth is listed after the ninth; also after a repair.
+    """At any start time; a file is full after its duration, the tenth is listed after the ninth; also after a
+    repair.
     """
     times = [begin + t for t in (0, 4, 9, 10, 11, 12, 13, 29, 30, 31, 60, 75)]
     writer = BagWriter(tmp_path / "bag", storage=storage, split_ns=split)

@@ -21,7 +21,8 @@ VALUES = (0.0, 1.0, 1.0, 1.125, 1.25, 2.0, -1.0, math.nan, math.inf)
 
 
 def drawn(rng):
-    """Messages (bag time, stamp, values) by topic: some with stamps, some stamps repeated, and topics without stamps.
+    """Messages (bag time, stamp, values) by topic: some with stamps, some stamps repeated, and topics without
+    stamps.
     """
     result = {}
     for topic in ("joints", "number", "only"):

@@ -675,7 +675,8 @@ def test_a_late_recording_ends_with_a_status(rig, tmp_path):
 
 @pytest.mark.long
 def test_a_tool_marks_its_ports_as_alive(rig):
-    """Otherwise Fast DDS would look at the port's reader after 20 s, and a process that opens the port waits for that.
+    """Otherwise Fast DDS would look at the port's reader after 20 s, and a process that opens the port waits
+    for that.
     """
     recorder = rig.recorder("--output", "copy")
     for port in until(lambda: len(result := ears(recorder)) == 2 and result):

@@ -1,4 +1,5 @@
-"""What a recorder subscribes to, writes and reports, and how a tool's session waits: with a graph that the test makes.
+"""What a recorder subscribes to, writes and reports, and how a tool's session waits: with a graph that the test
+makes.
 """
 
 import errno

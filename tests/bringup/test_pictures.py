@@ -86,7 +86,8 @@ def drawn(monkeypatch, tmp_path):
 
 
 def marked(**keys):
-    """One plot with each kind of mark: in windows, of peaks on both sides, far away, violated; a plane, a difference.
+    """One plot with each kind of mark: in windows, of peaks on both sides, far away, violated; a plane, a
+    difference.
     """
     u, more = "lag/command/u/effort", {"arguments": {"signal": X}}
     figures = {

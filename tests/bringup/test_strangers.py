@@ -1,4 +1,5 @@
-"""A pack from another person: only data until it is confirmed, code from one folder, figures computed from its own bag.
+"""A pack from another person: only data until it is confirmed, code from one folder, figures computed from its
+own bag.
 """
 
 import io

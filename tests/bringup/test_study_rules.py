@@ -1,4 +1,5 @@
-"""The small rules of studies, each computed independently: drawing, searching, caching, judging, labels and refusals.
+"""The small rules of studies, each computed independently: drawing, searching, caching, judging, labels and
+refusals.
 """
 
 import itertools

@@ -1,4 +1,5 @@
-"""The pages of the systems have one order of headings, begin with three sentences and a picture, and typeset formulas.
+"""The pages of the systems have one order of headings, begin with three sentences and a picture, and typeset
+formulas.
 """
 
 import re

@@ -314,7 +314,8 @@ def test_parameters_stay_changed_after_going_back_and_the_old_branch_can_be_run(
 
 
 def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, monkeypatch, capsys):
-    """What cannot be written is left out, shards for a killed process are given up once, and a run can be ended again.
+    """What cannot be written is left out, shards for a killed process are given up once, and a run can be ended
+    again.
     """
     (tmp_path / "log").mkdir()
     for full in ("log/rig.shard", f".left_1.yaml.{os.getpid()}.part"):

@@ -1,4 +1,5 @@
-"""A node or the runner of a rig is killed at some moment: recordings are exact, the status is right, nothing remains.
+"""A node or the runner of a rig is killed at some moment: recordings are exact, the status is right, nothing
+remains.
 """
 
 import os

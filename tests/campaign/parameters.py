@@ -103,7 +103,8 @@ def feeder(ports: list[Port], seed: int) -> type[Block]:
 
 
 def attack(seed: int, directory: Path) -> None:
-    """One executable with one to three extreme parameters: refused, broken with one line, or run with finite numbers.
+    """One executable with one to three extreme parameters: refused, broken with one line, or run with finite
+    numbers.
     """
     chance = random.Random(seed)
     package, executable, block = chance.choice(blocks())

@@ -57,7 +57,8 @@ def framed(message, values):
 
 
 class Bus:
-    """The part of python-can that `CanLine` uses, in memory with its own time; frames arrive late, twice or not at all.
+    """The part of python-can that `CanLine` uses, in memory with its own time; frames arrive late, twice or not
+    at all.
     """
 
     def __init__(self, rng, rate, *nodes, pulled=0.0):

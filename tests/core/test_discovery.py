@@ -461,7 +461,8 @@ def test_real_time_begins_when_all_nodes_run(kind):
 
 
 def test_a_node_waits_for_one_that_cannot_begin_as_long_as_a_start_may_take_and_reports_what_is_missing():
-    """The graph shows late that its topics have a subscriber: the other nodes have begun, and receive nothing from it.
+    """The graph shows late that its topics have a subscriber: the other nodes have begun, and receive nothing
+    from it.
     """
     rig, expected = rig_and_record("basic")
     world = World()

@@ -1,4 +1,5 @@
-"""An observer that processes some ticks together in real time has the same result as one that is called at each tick.
+"""An observer that processes some ticks together in real time has the same result as one that is called at each
+tick.
 """
 
 import random

@@ -493,7 +493,8 @@ class Absent:
 
 
 def test_numba_is_loaded_without_vectors_that_give_other_bits(monkeypatch):
-    """A setting of the user stays; after numba is loaded the setting is too late; the user's environment is unchanged.
+    """A setting of the user stays; after numba is loaded the setting is too late; the user's environment is
+    unchanged.
     """
     absent = Absent()
     monkeypatch.setattr(sys, "meta_path", [absent, *sys.meta_path])

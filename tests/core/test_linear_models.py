@@ -9,7 +9,7 @@ from softrig_core import Plant, RunError, Sampled, command, equilibrium, joint_s
 
 
 def quartic(x, u):
-    """Of degree four: differences of order four are exact but for rounding."""
+    """A quartic: differences of order four are exact except for rounding."""
     a, b = x
     return np.array([a**4 - 2.0 * a * b**3 + u[0] * b, a * u[0] ** 2]), np.array([a * b - u[0] ** 4])
 
@@ -31,7 +31,7 @@ def test_differences_are_exact_for_polynomials_of_degree_four():
     )
 
 
-def test_each_number_is_moved_by_a_thousandth_of_its_size_or_of_one():
+def test_each_number_is_perturbed_by_a_thousandth_of_its_size_or_of_one():
     asked = []
 
     def model(x, u):
@@ -87,7 +87,7 @@ def test_an_equilibrium_of_a_linear_model_is_found_in_a_step(given, x, u):
         ({"moving": [0, 1], "free": [0, 1]}, "1 states and 2 inputs are free, expected 1 in all"),
     ],
 )
-def test_as_many_unknowns_as_conditions_are_needed(given, text):
+def test_there_must_be_as_many_unknowns_as_conditions(given, text):
     if not text:
         equilibrium(linear, [3.0, 4.0, 5.0], [1.0, 2.0], **given)
         return
@@ -96,7 +96,7 @@ def test_as_many_unknowns_as_conditions_are_needed(given, text):
 
 
 def one(f):
-    """A model of one state, and the places of it that were asked for (not those of the differences)."""
+    """A model of one state, and the states at which it was evaluated (except for the differences)."""
     asked = []
 
     def model(x, u):
@@ -106,8 +106,8 @@ def one(f):
     return model, asked
 
 
-def test_a_step_is_halved_until_it_is_no_step_away():
-    """Newton's method for atan runs away from 3; half a step, and half of that, come nearer."""
+def test_a_step_is_halved_until_it_comes_nearer():
+    """Newton's method for atan diverges from 3; half a step, and half of that, converge."""
     model, asked = one(math.atan)
     (x,), _ = equilibrium(model, [3.0], [])
     assert x == pytest.approx(0.0, abs=3e-9)
@@ -117,7 +117,7 @@ def test_a_step_is_halved_until_it_is_no_step_away():
     assert equilibrium(hole, [4.0], [])[0] == pytest.approx([1.0])
 
 
-def test_what_has_no_equilibrium_is_reported_with_how_far_it_came():
+def test_a_model_without_equilibrium_is_reported_with_the_remaining_distance():
     with pytest.raises(
         RunError, match=r"^no equilibrium found near x = \[3\.0\], u = \[\]: the largest derivative left is 1$"
     ):
@@ -127,7 +127,7 @@ def test_what_has_no_equilibrium_is_reported_with_how_far_it_came():
 
 
 @pytest.mark.parametrize(("start", "tolerance", "asked"), [(1.0, 0.5, 2), (1.0, 0.49, 9), (3.0, 0.75, 2)])
-def test_rest_is_relative_to_one_and_the_largest_derivative_at_the_begin(start, tolerance, asked):
+def test_rest_is_relative_to_one_and_the_largest_initial_derivative(start, tolerance, asked):
     model, places = one(lambda x: x)
     equilibrium(model, [start], [], tolerance=tolerance)
     assert len(places) <= asked
@@ -141,7 +141,7 @@ class Mixed(NamedTuple):
 
 
 class Box(Plant):
-    """a+ = a + T (b + u_1 + 2 u_2), b+ = b + T (-a + 3 v); a whole number counts along."""
+    """a+ = a + T (b + u_1 + 2 u_2), b+ = b + T (-a + 3 v); an integer counts the ticks."""
 
     INPUTS = (command("u", "box/u", ["l", "r"], "N"), number("v", "box/v", "V"))
     OUTPUTS = (
@@ -161,7 +161,7 @@ class Box(Plant):
         return Mixed(x.a + T * (x.b + u[0] + 2.0 * u[1]), x.n + 1, x.b + T * (-x.a + 3.0 * v[0]))
 
 
-def test_a_plant_sampled_is_its_difference_equation():
+def test_a_sampled_plant_is_its_difference_equation():
     box = Box(period=0.25)
     dx, y = Sampled(box, 100)(np.array([1.0, 2.0]), np.array([3.0, 4.0, 5.0]))
     assert (dx.tolist(), y.tolist()) == ([2.0 + 3.0 + 8.0, -1.0 + 15.0], [1.0, 10.0, 1.0 - 2.0 + 7.0 + 100.0])

@@ -1,4 +1,4 @@
-"""The linear view of loops: held against analytic ones, and margins of delay against what runs do."""
+"""The linear view of loops, compared with analytic ones; delay margins, compared with runs."""
 
 import json
 import math
@@ -41,7 +41,7 @@ T = 0.01  # s, of the motor's loops here
 
 
 def sampled_motor():
-    """The motor from voltage to speed and current, by python-control's own hold."""
+    """The motor from voltage to speed and current, by python-control's zero-order hold."""
     a, b = map(np.array, state_space(DcMotorPlant().p))
     return control.sample_system(control.ss(a[1:, 1:], b[1:, :1], np.eye(2), np.zeros((2, 1))), T, "zoh")
 
@@ -100,7 +100,7 @@ def test_the_loop_of_the_motor_under_pid_is_the_analytic_one(kp):
     assert max(view.error, view.state_error) < 1e-10
 
 
-def test_states_are_named_and_the_whole_is_the_motors_own(capsys):
+def test_states_are_named_and_the_whole_system_is_that_of_the_motor(capsys):
     view = linear_view(motor_under_pid(), at=0.5)
     assert {"dc_motor_plant.w", "dc_motor_plant.i", "dc_motor_pid.pid.integral"} <= set(view.states)
     at = [view.states.index(f"dc_motor_plant.{x}") for x in ("w", "i")]
@@ -120,7 +120,7 @@ class Late(NamedTuple):
 
 
 class Shift(Block):
-    """Says what it heard three ticks ago."""
+    """Publishes what it received three ticks ago."""
 
     INPUTS = (number("u", "plant/y", "1"),)
     OUTPUTS = (number("v", "late/v", "1"),)
@@ -157,7 +157,7 @@ class Gain(Block):
         return x, {"u": (self.gain * v[0],)}
 
 
-def test_a_loop_unstable_opened_and_a_delay_are_met_to_rounding():
+def test_an_unstable_opened_loop_and_a_delay_are_exact_to_rounding():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Shift(), "law": Gain()}, duration=5.0)
     view = linear_view(rig, "law/u", at=3.0)
     z = control.tf([1, 0], [1], rig.clock.params.period)
@@ -175,8 +175,10 @@ def off_at(view, L):
     return np.abs(view.at_frequencies(w) / L(np.exp(1j * w * view.period)).ravel() - 1.0).max()
 
 
-def test_the_whole_is_the_same_wherever_its_loop_is_opened():
-    """Also where what is heard acts at once on the link or by it, and is not in the loop at all (the reference)."""
+def test_the_whole_system_is_the_same_wherever_its_loop_is_opened():
+    """Also if an input acts immediately on the link or through it, and if it is not in the loop at all (the
+    reference).
+    """
     speed, command = "motor/state/shaft/velocity", "motor/command/armature/effort"
     received, z = [speed, "motor/reference/shaft/velocity", command], np.exp(1j * T * np.array([1.0, 5.0, 20.0]))
     whole, *opened = (
@@ -208,7 +210,7 @@ def grows(scenario, signal, begin):
 
 
 def test_counts_of_a_fine_encoder_are_states():
-    """They had been whole numbers once, which the view leaves out: 0.2 s, unstable."""
+    """They were once integers, which the view leaves out: 0.2 s, unstable."""
     fine = {"dc_axis_plant.counts_per_rev": 4e10, "fieldbus_delay.delay": 0.02}
     view = linear_view("dc_motor_fsfb_s1_none", overrides=fine, at=2.0)
     assert view.stable
@@ -217,14 +219,14 @@ def test_counts_of_a_fine_encoder_are_states():
 
 
 class Counted(NamedTuple):
-    """What an encoder has counted, and how often it was another number."""
+    """An encoder count, and how often it changed."""
 
     counts: int = 0
     changes: int = 0
 
 
 class Encoder(Block):
-    """Says a tick later what it has counted: by whole numbers, too fine for any step of a column."""
+    """Publishes its count one tick later: as an integer, too fine for any step of a column."""
 
     INPUTS = (number("u", "plant/y", "1"),)
     OUTPUTS = (number("v", "late/v", "1"),)
@@ -239,8 +241,8 @@ class Encoder(Block):
 
 
 @pytest.mark.parametrize("used", [True, False])
-def test_whole_numbers_that_go_along_are_refused_when_something_follows_from_them(used):
-    """The loop went over them, and the view without them was another: no loop, or stable where it is not."""
+def test_changing_integers_are_refused_if_outputs_depend_on_them(used):
+    """The loop contained them, and the view without them was wrong: no loop, or a stable one."""
 
     class Fine(Encoder):
         pass
@@ -258,14 +260,14 @@ def test_whole_numbers_that_go_along_are_refused_when_something_follows_from_the
 
 
 class Kept(NamedTuple):
-    """What has been counted, and what was made of it a tick later."""
+    """A count, and a float computed from it one tick later."""
 
     counts: int = 0
     made: float = 0.0
 
 
 class Keeper(Encoder):
-    """Counts, makes a float of it, and tells nobody."""
+    """Counts, converts to a float, and publishes nothing."""
 
     used = True
 
@@ -278,7 +280,7 @@ class Keeper(Encoder):
 
 
 @pytest.mark.parametrize("used", [True, False])
-def test_what_follows_need_not_be_said(used):
+def test_values_that_no_output_depends_on_are_left_out(used):
     keeper = type("Keeper", (Keeper,), {"used": used})
     rig = Rig.from_blocks({"plant": Unstable(), "shift": keeper(), "law": Gain()}, duration=5.0)
     if not used:
@@ -290,7 +292,7 @@ def test_what_follows_need_not_be_said(used):
 
 @pytest.mark.long
 def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
-    """What is left of one and the same margin at two delays of the fieldbus, and where runs begin to swing."""
+    """The rest of one margin at two delays of the fieldbus, and the delay at which runs begin to oscillate."""
     name, y = "dc_motor_fsfb_s1_none", "axis/true_state/axis/position"
     fine = {"dc_axis_plant.counts_per_rev": 4e10}
     left = []
@@ -333,7 +335,7 @@ def test_the_delay_margin_of_the_rectifier_is_the_true_one():
 
 @pytest.mark.long
 def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
-    """Near only: a force that ripples along the track makes a loop that changes with the position."""
+    """Only near: the force ripples along the track, so the loop changes with the position."""
     view = linear_view("lsrm_fuzzy_pi_fast", "force_cmd/translator", at=1.0, overrides={"current_period": 1e-4})
     assert view.period == pytest.approx(1e-3)  # of the speed law; plant and current law are faster
     P = control.sample_system(control.tf([1], [5.0, 10.0 + 14.0]), 1e-3, "zoh")  # M, C + k_p
@@ -349,7 +351,7 @@ def test_the_speed_loop_of_the_lsrm_is_near_that_of_a_rigid_mass():
 
 
 @pytest.mark.long
-def test_a_loop_that_cannot_be_seen_is_reported():
+def test_a_loop_that_cannot_be_linearised_is_reported():
     motor = {"overrides": {"period": T}, "at": 1.0}
     with pytest.raises(RunError, match=r"motor_reference hears nothing of what motor/reference/.* does: no loop"):
         linear_view("dc_motor_smc", "motor/reference/shaft", **motor)
@@ -379,13 +381,13 @@ def test_a_loop_that_cannot_be_seen_is_reported():
 
 
 class OneSided(Unstable):
-    """x+ = (x + 1)/2, and less by what comes below -1."""
+    """x+ = (x + 1)/2, and less by the part below -1."""
 
     def advance(self, x, t, u):
         return 0.5 * x + 0.5 + min(u[0] + 1.0, 0.0)
 
 
-def test_what_comes_back_one_way_only_is_found_that_way():
+def test_a_one_sided_derivative_is_found_on_its_side():
     rig = Rig.from_blocks({"plant": OneSided(), "shift": Shift(), "law": Gain()}, duration=5.0)
     with pytest.raises(
         RunError, match=r"^rig: a change of law/u/data by 1 comes back there at 0\.5 s, within 10 periods"
@@ -394,7 +396,7 @@ def test_what_comes_back_one_way_only_is_found_that_way():
 
 
 class Slow(Block):
-    """Asks for something, which nobody follows at once."""
+    """Publishes a request that no node follows immediately."""
 
     OUTPUTS = (number("w", "slow/w", "1"),)
 
@@ -410,8 +412,8 @@ class Heard(Gain):
 
 
 @pytest.mark.parametrize(("inputs", "periods"), [((), 2), (("slow/w",), 6), (None, 2)])
-def test_the_period_of_the_whole_is_that_of_all_who_count(inputs, periods):
-    """Who is no source, and those sources that something is added to: due again together."""
+def test_the_period_of_the_whole_system_is_the_common_one(inputs, periods):
+    """Of all nodes except sources, and of sources to which something is added."""
     blocks = {
         "plant": Unstable(period=0.01),
         "shift": Shift(period=0.02),
@@ -439,8 +441,8 @@ class Peaks(Unstable):
 
 
 @pytest.mark.parametrize(("at", "size"), [(1.0, 7.0), (0.52, 9.0), (0.51, 7.0), (0.5, 1.0), (0.1, 1.0), (0.0, 0.0)])
-def test_sizes_of_states_are_the_largest_of_twenty_looks_on_the_way(at, size):
-    """Of a hundred ticks the first is looked at, each fifth from there, and the last; of some fifty each second."""
+def test_sizes_of_states_are_the_largest_of_twenty_samples_of_the_run(at, size):
+    """Of a hundred ticks the first is sampled, each fifth from there, and the last; of some fifty each second."""
     rig = Rig.from_blocks({"plant": Peaks(period=0.01), "shift": Shift(period=0.01), "law": Gain(period=0.01)}, 2.0)
     result = StateMap(rig, at, 0, ["plant/y/data"], [], 5)
     k = result.names.index("plant")
@@ -469,7 +471,7 @@ SYSTEMS = {
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "reason"), SYSTEMS.items())
-def test_each_system_has_a_linear_view_or_it_is_reported_why_not(name, reason):
+def test_each_system_has_a_linear_view_or_a_reason_why_not(name, reason):
     if reason:
         with pytest.raises(RunError, match=reason):
             linear_view(name, at=0.3)
@@ -481,7 +483,7 @@ def test_each_system_has_a_linear_view_or_it_is_reported_why_not(name, reason):
 
 
 @pytest.mark.long
-def test_a_loop_with_a_delay_has_a_view_when_its_steps_are_few():
+def test_a_loop_with_a_short_delay_has_a_view():
     steps = dict.fromkeys(("tcp_fluid.period", "tcp_fluid.h", "aqm_controller.period", "aqm_metrics.period"), 0.02)
     view = linear_view("tcp_aqm_smc", at=15.0, overrides=steps | {"tcp_fluid.history": 0.3})
     assert view.stable
@@ -490,7 +492,7 @@ def test_a_loop_with_a_delay_has_a_view_when_its_steps_are_few():
 
 
 @pytest.mark.long
-def test_a_state_may_be_called_as_an_input_is_and_what_only_a_warning_reads_is_none():
+def test_a_state_may_have_the_name_of_an_input_and_one_that_only_a_warning_reads_does_not_count():
     view = linear_view("induction_dtc", at=0.05)  # its speed law's state and input are both `reference`
     assert "im_plant.omega" in view.states
     swinging = Swinging(400.0, 401.0, 399.0, swings=(2.0, 2.0))
@@ -499,7 +501,7 @@ def test_a_state_may_be_called_as_an_input_is_and_what_only_a_warning_reads_is_n
 
 
 class Outside(Shift):
-    """Keeps part of what it remembers where nobody sees it."""
+    """Keeps part of its state outside of x."""
 
     elsewhere: ClassVar[list] = [0.0]
 
@@ -508,7 +510,7 @@ class Outside(Shift):
         return x, {"v": (u[0] + self.elsewhere[0],)}
 
 
-def test_what_cannot_be_put_back_is_reported_by_name():
+def test_a_state_that_cannot_be_restored_is_reported_by_name():
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Outside(), "law": Gain()}, duration=1.0)
     with pytest.raises(
         RunError, match=r"^rig: law, plant cannot be put back to where it was at 0\.5 s: "
@@ -533,7 +535,7 @@ def test_the_operating_point_of_the_motor_is_the_analytic_one():
 
 
 class Integrator(Unstable):
-    """X+ = x + 1 + u: rests where the law wants -1."""
+    """x+ = x + 1 + u: at rest where the controller publishes -1."""
 
     def advance(self, x, t, u):
         return x + 1.0 + max(u[0], self.least)
@@ -542,7 +544,7 @@ class Integrator(Unstable):
 
 
 @pytest.mark.parametrize("least", [-2.0, -0.5])
-def test_where_there_is_no_operating_point_it_is_reported(least):
+def test_a_missing_operating_point_is_reported(least):
     class Plain(Integrator):
         pass
 
@@ -557,14 +559,14 @@ def test_where_there_is_no_operating_point_it_is_reported(least):
         steady(rig, at=1.0)
 
 
-def test_a_view_of_something_else_says_so(monkeypatch, capsys):
+def test_a_view_of_a_wrong_link_is_refused(monkeypatch, capsys):
     view = linear_view("dc_motor_smc", overrides={"period": 0.01, "dc_motor_smc.delta": 5.0}, at=2.0)
     monkeypatch.setattr("softrig_bringup.verbs.linear.linear_view", lambda *_, **__: replace(view, state_error=0.6))
     assert main(["linearise", "dc_motor_smc"]) == 0
     assert "this is not the rig" in capsys.readouterr().out
 
 
-def test_the_verbs(tmp_path, capsys, undrawn):
+def test_the_verbs_print_the_view(tmp_path, capsys, undrawn):
     common = ["dc_motor_smc", "--set", "period=0.01", "--set", "dc_motor_smc.delta=5"]
     assert main(["linearise", *common, "--at", "8", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
@@ -584,14 +586,14 @@ def test_the_verbs(tmp_path, capsys, undrawn):
 
 
 @pytest.mark.long
-def test_the_page_says_what_is(capsys):
+def test_the_page_is_true(capsys):
     text = PAGE.read_text()
     exec(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1], {})
     assert capsys.readouterr().out == re.search(r"```text\n(.*?)```", text, re.DOTALL)[1]
 
 
-def test_states_that_are_infinite_for_good_make_no_warning():
-    """`steady` gave numpy's warnings of them before its answer."""
+def test_infinite_states_give_no_warning():
+    """`steady` printed numpy's warnings of them before its answer."""
 
     class Map:
         start = np.array([1.0, math.inf])
@@ -604,7 +606,7 @@ def test_states_that_are_infinite_for_good_make_no_warning():
 
 
 @pytest.mark.long
-def test_nothing_is_said_before_the_reason_why_there_is_no_operating_point():
+def test_a_missing_operating_point_is_reported_without_a_warning_before_it():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(NoOperatingPoint, match="Newton's method ends nowhere"):

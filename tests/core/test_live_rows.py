@@ -1,4 +1,4 @@
-"""Nodes in real time, each by itself with a clock that a test moves: what it believes, waits for and counts."""
+"""Nodes in real time, each alone with a clock that a test moves: which messages they accept, wait for and count."""
 
 import math
 import random
@@ -29,7 +29,7 @@ START = 1_700_000_000 * SECOND  # a tick of every period here
 
 
 class Node:
-    """A block as a node in real time, over a middleware that is moved by hand."""
+    """A block as a node in real time, over a middleware that the test steps."""
 
     def __init__(self, block, links=None, time=START - 5 * MS, epoch=0, **options):
         self.hand, self.kept = Hand("node", time), Kept()
@@ -49,7 +49,7 @@ class Node:
         return {row.name: row for row in self.adapter.inputs}
 
     def hear(self, name, stamp, *values, at=None, data=None):
-        """Have a message come on an input; at what the clock says, or else then."""
+        """Deliver a message to an input; at the time of the clock, or at the given one."""
         row = self.rows[name]
         self.hand.time = self.hand.time if at is None else at
         row.receive(row.port.layout().encode(stamp, values) if data is None else data)
@@ -73,7 +73,7 @@ SEEN = deque()
 
 
 class Law(Block[LawParams]):
-    """Says what it has seen: `a` and `b` are required, `c` is optional."""
+    """Publishes what it has received: `a` and `b` are required, `c` is optional."""
 
     INPUTS = (
         joint_state("a", "a", ["q"], position="m"),
@@ -100,7 +100,7 @@ def nothing_seen():
 
 
 def play(node, messages, names):
-    """Have messages come (time, input, stamp, value), and the law's limit run out between them."""
+    """Deliver messages (time, input, stamp, value), and let the controller's time limit expire between them."""
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_give_up")
     answers, limit, handled = [], math.inf, len(timer.asked)
 
@@ -124,7 +124,8 @@ def play(node, messages, names):
 
 
 def expected(messages, links, period, patience):
-    """The same by hand: a tick begins with the first message of a required input that is of it or later.
+    """The independent computation: a tick begins with the first message of a required input with its stamp or a later
+    one.
 
     It is answered when every input that is due has come, or `patience` after it has become the oldest and lacks one;
     then with the newest of each that is not after it, if each required one has any. An optional one that a tick was
@@ -200,7 +201,7 @@ def expected(messages, links, period, patience):
 
 @pytest.mark.parametrize("lost", [0.0, 0.15], ids=["", "some lost"])
 @pytest.mark.parametrize("seed", range(10))
-def test_a_law_answers_a_tick_when_all_that_is_due_has_come_or_its_patience_is_over(seed, lost):
+def test_a_controller_answers_a_tick_when_all_due_inputs_have_arrived_or_its_time_limit_has_expired(seed, lost):
     draw = random.Random(seed)
     periods = {"a": "0.01", "b": draw.choice(["0.01", "0.02", "0.03"]), "c": draw.choice(["0.01", "0.02"])}
     links = {name: linked(every) for name, every in periods.items()}
@@ -230,7 +231,7 @@ def three(patience=0.8, **options):
     return Node(Law(), links, epoch=START, patience=patience, **options).join()
 
 
-def test_what_is_answered_without_is_counted_and_reported():
+def test_an_answer_without_an_input_is_counted_and_reported():
     node = three()
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_give_up")
     for t in (0, 10):
@@ -253,7 +254,7 @@ def test_what_is_answered_without_is_counted_and_reported():
     assert (node.drive.missed, node.drive.incomplete) == (3, 1)
 
 
-def test_ticks_that_are_older_than_what_is_believed_are_dropped():
+def test_ticks_older_than_the_window_are_dropped():
     node = three()
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_give_up")
     for k in range(40):
@@ -281,7 +282,7 @@ def test_ticks_that_are_older_than_what_is_believed_are_dropped():
     assert other.drive.counts()["dropped_ticks"] == 6  # 64 messages are kept
 
 
-def test_a_refused_message_counts_for_its_tick_and_the_block_says_what_then():
+def test_a_rejected_message_counts_for_its_tick_and_the_block_decides_the_answer():
     node = three()
     node.hear("a", START, 1.0, at=START + MS)
     node.hear("b", START, 1.0)
@@ -305,7 +306,7 @@ def test_a_refused_message_counts_for_its_tick_and_the_block_says_what_then():
 
 
 @pytest.mark.parametrize(("off", "text"), [(1001, "+1"), (-1001, "-1"), (1000, ""), (-1000, "")])
-def test_a_stamp_is_believed_within_a_second_of_now(off, text):
+def test_a_stamp_is_accepted_within_a_second_of_now(off, text):
     node = three(time=START)
     node.hear("a", START + off * MS, 1.0, at=START)
     message = f"stamp is {text} s from now, expected at most 1 s" if text else ""
@@ -315,7 +316,7 @@ def test_a_stamp_is_believed_within_a_second_of_now(off, text):
     assert not wide.rows["a"].refused
 
 
-def test_a_law_by_hand_begins_with_the_first_message_and_learns_how_often_others_speak():
+def test_a_controller_started_alone_begins_with_the_first_message_and_learns_the_periods_of_others():
     node = Node(Law(), time=START + 7 * MS).join()
     assert node.adapter.epoch == 0
     node.hear("a", START, 1.0)
@@ -348,7 +349,7 @@ def test_a_law_by_hand_begins_with_the_first_message_and_learns_how_often_others
     assert [k for k in kept if not k[0]] == [(0, 10 * k) for k in range(5)]
 
 
-def test_a_message_is_stale_after_five_periods_or_as_many_of_its_senders_and_that_is_reported_once():
+def test_a_message_is_stale_after_five_periods_or_as_many_of_its_sender_which_is_reported_once():
     for every, limit in (("0.01", 0.05), ("0.04", 0.2)):
         links = {"base": "0.01", "inputs": {"a": linked(), "b": linked(every)}}
         node = Node(Law(), links, epoch=START, patience=0.0).join()
@@ -372,8 +373,8 @@ def plant(links=None, **options):
     return node.join()
 
 
-def test_a_plant_holds_a_command_until_it_is_stale_and_then_takes_the_safe_one():
-    """As long as is said, or five of its periods; the command is held meanwhile, whatever its stamp."""
+def test_a_plant_holds_a_command_until_it_is_stale_and_then_uses_the_safe_one():
+    """For its time limit, or five of its periods; the command is held in the meantime, whatever its stamp."""
     for watchdog, periods in ((0.0, 5), (0.03, 3)):
         node = plant(epoch=START, watchdog=watchdog)
         timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
@@ -394,7 +395,7 @@ def test_a_plant_holds_a_command_until_it_is_stale_and_then_takes_the_safe_one()
         assert node.reports()["recovered lag/command"] == "WARN commands are back (1)"
 
 
-def test_optional_values_of_a_plant_hold_for_ever_and_refused_ones_change_nothing():
+def test_optional_values_of_a_plant_hold_forever_and_rejected_ones_change_nothing():
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     timer.call()
@@ -416,7 +417,7 @@ def timer_at(node, timer, k, late=0):
 # ---- ticks by a timer ----
 
 
-def test_ticks_by_a_timer_are_aimed_at_the_grid_counted_when_missed_and_left_out_after_a_pause():
+def test_timer_ticks_follow_the_grid_and_missed_ones_are_counted_and_skipped_after_a_pause():
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     assert timer.asked == [(MS, 0), None, (MS, 0)]
@@ -449,7 +450,7 @@ def test_ticks_by_a_timer_are_aimed_at_the_grid_counted_when_missed_and_left_out
     assert "round_trip_max_ms" not in figures
 
 
-def test_a_tick_that_begins_when_the_next_is_due_is_late_and_a_round_trip_is_from_output_to_command():
+def test_a_tick_that_begins_when_the_next_is_due_is_late_and_a_round_trip_lasts_from_output_to_command():
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     for k, late in ((0, 0), (1, 0)):
@@ -470,7 +471,7 @@ def test_a_tick_that_begins_when_the_next_is_due_is_late_and_a_round_trip_is_fro
     }
 
 
-def test_a_run_ends_with_its_last_tick_or_a_second_after_it_without_one():
+def test_a_run_ends_with_its_last_tick_or_a_second_after_it():
     node = plant(epoch=START, time=START, duration=0.03)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     for k in range(4):
@@ -506,7 +507,7 @@ def test_a_process_that_stood_over_the_end_answers_its_last_tick_before_it_ends(
     assert (law.adapter.state, law.drive.missed) == ("done", 5)
 
 
-def test_a_source_says_its_ticks_from_the_next_point_of_the_grid_on():
+def test_a_source_publishes_its_ticks_from_the_next_point_of_the_grid_on():
     node = Node(Source(period=0.01), time=START + 4 * MS).join()
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     timer.call()
@@ -518,7 +519,7 @@ def test_a_source_says_its_ticks_from_the_next_point_of_the_grid_on():
 
 
 class Fails(Block[LawParams]):
-    """Raises what it is told to."""
+    """Raises the given error."""
 
     OUTPUTS = (command("u", "u", ["q"], "N"),)
     error = ArithmeticError("no")
@@ -532,7 +533,7 @@ class Fails(Block[LawParams]):
 @pytest.mark.parametrize(
     ("error", "ends"), [(ArithmeticError("no"), False), (ValueError("no"), False), (KeyError("no"), True)]
 )
-def test_a_law_that_overflows_says_the_last_value_and_a_mistake_in_it_ends_the_run(error, ends, capsys):
+def test_a_controller_that_overflows_publishes_the_last_value_and_an_error_in_it_ends_the_run(error, ends, capsys):
     block = Fails()
     block.error = error
     node = Node(block, epoch=START, time=START).join()
@@ -553,7 +554,7 @@ class Waits(Lag):
     AWAITS_COMMAND = True
 
 
-def test_a_plant_by_hand_that_awaits_a_command_stays_at_t_0_and_says_so():
+def test_a_plant_started_alone_that_waits_for_a_command_stays_at_t_0_and_reports_it():
     node = Node(Waits(period=0.01), time=START + 3 * MS).join()
     assert node.hand.logs == ["OK stays at t = 0 until it is commanded on lag/command"]
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
@@ -565,7 +566,7 @@ def test_a_plant_by_hand_that_awaits_a_command_stays_at_t_0_and_says_so():
     assert (node.adapter.epoch, node.drive.t, node.adapter.step.x.u) == (START + 30 * MS, 10 * MS, 2.0)
 
 
-def test_where_the_next_tick_is_aimed_at():
+def test_the_aim_of_the_next_tick_is_as_expected():
     timer = Hand().timer(1, lambda: None)
     for schedule, t, due, asked in (
         (Schedule("0.01"), 25 * MS, 20 * MS, (5 * MS, 10 * MS)),
@@ -580,7 +581,7 @@ def test_where_the_next_tick_is_aimed_at():
 # ---- what lasts is told again ----
 
 
-def test_a_silence_that_lasts_is_reported_each_ten_seconds():
+def test_a_lasting_silence_is_reported_every_ten_seconds():
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     timer_at(node, timer, 0)
@@ -597,7 +598,7 @@ def test_a_silence_that_lasts_is_reported_each_ten_seconds():
     assert node.hand.logs == [text, text]
 
 
-def test_a_law_that_hears_nothing_of_who_is_there_says_so_each_ten_seconds():
+def test_a_controller_that_receives_nothing_from_a_present_node_reports_it_every_ten_seconds():
     node = three(time=START)
     node.rows["a"].matched(1)
     messages = []
@@ -618,8 +619,8 @@ def test_a_law_that_hears_nothing_of_who_is_there_says_so_each_ten_seconds():
 # ---- several writers ----
 
 
-def test_of_two_writers_one_is_believed_when_it_alone_has_spoken_without_a_gap_for_long():
-    """Each message: number, time, whether one is believed after it; silence counts from 10 on."""
+def test_of_two_writers_one_is_accepted_after_it_alone_has_published_without_a_gap():
+    """Each message: number, time, whether a writer is accepted after it; a gap counts from 10 on."""
     for text in (
         [(5, 0, False), (6, 10, False), (7, 11, True), (8, 12, True)],
         [(5, 0, False), (7, 9, False), (8, 19, False), (9, 20, True)],  # one is lost
@@ -639,7 +640,7 @@ def test_of_two_writers_one_is_believed_when_it_alone_has_spoken_without_a_gap_f
         assert rivals.alone
 
 
-def test_of_two_who_command_a_plant_neither_is_believed_until_one_has_been_silent_for_a_second():
+def test_of_two_controllers_of_a_plant_neither_is_accepted_until_one_has_been_silent_for_a_second():
     node = plant(epoch=START, time=START)
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     row = node.rows["command"]
@@ -673,7 +674,7 @@ def test_of_two_who_command_a_plant_neither_is_believed_until_one_has_been_silen
 # ---- who may be silent ----
 
 
-def test_a_law_waits_for_what_a_sender_that_may_be_silent_says_of_its_ticks():
+def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     links = {"base": "0.01", "inputs": {"a": linked(), "b": linked(sporadic=True, reports_silence=True)}}
     node = Node(Law(), links, epoch=START).join()
     row, tick = node.rows["b"], node.hand.heard["/other/tick"]
@@ -726,7 +727,7 @@ def test_a_law_waits_for_what_a_sender_that_may_be_silent_says_of_its_ticks():
     assert answered()[-1] == 50
 
 
-def test_a_message_of_who_may_be_silent_serves_before_its_tick_is_acknowledged_and_until_the_next():
+def test_a_message_of_a_sporadic_sender_is_valid_before_its_tick_is_acknowledged_and_until_the_next():
     links = {"base": "0.01", "inputs": {"a": linked(), "b": linked("0.02", sporadic=True, reports_silence=True)}}
     node = Node(Law(), links, epoch=START).join()
     node.hear("b", START, 7.0, at=START + MS)
@@ -737,7 +738,7 @@ def test_a_message_of_who_may_be_silent_serves_before_its_tick_is_acknowledged_a
     assert SEEN[-1] == (20 * MS, 1.0, 7.0, None, 0)
 
 
-def test_a_rig_begins_when_who_tells_of_silence_is_there_too():
+def test_a_rig_begins_when_the_acknowledging_node_is_there_too():
     links = {
         "base": "0.01",
         "inputs": {"a": linked(), "b": linked(sporadic=True, reports_silence=True)},
@@ -756,7 +757,7 @@ def test_a_rig_begins_when_who_tells_of_silence_is_there_too():
 
 
 class Counts(Block[LawParams]):
-    """Says what it has seen of an array and of a state."""
+    """Publishes what it has received of an array and of a state."""
 
     INPUTS = (array("a", "a", {"q": 1}, "m"), joint_state("b", "b", ["q"], position="m"))
     OUTPUTS = (command("u", "u", ["q"], "N"),)
@@ -767,7 +768,7 @@ class Counts(Block[LawParams]):
 
 
 @pytest.mark.parametrize(("every", "waits"), [("0.01", True), ("0.02", False)])
-def test_an_array_belongs_to_the_tick_at_which_it_comes_and_of_a_slower_sender_the_newest_serves(every, waits):
+def test_an_array_belongs_to_the_tick_at_which_it_arrives_and_the_newest_of_a_slower_sender_is_used(every, waits):
     node = Node(Counts(), {"base": "0.01", "inputs": {"a": linked(every), "b": linked()}}, epoch=START).join()
     node.hear("a", 0, 1.0, at=START + MS)
     node.hear("b", START, 0.5)
@@ -784,7 +785,7 @@ def test_an_array_belongs_to_the_tick_at_which_it_comes_and_of_a_slower_sender_t
     assert node.rows["a"].last_refusal == "number 4 from other, expected 5 (already there)"
 
 
-def test_what_a_neighbour_says_goes_into_the_row_as_if_it_had_come_over_a_wire():
+def test_a_message_of_a_node_in_the_same_process_is_stored_as_one_over_dds():
     node = three()
     row, used = node.rows["a"], []
     node.drive.senders.on_value = lambda *text: used.append(text[1:])
@@ -832,7 +833,7 @@ class Delays(Block[LawParams]):
         return x, {"u": d.data}
 
 
-def test_nodes_of_a_process_that_others_read_too_hear_each_other_when_what_is_under_way_has_returned():
+def test_nodes_of_one_process_with_external_subscribers_receive_each_others_messages_after_the_current_call():
     links = {"base": "0.01", "inputs": {"state": linked(), "reference": linked()}}
     source = Adapter(Hand("source", START), Source(period=0.01), RunOptions(mode="realtime", epoch=START))
     law = Adapter(
@@ -860,8 +861,8 @@ def test_nodes_of_a_process_that_others_read_too_hear_each_other_when_what_is_un
 # ---- the clock of a rig that a person holds ----
 
 
-def test_the_clock_stands_from_the_next_tick_on_and_goes_on_from_there():
-    """Words: how far it is ahead of the wall's, and between which times it stays; a twentieth of a second ahead."""
+def test_the_clock_stops_at_the_next_tick_and_continues_from_there():
+    """Texts: how far it is ahead of the wall clock, and between which times it stops; a twentieth of a second ahead."""
     hand, clocks, messages = Hand(time=START), [], []
     hold = Hold(paced=False)
     node = SimpleNamespace(middleware=hand, hold=hold, epoch=START - 20 * MS, schedule=Schedule("0.01"))
@@ -897,7 +898,7 @@ def test_the_clock_stands_from_the_next_tick_on_and_goes_on_from_there():
     assert (NEVER, LEAD) == (2**63 - 1, 50 * MS)
 
 
-def test_a_rig_that_is_held_from_the_start_stands_at_t_0_and_follows_the_clock_of_the_starter():
+def test_a_rig_that_is_paused_at_the_start_stays_at_t_0_and_follows_the_clock_of_the_starter():
     hand, clocks, messages = Hand(time=START), [], []
     node = SimpleNamespace(
         middleware=hand, hold=Hold(held=True, paced=False), epoch=START + 500 * MS, schedule=Schedule("0.01")
@@ -914,7 +915,7 @@ def test_a_rig_that_is_held_from_the_start_stands_at_t_0_and_follows_the_clock_o
 # ---- several nodes of a process that go by one timer, and what an adapter says of itself ----
 
 
-def test_a_node_says_how_it_is():
+def test_a_node_reports_its_status():
     node = plant(epoch=START, time=START, status="x")
     timer = next(t for t in node.hand.timers if t.call.__name__ == "_tick")
     timer_at(node, timer, 0)
@@ -966,7 +967,7 @@ def test_an_error_of_a_block_ends_the_run_without_the_name_of_the_node(capsys):
 
 
 class Beats:
-    """Nodes that are told their ticks, of which the first says what time it is."""
+    """Nodes whose ticks are triggered together; the first one has the time."""
 
     def __init__(self, periods, clock="0.01"):
         self.hand, self.said = Hand(time=START), []
@@ -993,7 +994,7 @@ class Beats:
             begun()
 
     def at(self, ms):
-        """What is said when the timer fires at a time."""
+        """The messages published when the timer fires at a time."""
         self.hand.time = START + round(ms * MS)
         self.said.clear()
         self.timer.call()
@@ -1035,7 +1036,7 @@ def test_nodes_of_one_process_answer_in_order_by_one_timer_and_late_ones_first()
     assert beats.timer.now is None
 
 
-def test_nodes_that_are_all_slower_than_the_clock_beat_at_their_common_period():
+def test_nodes_slower_than_the_clock_tick_at_their_common_period():
     beats = Beats(["0.04", "0.06"], clock="0.01")
     beats.law.t = -1
     beats.begin()
@@ -1046,8 +1047,10 @@ def test_nodes_that_are_all_slower_than_the_clock_beat_at_their_common_period():
     assert beats.at(60) == [(1, 1, 60, 60)]
 
 
-def test_nodes_beat_together_only_where_all_that_they_wait_for_is_their_own_and_checked():
-    """Who reads of others, by order of arrival, of who may be silent or unchecked, or has no common start, waits."""
+def test_nodes_tick_together_only_if_all_their_inputs_are_their_own_and_checked():
+    """A node waits if it reads external nodes, by order of arrival, sporadic or unchecked messages, or has no common
+    start.
+    """
 
     def row(kind=Live, **about):
         made = object.__new__(kind)

@@ -1,4 +1,4 @@
-"""What a linear view says of its matrices: margins where the loop loses its stability, by eigenvalues alone."""
+"""Margins of a linear view: where the loop loses its stability, by eigenvalues only."""
 
 import cmath
 import math
@@ -13,7 +13,7 @@ T = 0.05
 
 
 def view_of(a, b, c, d, link="plant/u", state_error=0.0, **about):
-    """The view of a loop that is opened: all else as it would be found."""
+    """The view of an opened loop; everything else is as it would be found."""
     a, b, c = (np.array(x, dtype=float) for x in (a, b, c))
     n = len(b)
     states = tuple(f"plant.x[{k}]" for k in range(n))
@@ -44,7 +44,7 @@ def view_of(a, b, c, d, link="plant/u", state_error=0.0, **about):
 
 
 def drawn(seed):
-    """A loop that is stable when it is closed, of states that swing, lag and (of some) act at once."""
+    """A loop that is stable when closed, with states that oscillate, lag and, for some, act immediately."""
     rng = np.random.default_rng(seed)
     while True:
         a = np.diag(rng.uniform(0.2, 0.97, 4))
@@ -67,8 +67,8 @@ def loop_at(a, b, c, d, w):
     return -np.linalg.solve(z * np.eye(len(b)) - a, b[:, None])[..., 0] @ c - d
 
 
-def test_a_pole_may_leave_over_no_frequency_at_all():
-    """At z = -1, which a law that is too fast for its period does, or at z = 1: no phase crosses -180 degrees there."""
+def test_a_pole_may_leave_without_a_crossing_frequency():
+    """At z = -1, for a controller that is too fast for its period, or at z = 1: no phase crosses -180 degrees there."""
     fast = view_of([[0.5]], [1.0], [-1.0], 0.0)
     assert (fast.margins.gain, fast.margins.gain_down) == (pytest.approx(1.5), 0.0)
     still = view_of([[0.5]], [1.0], [0.25], 0.0)
@@ -129,7 +129,7 @@ def resonant(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_crossing_of_light_resonances_is_one_of_the_response_itself(seed):
-    """The first factor at which an eigenvalue leaves the unit circle, by scanning and halving, is the margin told."""
+    """The margin is the first factor at which an eigenvalue leaves the unit circle, by scanning and halving."""
     loop = resonant(seed)
     factors = np.geomspace(1.0, 1e6, 1500)
     out = next((k for k, factor in enumerate(factors) if largest(*loop, factor) >= 1.0), None)
@@ -142,12 +142,12 @@ def test_a_crossing_of_light_resonances_is_one_of_the_response_itself(seed):
 
 
 def test_a_small_loop_has_a_large_margin():
-    """At z = -1, at which 1 + L = 0 for the factor 1.5e6: no threshold hides what is as small."""
+    """At z = -1, at which 1 + L = 0 for the factor 1.5e6: no threshold hides such a small loop."""
     assert view_of([[0.5]], [1.0], [-1e-6], 0.0).margins.gain == pytest.approx(1.5e6)
 
 
-def test_a_pole_at_one_but_for_rounding_is_no_margin():
-    """An integrator as an eigenvalue routine leaves it: the gain may fall to anything, not to 1e-15."""
+def test_a_pole_at_one_within_rounding_is_not_a_margin():
+    """An integrator with the error of an eigenvalue routine: its gain may fall to any value, not to 1e-15."""
     assert view_of([[1.0 - 2.0**-53, 0.1], [0.0, 0.5]], [0.0, 1.0], [0.1, 0.0], 0.0).margins.gain_down == 0.0
 
 
@@ -159,8 +159,8 @@ def test_a_margin_without_its_pole_is_not_reported(monkeypatch):
         _ = view.margins
 
 
-def test_a_loop_that_nothing_can_take_away():
-    """Half of what the link says comes back at once: no frequency is nearer than any other."""
+def test_a_loop_without_phase_margin_is_reported():
+    """Half of the link's value returns immediately: no frequency is nearer than any other."""
     view = view_of(np.zeros((0, 0)), [], [], -0.5)
     assert view.at_frequencies(np.array([1.0, 2.0])).tolist() == [0.5, 0.5]
     assert view.stable
@@ -173,8 +173,8 @@ def test_a_loop_that_nothing_can_take_away():
         _ = view_of(nothing.a, nothing.b, nothing.c, 0.0, link="").opened
 
 
-def test_modes_are_reported_slowest_first_with_those_who_take_part():
-    """Two lags of which one drives the other, an oscillation (once, of its pair), and one that is gone at once."""
+def test_modes_are_listed_slowest_first_with_their_states():
+    """Two lags of which one drives the other, an oscillation (once for its pair), and one that decays within a tick."""
     A = np.zeros((5, 5))
     A[:2, :2] = [[0.9, 0.0], [0.2, 0.5]]
     A[2:4, 2:4] = 0.95 * np.array([[math.cos(0.4), -math.sin(0.4)], [math.sin(0.4), math.cos(0.4)]])
@@ -237,7 +237,7 @@ def test_the_plot_shows_the_loop():
     assert view_of([[1.2]], [1.0], [0.1], 0.0).plot().get_suptitle().endswith("t = 1.5 s, unstable when closed")
 
 
-def test_who_reaches_whom_in_a_net():
+def test_the_nodes_reachable_in_a_net_are_found():
     rng = np.random.default_rng(0)
     for _ in range(30):
         A = rng.random((6, 6)) * (rng.random((6, 6)) < 0.2)

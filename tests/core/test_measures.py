@@ -1,4 +1,4 @@
-"""All figures of merit against loops, written from what their documentation says.
+"""All figures of merit against plain loops, written from their documentation.
 
 Source of what is over time: Riemann sums over cells of 50 ms, of which all times of these records are multiples, so
 that the sums are exact; of a peak: the parabola that numpy puts through three points.
@@ -24,7 +24,7 @@ def eighth(rng):
 
 
 def records(rng):
-    """A signal y and one that it may be compared with, their times in tenths of a second from the same begin on."""
+    """A signal y and one that it may be compared with; times in tenths of a second from the same start."""
     result = {}
     for name in ("y", "r"):
         steps = [rng.randint(1, 3) for _ in range(rng.choice([1, 2, 3, 6, 12, 12]))]
@@ -209,7 +209,7 @@ OF_STEPS = {"rise_time": rise, "settling_time": settling, "overshoot": beyond}
 
 
 def compared(expected, result):
-    """Both the same number to rounding, or both refused."""
+    """Check that both give the same number within rounding, or both refuse."""
     try:
         wanted = expected()
     except ValueError:
@@ -227,7 +227,7 @@ MADE = [
 ]
 
 
-def test_figures_of_values_and_errors():
+def test_figures_of_values_and_errors_are_those_of_the_loops():
     for made in MADE:
         hold_values(*made)
     for seed in range(100):
@@ -273,7 +273,7 @@ def hold_values(signals, cuts, reference, number):
         compared(of_values, lambda name=name, more=more: getattr(measures, name)(signals, "y", **more, **limits))
 
 
-def test_figures_of_steps():
+def test_figures_of_steps_are_those_of_the_loops():
     for seed in range(150):
         rng = random.Random(seed)
         hold_steps(
@@ -317,8 +317,8 @@ def hold_steps(signals, cuts, initial, final, levels, bands):
         )
 
 
-def test_a_step_over_uneven_samples():
-    """Crossings lie on the lines between two samples, wherever these are."""
+def test_a_step_over_uneven_samples_is_interpolated():
+    """Crossings are on the lines between two samples, wherever these are."""
     t, y = np.array([0.0, 0.1, 0.4, 0.5, 1.0, 1.8, 2.0]), np.array([0.0, 0.05, 0.6, 0.8, 1.2, 0.9, 1.0])
     signals = {"y": (t + 3.0, 2.0 * y - 7.0)}  # a step by 2 from -7
     about = {"final": -5.0, "initial": -7.0}
@@ -333,14 +333,14 @@ def test_a_step_over_uneven_samples():
 
 @given(st.lists(st.integers(0, 60), min_size=1, max_size=60), st.lists(st.integers(0, 60), max_size=60))
 @settings(max_examples=30, deadline=None, derandomize=True)
-def test_the_newest_of_many_instants(times, at):
+def test_the_newest_of_many_instants_is_found(times, at):
     times, at = sorted(set(times)), sorted(at)
     assert measures.newest(np.array(times), np.array(at)).tolist() == [bisect(times, t) - 1 for t in at]
     assert measures.newest(np.array(times[:1]), np.array(at)).tolist() == [bisect(times[:1], t) - 1 for t in at]
 
 
 @pytest.mark.parametrize("seed", range(15))
-def test_the_newest_step_of_some_signals(seed):
+def test_the_newest_step_of_some_signals_is_found(seed):
     signals = records(random.Random(seed))
     steps = []
     for t, x in signals.values():
@@ -350,7 +350,7 @@ def test_the_newest_step_of_some_signals(seed):
     assert results == [*steps, steps[0] if steps[0][0] >= steps[1][0] else steps[1]]
 
 
-def test_what_is_missing_is_named():
+def test_missing_arguments_are_named():
     t = np.arange(1.0, 4.0)
     signals = {"y": (t, t), "late": (t + 1.0, t), "none": (t[:0], t[:0])}
     messages = []
@@ -395,15 +395,15 @@ def test_what_is_missing_is_named():
     ]
 
 
-def test_every_figure_is_among_them_and_has_no_bound_of_its_own():
+def test_every_figure_is_tested_and_has_no_bound_of_its_own():
     assert sorted(measures.__all__) == sorted(OVER_TIME | OF_ERRORS | OF_VALUES | OF_STEPS)
     assert {getattr(measures, name).possible for name in measures.__all__} == {(-math.inf, math.inf)}
 
 
 @pytest.mark.parametrize("side", [0, 10**9])
 @pytest.mark.parametrize("seed", range(8))
-def test_the_newest_time_of_each_instant_is_that_of_a_search_by_hand(monkeypatch, side, seed):
-    """Times of one period that begin earlier or later, end earlier or later, or come twice; by a count of each."""
+def test_the_newest_time_of_each_instant_is_that_of_a_plain_search(monkeypatch, side, seed):
+    """Times of one period that begin earlier or later, end earlier or later, or repeat; compared by a count of each."""
     monkeypatch.setattr(measures, "SIDE_BY_SIDE", side)
     draw = np.random.default_rng(seed)
     at = np.arange(90.0)
@@ -416,7 +416,7 @@ def test_the_newest_time_of_each_instant_is_that_of_a_search_by_hand(monkeypatch
         assert newest.tolist() == [int((times <= instant).sum()) - 1 for instant in at + shift]
 
 
-def test_the_end_of_a_record_is_its_newest_message_however_its_parts_came():
+def test_the_end_of_a_record_is_its_newest_message_in_any_order_of_its_parts():
     layout = Layout("sensor_msgs/msg/JointState", "", ["x"], {"position": 1})
     topic = Topic("a", "sensor_msgs/msg/JointState")
     assert topic.newest() is None
@@ -429,7 +429,7 @@ def test_the_end_of_a_record_is_its_newest_message_however_its_parts_came():
     assert topic.newest() == 9
 
 
-def test_what_follows_from_equal_times_is_computed_once(monkeypatch):
+def test_results_of_equal_times_are_computed_once(monkeypatch):
     monkeypatch.setattr(times, "_kept", times._Kept())
     calls = []
 

@@ -1,4 +1,4 @@
-"""One thing of a node at a time, whatever thread it comes from; nothing that has come is lost."""
+"""A node does one thing at a time, whatever thread calls it; no message that has arrived is lost."""
 
 import queue
 import sys
@@ -10,7 +10,7 @@ from softrig_nodes.seam.monitor import LONG, SHORT_ONES, Monitor
 
 
 class Executor:
-    """Serves a monitor in this thread, when woken."""
+    """Runs a monitor in this thread, when woken."""
 
     def __init__(self, clock=lambda: 0):
         self.woken = queue.SimpleQueue()
@@ -35,7 +35,7 @@ def elsewhere(call):
     assert not thread.is_alive()
 
 
-def test_short_work_is_done_where_it_arrives_long_work_by_the_executor():
+def test_short_work_is_done_in_the_receiving_thread_and_long_work_by_the_executor():
     where, times = [], [0]
     executor = Executor(lambda: times[0])
 
@@ -61,7 +61,7 @@ def test_short_work_is_done_where_it_arrives_long_work_by_the_executor():
 
 
 @pytest.mark.parametrize("warm", [False, True])
-def test_what_arrives_while_something_is_under_way_comes_after_it(warm):
+def test_messages_that_arrive_during_work_are_processed_after_it(warm):
     executor = Executor()
     monitor = executor.warm().monitor if warm else executor.monitor
     seen = []
@@ -82,7 +82,7 @@ def test_what_arrives_while_something_is_under_way_comes_after_it(warm):
 
 
 class LateLock:
-    """A lock before whose first release something more arrives, as in another thread."""
+    """A lock before whose first release another message arrives, as in another thread."""
 
     def __init__(self, late):
         self._lock, self._late = threading.Lock(), [late]
@@ -95,7 +95,7 @@ class LateLock:
 
 
 @pytest.mark.parametrize("by_executor", [False, True])
-def test_what_arrives_just_before_the_end_is_not_forgotten(by_executor):
+def test_a_message_that_arrives_just_before_the_end_is_processed(by_executor):
     executor = Executor().warm()
     while not executor.woken.empty():
         executor.woken.get()
@@ -111,7 +111,7 @@ def test_what_arrives_just_before_the_end_is_not_forgotten(by_executor):
 
 @pytest.fixture
 def restless():
-    """Threads that take turns as often as Python has them."""
+    """Threads that switch as often as Python allows."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     yield
@@ -120,7 +120,7 @@ def restless():
 
 @pytest.mark.parametrize("pattern", [(0,), (0, LONG), (0,) * 70 + (LONG,)])
 def test_threads_never_meet_and_nothing_is_lost(pattern, restless):
-    """Four threads and the executor's; the clock has them change between the two ways."""
+    """Four threads and the executor's; the clock makes them change between the two ways."""
     takes = cycle(pattern)
     now = [0]
 
@@ -155,7 +155,7 @@ def test_threads_never_meet_and_nothing_is_lost(pattern, restless):
     assert all(s == sorted(s) for s in seen.values())
 
 
-def test_an_error_in_another_thread_comes_out_at_the_executors():
+def test_an_error_in_another_thread_is_raised_in_the_executor():
     executor = Executor().warm()
     seen = []
 
@@ -170,7 +170,7 @@ def test_an_error_in_another_thread_comes_out_at_the_executors():
     assert not seen  # the node has failed
 
 
-def test_after_an_error_of_the_executors_nothing_is_worked_on():
+def test_after_an_error_of_the_executor_nothing_is_processed():
     monitor, seen = Executor().warm().monitor, []
 
     def fail():
@@ -185,7 +185,7 @@ def test_after_an_error_of_the_executors_nothing_is_worked_on():
     assert monitor.closed
 
 
-def test_the_end_waits_for_what_is_under_way_but_not_for_ever():
+def test_the_end_waits_for_current_work_but_not_forever():
     executor = Executor().warm()
     monitor, begun, free = executor.monitor, threading.Event(), threading.Event()
     thread = threading.Thread(target=lambda: monitor.arrive(lambda: (begun.set(), free.wait(10))))

@@ -1,4 +1,4 @@
-"""Native code gives what Python gives: messages, reports, errors, states; and says what it does not know."""
+"""Native code gives the same as Python: messages, reports, errors, states; and it names what it does not support."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ KNOWN = {
 
 @pytest.fixture(autouse=True)
 def _no_text_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a text that other tests have pushed out made again."""
+    """Make a text that other tests have evicted from the cache again."""
     monkeypatch.setattr(fitted, "_counts", {})
     monkeypatch.setattr(choice, "_spent", {})
 
@@ -75,7 +75,9 @@ def _no_text_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
 def ran(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, make: Any = None, timed: bool = False
 ) -> tuple[Recording, Any, str, Native]:
-    """Run a rig in Python, or as `make` makes its text; give messages, steps, error and what was native."""
+    """Run a rig in Python, or with the text that `make` returns; return messages, steps, error and which ticks were
+    native.
+    """
     engines: list[Engine] = []
 
     def build(steps: Any, *options: Any) -> Engine:
@@ -99,7 +101,7 @@ def ran(
 
 
 def the_same(rig: Any, monkeypatch: pytest.MonkeyPatch, make: Any = plain) -> Native:
-    """Hold both against each other."""
+    """Compare two runs."""
     wanted, steps, error, _ = ran(rig(), monkeypatch)
     result, others, other_error, native = ran(rig(), monkeypatch, make)
     assert other_error == error
@@ -118,7 +120,7 @@ def the_same(rig: Any, monkeypatch: pytest.MonkeyPatch, make: Any = plain) -> Na
 
 
 @pytest.mark.parametrize("name", KNOWN)
-def test_scenarios_are_what_they_are_in_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenarios_are_the_same_as_in_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     native = the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch)
     assert native.members
     assert native.ticks > native.given_up
@@ -133,7 +135,7 @@ def test_numba_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     ("name", "node", "joints"),
     [("manipulator_adsmc", "trajectory_source", 3), ("rehab_impedance", "prom_reference", 2)],
 )
-def test_a_reference_that_gets_points_is_native_to_its_end(
+def test_a_reference_with_a_trajectory_is_native_to_its_end(
     name: str, node: str, joints: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goal = {"start": 0.01, "times": [0.0, 0.02, 0.03], "positions": [0.1, 0.2, 0.3][:joints] * 3}
@@ -144,8 +146,8 @@ def test_a_reference_that_gets_points_is_native_to_its_end(
     assert native.given_up < 5 < native.ticks
 
 
-def test_figures_of_many_runs_are_those_of_single_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bit for bit, and what one run leaves behind does not reach the next."""
+def test_figures_of_many_runs_equal_those_of_single_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit, and no run affects the next."""
     monkeypatch.setattr(fitted, "_texts", [])
     monkeypatch.setattr(choice, "cost", lambda steps: 1e-5)
     variants = [{"dc_motor_plant.J": inertia} for inertia in (3e-4, 4e-4, 5e-4, 3e-4)]
@@ -164,7 +166,7 @@ PUSH = scalars("push", "push", {"u": ""})
 
 
 class Turning(NamedTuple):
-    """Two numbers, and how often."""
+    """Two numbers, and a count."""
 
     a: float = 1.0
     b: float = 0.5
@@ -172,7 +174,7 @@ class Turning(NamedTuple):
 
 
 class OscillatorParams(BlockParams):
-    """Of a test."""
+    """Parameters of the oscillator."""
 
     period: float = param(0.001, "period", "s", gt=0.0)
     rate: float = param(0.25, "turn a tick", live=True)
@@ -180,13 +182,13 @@ class OscillatorParams(BlockParams):
 
 
 class Oscillator(Plant[OscillatorParams]):
-    """A rotation that grows, written with all that is easily misread."""
+    """A growing rotation, written with constructs that are easily misread."""
 
     INPUTS = (PUSH,)
     OUTPUTS = (SIGNAL,)
 
     def setup(self) -> None:
-        """Constants."""
+        """Set constants."""
         self._turn = (self.p.rate, -self.p.rate)
 
     def first(self) -> Turning:
@@ -231,12 +233,12 @@ class Pushing(NamedTuple):
 
 
 def limited(x: float, least: float = -3.0, most: float = 3.0) -> float:
-    """Not beyond."""
+    """Return a value limited to 1."""
     return min(max(x, least), most)
 
 
 class Pusher(Block[OscillatorParams]):
-    """Pushes against it, every other tick."""
+    """Publishes a force against the motion at every other tick."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (PUSH,)
@@ -254,7 +256,7 @@ class Pusher(Block[OscillatorParams]):
 
 
 class Watcher(Observer[OscillatorParams]):
-    """Counts, and fails where it is told to."""
+    """Counts, and fails at a given tick."""
 
     INPUTS = (SIGNAL,)
     FAILS = 10**18
@@ -270,7 +272,7 @@ class Watcher(Observer[OscillatorParams]):
         return (x[0] + (signal[0] > 0.0),), {}
 
     def status(self, x: Any) -> Mapping[str, tuple[float, str]]:
-        """Tell."""
+        """Report the count."""
         return {"seen": (float(x[0]), "")}
 
 
@@ -283,7 +285,7 @@ def rig(
 
 
 class Large(Block[OscillatorParams]):
-    """Reports whole numbers that no float is."""
+    """Reports integers that no float represents."""
 
     INPUTS = (SIGNAL,)
 
@@ -298,18 +300,18 @@ class Large(Block[OscillatorParams]):
         return x, {}
 
 
-def test_whole_numbers_that_no_float_is_are_reported_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_integers_that_no_float_represents_are_reported_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
     native = the_same(lambda: rig(0.1, other=Large()), monkeypatch)
     assert "other" in native.members
     assert native.given_up > 30
 
 
-def test_text_that_is_easily_misread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ticks whose report is not written out are Python's: 10 of 500."""
+def test_a_report_with_a_computed_text_leaves_the_tick_to_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """10 of 500 ticks."""
     assert the_same(rig, monkeypatch).given_up == 10
 
 
-def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_record_which_ticks_were_native_and_why_others_were_not(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # as what is compiled: with tables of numpy
     assert {name: step.native for name, step in steps.items()} == {
         "plant": (489, "10 of its ticks were given up"),
@@ -320,7 +322,7 @@ def test_steps_know_what_was_native_and_why_not_the_rest(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("numba", [False, pytest.param(True, marks=pytest.mark.long)])
-def test_words_that_native_code_says_otherwise_have_the_bits_of_pythons_own(numba: bool) -> None:
+def test_functions_that_native_code_rewrites_have_the_bits_of_pythons(numba: bool) -> None:
     scope: dict[str, Any] = {"math": math}
     for name in ("abs_", "phase", "rect", "remainder", "fmod"):
         exec(TEXTS[name], scope)
@@ -342,7 +344,7 @@ def test_words_that_native_code_says_otherwise_have_the_bits_of_pythons_own(numb
             assert said(scope[name], x, y) == said(own, x, y), (name, x, y)
 
 
-def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_reason_why_native_code_does_not_pay_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = core(rig())
     monkeypatch.setattr(fitted, "_texts", [])
     assert choice.unwanted(steps, 5.9) == choice.SHORT
@@ -360,7 +362,7 @@ def test_why_native_code_is_not_worth_its_making(monkeypatch: pytest.MonkeyPatch
 
 
 class Ticking:
-    """A clock by which from one look to the next it takes so long, and in the first tick some seconds."""
+    """A clock on which each call takes a fixed time, and the first tick some seconds."""
 
     def __init__(self, tick: float) -> None:
         self.tick, self.now, self.looks = tick, 0.0, 0
@@ -377,8 +379,8 @@ class Ticking:
     [(0.1, 1, None), (0.1, 50, None), (0.2, 1, plain), (5.9, 1, plain), (6.1, 1, engine.compiled)]
     + [(0.1, 70, engine.compiled), (0.009, 600, None), (0.009, 700, engine.compiled)],
 )
-def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, monkeypatch):
-    """What a tick costs is measured in the first ones, by a clock of the test's own, or known; same messages."""
+def test_the_remaining_time_decides_how_a_run_continues(left, runs, way, timed, monkeypatch):
+    """The cost of a tick is measured in the first ones, by a clock of the test, or known; the messages are the same."""
     with monkeypatch.context() as usual:
         wanted = ran(rig(), usual)[0]
     made: list[Any] = []
@@ -396,8 +398,8 @@ def test_the_time_that_is_left_says_how_a_run_goes_on(left, runs, way, timed, mo
     assert recording.topics == wanted.topics
 
 
-def test_short_runs_that_come_again_are_worth_a_text_that_python_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Once as much time has gone into them as the text takes, unless there is no such text."""
+def test_repeated_short_runs_use_a_text_that_python_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once as much time has been spent on them as the text takes to write, unless there is no such text."""
     monkeypatch.setattr(choice, "_costs", {(Oscillator, Pusher, Watcher): 0.1 / 501})
     monkeypatch.setattr(fitted, "_texts", [])
     made: list[Any] = []
@@ -416,7 +418,7 @@ def test_short_runs_that_come_again_are_worth_a_text_that_python_runs(monkeypatc
         assert made == [plain] * 3
 
 
-def test_changes_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changes_during_a_run_are_the_same_as_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     changes = [{"at": 0.1005, "set": {"plant.rate": 0.1}}, {"at": 0.2, "set": {"law.rate": 1.0}}]
     native = the_same(lambda: rig(changes=changes), monkeypatch)
     assert native.ticks > 450
@@ -427,7 +429,7 @@ class Failing(Watcher):
 
 
 class AtOnce(Watcher):
-    """Takes all at once."""
+    """Receives columns of many ticks."""
 
     in_batches = True
 
@@ -447,7 +449,7 @@ class AtOnce(Watcher):
         {"spoilt": ("motor/state", {"kind": "invalid", "probability": 0.02})},
     ],
 )
-def test_links_that_are_silent_late_or_spoilt(faults, monkeypatch):
+def test_silent_late_and_faulty_links_are_the_same_as_in_python(faults, monkeypatch):
     results = {name: {"link": link, "from": 0.2, "to": 1.5, **how} for name, (link, how) in faults.items()}
     case = load_scenario("dc_motor_smc_b2").having(duration=2.0, faults=results)
     for make in (plain, lambda text: plain(text)):  # the text that Python runs, and that numba gets
@@ -456,7 +458,7 @@ def test_links_that_are_silent_late_or_spoilt(faults, monkeypatch):
         assert set(faults) < set(native.members)
 
 
-def test_members_that_are_seldom_due_stay_in_python(monkeypatch):
+def test_rarely_due_nodes_stay_in_python(monkeypatch):
     native = the_same(lambda: rig_of("manipulator_adsmc_two_link", duration=0.1), monkeypatch)
     assert (native.ticks, native.given_up) == (95, 0)  # of 100: one is due at each twentieth, and speaks once
     assert "robot_dynamics" not in native.members
@@ -469,7 +471,7 @@ class SeldomParams(BlockParams):
 
 
 class Seldom(Block[SeldomParams]):
-    """Seldom due, by what is no arithmetic; what it says may be bad, and is at last."""
+    """A rarely due block without native code; its output may be bad, and is bad at the end."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (replace(PUSH, unchecked=True),)
@@ -480,7 +482,7 @@ class Seldom(Block[SeldomParams]):
 
 
 class Noting(Seldom):
-    """The same, and keeps it."""
+    """The same, and remembers it."""
 
     OUTPUTS = ()
 
@@ -493,14 +495,14 @@ class Noting(Seldom):
         return float(f"{signal[0]:.2f}"), {}
 
 
-def test_a_native_member_doubts_what_one_in_python_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_native_node_checks_the_output_of_one_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     blocks = {"plant": Oscillator, "law": Seldom}
     native = the_same(lambda: Rig.from_blocks({n: b() for n, b in blocks.items()}, 0.5), monkeypatch)
     assert (native.members, native.ticks > 90) == (("plant",), True)
 
 
 class Chooser(Block[OscillatorParams]):
-    """Chooses anew at each twentieth tick, by what is no arithmetic, and fails where it is told to."""
+    """Chooses again at each twentieth tick, by code that cannot be compiled, and fails at a given one."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (PUSH,)
@@ -511,7 +513,7 @@ class Chooser(Block[OscillatorParams]):
         return 0.0
 
     def decides(self, x: float, t: int) -> bool:
-        """At each twentieth."""
+        """Select each twentieth tick."""
         return t % 20_000_000 == 0
 
     def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
@@ -527,8 +529,9 @@ class Chooser(Block[OscillatorParams]):
     ("fails", "decided", "given_up"), [(10**18, 24, 10), (400_000_000, 20, 8), (405_000_000, 20, 9)]
 )
 @pytest.mark.parametrize("watcher", [AtOnce, Watcher, Noting])
-def test_ticks_that_a_member_decides_are_those_of_python(watcher, fails, decided, given_up, monkeypatch):
-    """Whether what was said is handed out at once after them or at each, and where another has them Python's anyway.
+def test_ticks_that_a_block_decides_run_in_python(watcher, fails, decided, given_up, monkeypatch):
+    """Whether observers get the results immediately after them or at each tick, and if another block has ticks in
+    Python anyway.
 
     A run that breaks there says the same.
     """
@@ -543,14 +546,14 @@ def test_ticks_that_a_member_decides_are_those_of_python(watcher, fails, decided
     assert native.ticks > 360
 
 
-def test_what_is_sent_at_a_tick_that_is_decided_waits_for_what_was_said_before(monkeypatch):
+def test_messages_of_a_decided_tick_are_delivered_after_earlier_ones(monkeypatch):
     fault = {"link": "converter/duty", "from": 0.05, "kind": "offset", "value": [0.1]}
     case = load_scenario("pv_mppt_certified").having(duration=0.15, faults={"fault": fault})
     assert the_same(lambda: rig_of(case), monkeypatch, lambda text: plain(text)).decided == 3
 
 
 class ClimbParams(BlockParams):
-    """Of a test."""
+    """Parameters of the climb."""
 
     period: float = param(0.001, "period", "s", gt=0.0)
 
@@ -574,8 +577,8 @@ class Climb(Block[ClimbParams]):
         return (duty, change, power), {"duty": (duty,)}
 
 
-def test_what_is_made_anew_at_times(monkeypatch):
-    """A photovoltaic string in weather that changes: its characteristic is a constant until it does."""
+def test_a_block_recreated_at_some_ticks_is_a_constant_between_them(monkeypatch):
+    """A photovoltaic string in changing weather: its characteristic is a constant until it changes."""
     weather = ShadingSource(times=(0.0, 0.1), irradiance=(1000.0,) * 4 + (500.0,) * 4)
     blocks = {"plant": PvPlant(), "weather": weather, "law": Climb()}
     native = the_same(lambda: Rig.from_blocks(blocks, 0.2), monkeypatch)
@@ -583,21 +586,21 @@ def test_what_is_made_anew_at_times(monkeypatch):
 
 
 @pytest.mark.parametrize("how", [{"growth": 1.05}, {"watcher": Failing}, {"watcher": Failing, "other": AtOnce()}])
-def test_a_run_that_breaks_says_what_python_says(how: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_breaks_reports_the_same_as_in_python(how: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     native = the_same(lambda: rig(**how), monkeypatch)
     assert native.ticks > 100
     assert ran(rig(**how), monkeypatch, plain)[2]
 
 
 def core(made: Rig) -> list[Any]:
-    """Give the steps of plant and law after a tick."""
+    """Return the steps of plant and controller after a tick."""
     steps = inprocess.wired(made, {m.name: m.block(1) for m in made.members if m.name != "watcher"})
     result = list(steps.values())
     next(iter(Loop(result).run()))
     return result
 
 
-def test_variants_share_a_text_and_others_do_not() -> None:
+def test_variants_share_a_text_and_other_rigs_do_not() -> None:
     first, second = core(rig()), core(rig(rate=0.125, growth=0.5))
     program = rig_text(first, []).program
     assert program.differs([s.block for s in second]) == ""
@@ -606,7 +609,7 @@ def test_variants_share_a_text_and_others_do_not() -> None:
     assert program.differs(other)
 
 
-def test_other_equations_are_another_text() -> None:
+def test_other_equations_make_another_text() -> None:
     """Their constants are in the C code."""
 
     def blocks(name: str) -> list[Any]:
@@ -621,7 +624,7 @@ def test_other_equations_are_another_text() -> None:
 
 
 class Texts(Pusher):
-    """Writes a text at each tick, behind two ways that both lead there."""
+    """Formats a text at each tick, in two branches."""
 
     def update(self, x: Pushing, t: int, *, signal: tuple[float, ...]) -> tuple[Pushing, Mapping[str, Any]]:
         """Answer."""
@@ -631,7 +634,7 @@ class Texts(Pusher):
         return x, {"push": (sign * len(str(signal[0])),)}
 
 
-def test_what_is_not_known_is_named() -> None:
+def test_unsupported_constructs_are_named() -> None:
     blocks = {"plant": Oscillator(), "law": Texts()}
     with pytest.raises(NotNative, match=r"test_native\.Texts\.update, line \d+: str"):
         rig_text(core(Rig.from_blocks(blocks, 0.1)), [])
@@ -644,7 +647,7 @@ def test_a_debugger_shows_the_text_of_a_rig() -> None:
     assert linecache.getline(code.co_filename, code.co_firstlineno) == shown.splitlines(keepends=True)[0]
 
 
-def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rig_that_often_discards_ticks_stays_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "PATIENCE", 3)
     monkeypatch.setattr(engine, "SELDOM", 100)
     native = the_same(rig, monkeypatch)
@@ -654,7 +657,7 @@ def test_a_rig_that_gives_up_often_stays_in_python(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", KNOWN)
-def test_scenarios_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenarios_are_the_same_by_numba(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     the_same(lambda: rig_of(name, duration=KNOWN[name]), monkeypatch, engine.compiled)
 
 
@@ -690,7 +693,7 @@ def test_another_process_takes_native_code_from_the_cache(tmp_path: Path) -> Non
         (60.0, 1e-4, 2),
     ],
 )
-def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked, monkeypatch):
+def test_an_observer_that_gets_columns_gets_what_it_would_have_seen(window, period, asked, monkeypatch):
     calls: list[int] = []
 
     def counted(self, x, t, *, told=Watch.update, **inputs):
@@ -704,8 +707,8 @@ def test_who_watches_takes_at_once_what_it_would_have_seen(window, period, asked
     assert len(calls) == round(0.3 / period) + 1 + asked
 
 
-def test_a_run_that_has_begun_in_python_goes_on_natively(monkeypatch):
-    """Also one whose members decide now and then, whose messages are then handed out later."""
+def test_a_run_that_has_begun_in_python_continues_natively(monkeypatch):
+    """Also one whose blocks decide some ticks, whose messages are then delivered later."""
     monkeypatch.setattr(choice, "_costs", {})
     wanted, result = (
         ran(rig_of("pv_mppt_certified", duration=0.2), monkeypatch, make, timed=True)

@@ -1,4 +1,6 @@
-"""Functions drawn at random from all that native code knows, held against themselves in Python, bit for bit."""
+"""Functions drawn at random from everything that native code supports, compared with themselves in Python, bit
+for bit.
+"""
 
 import linecache
 import math
@@ -15,14 +17,14 @@ STATEMENTS = 7
 
 
 class Inner(NamedTuple):
-    """Within the state."""
+    """A part of the state."""
 
     c: float = 0.75
     row: tuple[float, float] = (0.25, -0.5)
 
 
 class Kept(NamedTuple):
-    """What a drawn block remembers."""
+    """The state of a random block."""
 
     a: float = 1.0
     k: int = 0
@@ -32,7 +34,7 @@ class Kept(NamedTuple):
 
 
 class Pen:
-    """Writes expressions and statements; each is a float, a whole number or a truth, by its method."""
+    """Writes expressions and statements; each is a float, an integer or a truth value, by its method."""
 
     def __init__(self, seed: int) -> None:
         self.rng, self.names, self.lines, self.depth = random.Random(seed), ["p", "q"], [], 0
@@ -140,7 +142,7 @@ class Pen:
         return f"v{sum(name[0] == 'v' for name in self.names)}"
 
     def block(self, count: int, deep: int) -> None:
-        """Statements; a name that is new in a way or a loop is not read behind it."""
+        """Statements; a name that first appears in a branch or a loop is not read after it."""
         known = list(self.names)
         for _ in range(count):
             getattr(
@@ -256,7 +258,7 @@ def drawn(seed: int) -> type[Block[Any]]:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_what_is_drawn_is_the_same_natively(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_random_functions_are_the_same_natively(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     kind = drawn(seed)
     native = the_same(lambda: Rig.from_blocks({"plant": Oscillator(), "law": kind()}, 0.04), monkeypatch, plain)
     assert "law" in native.members

@@ -1,4 +1,6 @@
-"""When native code is tried, how far it goes at a time, and when it is given up: by a clock and counts of the test."""
+"""When native code is tried, how many ticks it computes at a time, and when it is abandoned: by a clock and counts of
+the test.
+"""
 
 from __future__ import annotations
 
@@ -32,20 +34,20 @@ def _no_text_yet(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def going(blocks: dict[str, Any], seconds: float, **options: Any) -> Engine:
-    """Give an engine for a rig of blocks."""
+    """Return an engine for a rig of blocks."""
     made = Rig.from_blocks(blocks, seconds)
     return Engine(list(inprocess.wired(made, blocks).values()), **{"make": plain} | options)
 
 
 def ended(run: Engine, first: int = 0) -> Engine:
-    """Have it run to its end."""
+    """Run it to its end."""
     for _ in run.run(first):
         pass
     return run
 
 
-def test_how_far_a_go_reaches_follows_the_time_that_goes_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice as far while one takes less than half of what it may, half after one of more, 1024 ticks at least."""
+def test_the_number_of_ticks_in_a_batch_follows_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice as many while a batch takes less than half of its limit, half after one above it, 1024 ticks at least."""
     elapsed = itertools.chain([8.0, 15.99, 16.0, 32.0, 32.01, 40.0, 50.0, 50.0, 0.0], itertools.repeat(20.0))
     now = iter(())
     monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda: next(now)))
@@ -60,7 +62,7 @@ def test_how_far_a_go_reaches_follows_the_time_that_goes_take(monkeypatch: pytes
     assert fitted._texts[0].go == 2048
 
 
-def test_with_others_to_be_served_a_go_takes_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_external_nodes_a_batch_takes_a_tenth_of_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     for alone, go in ((None, 4096), (lambda: True, 1024)):
         now = itertools.accumulate(itertools.cycle([0.0, 0.0051]))
         monkeypatch.setattr(engine, "time", SimpleNamespace(perf_counter=lambda now=now: next(now)))
@@ -70,23 +72,25 @@ def test_with_others_to_be_served_a_go_takes_a_tenth(monkeypatch: pytest.MonkeyP
         assert fitted._texts[0].go == go
 
 
-def test_the_longest_go_has_a_million_ticks() -> None:
+def test_the_longest_batch_has_a_million_ticks() -> None:
     assert (fitted.SHORTEST, engine.LONGEST, engine.GO, engine.SHORT_GO) == (1024, 1 << 20, 0.05, 0.005)
 
 
 @pytest.mark.parametrize(("given_up", "ticks", "often"), [(64, 0, False), (65, 1039, True), (65, 1040, False)])
-def test_many_ticks_given_up_are_one_in_sixteen_of_more_than_a_thousand(given_up: int, ticks: int, often: bool) -> None:
+def test_many_discarded_ticks_are_one_in_sixteen_of_more_than_a_thousand(
+    given_up: int, ticks: int, often: bool
+) -> None:
     run = going({"wide": Wide()}, 0.1)
     run.native.given_up, run.native.ticks = given_up, ticks
     assert run._often() is often
 
 
-def test_what_is_varied_gets_another_text_once_in_twenty_runs() -> None:
+def test_a_varied_parameter_gets_another_text_once_in_twenty_runs() -> None:
     assert [k for k in range(70) if fitted._worth_another("a kind")] == [0, 20, 40, 60]
     assert fitted._worth_another("another")
 
 
-def test_eight_texts_are_kept_the_newest_first() -> None:
+def test_eight_texts_are_cached_the_newest_first() -> None:
     for k in range(10):
         ended(going({f"wide{k}": Wide()}, 0.01))
     assert [kept.kinds[2][0][0] for kept in fitted._texts] == [f"wide{k}" for k in range(9, 1, -1)]
@@ -95,7 +99,7 @@ def test_eight_texts_are_kept_the_newest_first() -> None:
 
 
 class Odd(Block[Params]):
-    """No native code: makes a text."""
+    """Formats a text, which native code does not support."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (PUSH,)
@@ -106,7 +110,7 @@ class Odd(Block[Params]):
 
 
 @pytest.mark.parametrize(("period", "members"), [(0.007, ()), (0.008, ("body",))])
-def test_who_is_due_at_each_eighth_tick_may_stay_in_python(period: float, members: tuple[str, ...]) -> None:
+def test_a_node_due_at_each_eighth_tick_may_stay_in_python(period: float, members: tuple[str, ...]) -> None:
     run = ended(going({"body": Body(), "odd": Odd(period=period)}, 0.1))
     assert run.native.members == members
     assert [s.native for s in run.steps] == [(0, "")] * 2  # of text that Python runs nothing is said
@@ -115,7 +119,7 @@ def test_who_is_due_at_each_eighth_tick_may_stay_in_python(period: float, member
 
 
 class Turning(Block[Params]):
-    """Remembers another kind of thing at some ticks."""
+    """Changes the type of its state at some ticks."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (PUSH,)
@@ -140,7 +144,7 @@ class Turning(Block[Params]):
         ((200, 257), [1, 201]),  # later nothing is looked for any more
     ],
 )
-def test_a_rig_without_native_code_is_looked_at_again_when_its_states_change(turns, tried, monkeypatch) -> None:
+def test_a_rig_without_native_code_is_tried_again_when_its_states_change_type(turns, tried, monkeypatch) -> None:
     at: list[int] = []
     run = going({"body": Body(), "turning": Turning()}, 0.4)
 
@@ -156,7 +160,7 @@ def test_a_rig_without_native_code_is_looked_at_again_when_its_states_change(tur
     assert (run.native.reason, run.native.ticks, run.steps[0].t) == ("a test", 0, 400_000_000)
 
 
-def test_while_others_have_a_part_ticks_are_pythons_and_each_64th_asks_again() -> None:
+def test_with_external_subscribers_ticks_run_in_python_and_each_64th_asks_again() -> None:
     asked: list[int] = []
     run = going(
         {"body": Body(), "law": Law()}, 0.4, alone=lambda: asked.append(run.steps[0].t // 1_000_000) or len(asked) > 3
@@ -174,18 +178,18 @@ def test_while_others_have_a_part_ticks_are_pythons_and_each_64th_asks_again() -
 
 
 class Thread:
-    """Of a test: what it does is done when it has started, and nobody knows yet."""
+    """A thread of the test: its work is done when it has started, but it still counts as running."""
 
     def __init__(self, target: Any, daemon: bool) -> None:
         self.start, self.looks = target, 0
 
     def is_alive(self) -> bool:
-        """It has ended when somebody looks for the third time."""
+        """Return false at the third call."""
         self.looks += 1
         return self.looks < 3
 
 
-def test_a_text_is_compiled_beside_while_others_are_served(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_is_compiled_in_a_thread_while_others_are_served(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine.threading, "Thread", Thread)
     called: list[tuple[int, int]] = []
 
@@ -205,7 +209,7 @@ def test_a_text_is_compiled_beside_while_others_are_served(monkeypatch: pytest.M
     assert called == [(1, 400)]  # alone: at its first call
 
 
-def test_a_run_that_goes_on_begins_with_its_tick() -> None:
+def test_a_continued_run_begins_with_its_tick() -> None:
     whole = ended(going({"body": Body(), "law": Law()}, 0.1))
     run = going({"body": Body(), "law": Law()}, 0.1)
     for t in run.loop.run():
@@ -216,7 +220,7 @@ def test_a_run_that_goes_on_begins_with_its_tick() -> None:
     assert (run.native.ticks, whole.native.ticks) == (59, 99)  # Python answers the first tick of each
 
 
-def test_what_numba_refuses_is_said_and_the_text_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_that_numba_refuses_is_reported_and_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     class Refused(Exception):
         __module__ = "numba.core.errors"
 
@@ -240,8 +244,8 @@ def test_what_numba_refuses_is_said_and_the_text_is_not_tried_again(monkeypatch:
         ended(going({"body": Body(), "law": Law()}, 0.05, make=broken))
 
 
-def test_whether_there_is_a_text_for_classes_of_blocks() -> None:
-    """Of those that do not only watch, in their order, made so."""
+def test_cached_texts_are_found_by_the_classes_of_blocks() -> None:
+    """Of those that do not only observe, in their order."""
     ended(going({"body": Body(), "law": Law(), "seeing": watching({"body": Body()}, True)()}, 0.05))
     ended(going({"wide": Wide()}, 0.05, make=engine.plain))
 
@@ -257,7 +261,7 @@ def test_whether_there_is_a_text_for_classes_of_blocks() -> None:
 
 
 @pytest.mark.parametrize(("ticks", "known"), [(64, False), (65, True)])
-def test_what_a_tick_costs_is_known_after_65_of_them(ticks, known, monkeypatch) -> None:
+def test_the_cost_of_a_tick_is_known_after_65_of_them(ticks, known, monkeypatch) -> None:
     monkeypatch.setattr(choice, "_costs", {})
     monkeypatch.setattr(choice, "_spent", {})
     blocks = {"body": Body(), "law": Law()}
@@ -274,7 +278,7 @@ def test_what_a_tick_costs_is_known_after_65_of_them(ticks, known, monkeypatch) 
     assert {s.native for s in steps} == {(0, "SOFTRIG_JIT=0")}
 
 
-def test_what_is_just_worth_it_is_not() -> None:
+def test_a_run_that_saves_nothing_is_not_compiled() -> None:
     steps = going({"wide": Wide()}, 0.1).steps
     assert [choice.unwanted(steps, left, 2) for left in (3.0, 3.000001)] == [choice.SHORT, ""]
     assert [choice.writes(steps, left) for left in (0.15, 0.150001)] == [False, True]
@@ -283,7 +287,7 @@ def test_what_is_just_worth_it_is_not() -> None:
     assert [choice.writes(steps, left) for left in (0.01, 0.010001)] == [False, True]
 
 
-def test_a_run_without_an_end_is_pythons() -> None:
+def test_a_run_without_an_end_stays_in_python() -> None:
     blocks = {"wide": Wide()}
     steps = list(inprocess.wired(Rig.from_blocks(blocks, 0.1), blocks).values())
     for step in steps:
@@ -302,7 +306,7 @@ def rig(first, last, n, c, s):
 """
 
 
-def test_compiled_texts_are_kept_by_all_that_decides_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_texts_are_cached_by_everything_that_affects_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """The text, the names in it, the functions that they mean and the options; none of it is compiled here."""
 
     def outside(x: float) -> float:
@@ -366,13 +370,13 @@ class Loose:
 
 
 class Whole:
-    """Says how it is taken."""
+    """Defines its own native form."""
 
     def __init__(self, a: float) -> None:
         self.a = a
 
     def native(self) -> Taken:
-        """Give it."""
+        """Return the native form."""
         return Taken(self.a)
 
     def __eq__(self, other: object) -> bool:
@@ -385,7 +389,7 @@ class Taken(NamedTuple):
     a: float
 
     def python(self) -> Whole:
-        """Give it back."""
+        """Return the object."""
         return Whole(self.a)
 
 
@@ -409,8 +413,10 @@ class Taken(NamedTuple):
         ((1.0, 2.0), (3, True)),
     ],
 )
-def test_a_state_comes_back_from_native_code_as_it_went(state: Any) -> None:
-    """Frozen dataclasses as named tuples of the same fields, objects as they say; what needs no change is itself."""
+def test_a_state_returns_from_native_code_unchanged(state: Any) -> None:
+    """Frozen dataclasses as named tuples of the same fields, objects by their own methods; other values are passed
+    unchanged.
+    """
     there = twins.packed(state)
     assert twins.unpacked(there) == state
     assert type(twins.unpacked(there)) is type(state)
@@ -424,7 +430,7 @@ def test_a_state_comes_back_from_native_code_as_it_went(state: Any) -> None:
     assert twins.form(there) == twins.form(twins.packed(state))
 
 
-def test_forms_and_twins() -> None:
+def test_native_forms_and_twins_are_checked() -> None:
     assert twins.form((1.0, (2, None), True)) == (tuple, (float, (tuple, (int, type(None))), bool))
     assert twins.form(Point(1.0, 2)) == (Point, (float, int)) != twins.form((1.0, 2))
     assert [twins.is_twinned(kind) for kind in (Frozen, Loose, Point, 5, Frozen(1.0), int)] == [True] + [False] * 5
@@ -445,8 +451,8 @@ def test_forms_and_twins() -> None:
         ("q1 = (1.0 + None,)", "TypeError: unsupported operand type"),
     ],
 )
-def test_a_defect_of_a_text_is_called_one(line: str, reported: str) -> None:
-    """A name that does not exist ends the run; what Python computes without an error is computed so, with a warning."""
+def test_an_error_in_a_text_is_reported_as_a_defect_of_softrig(line: str, reported: str) -> None:
+    """An unknown name ends the run; if Python computes it without an error, Python's result is used, with a warning."""
 
     def make(text: Any) -> Any:
         at = next(k for k, one in enumerate(text.text.splitlines()) if one.strip().startswith("q1 = "))

@@ -74,12 +74,12 @@ class Point:
 
 
 class Row(NamedTuple):
-    """What native code takes of `Line`."""
+    """The native form of `Line`."""
 
     start: float
 
     def at(self, x: float, slope: float = 2.0) -> float:
-        """As a line has it."""
+        """The value on the line."""
         return self.start + slope * x
 
     def python(self) -> Line:
@@ -88,7 +88,7 @@ class Row(NamedTuple):
 
 
 class Line:
-    """An object that is a value."""
+    """An object with a native form."""
 
     def __init__(self, start: float) -> None:
         self.start = start
@@ -97,7 +97,7 @@ class Line:
         return f"Line({self.start})"
 
     def native(self) -> Row:
-        """As native code takes it."""
+        """Return the native form."""
         return Row(self.start)
 
     def at(self, x: float, slope: float = 2.0) -> float:
@@ -133,7 +133,7 @@ class Owner(Base):
     INPUTS = OUTPUTS = ()
 
     def setup(self) -> None:
-        """All kinds of constants."""
+        """Set all kinds of constants."""
         self.gain, self.count, self.large, self.word, self.on = 0.625, 4, 10**10, "down", True
         self.table, self.whole, self.nothing = [0.5, -0.25, 1.5, 2.0], (1, 2, 3), None
         self.named, self.by_number = {"low": -0.5, "high": 1.25}, {0: 0.5, 1: -1.0, 2: 2.0}
@@ -184,7 +184,7 @@ def never(x: float) -> float:
 
 
 def signed(x: float) -> float | None:
-    """Leaves at three places."""
+    """Has three returns."""
     if x > 1.0:
         return x
     if x < -1.0:
@@ -193,12 +193,12 @@ def signed(x: float) -> float | None:
 
 
 def applied(function: Any, x: float) -> Any:
-    """Calls what it is given."""
+    """Calls its argument."""
     return function(x)
 
 
 def parted(x: float) -> dict[str, Any]:
-    """Gives a mapping."""
+    """Returns a mapping."""
     return {"sum": x + 1.0, "row": (x, -x), "in": {"a": x}}
 
 
@@ -248,7 +248,7 @@ GLOBALS = {
 
 
 def written_out(case: str) -> Any:
-    """Make the function of a case: what it names of `GIVEN` are its arguments."""
+    """Make the function of a case: its arguments are the names of `GIVEN` that it uses."""
     body = case if case in EACH[LINES:] else f"return {case}"
     words = set("".join(c if c.isalnum() or c == "_" else " " for c in body).split())
     names = [name for name in GIVEN if name in words]
@@ -262,7 +262,9 @@ def written_out(case: str) -> Any:
 
 @cache
 def native(case: str, typed: bool = True) -> tuple[Any, Any, Program, list[str]]:
-    """Translate a case: its function, what a call gives or why there is none, its program, its arguments."""
+    """Translate a case: its function, the result of a call or the reason why there is none, its program, its
+    arguments.
+    """
     function, names = written_out(case)
     owner = Owner()
     program = Program([owner], Writer, {(0, "near"): 0, (0, "far"): "when[0]"}, (), typed)
@@ -278,7 +280,7 @@ def native(case: str, typed: bool = True) -> tuple[Any, Any, Program, list[str]]
 
 
 def left_to_python(case: str) -> list[str]:
-    """Return why a case has no native code, or discards some ticks; nothing where it is native."""
+    """Return why a case has no native code, or discards some ticks; an empty text if it is native."""
     _, value, program, _ = native(case)
     reasons = [f"discards ticks: {reason.partition(', ')[2]}" for reason in program.seldom]
     if isinstance(value, NotNative):
@@ -1279,12 +1281,12 @@ UNTYPED = [*ALL["numbers"], *ALL["parts"], *ALL["reports"]]  # of which some may
 LINES = sum(len(ALL[name]) for name in CASES)
 
 
-def test_what_is_left_to_python_is_expected_with_its_reason() -> None:
+def test_constructs_left_to_python_are_expected_with_their_reason() -> None:
     check_expected("native", (line for case in EACH for line in left_to_python(case)))
 
 
 def in_native(value: Any) -> Any:
-    """Give what Python has as native code has it: mappings as tuples in the order of keys, objects as fields."""
+    """Return a Python value in its native form: mappings as tuples in the order of keys, objects as fields."""
     if isinstance(value, dict):
         return tuple(in_native(value[k]) for k in sorted(value))
     if isinstance(value, (np.ndarray, np.generic)):
@@ -1297,7 +1299,7 @@ def in_native(value: Any) -> Any:
 
 
 def values_of(name: str, k: int) -> tuple[Any, dict[str, Any]]:
-    """Give the k-th value of an argument as Python has it, and what native code has of it, by its names there."""
+    """Return the k-th value of an argument in Python, and its native parts by their names there."""
     known, other = GIVEN[name]
     if isinstance(known, Record):
         value = other if k else {key: sample_of(v) for key, v in known.items.items()}
@@ -1309,7 +1311,7 @@ def values_of(name: str, k: int) -> tuple[Any, dict[str, Any]]:
 
 
 def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
-    """Give what calls the native text of a case, its Python, and what both report; None: there is no text.
+    """Return functions that call the native text of a case and its Python, and what both report; None without a text.
 
     The text is called for another owner where one is given.
     """
@@ -1336,7 +1338,7 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
         return function(owner, *given)
 
     def reported() -> Any:
-        """Give what has been reported natively, and in Python."""
+        """Return the native reports, and those in Python."""
         other = ByHand(Owner())
         program.reports.record(scope["reports"], [other])
         mine.store_reports()
@@ -1347,7 +1349,7 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
 
 @pytest.mark.parametrize("typed", [True, False])
 def test_the_text_gives_what_python_gives(typed: bool) -> None:
-    """With what it was made of, and with other values; or it gives the tick up."""
+    """With the values it was written for, and with others; or it discards the tick."""
     equal = 0
     for case in EACH if typed else UNTYPED:
         if "doubled" in case or (result := calling(case, typed)) is None:  # numba, which others load
@@ -1390,7 +1392,7 @@ CHANGES: dict[str, tuple[Any, str]] = {  # of an attribute of the owner; the nam
 
 
 def changed(program: Program, name: str, value: Any) -> Owner:
-    """Give an owner like the one of a program, with one attribute changed."""
+    """Return an owner like the one of a program, with one attribute changed."""
     other = Owner()
     other.half, other.gainful, other.laws = program.roots[0].half, program.roots[0].gainful, program.roots[0].laws
     setattr(other, name, value)
@@ -1398,7 +1400,7 @@ def changed(program: Program, name: str, value: Any) -> Owner:
 
 
 def test_a_text_that_another_block_shares_gives_what_its_python_gives() -> None:
-    """Whatever is another in that block: it is handed in, or the text is refused to it."""
+    """Whatever differs in that block is passed in, or the text is refused for it."""
     shared = refused = 0
     for case in EACH:
         for name, (value, _) in CHANGES.items():
@@ -1422,7 +1424,7 @@ def test_a_text_that_another_block_shares_gives_what_its_python_gives() -> None:
 
 
 def native_or_why(body: str, **given: Any) -> str:
-    """Say why a function of some arguments is not native; empty where it is."""
+    """Return why a function of some arguments is not native; empty if it is."""
     text = f"def case({', '.join(given)}):\n    return {body}\n"
     name = f"<{text}>"
     linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
@@ -1436,8 +1438,8 @@ def native_or_why(body: str, **given: Any) -> str:
 
 
 @pytest.mark.parametrize(("body", "of"), [("a.pop() * 2.0", [0.5, 1.5]), ("next(a)", iter([0.5]))])
-def test_a_call_that_changes_its_object_is_not_made_while_code_is_written(body: str, of: Any) -> None:
-    """It would be made once for all ticks, beside those of Python."""
+def test_a_call_that_changes_its_object_is_not_evaluated_during_translation(body: str, of: Any) -> None:
+    """It would be made once for all ticks, in addition to those of Python."""
     assert "which changes an object outside of the state" in native_or_why(body, a=Static(of))
     assert list(of) == ([0.5] if body == "next(a)" else [0.5, 1.5])
 
@@ -1457,15 +1459,15 @@ def test_a_call_that_changes_its_object_is_not_made_while_code_is_written(body: 
         ("[p for _ in range(k)]", lambda n: {"k": Static(n - 48), "p": Dynamic("p", 1.0)}, "a list of no fixed length"),
     ],
 )
-def test_how_long_what_is_written_out_may_be(body: str, made_of: Any, why: str) -> None:
-    """Of 64 parts, and loops of 16 turns."""
+def test_the_length_of_unrolled_code_is_limited(body: str, made_of: Any, why: str) -> None:
+    """To 64 parts, and loops of 16 turns."""
     assert native_or_why(body, **made_of(64)) == ""
     result = native_or_why(body, **made_of(65))
     assert why in result if why else not result
 
 
-def test_reports_are_taken_down_as_if_they_were_reported_one_by_one() -> None:
-    """Places of two blocks, some with the same key, reached in any order; the counts go on from what was there."""
+def test_reports_are_collected_as_if_they_were_reported_one_by_one() -> None:
+    """Places of two blocks, some with the same key, reached in any order; the counts continue."""
     scope: dict[str, Any] = {}
     exec(TEXTS["reported_"], scope)
     for seed in range(20):
@@ -1488,8 +1490,8 @@ def test_reports_are_taken_down_as_if_they_were_reported_one_by_one() -> None:
             assert [list(b.reports.items()) for b in natively] == [list(b.reports.items()) for b in wanted]
 
 
-def test_what_another_block_may_have_another_of() -> None:
-    """Numbers that are handed in; not what chooses the text, nor objects within a table, nor the length of one."""
+def test_the_values_in_which_another_block_may_differ_are_those_passed_in() -> None:
+    """Not those that affect the text, nor objects within a table, nor its length."""
     program = Program([Owner()], Writer)
     writer = Writer(program, None, {})
     own = Static(program.roots[0], (0,))

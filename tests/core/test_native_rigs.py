@@ -1,5 +1,5 @@
-"""Small rigs as native code and in Python, which give the same: members that publish at each tick or not, late,
-doubted, rarely due, whose ticks are Python's, that report, in each order; and the same rigs as batches of instances.
+"""Small rigs as native code and in Python, which give the same: nodes that publish at each tick or not, late, with
+checks, rarely due, with ticks in Python, with reports, in each order; and the same rigs as batches of instances.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ WIDE = scalars("wide", "wide", dict.fromkeys("abc", ""))
 
 
 class Params(BlockParams):
-    """Of all."""
+    """Parameters of all blocks."""
 
     period: float = param(0.001, "period", "s", gt=0.0)
     rate: float = param(0.25, "a rate", live=True)
 
 
 class State(NamedTuple):
-    """Of the plant."""
+    """The state of the plant."""
 
     x: float = 1.0
     k: int = 0
 
 
 class Body(Plant[Params]):
-    """Pushed."""
+    """Moves by the commands."""
 
     INPUTS = (PUSH,)
     OUTPUTS = (SIGNAL,)
@@ -59,7 +59,7 @@ class Body(Plant[Params]):
         return State()
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Where it is."""
+        """Publish the position."""
         return {"signal": (x.x, 0.5)}
 
     def advance(self, x: State, t: int, *, push: tuple[float, ...]) -> State:
@@ -84,7 +84,7 @@ class Law(Block[Params]):
     OUTPUTS = (PUSH,)
 
     def first(self) -> float:
-        """What was said last."""
+        """Remember the last command."""
         return 0.0
 
     def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
@@ -93,15 +93,15 @@ class Law(Block[Params]):
 
 
 class Deciding(Law):
-    """At some ticks Python is to answer."""
+    """Leaves some ticks to Python."""
 
     def decides(self, x: float, t: int) -> bool:
-        """Where it went far."""
+        """Select the ticks at which it has moved far."""
         return x > 2.0
 
 
 class Sensor(Block[Params]):
-    """Measures what it tells later."""
+    """Publishes its measurement later."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (LATE,)
@@ -112,20 +112,20 @@ class Sensor(Block[Params]):
 
 
 class Talker(Block[Params]):
-    """Says something now and then."""
+    """Publishes now and then."""
 
     INPUTS = (LATE,)
     OUTPUTS = (SPOKEN,)
 
     def update(self, x: tuple[()], t: int, *, late: Sample) -> tuple[tuple[()], Mapping[str, Any]]:
-        """Answer, or not."""
+        """Answer at some ticks."""
         if late.stamp > 3_000_000:
             return x, {"push": (-late.data[0],)}
         return x, {}
 
 
 class Both(Block[Params]):
-    """Says one thing or another, and two things late."""
+    """Publishes one thing or another, and two things late."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (
@@ -144,7 +144,7 @@ class Both(Block[Params]):
 
 
 class Saying(Block[Params]):
-    """Says something at some ticks, what it is at others."""
+    """Publishes a message at some ticks, and its state at others."""
 
     INPUTS = (SIGNAL,)
     OUTPUTS = (SPOKEN.renamed("said"), replace(WIDE, name="often", topic="often"))
@@ -162,7 +162,7 @@ class Saying(Block[Params]):
 
 
 class Aging(Block[Params]):
-    """Asks how old what it reads is."""
+    """Publishes the age of its input."""
 
     INPUTS = (SIGNAL, WIDE)
     OUTPUTS = (replace(PUSH, name="pull", topic="pull"),)
@@ -173,7 +173,7 @@ class Aging(Block[Params]):
 
 
 class Hearing(Block[Params]):
-    """Hears all of it, and with a stamp what has none."""
+    """Reads all messages, and stamps those that have none."""
 
     INPUTS = (*Both.OUTPUTS, replace(SIGNAL, name="signal", delayed=True))
 
@@ -185,25 +185,25 @@ class Hearing(Block[Params]):
 
 
 class Asking(Body):
-    """Asks how old what it hears is."""
+    """Asks for the age of its input."""
 
     INPUTS = (SPOKEN,)
 
     def advance(self, x: State, t: int, *, push: tuple[float, ...]) -> State:
-        """Move, once something has come."""
+        """Move once a message has arrived."""
         if self.age("push") is None:
             return x
         return State(x.x + 1e-9 * self.age("push") * push[0], x.k)
 
 
 class Spoiling(Law):
-    """May say what nobody takes."""
+    """May publish a value that every subscriber rejects."""
 
     OUTPUTS = (replace(PUSH, unchecked=True),)
 
 
 class Wide(Plant[Params]):
-    """Says more numbers than are squared one by one."""
+    """Publishes more numbers than are squared one by one."""
 
     OUTPUTS = (WIDE,)
 
@@ -212,7 +212,7 @@ class Wide(Plant[Params]):
         return (1.0, 2.0, 3.0)
 
     def outputs(self, x: tuple[float, ...], t: int) -> Mapping[str, tuple[float, ...]]:
-        """All of it."""
+        """Publish everything."""
         return {"wide": x}
 
     def advance(self, x: tuple[float, ...], t: int) -> tuple[float, ...]:
@@ -221,7 +221,7 @@ class Wide(Plant[Params]):
 
 
 class Short(Law):
-    """Says too little."""
+    """Publishes too few numbers."""
 
     def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
         """Answer."""
@@ -229,7 +229,7 @@ class Short(Law):
 
 
 class More(Block[Params]):
-    """Reads of two."""
+    """Reads two messages."""
 
     INPUTS = (SIGNAL, WIDE)
     OUTPUTS = (replace(PUSH, name="pull", topic="pull"),)
@@ -250,7 +250,7 @@ def hard(**periods: float) -> dict[str, Any]:
 
 # blocks; those of them that are native, or all; ticks before the text is made
 class Several(NamedTuple):
-    """All that a state may be made of."""
+    """Everything that a state may consist of."""
 
     a: float = 0.5
     k: int = 3
@@ -261,7 +261,7 @@ class Several(NamedTuple):
 
 
 class Shaken(Body):
-    """Moved by chance."""
+    """Moved by random numbers."""
 
     def setup(self) -> None:
         """Draw."""
@@ -272,7 +272,7 @@ class Shaken(Body):
         return Several()
 
     def outputs(self, x: Several, t: int) -> Mapping[str, tuple[float, ...]]:
-        """Where it is."""
+        """Publish the position."""
         return {"signal": (x.a, x.pair[0])}
 
     def advance(self, x: Several, t: int, *, push: tuple[float, ...]) -> Several:
@@ -308,7 +308,7 @@ BATCHES: dict[str, tuple[Any, str, str]] = {  # blocks, the agent, why it is not
 
 
 @pytest.mark.parametrize("name", BATCHES)
-def test_instances_of_a_batch_are_what_each_is_alone(name: str) -> None:
+def test_instances_of_a_batch_equal_single_ones(name: str) -> None:
     blocks, agent, why = BATCHES[name]
     keys = {"what": Rig.from_blocks(blocks(), 0.05), "replace": agent, "reward": lambda now: 0.0}
     one = gymnasium.vector.SyncVectorEnv([lambda: RigEnv(**keys)] * 2)
@@ -324,13 +324,13 @@ def test_instances_of_a_batch_are_what_each_is_alone(name: str) -> None:
     assert why in many.reason
 
 
-def test_what_is_no_number_has_no_place_in_a_row() -> None:
+def test_a_value_that_is_not_a_number_is_refused_in_a_row() -> None:
     with pytest.raises(NotNative, match="str in a state: an instance is a row of numbers"):
         Form((1.0, ("up",)))
 
 
 def stepped(blocks: dict[str, Any], native: str = "", ticks: int = 2, duration: float = 0.1) -> list[Any]:
-    """Give the steps of a rig after some ticks, those that are native."""
+    """Return the native steps of a rig after some ticks."""
     made = Rig.from_blocks(blocks, duration)
     steps = inprocess.wired(made, blocks)
     going = iter(Loop(list(steps.values())).run())
@@ -340,7 +340,7 @@ def stepped(blocks: dict[str, Any], native: str = "", ticks: int = 2, duration: 
 
 
 def why_not(make: Any, *how: Any) -> str:
-    """Say why there is no text of a rig; empty where there is one."""
+    """Return why there is no text of a rig; empty if there is one."""
     try:
         make(*how)
     except NotNative as reason:
@@ -349,7 +349,7 @@ def why_not(make: Any, *how: Any) -> str:
 
 
 @pytest.mark.parametrize(("ticks", "refused"), [(2305, False), (2306, True)])
-def test_times_are_whole_numbers_of_64_bits(ticks: int, refused: bool) -> None:
+def test_times_are_64_bit_integers(ticks: int, refused: bool) -> None:
     """Ticks of 1000003/10007 s are 1000003 * 10**9 / 10007 ns apart: twice the first number by 2306 is beyond 2**62."""
     blocks = {"body": Body(period="1000003/10007"), "law": Law(period="1000003/10007")}
     steps = stepped(blocks, duration=ticks * 1000003 / 10007 + 1.0)
@@ -380,7 +380,7 @@ def test_an_input_of_many_numbers_is_an_array(size: int, refused: bool) -> None:
 
 
 def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
-    """Give a class that hears all that blocks say: of each input how many messages, their stamps and numbers added."""
+    """Return a class that reads all messages of blocks: of each input the sum of messages, stamps and numbers."""
     ports = [port for block in blocks.values() for port in block.ports(block.p)[1]]
     text = [replace(port, name=f"{port.name}_{k}", unchecked=False) for k, port in enumerate(ports)]
 
@@ -416,17 +416,17 @@ def watching(blocks: dict[str, Any], at_once: bool) -> type[Observer[Params]]:
 
 
 class Failing(Law):
-    """Fails when it went far."""
+    """Fails after a long way."""
 
     def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
-        """Answer, or not."""
+        """Answer at some ticks."""
         if t == 31_000_000:
             raise ValueError("far")
         return x, {"push": (0.125 if t % 7_000_000 else float(f"{signal[0]:.1f}"),)}
 
 
 class PythonsLaw(Law):
-    """Has a statement that native code does not know."""
+    """Has a statement that native code does not support."""
 
     def update(self, x: float, t: int, *, signal: tuple[float, ...]) -> tuple[float, Mapping[str, Any]]:
         """Answer."""
@@ -465,7 +465,7 @@ RUN: dict[str, Any] = {
 
 @pytest.mark.parametrize("name", few(RUN, 20))
 def test_a_rig_runs_natively_as_in_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With those who watch it at each tick or at once, as often as it ticks or half as often; in both kinds of text."""
+    """With observers of each tick or of columns, as often as it ticks or half as often; with both kinds of text."""
     monkeypatch.setattr(fitted, "_counts", {})
     for k, (at_once, every) in enumerate(((True, 1), (True, 2), (False, 1), (False, 2))):
         quickest = min(block.p.period for block in RUN[name]().values())

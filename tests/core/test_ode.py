@@ -39,7 +39,7 @@ def by_loop(n):
 
 
 @pytest.mark.parametrize("solve", [by_expression, by_loop])
-def test_order_four_towards_the_analytic_solution(solve):
+def test_the_method_has_order_four_towards_the_analytic_solution(solve):
     errors = [math.dist(solve(n), turned(3.0)) for n in (60, 120)]
     assert errors[1] < 1e-6
     assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1)
@@ -50,7 +50,7 @@ def forced(t, x, p, dx):
     dx[0] = 4.0 * t * t * t - p
 
 
-def test_time_in_the_stages():
+def test_stages_use_their_own_time():
     x = np.array([1.0])
     rk4_loop(forced)(0.5, x, 0.25, 6, 1.0)  # exact for t^4
     assert x[0] == pytest.approx(1.0 + 2.0**4 - 0.5**4 - 1.5, abs=1e-14)
@@ -67,7 +67,7 @@ def floor(x, p):
     x[0] = max(x[0], 0.0)
 
 
-def test_limit_holds_in_the_stages_too():
+def test_the_limit_holds_in_the_stages_too():
     """A ramp to zero and its integral: without the limit in the stages the integral would still fall."""
     x = np.array([0.0, 0.0])
     rk4_loop(falling, floor)(0.0, x, 0.1, 5, 1.0)
@@ -78,7 +78,7 @@ def test_limit_holds_in_the_stages_too():
 
 
 def pendulum(x, u):
-    """A driven pendulum with friction: angle, speed; torque; gives its height."""
+    """A driven pendulum with friction: angle, speed; torque; the output is its height."""
     return (x[1], -9.81 * math.sin(x[0]) - 0.3 * x[1] + u[0]), (1.0 - math.cos(x[0]),)
 
 
@@ -100,7 +100,7 @@ def test_linearisation_has_the_analytic_jacobians(model):
 
 
 @pytest.mark.parametrize("model", [pendulum, symbolic_pendulum()])
-def test_equilibrium_and_the_input_that_holds_a_state(model):
+def test_an_equilibrium_is_found_with_the_input_that_holds_a_state(model):
     x, u = equilibrium(model, (0.1, 0.5), (4.0,))
     assert x == pytest.approx((math.asin(4.0 / 9.81), 0.0), abs=1e-9)
     x, u = equilibrium(model, (1.0, 0.5), (0.0,), held=[0], free=[0])
@@ -109,19 +109,19 @@ def test_equilibrium_and_the_input_that_holds_a_state(model):
     assert x[0] == pytest.approx(math.pi)
 
 
-def test_a_state_that_turns_may_move():
+def test_a_rotating_state_may_move_at_an_operating_point():
     x, u = equilibrium(lambda x, u: ((x[1], u[0] - 0.5 * x[1]), ()), (7.0, 0.0), (1.0,), moving=[0])
     assert (*x, *u) == pytest.approx((7.0, 2.0, 1.0))
 
 
-def test_where_there_is_no_rest_it_says_so():
+def test_a_model_without_rest_is_reported():
     with pytest.raises(RunError, match="the largest derivative left is"):
         equilibrium(pendulum, (0.1, 0.0), (20.0,))
     with pytest.raises(ValueError, match="1 states and 0 inputs are free, expected 2 in all"):
         equilibrium(pendulum, (0.1, 0.0), (20.0,), held=[0])
 
 
-def test_dc_motor_in_the_tools_of_control():
+def test_the_dc_motor_in_python_control():
     """The plant's equations as a python-control system: poles, gain and step response are those of the motor."""
     constants = MotorConstants()
     A, B = (np.array(m) for m in state_space(constants))

@@ -1,4 +1,4 @@
-"""Which message a tick in lockstep uses, and for whom it waits: against lists of what was said, come in any order.
+"""Which message a lockstep tick uses, and which it waits for: against lists of messages, delivered in any order.
 
 Rows of the table of senders by themselves, fed with bytes by hand; and when a run that stands is ended, and why.
 """
@@ -29,7 +29,7 @@ MS = 1_000_000
 
 
 class Reader:
-    """A node of which there is only what its table of senders asks for."""
+    """The part of a node that its table of senders uses."""
 
     def __init__(self, period="0.01", plant=False, duration=0.2, **links):
         self.middleware, self.links = Hand("reader"), Links(base="0.01", **links)
@@ -105,7 +105,7 @@ KINDS = {  # of a sender: its period, whether it speaks at the end, may be silen
 
 
 class Sender:
-    """A sender as a list of what it says, and how much of that has come."""
+    """A sender as a list of its messages, and how many of them have arrived."""
 
     def __init__(self, name, kind, draw, bad):
         self.period, self.at_end, self.silent, self.counted = KINDS[kind]
@@ -135,7 +135,7 @@ class Sender:
             row.acknowledge(t, t in self.spoken)
 
     def there(self, t):
-        """Whether all that a tick needs has come."""
+        """Return whether everything that a tick needs has arrived."""
         want = self.schedule.awaited(t)
         known = [s for s in self.ticks if s <= want]
         messages, arrived = set(self.ticks[: self.told]), set(self.spoken[: self.came])
@@ -145,7 +145,7 @@ class Sender:
         return all((s in arrived and (s in messages or not both)) if s in self.spoken else s in messages for s in known)
 
     def used(self, t):
-        """Stamp of what a tick uses, whether it is bad; before the first None."""
+        """The stamp of the message that a tick uses, and whether it is bad; None before the first."""
         want = self.schedule.awaited(t)
         return max((s for s in self.spoken if s <= want), default=None)
 
@@ -153,7 +153,7 @@ class Sender:
 @pytest.mark.parametrize("bad", [0.0, 0.2], ids=["", "some refused"])
 @pytest.mark.parametrize("period", ["0.01", "0.02"])
 @pytest.mark.parametrize("seed", range(6))
-def test_a_tick_uses_the_newest_that_was_said_up_to_it_and_waits_for_it(seed, period, bad):
+def test_a_tick_uses_the_newest_message_up_to_it_and_waits_for_it(seed, period, bad):
     draw = random.Random(seed)
     senders = [Sender(f"{kind}{k}", kind, draw, bad) for k, kind in enumerate(draw.sample(sorted(KINDS), 4))]
     inputs = {s.name: link(s.period, at_end=s.at_end, sporadic=s.silent) for s in senders}
@@ -197,7 +197,7 @@ def test_a_tick_uses_the_newest_that_was_said_up_to_it_and_waits_for_it(seed, pe
     assert not reader.failures
 
 
-def test_of_a_faster_sender_only_what_the_tick_needs_is_used_whatever_came_before():
+def test_of_a_faster_sender_only_the_needed_message_is_used_whatever_came_before():
     reader = Reader("0.03", inputs={"x": link("0.01")})
     row = reader.row(state())
     for stamp in (0, 10, 20):
@@ -214,7 +214,7 @@ def test_of_a_faster_sender_only_what_the_tick_needs_is_used_whatever_came_befor
 # ---- what does not belong to a tick ----
 
 
-def test_what_is_of_no_tick_or_was_there_before_is_refused_with_what_was_expected():
+def test_a_message_of_no_tick_or_a_repeated_one_is_refused_with_what_was_expected():
     reader = Reader(inputs={"x": link("0.02")})
     row = reader.row(state())
     reader.table.await_tick(0)
@@ -237,7 +237,7 @@ def test_what_is_of_no_tick_or_was_there_before_is_refused_with_what_was_expecte
     assert len(reader.refusals) == 5
 
 
-def test_what_is_said_again_for_others_or_comes_after_a_refused_one_is_left_out_silently():
+def test_repeated_messages_for_others_and_those_after_a_refused_one_are_skipped():
     reader = Reader(inputs={"x": link()}, guests=True)
     row = reader.row(state())
     reader.table.await_tick(0)
@@ -307,7 +307,7 @@ def test_delayed_messages_are_counted_and_keep_the_time_at_which_they_were_measu
     assert (reader.values["x"], reader.refusals) == (Sample(102, (2.0,)), [])
 
 
-def test_who_comes_back_does_not_mind_what_it_has_missed():
+def test_a_restarted_node_ignores_messages_that_it_has_missed():
     reader = Reader(inputs={"x": link()}, returns=True)
     reader.files = lambda: None
     row = reader.row(array("x", "x", {"q": 1}, "m"))
@@ -318,7 +318,7 @@ def test_who_comes_back_does_not_mind_what_it_has_missed():
     assert plain.who == "another node"
 
 
-def test_an_input_takes_the_newest_where_nobody_is_said_to_send_it():
+def test_an_input_without_a_known_sender_uses_the_newest():
     reader = Reader(free=["free"], inputs={"free": link(), "linked": link()})
     kinds = {}
     for port in (
@@ -346,7 +346,7 @@ def test_an_input_takes_the_newest_where_nobody_is_said_to_send_it():
     assert [row.name for row in reader.table.rows] == ["wanted"]
 
 
-def test_the_newest_value_holds_from_the_tick_at_which_it_came_and_is_recorded_there():
+def test_the_newest_value_is_valid_from_the_tick_at_which_it_arrived_and_is_recorded_there():
     reader = Reader()
     reader.record.foreign = {"x": 5}
     row = reader.row(joint_state("x", "x", ["q"], position="m", held=True))
@@ -366,7 +366,7 @@ def test_the_newest_value_holds_from_the_tick_at_which_it_came_and_is_recorded_t
     assert reader.notes == [("WARN", "lost y", "2 messages of another node are lost")]
 
 
-def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_bag_that_is_played_again():
+def test_numbers_show_lost_and_repeated_messages_and_start_again_with_a_replayed_bag():
     reader = Reader()
     row = reader.row(array("x", "x", {"q": 1}, "m", held=True))
     for k, (reported, new, lost) in enumerate(
@@ -392,7 +392,7 @@ def test_numbers_tell_what_is_lost_and_what_is_repeated_and_begin_anew_with_a_ba
     assert [text.split(",")[0] for _, text in reader.refusals] == [f"number {n} from another node" for n in (6, 3, 0)]
 
 
-def test_what_comes_from_outside_is_recorded_at_the_tick_that_uses_it():
+def test_an_external_message_is_recorded_at_the_tick_that_uses_it():
     reader = Reader(inputs={"x": link()})
     reader.record.foreign = {"x": 2}
     row = reader.row(state())
@@ -444,8 +444,8 @@ def acknowledged(reader, who):
     return lambda t, sent=(): reader.middleware.heard[f"/{who}/tick"](TickWriter()(t, sent))
 
 
-def test_acknowledgements_tell_of_silence_and_are_awaited_of_whom_the_rig_says():
-    """A law that may be silent, which nobody awaits; a plant that is awaited; one that follows some ticks behind."""
+def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
+    """A sporadic controller that no node awaits; a plant that is awaited; a follower some ticks behind."""
     then = []
     reader = Reader(
         plant=True,
@@ -491,8 +491,8 @@ def test_acknowledgements_tell_of_silence_and_are_awaited_of_whom_the_rig_says()
     assert len(reader.refusals) == 1
 
 
-def test_the_owner_of_the_clock_waits_for_what_was_said_at_the_tick_before():
-    """So the others' ticks run beside its own; with an owner by itself the first one needs nobody."""
+def test_the_owner_of_the_clock_waits_for_the_messages_of_the_previous_tick():
+    """So the others' ticks run beside its own; an owner alone needs no message for the first."""
     reader = Reader(acks={"law": "0.01", "slow": "0.02"}, owns_clock=True)
     reader.table.follow_ticks(set(), lambda: None)
     law, slow = (acknowledged(reader, who) for who in ("law", "slow"))
@@ -521,7 +521,7 @@ def test_the_owner_of_the_clock_waits_for_what_was_said_at_the_tick_before():
     assert plant.table.rows[0].want == 0  # before its next tick
 
 
-def test_after_a_restart_a_row_goes_on_behind_what_was_used_and_learns_what_was_said():
+def test_after_a_restart_a_row_continues_after_the_used_message_and_reads_what_was_published():
     reader = Reader(inputs={"x": link()})
     row = reader.row(state())
     row.resume(20 * MS, 20 * MS)
@@ -551,7 +551,7 @@ def test_after_a_restart_a_row_goes_on_behind_what_was_used_and_learns_what_was_
     assert (row.received, counted.values["x"], counted.table.missing) == (5, (6.0,), 0)
 
 
-def test_a_row_keeps_no_more_than_a_hundred_thousand_messages_that_are_ahead(monkeypatch):
+def test_a_row_stores_at_most_a_hundred_thousand_early_messages(monkeypatch):
     monkeypatch.setattr(paired, "AHEAD", 3)
     reader = Reader(inputs={"x": link()})
     row = reader.row(state())
@@ -565,7 +565,7 @@ def test_a_row_keeps_no_more_than_a_hundred_thousand_messages_that_are_ahead(mon
 # ---- the first message, said again ----
 
 
-def test_the_first_message_is_said_again_to_who_comes_late_while_the_node_is_at_its_first_tick():
+def test_the_first_message_is_repeated_for_late_subscribers_while_the_node_is_at_its_first_tick():
     outputs = [Output(state(name), f"/{name}", k) for k, name in enumerate("ab")]
     sent, first = [], [True]
     for output in outputs:
@@ -595,7 +595,7 @@ class Shake:
 
 
 def stands(rig=None, **options):
-    """A reader at tick 5 that waits for `x`, whose sender is there; at the first look nothing is wrong."""
+    """A reader at tick 5 that waits for `x`, whose sender is there; at the first check nothing is wrong."""
     reader = Reader(inputs={"x": link()}, **(rig or {}))
     vars(reader.options).update(options)
     row = reader.row(state())
@@ -614,7 +614,7 @@ def after(reader, stalls, seconds):
     return reader.failures[-1] if reader.failures else reader.state
 
 
-def test_a_rig_that_stands_says_for_what_it_waits_once_until_it_moves():
+def test_a_rig_that_waits_reports_for_what_once_until_it_moves():
     reader, row, stalls = stands()
     assert after(reader, stalls, 1.5) == "running"
     assert reader.notes == []
@@ -637,7 +637,7 @@ def test_a_rig_that_stands_says_for_what_it_waits_once_until_it_moves():
     assert reader.notes == []
 
 
-def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_waits():
+def test_a_run_without_progress_ends_after_its_timeout_and_names_what_it_waits_for():
     reader, row, stalls = stands()
     assert after(reader, stalls, 10.0) == "running"
     assert after(reader, stalls, 0.25) == "nothing stamped t = 0.05 s within 10.2 s on x from sender"
@@ -678,7 +678,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_says_for_what_it_wait
         assert result.endswith(said_of_it or ", expected 0.05 s")
 
 
-def test_at_the_first_ticks_it_waits_as_long_as_a_start_may_take():
+def test_at_the_first_ticks_the_timeout_is_that_of_a_start():
     for ticks, limit in ((0, 30.0), (1, 30.0), (2, 10.0)):
         reader, row, stalls = stands()
         reader.ticks = ticks
@@ -704,7 +704,7 @@ def test_at_the_first_ticks_it_waits_as_long_as_a_start_may_take():
         (0.6, {"links": "", "duration": 1.0}, "nothing stamped t = 0.05 s within 0.6 s on x from sender (gone)"),
     ],
 )
-def test_a_sender_that_has_gone_ends_the_run_by_hand_in_order_if_it_took_leave(seconds, options, end):
+def test_a_sender_that_said_goodbye_ends_a_node_started_alone_in_order(seconds, options, end):
     reader, row, stalls = stands(**options)
     row.outside = 0
     assert after(reader, stalls, seconds) == end
@@ -712,7 +712,7 @@ def test_a_sender_that_has_gone_ends_the_run_by_hand_in_order_if_it_took_leave(s
         assert reader.middleware.logs == ["OK x: the sender has left at t = 0.05 s, and this node with it"]
 
 
-def test_of_several_only_who_has_gone_is_named():
+def test_of_several_senders_only_the_missing_one_is_named():
     reader, row, stalls = stands()
     other = reader.row(state("y"))
     other.outside = 0
@@ -724,7 +724,7 @@ def test_of_several_only_who_has_gone_is_named():
 
 
 @pytest.mark.parametrize("starting", [True, False])
-def test_a_start_that_takes_too_long_says_who_is_not_there(starting):
+def test_a_start_that_takes_too_long_names_the_missing_nodes(starting):
     def begun():
         reader, row, stalls = stands()
         reader.ticks = reader.table.signs_of_life = 0
@@ -747,8 +747,8 @@ def test_a_start_that_takes_too_long_says_who_is_not_there(starting):
     assert after(reader, stalls, 29.0) == reader.state
 
 
-def test_a_rig_has_begun_when_somebody_has_said_something():
-    """Before that it waits for its start; what a clock or an outside plant says at t = 0 unasked is a beginning."""
+def test_a_rig_has_begun_when_a_node_has_published():
+    """Before that it waits for its start; a message at t = 0 of a clock or an outside plant is a beginning."""
 
     def limit(change, **links):
         reader, row, stalls = stands(links)
@@ -771,7 +771,7 @@ def test_a_rig_has_begun_when_somebody_has_said_something():
     assert limit(lambda reader, row: reader.table.rows.clear()) == "running"
 
 
-def test_two_who_publish_one_topic_are_named_when_the_graph_knows_them():
+def test_two_publishers_of_one_topic_are_named_when_the_graph_shows_them():
     reader, row, stalls = stands()
     stalls.rivals, reader.state = row, "failed"
     reader.middleware.writers["/x"] = ["one", "_NODE_NAME_UNKNOWN_"]
@@ -791,7 +791,7 @@ def test_two_who_publish_one_topic_are_named_when_the_graph_knows_them():
 
 
 class Drive:
-    """What drives a reader that comes back."""
+    """The environment of a reader that restarts."""
 
     def __init__(self, reader):
         self.node, self.senders, self.solving = reader, reader.table, None
@@ -802,7 +802,7 @@ class Drive:
 
 
 def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, clock=False, **links):
-    """A reader that has died, with what the others have recorded: times (ms) and values by topic, by sender how far."""
+    """A reader that has died, and the recordings of the others: times (ms) and values by topic, by sender how far."""
     kinds = {"x": link(), "s": InputLink(period="0.01", node="quiet", port="out", sporadic=True), "c": link()}
     reader = Reader(inputs=kinds if inputs is None else inputs, returns=True, **links)
     reader.files = True
@@ -854,7 +854,7 @@ RECORD = {
 }
 
 
-def test_who_comes_back_answers_the_ticks_for_which_the_others_have_said_all_and_waits_for_the_rest():
+def test_a_restarted_node_answers_the_ticks_with_complete_inputs_and_waits_for_the_rest():
     reader, rows, back, seen, marked, planned, _ = comes_back(RECORD, answered={"quiet": 60 * MS, "sender": 50 * MS})
     assert seen == [
         (0, 0.5, 0.0, 0.25, False),
@@ -879,7 +879,7 @@ def test_who_comes_back_answers_the_ticks_for_which_the_others_have_said_all_and
     assert (reader.table.missing, reader.values["x"], reader.values["c"], reader.turns) == (0, (9.5,), (5.25,), 1)
 
 
-def test_who_comes_back_learns_from_the_files_what_was_said_meanwhile_and_who_has_left():
+def test_a_restarted_node_reads_from_the_files_what_was_published_and_which_nodes_have_left():
     reader, rows, back, *_, recording = comes_back(RECORD, answered={"quiet": 60 * MS, "sender": 50 * MS})
     more = RECORD | {"x": [(10 * k, k + 0.5) for k in range(6)], "s": [*RECORD["s"], (50, 8.0)]}
     files = Files(recording(more), recording({}), {"quiet": 70 * MS, "sender": math.inf}, frozenset({"sender"}))
@@ -914,7 +914,7 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
     assert [row.received_any for row in rows.values()] == [False, True]
 
 
-def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
+def test_external_messages_are_in_the_nodes_own_recording_and_each_one_counts():
     free = joint_state("f", "f", ["q"], position="m", held=True)
     ports = state("x"), free
     record, own = (
@@ -939,7 +939,7 @@ def test_what_came_from_outside_is_in_its_own_record_and_each_message_counts():
     assert [number for number, _ in paired_.unused()] == [2]
 
 
-def test_who_paces_itself_by_the_clock_comes_back_to_its_newest_tick():
+def test_a_node_that_follows_the_clock_restarts_at_its_newest_tick():
     times = [(10 * k, ()) for k in range(4)]
     for record, ticks, used in ((times, 4, 30 * MS), ([], 0, -1)):
         reader, _, _, seen, *_ = comes_back({"/clock": record}, inputs={}, ports=(), clock=True)

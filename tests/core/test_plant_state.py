@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def plants():
-    """Executable to class."""
+    """Executable to class, for all plants."""
     result = {}
     for file in sorted(ROOT.glob("ros_pkgs/*/setup.cfg")):
         for name in executables(file.parent.name):
@@ -49,7 +49,7 @@ def stepped(held, first, count):
     return held.x
 
 
-def test_all_plants_are_here():
+def test_all_plants_are_tested():
     assert len(PLANTS) >= 20
 
 
@@ -72,7 +72,7 @@ def test_a_state_of_another_length_is_refused():
         Sampled(PLANTS["tcp_fluid"]()).linearise((1.0, 0.0, 0.0), (0.0, *(0.0,) * 4))
 
 
-def test_names_are_made_fit():
+def test_names_are_made_valid():
     kind = state_type(("P", ("1", "2")), ("", ("axis/position", "3", "lambda")))
     assert kind._fields == ("P_1", "P_2", "axis_position", "x_3", "x_lambda")
 
@@ -87,7 +87,7 @@ def test_linearised_motor_is_the_sampled_equations():
     assert result.system().dt == plant.p.period
 
 
-def test_the_voltage_that_holds_a_speed():
+def test_the_voltage_that_holds_a_speed_is_found():
     plant = DcMotorPlant()
     x, u = equilibrium(Sampled(plant), (0.0, 5.0, 0.0), (0.0,), held=[1], free=[0], moving=[0])
     p = plant.p
@@ -104,7 +104,7 @@ def test_linear_plant_has_its_poles():
 
 
 @pytest.mark.long
-def test_resting_converter_is_the_steady_state():
+def test_the_resting_converter_is_the_steady_state():
     plant = PvPlant()
     conditions = plant.first().conditions
     source = plant.p.sources()(conditions)
@@ -113,8 +113,8 @@ def test_resting_converter_is_the_steady_state():
     assert x == pytest.approx((*steady_state(plant.p.converter, source, 0.4), *conditions), rel=1e-7)
 
 
-def test_resting_rectifier_and_its_poles():
-    """At its published start the averaged rectifier rests; its dominant pole is the DC link's, -126 1/s."""
+def test_the_resting_rectifier_and_its_poles():
+    """At its published start the averaged rectifier is at rest; its dominant pole is that of the DC link, -126 1/s."""
     plant = RectifierPlant()
     p = plant.p
     x, u = equilibrium(Sampled(plant), numbers(plant.first()), (p.drop, p.R_L, p.V_g, 0.0))

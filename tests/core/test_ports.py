@@ -1,4 +1,4 @@
-"""Events, partial messages, records at the end, ends by a block, unit delays, clocks: alike in every runner."""
+"""Events, partial messages, records at the end, ends by a block, unit delays, clocks: alike in every placement."""
 
 import pytest
 from conftest import differences, in_process, make_scenario
@@ -75,7 +75,7 @@ DAILY = ("end",)  # what goes through processes; the others do in the simulated 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in RIGS])
 @pytest.mark.processes
-def test_processes_and_open_loop_give_what_in_process_gives(name, tmp_path):
+def test_processes_and_open_loop_give_the_same_as_in_process(name, tmp_path):
     wired = rig(name)
     expected = in_process(wired)
     outcome = run_processes(wired, 0, tmp_path)
@@ -86,7 +86,7 @@ def test_processes_and_open_loop_give_what_in_process_gives(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_open_loop_gives_what_in_process_gives(name):
+def test_open_loop_gives_the_same_as_in_process(name):
     wired = rig(name)
     expected = in_process(wired)
     for member in wired.members:
@@ -131,14 +131,14 @@ def test_a_rig_without_a_plant_has_a_clock():
         rig_of(make_scenario({"source": "source"}, 0.2, clock="1/x"))
 
 
-def test_only_a_port_that_says_so_may_be_silent():
+def test_only_a_port_declared_sporadic_may_be_silent():
     port = command("u", "u", ["a"], "N")
     with pytest.raises(RunError, match="gave no u"):
         admit({}, port, "node", 0)
     assert admit({"u": None}, command("u", "u", ["a"], "N", sporadic=True), "node", 0) is None
 
 
-def test_units_by_channel():
+def test_units_are_declared_by_channel():
     port = command("u", "u", ["a", "b"], ["N", "1"])
     assert port.units == ("N", "1")
     assert joint_state("x", "x", ["a", "b"], position=["rad", "m"], velocity="1").units == ("rad", "m", "1", "1")
@@ -162,7 +162,7 @@ def test_absent_channels_of_a_partial_port_keep_their_value(first, second):
         assert decode.kept == tuple(kept[label] for label in port.labels)
 
 
-def test_a_partial_port_refuses_what_it_does_not_know():
+def test_a_partial_port_refuses_unknown_channels():
     port = command("e", "e", ["a", "b"], "N", partial=True)
     for names in (["a", "c"], [], ["a", "a"]):
         with pytest.raises(Refused, match="expected some of"):
@@ -178,10 +178,10 @@ def test_a_block_of_parameters_has_them_as_its_params():
         k: float = param(3.0, "gain")
 
     class Law(Block[Own]):
-        """Nothing."""
+        """An empty controller."""
 
     class Derived(Law):
-        """The same."""
+        """A class derived from it."""
 
     assert Law(k=2.0).p.k == 2.0
     assert Derived().p.k == 3.0
@@ -200,15 +200,15 @@ R = TypeVar("R", bound=Ranged, default=Turned)
 S = TypeVar("S", bound=Ranged)
 
 
-def test_a_base_leaves_its_parameters_open():
+def test_a_base_class_leaves_its_parameters_open():
     class Base(Block[R]):
-        """Several laws are one."""
+        """A base class of several controllers."""
 
     class Law(Base[Ranged]):
-        """One."""
+        """One of the controllers."""
 
     class Bound(Block[S]):
-        """Without a default."""
+        """A parameter without a default."""
 
     assert (Base.Params, Law.Params, Bound.Params) == (Turned, Ranged, Ranged)
     assert Base(gain=3.0).p.gain == 3.0
@@ -230,7 +230,7 @@ def test_a_port_without_values_is_refused_when_it_is_made(make):
 
 
 class Doubled(Block):
-    """Two inputs of one name: the second link took the place of the first."""
+    """Two inputs with one name: the second link replaced the first."""
 
     INPUTS = (scalars("in", "a", {"x": "1"}), scalars("in", "b", {"x": "1"}))
 
@@ -251,7 +251,7 @@ class DoubledTopics(Block):
         (DoubledTopics, r"rig: node n: outputs one and other both publish 'a'; give each its own topic"),
     ],
 )
-def test_names_that_must_be_unique_are(block, what):
+def test_names_that_must_be_unique_are_checked(block, what):
     with pytest.raises(ScenarioError, match=what):
         Rig.from_blocks({"n": block()}, 1.0)
 

@@ -1,4 +1,4 @@
-"""The parts of a run as processes, each by itself with no process: ports, profiles, parameters, watching, waiting."""
+"""The parts of a run in processes, each alone and without a process: ports, profiles, parameters, watching, waiting."""
 
 import functools
 import json
@@ -69,7 +69,7 @@ BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
         (232, 9.0, 7, (), 0, 6807, 11),  # the last domain has no room: as the standard has it
     ],
 )
-def test_a_participant_has_ports_that_nobody_had_lately(domain, now, pid, used, others, base, user, monkeypatch):
+def test_a_participant_has_ports_that_no_process_had_lately(domain, now, pid, used, others, base, user, monkeypatch):
     monkeypatch.setattr(os, "getpid", lambda: pid)
     first = 7400 + 250 * domain
     monkeypatch.setattr(ports, "udp_ports", lambda: {first + 10 + 2 * k for k in range(others)} | {first + 1})
@@ -103,7 +103,7 @@ CHOSEN = {"portBase": 6607, "offsetd0": 793, "offsetd1": 803, "offsetd2": 794, "
 
 @pytest.fixture
 def fixed(monkeypatch):
-    """A process that gets certain ports and finds none that is in its way."""
+    """A process that gets fixed ports and finds no port file in its way."""
     asked = []
     monkeypatch.setattr(profile, "chosen", lambda domain, used: asked.append((domain, used)) or CHOSEN)
     monkeypatch.setattr(profile, "numbers", lambda: {7})
@@ -134,7 +134,7 @@ def test_a_participant_gets_its_ports_and_in_a_container_the_property(exclusive,
         assert rtps.find("d:builtin/d:discovery_config/d:leaseDuration/d:sec", SPACE).text == "3"
 
 
-def test_ports_and_properties_of_a_given_profile_stay(fixed):
+def test_ports_and_properties_of_a_users_profile_stay(fixed):
     rtps = "<rtps><port><portBase>1</portBase></port><propertiesPolicy><properties><property><name>a</name></property>"
     given = f"<profiles><participant>{rtps}</properties></propertiesPolicy></rtps></participant></profiles>"
     root = ElementTree.fromstring(profile.own(given.encode(), exclusive=True))
@@ -147,7 +147,7 @@ def test_ports_and_properties_of_a_given_profile_stay(fixed):
 
 
 @pytest.mark.parametrize("given", [None, "ours", "theirs"])
-def test_while_a_participant_begins_its_profile_is_that_of_the_environment(given, fixed, tmp_path, monkeypatch):
+def test_while_a_participant_starts_its_profile_is_that_of_the_environment(given, fixed, tmp_path, monkeypatch):
     theirs = tmp_path / "given.xml"
     theirs.write_bytes(executables.PROFILE.read_bytes())
     monkeypatch.delenv(profile.VARIABLE, raising=False)
@@ -194,7 +194,7 @@ def test_without_room_in_shared_memory_no_transport_uses_it(reach, asked, fixed,
     assert profile.VARIABLE not in os.environ
 
 
-def test_a_node_is_reached_from_other_hosts_only_where_somebody_asks_for_it(monkeypatch, tmp_path):
+def test_a_node_is_reachable_from_other_hosts_only_on_request(monkeypatch, tmp_path):
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", *executables.NETWORK, "FASTRTPS_DEFAULT_PROFILES_FILE"):
         monkeypatch.delenv(name, raising=False)
     for name, value, reach in (
@@ -237,7 +237,7 @@ def test_a_node_is_reached_from_other_hosts_only_where_somebody_asks_for_it(monk
     assert executables.environment(17, tmp_path, silence=10.0)["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/other.xml"
 
 
-def test_an_executable_that_is_not_there_is_reported_with_what_is(tmp_path, monkeypatch):
+def test_a_missing_executable_is_reported_with_the_existing_ones(tmp_path, monkeypatch):
     folder = tmp_path / "lib" / "own"
     folder.mkdir(parents=True)
     for name, mode in (("plant", 0o755), ("notes", 0o644)):
@@ -264,7 +264,7 @@ def test_an_executable_that_is_not_there_is_reported_with_what_is(tmp_path, monk
 # ---- what a node is started with ----
 
 
-def test_nodes_share_processes_as_their_containers_say_and_only_those_that_are_asked_for_start():
+def test_nodes_share_processes_as_their_containers_say_and_only_requested_ones_start():
     rig = rig_of(make_scenario(BASIC | {"watcher": {"executable": "watcher", "external": True}}))
 
     def names(*text):
@@ -289,7 +289,7 @@ def test_nodes_share_processes_as_their_containers_say_and_only_those_that_are_a
     assert Placement().shared(two) == ()
 
 
-def test_a_node_is_reported_its_parameters_as_far_as_they_differ_and_how_it_runs(tmp_path):
+def test_a_node_is_passed_its_changed_parameters_and_how_it_runs(tmp_path):
     plant = {"executable": "plant", "parameters": {"gain": 2.5}, "remap": {"lag/applied": "other"}}
     rig = rig_of(make_scenario(BASIC | {"plant": plant}, 0.5, timeout=7.0, start_timeout=31.0))
     member = rig.members[0]
@@ -320,7 +320,7 @@ def test_a_node_is_reported_its_parameters_as_far_as_they_differ_and_how_it_runs
     assert yaml.safe_load(file.read_text()) == {"/**": {"ros__parameters": given["plant"]}}
 
 
-def test_of_a_node_that_dies_twice_the_longer_record_is_kept(tmp_path):
+def test_of_a_node_that_dies_twice_the_longer_recording_is_kept(tmp_path):
     stem, shard, died = tmp_path / "a", tmp_path / "a.shard", tmp_path / "a.shard.died"
     spawning._keep_record(stem)
     assert not died.exists()
@@ -334,7 +334,7 @@ def test_of_a_node_that_dies_twice_the_longer_record_is_kept(tmp_path):
 
 
 class Process:
-    """A process that is whatever a test says."""
+    """A process that does what the test says."""
 
     def __init__(self, pid=1, stubborn=()):
         self.pid, self.returncode, self.sent, self.stubborn = pid, None, [], stubborn
@@ -367,7 +367,7 @@ class Child(SimpleNamespace):
         )
 
 
-def test_who_does_not_end_when_asked_is_asked_again_and_killed(monkeypatch):
+def test_a_process_that_does_not_end_is_asked_again_and_killed(monkeypatch):
     monkeypatch.setattr(children, "time", SimpleNamespace(monotonic=lambda: 5.0))
     ended, kind, deaf, twin = (Child(name, pid) for pid, name in enumerate(("ended", "kind", "deaf", "twin"), 1))
     ended.process.returncode = 3
@@ -382,7 +382,7 @@ def test_who_does_not_end_when_asked_is_asked_again_and_killed(monkeypatch):
     stop([ended])
 
 
-def test_what_a_node_says_of_itself_is_read_from_its_files(tmp_path):
+def test_the_status_of_a_node_is_read_from_its_files(tmp_path):
     assert read_status(tmp_path / "none") == {}
     (tmp_path / "status").write_text('{"t": 1}')
     assert read_status(tmp_path / "status") == {"t": 1}
@@ -397,7 +397,7 @@ def test_what_a_node_says_of_itself_is_read_from_its_files(tmp_path):
 
 
 class Watched:
-    """A run of three nodes as its supervisor sees it; at each look a tenth of a second has passed."""
+    """A run of three nodes as its supervisor sees it; at each check a tenth of a second has passed."""
 
     def __init__(self, monkeypatch, realtime=False, most=0):
         self.now, self.realtime, self.told, self.script = 100.0, realtime, [], {}
@@ -445,7 +445,7 @@ class Watched:
         return end
 
     def run(self):
-        """What it comes to, and after how many seconds."""
+        """The result, and after how many seconds."""
         text = supervision.supervise(
             self.rig,
             self.children,
@@ -470,7 +470,7 @@ def watched(monkeypatch):
     return lambda **options: Watched(monkeypatch, **options)
 
 
-def test_a_call_that_does_not_return_is_announced_once_when_the_rig_stands(watched):
+def test_a_call_that_does_not_return_is_reported_once_when_the_rig_waits(watched):
     run = watched()
     line = "law: `update` at t = 0.1 s has not returned for 5 s; Ctrl-C ends the run (law.py, line 3)"
     run.at(1.0, lambda: run.logs.update(last=line)).at(1.9, lambda: run.announced.append("until then nothing"))
@@ -488,7 +488,7 @@ def all_end(run, seconds):
     return run.at(seconds, lambda: [run.ends(child.member.name)() for child in run.children])
 
 
-def test_a_run_that_ends_in_order_tells_of_each_progress_of_its_plant(watched):
+def test_a_run_that_ends_in_order_reports_the_progress_of_its_plant(watched):
     run = watched()
     for at, t in ((0.2, 5), (0.4, 5), (0.7, 9)):
         run.at(at, run.says("plant", t=t))
@@ -498,7 +498,7 @@ def test_a_run_that_ends_in_order_tells_of_each_progress_of_its_plant(watched):
     assert run.looks[0] == {name: {"t": 0, "state": "running"} for name in ("plant", "law", "source")}
 
 
-def test_in_lockstep_who_is_left_when_another_has_ended_has_the_timeout_from_the_last_progress(watched):
+def test_in_lockstep_remaining_nodes_have_the_timeout_from_the_last_progress(watched):
     run = watched().at(1.0, lambda: None)
     run.at(2.0, run.ends("law"))
     assert run.run() == (LOST.format("plant, source"), 12.0)
@@ -514,7 +514,7 @@ def test_in_lockstep_who_is_left_when_another_has_ended_has_the_timeout_from_the
     assert run.run() == (asleep, 12.0)
 
 
-def test_a_node_that_says_nothing_of_itself_has_the_time_of_the_start(watched):
+def test_a_node_without_a_status_has_the_time_of_the_start(watched):
     run = watched()
     run.states["law"] = run.states["source"] = {}
     run.at(29.0, run.says("source", t=0))
@@ -525,7 +525,7 @@ def test_a_node_that_says_nothing_of_itself_has_the_time_of_the_start(watched):
     assert run.run()[1] == 50.1
 
 
-def test_in_real_time_all_have_the_timeout_after_the_end_of_the_run(watched):
+def test_in_real_time_all_nodes_have_the_timeout_after_the_end_of_the_run(watched):
     run = watched(realtime=True)
     run.at(3.0, run.says("plant", epoch=round((1000.0 + 100.0 + 3.0 + 2.0) * 1e9)))  # t = 0 is 2 s later
     assert run.run() == (LOST.format("plant, law, source"), 20.1)
@@ -537,7 +537,7 @@ def test_in_real_time_all_have_the_timeout_after_the_end_of_the_run(watched):
     assert run.run() == (LOST.format("plant, law, source"), 48.1)
 
 
-def test_where_nodes_are_started_again_a_rig_that_stands_is_lost_after_the_time_of_a_start(watched):
+def test_with_restarts_a_rig_without_progress_is_lost_after_the_time_of_a_start(watched):
     run = watched(most=1)
     run.at(4.0, run.says("law", t=5)).at(6.0, run.says("source", state="done")).at(7.0, run.says("law", ticks=9))
     run.at(8.0, run.says("law", busy=True)).at(9.0, run.says("law", busy=False))
@@ -545,7 +545,7 @@ def test_where_nodes_are_started_again_a_rig_that_stands_is_lost_after_the_time_
     assert (text, after) == (LOST.format("plant, law, source"), 39.0)
 
 
-def test_a_signal_ends_the_watching(watched):
+def test_a_signal_ends_the_watch(watched):
     run = watched()
 
     def check():
@@ -557,7 +557,7 @@ def test_a_signal_ends_the_watching(watched):
         run.run()
 
 
-def test_who_has_failed_is_named_with_the_reason(watched):
+def test_failed_nodes_are_named_with_the_reason(watched):
     def outcome(codes, states, last="", most=0, later=()):
         run = watched(most=most)
         run.logs["last"] = last
@@ -616,8 +616,8 @@ def test_a_system_clock_that_is_set_back_is_reported(monkeypatch):
 # ---- nodes that are started again ----
 
 
-def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path, monkeypatch):
-    """Two of their status files that tell of the same tick, and of no work under way."""
+def test_a_node_that_was_killed_is_restarted_when_all_others_wait(tmp_path, monkeypatch):
+    """After two of their status files with the same tick, and without work in progress."""
     messages = []
     nodes = [Child(name, pid) for pid, name in enumerate(("dead", "one", "two"), 1)]
     written = {}
@@ -661,7 +661,7 @@ def test_a_node_that_was_killed_is_started_again_when_all_others_stand(tmp_path,
     assert Restarts(1, again).why(nodes[0].member) == "; it was started again 0 of 1 times"
 
 
-def test_what_could_not_be_started_again_is_refused():
+def test_impossible_restarts_are_refused():
     rig = rig_of(make_scenario(BASIC))
     guest = rig_of(make_scenario(BASIC | {"gain": {"executable": "gain", "external": True}}))
     check_restart(rig, Placement(restart=1))
@@ -687,7 +687,7 @@ def test_what_could_not_be_started_again_is_refused():
 # ---- external nodes ----
 
 
-def test_external_nodes_are_reported_what_to_do_and_it_is_said_who_has_come(monkeypatch):
+def test_missing_external_nodes_are_reported_with_what_to_do_and_present_ones_are_logged(monkeypatch):
     nodes = BASIC | {
         "gain": {"executable": "gain", "external": True},
         "watcher": {"executable": "watcher", "external": True},
@@ -741,7 +741,7 @@ def test_external_nodes_are_reported_what_to_do_and_it_is_said_who_has_come(monk
     assert messages[-1] == "gain is there"
 
 
-def test_a_server_serves_what_differs_only_in_what_a_node_reads_when_it_starts():
+def test_a_fork_server_serves_settings_that_a_node_reads_when_it_starts():
     base = {"A": "1", "ROS_DOMAIN_ID": "3", "COLUMNS": "80"}
     assert fork_server._key(base) == fork_server._key(base | {"ROS_DOMAIN_ID": "4", "LINES": "5", "COLUMNS": "9"})
     assert fork_server._key(base) != fork_server._key(base | {"A": "2"})
@@ -754,7 +754,7 @@ def test_a_server_serves_what_differs_only_in_what_a_node_reads_when_it_starts()
     assert not serves(server, base)
 
 
-def test_an_answer_of_the_server_is_that_to_the_newest_question_and_who_has_died_was_killed(monkeypatch):
+def test_an_answer_of_the_server_belongs_to_the_newest_request_and_a_dead_process_was_killed(monkeypatch):
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     server = object.__new__(fork_server.ForkServer)
     server._lock, server._asked, server._link, server._owner = threading.Lock(), 0, ours, -1
@@ -776,7 +776,7 @@ def test_an_answer_of_the_server_is_that_to_the_newest_question_and_who_has_died
     assert server.status(5) == -9
 
 
-def test_a_server_that_cannot_is_replaced_once_and_then_the_executable_starts_by_itself(monkeypatch):
+def test_a_failing_server_is_replaced_once_and_then_the_executable_starts_by_itself(monkeypatch):
     asked = []
     for answers, started in (([5], 5), ([None, 6], 6), ([None, None, 7], None)):
         given = iter(answers)
@@ -788,7 +788,7 @@ def test_a_server_that_cannot_is_replaced_once_and_then_the_executable_starts_by
     assert asked == [("p", "e", ["c"], {"A": "1"}, 2)] * 5
 
 
-def test_a_module_that_is_edited_is_seen_once(tmp_path, monkeypatch):
+def test_an_edited_module_is_noticed_once(tmp_path, monkeypatch):
     file = tmp_path / "edited.py"
     file.write_text("")
     os.utime(file, ns=(1, 10**18))
@@ -806,7 +806,7 @@ def test_a_module_that_is_edited_is_seen_once(tmp_path, monkeypatch):
     assert not edited  # of Python's own libraries nobody looks
 
 
-def test_the_folder_of_a_run_is_made_where_there_is_none(tmp_path, monkeypatch, lag_rig):
+def test_a_missing_folder_of_a_run_is_created(tmp_path, monkeypatch, lag_rig):
     def down():
         raise RunError("lo is down")
 
@@ -823,7 +823,7 @@ def test_the_folder_of_a_run_is_made_where_there_is_none(tmp_path, monkeypatch, 
 
 
 class Declares:
-    """A node that is given parameters and keeps what is declared."""
+    """A node that is passed parameters and records what is declared."""
 
     def __init__(self, **given):
         kinds = {k.replace("__", "."): v for k, v in given.items()}
@@ -840,7 +840,7 @@ class Declares:
         return self._described[name]
 
 
-def test_a_node_declares_its_parameters_and_those_of_its_run_that_fit_another_one():
+def test_a_node_declares_its_parameters_and_those_of_its_run_that_belong_to_others():
     node = Declares(k=3.0, run__seed=5, run__shard="x", use_sim_time=True, qos_overrides__x=1, run__paired=None)
     params, options = main._parameters(node, Gain)
     assert (params.k, options.seed, options.shard, options.paired) == (3.0, 5, "x", ())
@@ -869,7 +869,7 @@ def test_a_node_declares_its_parameters_and_those_of_its_run_that_fit_another_on
         main._parameters(Declares(kk=3.0), Gain)
 
 
-def test_a_node_says_what_it_is_and_how_it_is_started():
+def test_a_node_describes_itself_and_how_it_is_started():
     assert main.introduction(Gain(), RunOptions()) == (
         "u = k (r - x) + noise; the state is the number of its ticks; realtime, every 0.01 s; "
         "waits for lag/state, lag/reference; publishes lag/command"

@@ -1,4 +1,4 @@
-"""A whole run as processes, each of its parts stood for; and what its nodes are told of each other."""
+"""A whole run in processes, with a stand-in for each of its parts; and what its nodes know of each other."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from test_processes_parts import BASIC, Child
 
 
 class Stage:
-    """A run through processes whose parts say what they were asked."""
+    """A run through processes whose parts record their calls."""
 
     def __init__(self, monkeypatch, folder, nodes=BASIC, error="", failing=None, late=(), **keys):
         self.asked, self.said, self.error, self.failing, self.late = [], [], error, failing, [*late]
@@ -115,7 +115,7 @@ def test_a_run_goes_through_its_stages_in_order(stage, tmp_path):
     assert set(outcome.status) == set(BASIC)
 
 
-def test_a_run_in_a_given_domain_leaves_the_ports_of_others_alone(stage, tmp_path):
+def test_a_run_in_a_chosen_domain_leaves_the_ports_of_others_alone(stage, tmp_path):
     one = stage()
     one.run(domain=4, wait=5.0, record=False, clock="realtime")
     assert one.asked[:2] == ["loopback", ("leftovers", None)]
@@ -138,7 +138,7 @@ def test_a_run_in_a_given_domain_leaves_the_ports_of_others_alone(stage, tmp_pat
     assert [a for a in together.asked if isinstance(a, tuple) and a[0] == "start"] == [("start", [*BASIC], False)]
 
 
-def test_what_people_should_know_of_a_run_is_announced(stage):
+def test_facts_that_a_user_should_know_of_a_run_are_logged(stage):
     one = stage()
     one.domain, one.short = 120, "/dev/shm has 1 MB left"
     one.run()
@@ -152,7 +152,7 @@ def test_what_people_should_know_of_a_run_is_announced(stage):
     assert (given.said, given.started.variables) == ([], {})
 
 
-def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(stage, monkeypatch):
+def test_the_end_of_a_run_is_reported_once_and_a_refused_parameter_is_an_error_of_the_scenario(stage, monkeypatch):
     assert stage(error="node law: broken").run().error == "node law: broken"
     monkeypatch.setattr(processes.SystemClock, "set_back", lambda clock: "; the clock was set back")
     assert stage(error="node law: broken").run().error == "node law: broken; the clock was set back"
@@ -185,7 +185,7 @@ def test_how_a_run_ends_is_said_once_and_a_refused_parameter_is_the_scenarios(st
     assert broken.asked[-1] == "stop"
 
 
-def test_nodes_are_started_with_files_of_their_own_by_the_server_or_else_by_themselves(tmp_path, monkeypatch):
+def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(tmp_path, monkeypatch):
     forked, started, opened = [], [], []
 
     def fork(package, executable, command, variables, output):
@@ -267,7 +267,7 @@ def test_room_in_shared_memory_is_enough_to_the_byte(tmp_path, monkeypatch):
     assert shared_memory.numbers(tmp_path / "none") == set()
 
 
-def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
+def test_a_link_in_place_of_a_lock_is_not_followed(tmp_path):
     for name in ("target", "fastrtps_00aa", "fastrtps_00bb", "fastrtps_00bb_el"):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (0, 0))
@@ -277,13 +277,13 @@ def test_a_link_in_the_place_of_a_lock_is_not_followed(tmp_path):
 
 
 def port_of_fast_dds(at, number=7411, limit=20_000, third=6_666, ago=1e3, size=None):
-    """The bytes of a port in shared memory, described at a place: when it was judged last, its number, its limits."""
+    """The bytes of a port in shared memory with a description at a place: time of its last check, number, limits."""
     last = round((time.time() - ago) * 1e3)
     described = struct.pack("=qIIIIIII", last, 1, 2, 3, number, 5, limit, third)
     return (bytes(at) + described + bytes(40))[: at + 36 if size is None else size]
 
 
-def test_where_a_port_keeps_the_time_of_its_last_look_is_found_or_nothing_is_written(tmp_path, monkeypatch):
+def test_the_place_of_the_last_check_of_a_port_is_found_or_nothing_is_written(tmp_path, monkeypatch):
     path = tmp_path / "fastrtps_port7411"
     for segment, place in (
         (port_of_fast_dds(0), 0),
@@ -312,7 +312,7 @@ def test_where_a_port_keeps_the_time_of_its_last_look_is_found_or_nothing_is_wri
             assert changed == []
 
 
-def test_leftovers_go_in_the_domain_that_nobody_is_in_and_its_locks_are_of_the_user_alone(tmp_path, monkeypatch):
+def test_leftovers_are_removed_in_an_unused_domain_and_its_locks_belong_to_the_user(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(domain, "remove_leftovers", asked.append)
@@ -324,8 +324,8 @@ def test_leftovers_go_in_the_domain_that_nobody_is_in_and_its_locks_are_of_the_u
         assert asked[1:] == [None]  # others may be there
 
 
-def test_the_search_for_a_domain_begins_at_the_number_of_the_process_and_goes_round(monkeypatch):
-    """So that two runs in a row seldom share one; then those beyond, of which the highest come first."""
+def test_the_search_for_a_domain_begins_at_the_process_id_and_wraps_around(monkeypatch):
+    """So two runs in a row rarely share one; then the further ones, the highest first."""
     tried = []
 
     def taken(number):
@@ -353,7 +353,7 @@ def test_the_search_for_a_domain_begins_at_the_number_of_the_process_and_goes_ro
     assert domain.inhabited() == {-1, 0, 1, 231}
 
 
-def test_nodes_need_a_loopback_interface_that_is_up_where_it_is_called_lo(monkeypatch):
+def test_nodes_need_a_loopback_interface_that_is_up(monkeypatch):
     for flags, fits in ((0x49, True), (0x48, False), (0, False)):
         asked = []
         answer = struct.pack("16sH14x", b"lo", flags)
@@ -406,7 +406,7 @@ LINKED = {
 
 
 def knows():
-    """What nodes are told, where it is not the usual: of a rig what all are told, then of each what it alone is."""
+    """What nodes are passed beyond the usual: first what all nodes of a rig get, then what each alone gets."""
     for kind, nodes in LINKED.items():
         rig = rig_of(make_scenario(nodes, 0.2))
         entries = {m.name: peers.links(rig, m).model_dump(exclude_defaults=True) for m in rig.members if not m.external}
@@ -425,5 +425,5 @@ def knows():
                     yield f"    {name} {value}"
 
 
-def test_what_nodes_know_of_their_peers_is_expected():
+def test_facts_that_nodes_know_of_their_peers_are_as_expected():
     check_expected("peers", knows())

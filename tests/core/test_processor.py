@@ -1,4 +1,4 @@
-"""A plant and its law stay on one processor while their ticks are short; no other rig does."""
+"""A plant and its controller stay on one processor while their ticks are short; other rigs are not placed."""
 
 import os
 import threading
@@ -22,7 +22,7 @@ PAIR = {"plant": motor("dc_motor_plant"), "law": motor("dc_motor_smc")}
 
 @pytest.fixture
 def allowed():
-    """The processors of this process, which has them back afterwards."""
+    """The processors of this process, restored afterwards."""
     before = os.sched_getaffinity(0)
     if len(before) < 2:
         pytest.skip("one processor")
@@ -32,7 +32,7 @@ def allowed():
 
 
 class Work:
-    """What a process has done so far."""
+    """The work that a process has done so far."""
 
     messages = time = 0
 
@@ -56,7 +56,7 @@ def test_nodes_of_a_domain_share_one_and_the_next_domain_has_another(allowed):
     assert numbers == [*allowed, allowed[0]]
 
 
-def test_every_thread_stays_until_messages_take_long_and_comes_back(allowed):
+def test_every_thread_stays_until_messages_take_long_and_returns(allowed):
     over, seen = threading.Event(), {}
     thread = threading.Thread(target=over.wait)
     thread.start()
@@ -95,7 +95,7 @@ def test_every_thread_stays_until_messages_take_long_and_comes_back(allowed):
     assert seen == dict.fromkeys(stays, own) | dict.fromkeys(goes, everywhere)
 
 
-def test_who_follows_is_beside_them_until_messages_take_long(allowed):
+def test_a_follower_runs_beside_them_until_messages_take_long(allowed):
     work, processor = placed(1, beside=True)
     others = set(allowed) - {allowed[1 % len(allowed)]}
     assert os.sched_getaffinity(0) == others
@@ -117,7 +117,7 @@ def test_who_follows_is_beside_them_until_messages_take_long(allowed):
         (1, LONG - 1, True),
     ],
 )
-def test_what_is_long_and_how_much_is_enough_to_judge_by(messages, each, stays, allowed):
+def test_long_messages_and_the_number_needed_to_judge_are_as_expected(messages, each, stays, allowed):
     work, processor = placed()
     work.more(1, 0)
     processor.step()
@@ -127,7 +127,7 @@ def test_what_is_long_and_how_much_is_enough_to_judge_by(messages, each, stays, 
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_who_may_use_one_only_is_left_alone(beside, allowed):
+def test_a_process_with_a_single_processor_is_left_alone(beside, allowed):
     os.sched_setaffinity(0, {allowed[-1]})
     _, processor = placed(len(allowed), beside)
     assert processor.number is None
@@ -135,7 +135,7 @@ def test_who_may_use_one_only_is_left_alone(beside, allowed):
 
 
 def other(number, **entry):
-    """Another law, whose command nobody reads."""
+    """Another controller, whose command no node reads."""
     return {f"other_{number}": motor("dc_motor_smc", remap={"motor/command": f"other/command_{number}"}, **entry)}
 
 
@@ -150,7 +150,7 @@ def other(number, **entry):
         (other(1, external=True), ["anywhere"] * 2),  # nobody knows what it reads
     ],
 )
-def test_a_plant_and_its_law_work_together_who_follows_beside_them(more, places):
+def test_a_plant_and_its_controller_share_a_processor_and_followers_run_beside_them(more, places):
     run = SimulatedRig(rig_of(make_scenario(PAIR | more, 0.01)), World(), "lockstep")
     run.run(0.2)
     assert [node.place for node in run.nodes.values()] == places

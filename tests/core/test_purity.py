@@ -1,4 +1,4 @@
-"""What a block keeps outside of x is named, whatever keeps it, and no verb's result depends on order or workers."""
+"""State that a block keeps outside of x is named, wherever it is, and no verb's result depends on order or workers."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def law_of(habit: Any, as_state: bool = False) -> type[Block[Any]]:
 
 @pytest.mark.parametrize("habit", [by_global, by_list, by_random, by_attribute, closure()], ids=lambda h: h.__name__)
 @pytest.mark.parametrize("as_state", [False, True])
-def test_an_impure_law_is_named_with_member_output_and_time(habit: Any, as_state: bool) -> None:
+def test_an_impure_law_is_named_with_node_output_and_time(habit: Any, as_state: bool) -> None:
     what = r"its state n = \[[\d.]+\] and then \[[\d.]+\]" if as_state else r"u/x/position = [\d.]+ and then [\d.]+"
     rig = Rig.from_blocks({"bad": law_of(habit, as_state)()}, 1.0)
     with pytest.raises(RunError, match=rf"bad: the tick at t = 0 s, computed twice .* gives {what}; ") as result:
@@ -104,14 +104,14 @@ def test_an_impure_law_is_named_with_member_output_and_time(habit: Any, as_state
         simulate(rig, thorough=True)
 
 
-def test_a_pure_law_passes_and_is_looked_at_once() -> None:
+def test_a_pure_law_passes_and_is_checked_once() -> None:
     made = law_of(pure)
     check_pure(Rig.from_blocks({"good": made()}, 1.0))
     assert made in {key[0] for key in purity._pure}
     assert simulate(Rig.from_blocks({"good": made()}, 1.0), thorough=True).error == ""
 
 
-def test_what_begins_late_in_a_variable_of_a_module_is_seen_after_the_run() -> None:
+def test_a_late_change_in_a_module_variable_is_found_after_the_run() -> None:
     def late(law: Any, x: Any) -> float:
         global total
         if x.n > 5.0:
@@ -129,10 +129,10 @@ def test_what_begins_late_in_a_variable_of_a_module_is_seen_after_the_run() -> N
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_a_study_finds_what_matters_only_after_the_first_ticks(
+def test_a_study_finds_effects_only_after_the_first_ticks(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, workers: int
 ) -> None:
-    """A counter of calls in another module, which nothing that is looked at reaches: rows depend on their order."""
+    """A counter of calls in another module, which the check does not reach: rows depend on their order."""
     from softrig_drives.dc_motor.pid import DcMotorPid
 
     once = DcMotorPid.update
@@ -255,7 +255,7 @@ DAILY = {"closure", "buffer", "helper", "random"}
 
 @pytest.fixture
 def laws(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A package of somebody else with a law of each impure kind, and a scenario of each."""
+    """A user's package with a law of each impure kind, and a scenario of each."""
     place = tmp_path / "place"
     info = place / "habits-0.1.dist-info"
     info.mkdir(parents=True)
@@ -281,7 +281,7 @@ def laws(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 def each_verb(place: Path, kind: str, workers: int, order: int = 1) -> dict[str, str]:
-    """Return what study, falsify, check and results say of a law."""
+    """Return the reports of study, falsify, check and results about a law."""
     scenario, messages = str(place / f"{kind}.yaml"), {}
     grid = {"dc_motor_plant.R": [0.3, 0.4][::order]}
     over = {"dc_motor_plant.R": "0.3..0.5"}
@@ -312,7 +312,7 @@ def each_verb(place: Path, kind: str, workers: int, order: int = 1) -> dict[str,
         for order in (1, -1)
     ],
 )
-def test_what_a_law_keeps_after_its_first_ticks_is_named_by_every_verb(
+def test_state_that_a_law_keeps_after_its_first_ticks_is_named_by_every_verb(
     laws: Path, kind: str, workers: int, order: int
 ) -> None:
     text = each_verb(laws, kind, workers, order)
@@ -322,10 +322,10 @@ def test_what_a_law_keeps_after_its_first_ticks_is_named_by_every_verb(
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_what_is_kept_in_a_library_is_named_with_both_values(
+def test_state_in_a_library_is_named_with_both_values(
     laws: Path, monkeypatch: pytest.MonkeyPatch, workers: int
 ) -> None:
-    """No variable of the author's shows it, so it is seen from run to run alone."""
+    """No variable of the author's shows it, so only a repeated run does."""
     monkeypatch.setenv("HABIT", "0")
     text = each_verb(laws, "library", workers)
     second = r"dc_motor_pid: motor/command/armature/effort = [\d.-]+ at t = 0.26 s, and [\d.-]+ in a second run"

@@ -32,8 +32,8 @@ def jitter(seed, low, high):
 
 @pytest.mark.parametrize(("seed", "shared"), [(0, False), (1, False), (2, True), (3, True)])
 @pytest.mark.parametrize("name", ["dc_motor_smc_b2", "rehab_impedance"])
-def test_a_law_uses_the_inputs_of_its_tick(name, seed, shared):
-    """Messages of one tick come in any order: real time gives the numbers of lockstep, bit for bit."""
+def test_a_controller_uses_the_inputs_of_its_tick(name, seed, shared):
+    """Messages of one tick arrive in any order: real time gives the numbers of lockstep, bit for bit."""
     rig = shortened(name, 0.3)
     expected = Signals(in_process(rig))
     fastest = rig.clock.schedule.time(1)
@@ -66,8 +66,10 @@ FAULTS = {
 
 @pytest.mark.parametrize("places", ["alone", "some together", "all together"])
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_law_waits_for_a_fault_also_at_a_tick_at_which_that_is_silent(kind, places):
-    """One fault behind another before a law, one before its reference: ticks and numbers are those of lockstep."""
+def test_a_controller_waits_for_a_fault_also_at_a_tick_at_which_that_is_silent(kind, places):
+    """One fault after another before a controller, one before its reference: ticks and numbers are those of
+    lockstep.
+    """
     faults = {
         "a": {"link": "lag/state -> gain", "kind": kind, **FAULTS[kind]},
         "b": {"link": "lag/state -> gain", "kind": "noise", "value": [0.1]},
@@ -92,8 +94,8 @@ def test_a_law_waits_for_a_fault_also_at_a_tick_at_which_that_is_silent(kind, pl
         assert np.array_equal(x[:common], signals[label].x[:common], equal_nan=True), label
 
 
-def test_what_a_delay_gets_of_a_plant_counts_by_its_stamp():
-    """Its port takes other times as well, but this sender stamps with the tick, which is answered however late."""
+def test_a_delay_uses_the_stamp_of_a_plants_message():
+    """Its port accepts other times as well, but this sender stamps with the tick, which is answered however late."""
     rng = random.Random(0)
     late = {"/axis/state": [MS, MS, MS, 12 * MS]}
     rig = shortened("dc_motor_fsfb_s1", 0.5)
@@ -102,7 +104,7 @@ def test_what_a_delay_gets_of_a_plant_counts_by_its_stamp():
     assert run.adapters["fieldbus_delay"].drive.counts() == {"missed_deadlines": 0, "incomplete_ticks": 0}
 
 
-def test_what_nobody_can_have_said_of_its_ticks_is_refused():
+def test_acknowledgements_that_no_node_can_have_sent_are_refused():
     rig = rig_of(make_scenario(BASIC, 0.3, faults={"gone": {"link": "lag/state", "kind": "silence"}}))
     run = SimulatedRig(rig, World(), "realtime")
     run.world.match()
@@ -136,7 +138,7 @@ def test_a_tick_without_all_its_inputs_is_answered_after_a_part_of_the_period_an
         assert u[k] == 2.0 * (r[k - 1] - x[k])  # the reference of the tick before
 
 
-def test_with_patience_for_it_the_late_reference_is_waited_for():
+def test_with_a_longer_time_limit_the_late_reference_is_waited_for():
     late = {"/lag/reference": 7 * MS}
     rig = basic()
     run = SimulatedRig(rig, World(lambda topic, *_: late.get(topic, MS // 10)), "realtime", patience=0.8)
@@ -174,7 +176,7 @@ def test_a_stamp_from_the_future_is_refused_and_the_next_good_one_is_used():
     )
 
 
-def test_a_refused_measurement_is_answered_at_its_tick_by_what_was_said_before():
+def test_a_rejected_measurement_is_answered_at_its_tick_by_the_previous_command():
     rig = basic(1.0)
     world = World()
     run = SimulatedRig(rig, world, "realtime", without=("plant",))
@@ -197,8 +199,8 @@ def test_a_refused_measurement_is_answered_at_its_tick_by_what_was_said_before()
         (1e4, "OverflowError: math range error"),
     ],
 )
-def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_safe_output(x, reported):
-    """The law takes the exponential of what it gets: plausible values overflow, too."""
+def test_absurd_numbers_are_rejected_and_an_overflow_gives_the_safe_output(x, reported):
+    """The controller takes the exponential of its input: plausible values overflow, too."""
 
     class Exponential(Block):
         INPUTS = (STATE,)
@@ -230,7 +232,7 @@ def test_absurd_numbers_are_refused_and_what_overflows_all_the_same_brings_the_s
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
-def test_who_publishes_with_another_type_is_named_and_not_taken_for_who_is_expected(mode):
+def test_a_publisher_with_another_type_is_named_and_not_taken_for_the_expected_one(mode):
     nodes = BASIC | {"gain": {"executable": "gain", "external": True}}
     world = World()
     run = SimulatedRig(rig_of(make_scenario(nodes, 0.1)), world, mode, departs=True, start_timeout=0.0)
@@ -251,7 +253,7 @@ def test_a_node_whose_senders_have_ended_ends_too():
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_who_is_held_over_the_end_of_a_run_says_its_last_tick_and_none_after_it(shared):
+def test_a_node_that_is_stopped_over_the_end_of_a_run_publishes_its_last_tick_and_none_after_it(shared):
     rig = basic(0.25)
     run = SimulatedRig(rig, World(), "realtime", groups=[list(BASIC)] if shared else ())
     run.world.match()
@@ -264,7 +266,7 @@ def test_who_is_held_over_the_end_of_a_run_says_its_last_tick_and_none_after_it(
     assert all(t <= run.epoch + rig.end for topic in run.recording.topics.values() for t in topic.times)
 
 
-def test_who_is_ready_says_so_ten_times_a_second_until_the_start_and_not_before_all_its_peers_are_there():
+def test_a_ready_node_reports_it_ten_times_a_second_until_the_start_once_all_its_peers_are_there():
     world = World()
     run = SimulatedRig(basic(), world, "realtime", departs=True)
     departures = {name: adapter.drive.departure for name, adapter in run.adapters.items()}
@@ -288,7 +290,7 @@ def test_who_is_ready_says_so_ten_times_a_second_until_the_start_and_not_before_
     assert messages == {name: [] if name == starter else often for name in departures}
 
 
-def test_a_law_notices_a_source_that_has_stopped():
+def test_a_controller_notices_a_source_that_has_stopped():
     rig = basic(2.0)
     world = World()
     run = SimulatedRig(rig, world, "realtime", without=("source",))
@@ -301,7 +303,7 @@ def test_a_law_notices_a_source_that_has_stopped():
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(name):
+def test_the_ports_of_the_rigs_work_in_lockstep_in_any_order_of_delivery(name):
     nodes, duration, options = RIGS[name]
     rig = rig_of(make_scenario(nodes, duration, **options))
     expected = in_process(rig)
@@ -312,8 +314,8 @@ def test_the_ports_of_the_rigs_work_in_lockstep_whatever_the_order_of_delivery(n
 
 
 @pytest.mark.parametrize("name", ["arrays", "events"])
-def test_what_a_sporadic_sender_has_reported_of_its_ticks_is_taken_once_where_it_is_said_again(name):
-    """Its messages are counted (arrays) or bear their tick (events)."""
+def test_a_repeated_acknowledgement_of_a_sporadic_sender_counts_once(name):
+    """Its messages are counted (arrays) or have the stamp of their tick (events)."""
     nodes, duration, options = RIGS[name]
     rig = rig_of(make_scenario(nodes, duration, **options))
     world = World()
@@ -326,7 +328,7 @@ def test_what_a_sporadic_sender_has_reported_of_its_ticks_is_taken_once_where_it
     assert differences(in_process(rig), run.recording) == []
 
 
-def test_a_plant_waits_for_a_good_command_also_where_commands_have_no_stamp():
+def test_a_plant_waits_for_a_good_command_also_if_commands_have_no_stamp():
     force = array("force", "lag/force", {"u": 1}, "N")
 
     class Pushed(Lag):
@@ -368,7 +370,7 @@ def test_malformed_clocks_and_ticks_are_counted_and_do_no_harm():
 
 
 @pytest.mark.parametrize("step", [-3600, 0, 2, 3600])
-def test_a_node_that_is_started_anew_rejoins_also_after_the_clock_was_set(step):
+def test_a_restarted_node_rejoins_also_after_the_clock_was_set(step):
     rig = basic(4.0)
     world = World()
     run = SimulatedRig(rig, world, "realtime", departs=True)
@@ -392,8 +394,8 @@ def test_a_node_that_is_started_anew_rejoins_also_after_the_clock_was_set(step):
     assert not any("stale" in key for key in run.adapters["source"].step.reports)
 
 
-def test_of_commands_that_come_in_another_order_the_newest_stamp_counts_and_the_others_are_counted():
-    """Three commands at a time, by a law with stamps of its own, in reverse; and each one twice."""
+def test_of_reordered_commands_the_newest_stamp_counts_and_the_others_are_counted():
+    """Three commands at a time, by a controller with stamps of its own, in reverse; and each one twice."""
     rig = basic(1.0)
     world = World()
     run = SimulatedRig(rig, world, "realtime", without=("gain",))
@@ -416,7 +418,9 @@ def test_of_commands_that_come_in_another_order_the_newest_stamp_counts_and_the_
 
 @pytest.fixture
 def beside_a_dead_law():
-    """A plant whose law was killed 2 s ago and is still matched, and another law in its place: speaks, tells."""
+    """A plant whose controller was killed 2 s ago and is still matched, and another in its place; publishes and
+    reports.
+    """
     world = World()
     run = SimulatedRig(basic(60.0), world, "realtime", without=("gain", "source"))
     laws = [SimulatedNode(world, name, {}) for name in ("gain", "again")]
@@ -426,7 +430,9 @@ def beside_a_dead_law():
     row.matched(1)
 
     def speak(who, until, every=10):
-        """Commands of one of the two until so many ms, its number each; the newest that the plant has."""
+        """Commands of one of the two until a time in ms, with its number each; returns the newest one that the plant
+        has.
+        """
         for t in range(world.now, run.epoch + until * MS, every * MS):
             world.run(t)
             world.now = t
@@ -442,7 +448,7 @@ def beside_a_dead_law():
     return run, speak
 
 
-def test_who_takes_the_place_of_a_killed_law_is_believed_when_that_has_been_silent_for_long(beside_a_dead_law):
+def test_the_replacement_of_a_killed_controller_is_accepted_after_a_long_silence_of_the_first(beside_a_dead_law):
     run, speak = beside_a_dead_law
     row = run.adapters["plant"].inputs[0]
     assert speak(1, 3990) is None
@@ -457,8 +463,8 @@ def test_who_takes_the_place_of_a_killed_law_is_believed_when_that_has_been_sile
 
 
 @pytest.mark.parametrize("at", [3500, 4500, 9000])  # before it is believed; it has sent fewer, and more
-def test_of_two_who_both_speak_neither_is_ever_believed(beside_a_dead_law, at):
-    """The first one was held, not killed: at its first word the other one loses its belief, too."""
+def test_of_two_publishing_controllers_neither_is_ever_accepted(beside_a_dead_law, at):
+    """The first one was stopped, not killed: at its first message the other one is no longer accepted, either."""
     run, speak = beside_a_dead_law
     row = run.adapters["plant"].inputs[0]
     speak(1, at)
@@ -471,7 +477,7 @@ def test_of_two_who_both_speak_neither_is_ever_believed(beside_a_dead_law, at):
     assert row.recent[-1] == newest
 
 
-def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
+def test_a_controller_far_behind_drops_messages_older_than_the_window_and_reports_it():
     rig = basic(10.0)
     world = World()
     run = SimulatedRig(rig, world, "realtime")
@@ -500,7 +506,7 @@ def test_a_law_far_behind_drops_what_is_older_than_the_window_and_says_so():
     assert gain.drive.missed >= dropped
 
 
-def test_a_plant_without_commands_says_so_again_while_it_lasts():
+def test_a_plant_without_commands_reports_it_repeatedly():
     rig = basic(60.0)
     world = World()
     run = SimulatedRig(rig, world, "realtime", without=("source",))
@@ -514,8 +520,8 @@ def test_a_plant_without_commands_says_so_again_while_it_lasts():
 
 
 @pytest.mark.long
-def test_a_law_that_hears_nothing_of_what_is_published_says_so_while_it_lasts():
-    """Where the middleware has lost a reader its node would stand without a word."""
+def test_a_controller_that_receives_nothing_of_what_is_published_reports_it_repeatedly():
+    """If the middleware has lost a reader, its node would otherwise wait silently."""
     world = World(lambda topic, *_: 25 * SECOND if topic == "/lag/reference" else MS // 10)
     run = SimulatedRig(basic(60.0), world, "realtime")
     world.match()
@@ -527,7 +533,7 @@ def test_a_law_that_hears_nothing_of_what_is_published_says_so_while_it_lasts():
     assert not any("has received nothing" in text for name in ("plant", "source") for _, text in run.nodes[name].logs)
 
 
-def test_a_node_of_which_a_run_says_nothing_breaks_it_at_its_end():
+def test_a_node_without_a_status_breaks_the_run_at_its_end():
     run = SimulatedRig(basic(0.1), World(jitter(1, 1_000, 20_000)), "realtime")
     run.adapters["gain"].step.block.void = lambda x: f"no answer after {x}"
     assert run.run() == {"plant": "done", "source": "done", "gain": "failed"}

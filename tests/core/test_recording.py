@@ -1,4 +1,4 @@
-"""Recordings, shards and signals against lists of messages: whatever way messages come, and wherever a file is cut."""
+"""Recordings, shards and signals against lists of messages: for any order of arrival, and for files cut at any byte."""
 
 import json
 import pickle
@@ -29,7 +29,7 @@ SIZE = sum(layout.size for layout in ROW.values())
 
 
 class Plain:
-    """What a recording holds, as lists: (time, bytes) by topic, changes of parameters by time and content."""
+    """The content of a recording, as lists: (time, bytes) by topic, changes of parameters by time and content."""
 
     def __init__(self):
         self.said = {topic: [] for topic in PORTS}
@@ -56,7 +56,7 @@ class Plain:
 
 
 def drawn(seed, turns):
-    """What is said, one after the other: what of it, and its arguments."""
+    """The calls on a recording, one after the other: method and arguments."""
     draw, t = np.random.default_rng(seed), 0
     for _ in range(turns):
         t += int(draw.integers(0, 3))
@@ -72,7 +72,7 @@ def drawn(seed, turns):
 
 
 def holds(recording, plain):
-    """Whether a recording has what the lists have, in every way in which it can be asked."""
+    """Check that a recording has what the lists have, by every way to read it."""
     assert {name: list(zip(t.times, t.data, strict=True)) for name, t in recording.topics.items()} == plain
     for topic in recording.topics.values():
         assert list(topic.stream()) == plain[topic.name]
@@ -86,7 +86,7 @@ def holds(recording, plain):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("style", [1, 5, 100], ids=["each", "now and then", "at the end"])
-def test_a_recording_holds_messages_as_they_came_however_they_came(seed, style, monkeypatch):
+def test_a_recording_contains_messages_in_order_of_arrival_however_they_were_added(seed, style, monkeypatch):
     monkeypatch.setattr(module, "CHUNK", 3)
     recording, plain = Recording(TOPICS), Plain()
     row, rows = recording.row(ROW), recording.rows(ROW)
@@ -122,8 +122,8 @@ def test_a_recording_holds_messages_as_they_came_however_they_came(seed, style, 
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_shards_of_a_run_in_process_hold_the_same_in_memory_and_on_the_disk(seed, tmp_path, monkeypatch):
-    """Drawn messages: the files are read back whole, or looked at a few bytes at a time and left where they are."""
+def test_shards_of_a_run_in_process_are_the_same_in_memory_and_on_the_disk(seed, tmp_path, monkeypatch):
+    """Random messages: the files are read back whole, or a few bytes at a time and left where they are."""
     shards, plain = Shards(tmp_path / "log", TOPICS), Plain()
     row, rows = shards.row(ROW), shards.rows(ROW)
     for what, t, values, data in drawn(seed, 60):
@@ -161,7 +161,7 @@ def test_shards_of_a_run_in_process_hold_the_same_in_memory_and_on_the_disk(seed
     holds(recording, plain.all())  # the files are gone, and are open still
 
 
-def test_times_that_are_even_are_computed_and_others_are_read(tmp_path):
+def test_even_times_are_computed_and_others_are_read(tmp_path):
     for times in ([0, 5, 10, 15], [0, 5, 11], [7], [0, 5, 5, 10]):
         shards = Shards(tmp_path, TOPICS)
         shards.rows(ROW)(np.array(times), np.ones((len(times), SIZE)))
@@ -190,14 +190,14 @@ def test_of_columns_on_the_disk_only_the_last_few_stay_in_memory(tmp_path, monke
 
 
 def stretches():
-    """A topic of six messages in three stretches of numbers, and what they are."""
+    """A topic of six messages in three blocks of numbers, and their content."""
     topic, values = Topic("rig/state", PORTS["rig/state"].msgtype), np.arange(12.0).reshape(6, 2)
     for first, last in pairwise((0, 1, 3, 6)):
         topic.add_columns(Columns(np.arange(first, last) * 10, values[first:last], LAYOUTS[0]))
     return topic, values
 
 
-def test_numbers_stay_numbers_until_somebody_asks_for_bytes():
+def test_numbers_stay_numbers_until_bytes_are_needed():
     topic, values = stretches()
     assert [len(part.times) for part in topic.parts()] == [1, 2, 3]
     whole = topic.columns()
@@ -216,7 +216,7 @@ def test_numbers_stay_numbers_until_somebody_asks_for_bytes():
     assert topic.ticks().tolist() == topic.times
 
 
-def test_of_stretches_those_are_left_out_that_are_asked_not_to_be_there():
+def test_blocks_that_are_excluded_are_left_out():
     for n in range(-1, 8):
         topic, _values = stretches()
         remaining = topic.since(n)
@@ -237,7 +237,7 @@ def test_numbers_of_two_layouts_or_changed_times_are_no_columns():
     assert Topic("a", "b").parts() == ()
 
 
-def test_topics_are_equal_that_have_the_same_messages_under_one_name():
+def test_topics_are_equal_if_they_have_the_same_messages_under_one_name():
     first, second = stretches()[0], stretches()[0]
     assert len(second.data) == 6
     assert first == second
@@ -256,7 +256,7 @@ def test_topics_are_equal_that_have_the_same_messages_under_one_name():
 
 
 def shard(path, seed, turns=12):
-    """Write a shard; gives the file, where each of its records ends, and what is recorded up to there."""
+    """Write a shard; return the file, where each of its records ends, and what is recorded up to there."""
     writer, plain = ShardWriter(path, TOPICS, ROW), Plain()
     head = {"topics": [*TOPICS, (EVENTS, EVENT)], "row": [[k, layout.form] for k, layout in ROW.items()]}
     ends = [(len(b"softrig shard 2\n" + json.dumps(head).encode() + b"\n"), plain.now())]
@@ -287,7 +287,7 @@ def found(recording):
 
 
 @pytest.mark.parametrize("seed", [3])
-def test_a_shard_that_is_cut_anywhere_gives_its_whole_records_and_says_how_many_bytes_are_over(seed, tmp_path):
+def test_a_shard_cut_anywhere_gives_its_whole_records_and_the_number_of_remaining_bytes(seed, tmp_path):
     path = tmp_path / "node.shard"
     ends = shard(path, seed, 8)
     whole = path.read_bytes()
@@ -300,7 +300,7 @@ def test_a_shard_that_is_cut_anywhere_gives_its_whole_records_and_says_how_many_
 
 
 def test_rows_without_numbers_are_read_to_the_last(tmp_path):
-    """A clock says nothing but its time: ten bytes a row."""
+    """A clock message is only its time: ten bytes a row."""
     path, clock = tmp_path / "clock.shard", Layout("rosgraph_msgs/msg/Clock")
     writer = ShardWriter(path, [("/clock", clock.msgtype), ("x", "std_msgs/msg/Float64")], {0: clock})
     writer.add_row(1, ())
@@ -313,7 +313,7 @@ def test_rows_without_numbers_are_read_to_the_last(tmp_path):
 
 
 @pytest.mark.parametrize("limit", [97, 150, 1 << 22])
-def test_a_shard_that_grows_is_read_as_it_comes(limit, tmp_path, monkeypatch):
+def test_a_growing_shard_is_read_as_it_is_written(limit, tmp_path, monkeypatch):
     monkeypatch.setattr(ShardTail, "LIMIT", limit)
     path, growing = tmp_path / "whole.shard", tmp_path / "growing.shard"
     ends = shard(path, 5, 20)
@@ -339,7 +339,7 @@ def test_a_shard_that_grows_is_read_as_it_comes(limit, tmp_path, monkeypatch):
     assert styles <= 1
 
 
-def test_a_look_tells_whether_there_may_be_more(tmp_path, monkeypatch):
+def test_a_shard_reports_whether_there_may_be_more(tmp_path, monkeypatch):
     path = tmp_path / "node.shard"
     writer = ShardWriter(path, TOPICS[3:])
     for k in range(9):
@@ -359,8 +359,10 @@ def test_a_look_tells_whether_there_may_be_more(tmp_path, monkeypatch):
     assert messages == [(True, 1), (True, 4), (True, 7), (False, 9)]
 
 
-def test_a_shard_is_on_the_disk_as_soon_as_it_must_be(tmp_path):
-    """The first message at once, then what is more than 4096 bytes together, a change of parameters, a flush."""
+def test_a_shard_is_written_to_the_disk_as_soon_as_it_must_be(tmp_path):
+    """The first message immediately, then whenever more than 4096 bytes are pending, at a change of parameters, and at
+    a flush.
+    """
     path = tmp_path / "node.shard"
     writer = ShardWriter(path, TOPICS, ROW)
     sizes = [path.stat().st_size]
@@ -410,7 +412,7 @@ def test_topics_of_a_shard_are_below_the_namespace_of_its_node(tmp_path):
     assert (relative("/clock"), relative("/a/b"), relative("a/b")) == ("/clock", "a/b", "a/b")
 
 
-def test_a_name_of_a_signal_may_leave_its_field_out_where_there_is_but_one():
+def test_a_name_of_a_signal_may_leave_out_its_only_field():
     known = ("a/state/x/position", "a/state/y/position", "a/state/y/velocity", "a/rows/0,1", "single")
     for name, whole in (
         ("a/state/x", "a/state/x/position"),
@@ -434,8 +436,8 @@ def test_a_name_of_a_signal_may_leave_its_field_out_where_there_is_but_one():
         assert topic_of(name, topics) == topic
 
 
-def test_signals_are_the_same_of_numbers_and_of_bytes():
-    """By another reader of the bytes; a flag is 0 or 1, time and stamps count from the epoch."""
+def test_signals_from_numbers_and_from_bytes_are_the_same():
+    """By an independent reader of the bytes; a flag is 0 or 1, time and stamps count from the epoch."""
     recording, again = Recording(TOPICS), Recording(TOPICS)
     rows = recording.rows(ROW)
     values = np.arange(15.0).reshape(3, 5)

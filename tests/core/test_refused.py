@@ -1,4 +1,4 @@
-"""A bad message in each input of each node of each system: the run goes on, what is said stays finite."""
+"""A bad message in each input of each node of each system: the run continues, and outputs stay finite."""
 
 import importlib.metadata
 import math
@@ -14,7 +14,7 @@ DAILY = ("dc_motor_smc_b2", "induction_dtc", "rehab_impedance")
 
 
 def spoilt(rig, member, port, at):
-    """Run in lockstep with NaN in place of one message that a node reads; gives what is wrong."""
+    """Run in lockstep with NaN in place of one message that a node reads; return what is wrong."""
     link = member.links[port.name]
     world = World()
     run = SimulatedRig(rig, world, "lockstep", seed=rig.scenario.seed)
@@ -41,7 +41,7 @@ def spoilt(rig, member, port, at):
 
 
 @pytest.mark.parametrize("system", [s if s in DAILY else pytest.param(s, marks=pytest.mark.long) for s in SYSTEMS])
-def test_a_law_goes_on_after_a_bad_message(system):
+def test_a_controller_continues_after_a_bad_message(system):
     rig = short(system)
     results = {
         f"{member.name} {port.name}": spoilt(rig, member, port, 7)
@@ -55,7 +55,7 @@ def test_a_law_goes_on_after_a_bad_message(system):
 
 
 def in_real_time(rig, member=None, port=None):
-    """Run in real time, with a message from the future to an input if one is given; gives ticks and refusals."""
+    """Run in real time, with a message from the future to an input if one is given; return ticks and rejections."""
     world = World()
     run = SimulatedRig(rig, world, "realtime", seed=rig.scenario.seed)
     world.match()
@@ -71,7 +71,7 @@ def in_real_time(rig, member=None, port=None):
 
 
 @pytest.mark.parametrize("system", [s if s in DAILY[::2] else pytest.param(s, marks=pytest.mark.long) for s in SYSTEMS])
-def test_no_node_is_deaf_after_a_message_from_the_future(system):
+def test_every_node_still_receives_after_a_message_from_the_future(system):
     rig = short(system)
     undisturbed, refused = in_real_time(rig)
     assert refused == {}

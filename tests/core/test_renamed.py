@@ -1,4 +1,4 @@
-"""Old names of executables and figures: each works as its new one for two versions, and says so once."""
+"""Old names of executables and figures: each works as its new one for two versions, and one line says so."""
 
 import re
 import subprocess
@@ -29,7 +29,7 @@ def nothing_reported(monkeypatch):
     monkeypatch.setattr(renamed, "_REPORTED", set())
 
 
-def test_the_names_of_the_issue_have_new_ones():
+def test_the_renamed_names_of_the_issue_exist():
     assert len(OLD) >= 10
     now, end = (tuple(map(int, v.split(".")[:2])) for v in (version("softrig_core"), renamed.END))
     assert now < end, "take the old names out of the setup.cfg files"
@@ -63,7 +63,7 @@ def test_a_scenario_with_an_old_name_runs_as_with_the_new_one(tmp_path):
     assert runs["im_plant"] == runs["induction_dtc_plant"]
 
 
-def test_a_name_that_is_old_in_one_package_is_new_in_another():
+def test_a_name_that_is_old_in_one_package_may_be_new_in_another():
     assert renamed.current("softrig_power", "gpc_controller") == "rectifier_gpc"
     assert renamed.current("softrig_control", "gpc_controller") == "gpc_controller"
     assert renamed.current("no_such_package", "gpc_controller") == "gpc_controller"
@@ -75,13 +75,13 @@ def test_an_old_figure_is_the_new_one():
     assert "dispatch_setpoint" not in registered()
 
 
-def test_an_old_node_says_it_in_one_line():
+def test_an_old_node_name_is_reported_in_one_line():
     program = find_executable("softrig_robots", "vcs_controller")
     ran = subprocess.run([program, "--help"], capture_output=True, text=True, timeout=60)
     assert ran.stderr == f"vcs_controller: {renamed.notice('softrig_robots', 'vcs_controller')}\n"
 
 
-def test_a_command_says_it_in_one_line_without_the_place_in_python(tmp_path, capsys):
+def test_a_command_reports_an_old_name_in_one_line_without_a_place_in_python(tmp_path, capsys):
     from softrig_bringup.cli import main
 
     file = tmp_path / "mine.yaml"

@@ -1,4 +1,4 @@
-"""`run --like`: a run once more from its bag, with what people did while it ran and what came from outside."""
+"""`run --like`: a run is repeated from its bag, with what people did during it and with its external messages."""
 
 import json
 import random
@@ -32,7 +32,7 @@ faults:
 
 
 def pressed(folder, mode="lockstep", delay=None, faults=""):
-    """The folder of a run in which somebody presses a button, sends a reference, turns a gain, switches a fault."""
+    """The folder of a run in which somebody presses a button, sends a reference, changes a gain, switches a fault."""
     folder.mkdir()
     name = folder.parent / "mine.yaml"
     name.write_text(MINE + faults)
@@ -72,7 +72,7 @@ def _figures(adapter):
 
 
 def repeat(tmp_path, capsys, *arguments):
-    """Exit status and what is said of a repetition."""
+    """Exit status and output of a repetition."""
     status = main(["run", *arguments, "--no-plots", "--out", str(tmp_path / "again")])
     return status, capsys.readouterr().err
 
@@ -80,7 +80,7 @@ def repeat(tmp_path, capsys, *arguments):
 @pytest.mark.parametrize(
     "mode", ["inprocess", pytest.param("container", marks=[pytest.mark.processes, pytest.mark.long])]
 )
-def test_buttons_and_messages_from_outside_are_there_again(mode, tmp_path, capsys):
+def test_buttons_and_external_messages_are_repeated(mode, tmp_path, capsys):
     """From the bag alone, moved to another place."""
     first = pressed(tmp_path / "first")
     assert len(first.topics["reverse"].times) == 2
@@ -121,7 +121,7 @@ def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, fa
     assert "was late" not in text
 
 
-def test_a_run_in_real_time_that_was_late_says_so_and_what_differs(tmp_path, capsys):
+def test_a_run_in_real_time_that_was_late_reports_it_and_the_differences(tmp_path, capsys):
     rng = random.Random(0)  # one message in five comes after the next tick
     pressed(tmp_path / "first", "realtime", lambda *_: rng.choice([MS, MS, MS, MS, 15 * MS]))
     status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
@@ -132,7 +132,7 @@ def test_a_run_in_real_time_that_was_late_says_so_and_what_differs(tmp_path, cap
     assert "messages after their tick" in text
 
 
-def test_a_repetition_that_differs_says_where(tmp_path, capsys, monkeypatch):
+def test_a_repetition_that_differs_names_the_place(tmp_path, capsys, monkeypatch):
     pressed(tmp_path / "first")
     monkeypatch.setattr(
         "softrig_bringup.options.like.from_outside", lambda rig, recording: []
@@ -155,7 +155,7 @@ KP = ("--set", "fsfb_controller.kp=30.0")
 
 
 def from_there(tmp_path, capsys, run, at, *arguments, out="other"):
-    """Exit status, what is said, and the record."""
+    """Exit status, output, and the recording."""
     status = main(
         ["run", "--from", f"{run}@{at}", *arguments, "--mode", "inprocess", "--no-plots", "--out", str(tmp_path / out)]
     )
@@ -163,7 +163,7 @@ def from_there(tmp_path, capsys, run, at, *arguments, out="other"):
     return status, printed, json.loads((tmp_path / out / "metrics.json").read_text()) if not status else {}
 
 
-def test_what_came_from_outside_before_a_branch_is_there_and_what_came_later_is_not(tmp_path, capsys):
+def test_external_messages_before_a_branch_are_repeated_and_later_ones_are_not(tmp_path, capsys):
     first = pressed(tmp_path / "first")
     down, up = first.topics["reverse"].times
     assert down < up
@@ -218,7 +218,7 @@ def test_a_branch_is_repeated_from_its_bag_alone(tmp_path, capsys):
         (["--from", "first@0.05", "--like", "first"], "not allowed with argument"),
     ],
 )
-def test_what_cannot_be_a_branch_is_refused(arguments, message, branched_from, capsys, monkeypatch):
+def test_an_impossible_branch_is_refused(arguments, message, branched_from, capsys, monkeypatch):
     monkeypatch.chdir(branched_from)
     assert main(["run", "--mode", "inprocess", "--no-plots", *arguments]) == 2
     assert message in capsys.readouterr().err
@@ -232,7 +232,7 @@ def branched_from(tmp_path_factory):
     return folder
 
 
-def test_a_branch_of_what_cannot_be_repeated_says_where_it_parts(tmp_path, capsys, monkeypatch):
+def test_a_branch_of_a_run_that_cannot_be_repeated_names_the_first_difference(tmp_path, capsys, monkeypatch):
     pressed(tmp_path / "first")
     monkeypatch.setattr("softrig_bringup.options.like.from_outside", lambda rig, recording: [])
     status, text, _ = from_there(tmp_path, capsys, tmp_path / "first", 0.9, *KP)

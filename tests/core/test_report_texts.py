@@ -1,4 +1,6 @@
-"""What blocks report, word for word: who changes a text writes one file again and reads the difference."""
+"""The texts that blocks report, word for word: after a change of a text, write one file again and read the
+difference.
+"""
 
 import ast
 from pathlib import Path
@@ -9,7 +11,7 @@ PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 
 
 def words(text):
-    """A text as a person reads it: what is put into it as its formula in braces."""
+    """A text as a person reads it, with inserted values as formulas in braces."""
     if isinstance(text, ast.JoinedStr):
         return ast.unparse(text)[2:-1]  # without f and its quotes
     return text.value if isinstance(text, ast.Constant) else f"{{{ast.unparse(text)}}}"

@@ -28,7 +28,7 @@ class Clock:
 
 
 class World:
-    """A node whose services have queues; a request is its arrival, its client and what is asked."""
+    """A node whose services have queues; a request has an arrival, a client and a content."""
 
     def __init__(self, monkeypatch, cost=0):
         self.clock, self.queues, self.there, self.log = Clock(), {}, {b"a"}, []
@@ -78,7 +78,7 @@ def test_requests_of_all_services_are_answered_in_order_of_arrival(monkeypatch):
     assert not world.requests.serve()  # nobody has called for a while
 
 
-def test_a_resume_after_more_pauses_than_a_queue_keeps_is_the_last(monkeypatch):
+def test_a_resume_after_more_pauses_than_a_queue_holds_is_the_last(monkeypatch):
     world = World(monkeypatch)
     world.offer("resume", "pause")
     for _ in range(300):
@@ -90,7 +90,7 @@ def test_a_resume_after_more_pauses_than_a_queue_keeps_is_the_last(monkeypatch):
     assert len(world.requests._replies) == 100
 
 
-def test_one_that_arrives_during_a_look_waits_for_the_next_look(monkeypatch):
+def test_a_request_that_arrives_during_a_check_waits_for_the_next_check(monkeypatch):
     """One of another service may have arrived before it, unseen."""
     world = World(monkeypatch)
     world.offer("a", "b")
@@ -120,7 +120,7 @@ def test_requests_that_arrived_before_the_clock_was_set_back_are_answered(monkey
     assert world.log == [("a", b"a")]
 
 
-def test_services_get_a_fifth_of_the_time_and_a_set_that_waits_is_refused(monkeypatch):
+def test_services_get_a_fifth_of_the_time_and_a_waiting_set_is_refused(monkeypatch):
     world = World(monkeypatch, cost=100 * MS)
     world.offer("set")
     for _ in range(100):
@@ -150,7 +150,7 @@ def test_services_get_a_fifth_of_the_time_and_a_set_that_waits_is_refused(monkey
     assert world.log[-1] == ("set", b"a")
 
 
-def test_a_look_that_waits_for_the_lock_of_a_reader_counts_as_well(monkeypatch):
+def test_a_check_that_waits_for_the_lock_of_a_reader_counts_as_well(monkeypatch):
     world = World(monkeypatch)
     world.offer("list")
     world.look_cost = 700 * MS

@@ -1,4 +1,6 @@
-"""Requirements: bad input, what cannot be judged, where they are violated, live ones (formulas: `test_formulas`)."""
+"""Requirements: bad input, cases that cannot be judged, where they are violated, live ones (formulas:
+`test_formulas`).
+"""
 
 import math
 from types import SimpleNamespace
@@ -40,7 +42,7 @@ def wired(formula, **about):
     return requirement(formula, shared={**LIVE, **about.pop("shared", {})}, **about)
 
 
-def test_a_margin_is_in_the_signals_unit_and_names_where_it_is_violated():
+def test_a_margin_is_in_the_signals_unit_and_has_the_place_of_its_violation():
     rig = wired("always[0.2, 0.8] state <= 0.3")
     run = simulate(rig)
     result = figure_of(rig, run.signals)
@@ -63,7 +65,7 @@ def test_a_shared_signal_may_be_named_without_its_only_field(live):
     ] * 2
 
 
-def test_a_requirement_is_a_figure_of_a_run_and_passes_where_it_holds():
+def test_a_requirement_is_a_figure_of_a_run_and_passes_if_it_holds():
     run = simulate(wired("always abs(command) <= 10 * gain"))
     _, u = run.signals["lag/command/u/effort"]
     assert run.figures["it"] == pytest.approx(20 - np.abs(u).max(), abs=1e-12)
@@ -117,19 +119,19 @@ def test_units_of_both_sides_must_fit_and_several_need_a_scale():
         ("always sqrt(state) < 1", "sqrt of something with a unit: compare squares instead"),
     ],
 )
-def test_a_formula_that_means_nothing_is_refused_before_the_run(formula, reason):
+def test_a_meaningless_formula_is_refused_before_the_run(formula, reason):
     with pytest.raises((ScenarioError, ValueError), match=reason):
         figures_of(wired(formula))
 
 
-def test_what_the_record_cannot_tell_is_not_judged_and_does_not_pass():
+def test_a_requirement_that_the_record_cannot_decide_is_not_judged_and_does_not_pass():
     rig = wired("always[0, 2] state <= 100", duration=1.0)
     result = figure_of(rig, simulate(rig).signals)
     assert (result.value, result.passed) == (None, False)
     assert result.error == "not judged: the record ends at 1 s, the requirement's last window at 2 s"
 
 
-def test_of_a_record_that_ends_early_what_it_decides_is_judged():
+def test_of_a_record_that_ends_early_the_decided_part_is_judged():
     rig = wired("always[0, 2] state <= 0.3")
     run = simulate(rig)
     result = figure_of(rig, run.signals)
@@ -153,7 +155,7 @@ def test_of_a_record_that_ends_early_what_it_decides_is_judged():
         ("eventually[0, 0.5] state >= 100", True),
     ],
 )
-def test_a_verdict_of_a_run_under_way_is_settled_where_nothing_to_come_changes_it(formula, settled):
+def test_a_verdict_during_a_run_is_settled_if_nothing_later_can_change_it(formula, settled):
     rig = wired(formula)
     signals = simulate(rig).signals
     (result,) = (r for r in evaluate(rig, signals, under_way=True) if r.name == "it")
@@ -163,7 +165,7 @@ def test_a_verdict_of_a_run_under_way_is_settled_where_nothing_to_come_changes_i
 
 @pytest.mark.parametrize("live", [False, True])
 def test_the_last_window_hides_no_violation_beside_it(live):
-    """In the last second nothing is known of what follows within one, but of what is there."""
+    """In the last second nothing is known of the next second, but the existing samples count."""
     rig = wired("always (state <= 0.3 and (state > 0.05 -> eventually[0, 1] state < 0.05))", live=live)
     run = simulate(rig)
     t, x = run.signals["lag/state/x/position"]
@@ -177,7 +179,7 @@ def test_the_last_window_hides_no_violation_beside_it(live):
         assert upper[-1] == 0.3 - x[:-1].max()  # it does not see the last instant
 
 
-def test_undefined_arithmetic_is_not_judged_whatever_is_asked_of_it():
+def test_undefined_arithmetic_is_not_judged_in_any_requirement():
     for formula in ("always log(0 - 1 - state/state) > 0", "always log(0 - 1 - state/state) <= 0"):
         run = simulate(wired(formula, live=True))
         result = next(r for r in run.results if r.name == "it")
@@ -191,7 +193,7 @@ def test_undefined_arithmetic_is_not_judged_whatever_is_asked_of_it():
 
 
 @pytest.mark.parametrize("live", [False, True])
-def test_a_number_that_is_none_leaves_its_own_requirement_not_judged_and_the_run_whole(live):
+def test_an_invalid_number_leaves_only_its_own_requirement_not_judged(live):
     nodes = {"plant": "plant", "source": "source", "gain": "gain"}
     names = {"state": "lag/state/x/position", "seen": "lag/state/bad/x/position"}
     faults = {"bad": {"link": "lag/state -> gain", "kind": "invalid", "from": 0.5, "to": 0.52}}
@@ -213,16 +215,16 @@ def test_a_number_that_is_none_leaves_its_own_requirement_not_judged_and_the_run
     assert results["known"].value == pytest.approx(0.1 - np.nanmax(run.signals["lag/state/bad/x/position"].x))
 
 
-def test_the_record_goes_to_the_end_though_what_is_asked_of_speaks_seldom():
-    """At 1 s the plant speaks; the source, each 0.3 s, has spoken last at 0.9 s."""
+def test_the_record_extends_to_the_end_although_its_signal_is_published_rarely():
+    """At 1 s the plant publishes; the source, with a period of 0.3 s, has published last at 0.9 s."""
     nodes = {"source": {"executable": "source", "parameters": {"period": 0.3}}, "plant": "plant", "gain": "gain"}
     for order in (nodes, dict(reversed(nodes.items()))):
         rig = rig_of(make_scenario(order, shared=LIVE, requirements={"it": "always[0, 1] state <= 100"}))
         assert figure_of(rig, simulate(rig).signals).passed
 
 
-def test_a_run_that_was_cut_short_is_judged_to_the_last_message_of_the_fastest():
-    """Two plants are to speak at 1 s. At 0.64 s, where the run breaks, the slow one has spoken last at 0.5 s."""
+def test_an_interrupted_run_is_judged_up_to_the_last_message_of_the_fastest_node():
+    """Two plants publish until 1 s. At 0.64 s, where the run breaks, the slow one has published last at 0.5 s."""
     other = {"lag/state": "slow/state", "lag/command": "slow/command"}
     nodes = {
         "slow_plant": {
@@ -245,7 +247,7 @@ def test_a_run_that_was_cut_short_is_judged_to_the_last_message_of_the_fastest()
             assert (result.passed, result.error[: len(error)]) == (not error, error)
 
 
-def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):
+def test_a_file_whose_requirement_reaches_beyond_its_end_is_refused(tmp_path):
     from softrig_core import load_scenario
 
     file = tmp_path / "mine.yaml"
@@ -271,7 +273,7 @@ def test_a_file_whose_requirement_looks_beyond_its_end_is_refused(tmp_path):
         ("always x >", False),
     ],
 )
-def test_a_requirement_is_as_long_as_its_run_at_most(formula, fits):
+def test_a_requirement_is_at_most_as_long_as_its_run(formula, fits):
     given = {"it": Requirement(formula=formula)}
     if fits:
         check_lengths(2.0, {"x": None}, given)
@@ -280,7 +282,7 @@ def test_a_requirement_is_as_long_as_its_run_at_most(formula, fits):
         check_lengths(2.0, {"x": None}, given)
 
 
-def test_the_record_goes_to_where_the_fastest_of_those_that_go_on_longest_speaks():
+def test_the_record_extends_to_the_last_message_of_the_fastest_of_those_that_last_longest():
     def member(name, every, last, sporadic=False, labels=("x", "y")):
         port = SimpleNamespace(topic=name, labels=labels, sporadic=sporadic)
         return SimpleNamespace(schedule=SimpleNamespace(every=every, last=last), outputs=[port])
@@ -292,7 +294,7 @@ def test_the_record_goes_to_where_the_fastest_of_those_that_go_on_longest_speaks
     assert _ticker(SimpleNamespace(members=[never])) == "never/x"
 
 
-def test_edges_and_bare_names_decide_without_being_a_distance():
+def test_edges_and_bare_names_decide_without_a_distance():
     grid = np.arange(6) * 1e8
     known = {"fault": None, "x": None}
     tree, conditions = read("always (rising(fault) -> eventually[0, 0.2] x < 1)", known)
@@ -308,7 +310,7 @@ def test_edges_and_bare_names_decide_without_being_a_distance():
     assert Record(grid, {}, truths={name: -np.abs(rises)}).margin(tree).value == math.inf
 
 
-def test_the_unit_of_a_margin():
+def test_the_unit_of_a_margin_is_that_of_its_signal():
     units = {"v": "V", "i": "A", "w": "rad/s"}
 
     def unit(formula):
@@ -323,7 +325,7 @@ def test_the_unit_of_a_margin():
             unit(wrong)
 
 
-def test_what_has_not_come_yet_compares_as_false(tmp_path):
+def test_a_signal_without_a_message_yet_compares_as_false(tmp_path):
     nodes = {"plant": "plant", "burst": {"executable": "burst", "parameters": {"at": [0.05]}}, "gain": "burst_gain"}
     rig = rig_of(make_scenario(nodes, 0.2))
     topic = next(p.topic for m in rig.members for p in m.outputs if p.sporadic)
@@ -359,7 +361,7 @@ def live(formula, **about):
         "always[0, 0.5] (state <= 0.4 and state >= -1)",
     ],
 )
-def test_a_watched_margin_closes_in_on_that_of_the_record(formula):
+def test_a_watched_margin_approaches_that_of_the_record(formula):
     rig = live(formula, live=True)
     run = simulate(rig)
     margin = figure_of(rig, run.signals).number
@@ -372,7 +374,7 @@ def test_a_watched_margin_closes_in_on_that_of_the_record(formula):
         assert upper[-1] == margin
 
 
-def test_a_watched_requirement_ends_the_run_at_the_tick_at_which_it_is_violated():
+def test_a_watched_requirement_ends_the_run_at_the_tick_of_its_violation():
     rig = live("always state <= 0.3", ends=True)
     free = simulate(wired("always state <= 0.3"))
     t, x = free.signals["lag/state/x/position"]
@@ -410,7 +412,7 @@ def test_a_watched_requirement_goes_back_to_any_tick():
         assert go(20, 60) == whole[20:]
 
 
-def test_a_formula_takes_numbers_of_nodes_and_figures_of_the_run():
+def test_a_formula_uses_numbers_of_nodes_and_figures_of_the_run():
     figures = {"peak": {"function": "maximum", "arguments": {"signal": "lag/state/x/position"}}}
     figures |= {"there": {"function": "reach_time", "arguments": {"signal": "lag/state/x/position", "level": 0.1}}}
 
@@ -443,7 +445,7 @@ def test_a_formula_takes_numbers_of_nodes_and_figures_of_the_run():
         ("always peak", "peak is a figure"),
     ],
 )
-def test_numbers_of_nodes_that_are_none_are_refused(formula, reason):
+def test_invalid_numbers_of_nodes_are_refused(formula, reason):
     figures = {"peak": {"function": "maximum", "arguments": {"signal": "lag/state/x/position"}}}
     names = {"state": LIVE["state"]}
     with pytest.raises(ScenarioError, match=reason):
@@ -452,7 +454,7 @@ def test_numbers_of_nodes_that_are_none_are_refused(formula, reason):
         )
 
 
-def test_a_figure_that_never_happens_leaves_its_requirement_not_judged():
+def test_a_figure_without_a_value_leaves_its_requirement_not_judged():
     figures = {"never": {"function": "reach_time", "arguments": {"signal": "lag/state/x/position", "level": 1e6}}}
     given = {"requirements": {"it": {"formula": "always[never, inf] state <= 9"}}, "figures": figures}
     rig = rig_of(make_scenario(NODES, 1.0, shared={"state": LIVE["state"]}, **given))
@@ -478,6 +480,6 @@ def test_a_figure_that_never_happens_leaves_its_requirement_not_judged():
         ("always (v <= ref and v >= 0 - 5)", True),
     ],
 )
-def test_numbers_with_a_unit_and_times_do_not_follow_the_machine(formula, own):
+def test_numbers_with_a_unit_and_times_do_not_scale_with_the_machine(formula, own):
     known = {"v": None, "ref": None, "share": None, "limit": 3.0, "wait": 0.5}
     assert bounded_by_numbers(formula, known, {"v": "V", "ref": "V", "share": ""}) is own

@@ -1,4 +1,5 @@
-"""ROS behind the seam, piece by piece and without a graph: messages, faces of a node, timers, sets, callbacks, clients.
+"""ROS behind the seam, piece by piece and without a graph: messages, interfaces of a node, timers, sets, callbacks,
+clients.
 
 A node of rclpy's is stood for by what the pieces call of it.
 """
@@ -49,7 +50,7 @@ def test_a_diagnostic_is_one_status_with_its_values():
     assert [(v.key, v.value) for v in status.values] == [("ticks", "5"), ("b", "")]
 
 
-def test_what_is_to_be_seen_is_one_marker_each():
+def test_each_visible_object_is_one_marker():
     line = Marker("base", "path", "line_strip", ((0.0, 1.0, 2.0), (3.0, 4.0, 5.0)), 0.25, (0.1, 0.2, 0.3, 0.5))
     balls = Marker("tip", "balls", "sphere_list", ((1.0, 1.0, 1.0),), 0.5)
     first, second = marker_array(NOW, [line, balls]).markers
@@ -104,7 +105,7 @@ def test_only_types_of_interface_packages_are_imported():
 
 
 class FakeNode:
-    """A node of which is kept what it offers."""
+    """A node that records what it offers."""
 
     def __init__(self):
         self.topics, self.services, self.readers = {}, {}, {}
@@ -130,7 +131,7 @@ class FakeNode:
 
 
 class Seen(Observer):
-    """Has a marker, a text, figures and health."""
+    """A block with a marker, a text, figures and a health report."""
 
     def first(self):
         return 3.0
@@ -162,7 +163,7 @@ def face(block, mode="lockstep", links=None, **options):
     return node, hand, adapter, Faces(node, adapter)
 
 
-def test_an_observer_shows_its_figures_markers_and_text_to_who_reads_them():
+def test_an_observer_publishes_its_figures_markers_and_text_to_subscribers():
     node, hand, adapter, _ = face(Seen())
     (timer,) = hand.timers
     assert timer.asked == [(250_000_000, 0)]
@@ -186,7 +187,7 @@ def test_an_observer_shows_its_figures_markers_and_text_to_who_reads_them():
     assert (status.name, status.level, node.topics["~/metrics"][0].header.stamp.nanosec) == ("node", b"\0", 5)
 
 
-def test_diagnostics_tell_the_worst_report_and_what_was_refused():
+def test_diagnostics_contain_the_worst_report_and_the_rejected_messages():
     node, _hand, adapter, shown = face(Seen())
     node.readers["/diagnostics"] = 1
 
@@ -212,7 +213,7 @@ def test_diagnostics_tell_the_worst_report_and_what_was_refused():
     assert told()[1:] == ("bad value", usual | {"refused a": "1", "refused b": "3"})
 
 
-def test_what_a_node_offers_is_what_its_block_and_its_place_in_the_rig_are_for():
+def test_the_services_and_topics_of_a_node_follow_from_its_block_and_its_rig():
     node, *_ = face(Gain())
     offered = {t for t in node.topics if not t.endswith(" offered")}
     assert offered == {"/diagnostics"}
@@ -246,7 +247,7 @@ class Arm(Block):
         )
 
 
-def test_frames_that_move_are_said_once_a_tick_to_who_reads_them_as_ros_has_it():
+def test_moving_frames_are_published_once_a_tick_in_the_form_of_ros():
     node, hand, adapter, _ = face(Arm())
 
     def read(data):
@@ -296,7 +297,7 @@ def test_frames_that_move_are_said_once_a_tick_to_who_reads_them_as_ros_has_it()
 # ---- parameters of a running node ----
 
 
-def test_what_is_set_is_taken_with_the_next_tick_all_or_none():
+def test_sets_are_applied_at_the_next_tick_all_or_none():
     node, _hand, adapter, _ = face(Lag(gain=2.0))
     tuning = Tuning(node, adapter)
     node.remark = ""
@@ -330,7 +331,7 @@ def test_what_is_set_is_taken_with_the_next_tick_all_or_none():
 
 
 class Serving(ServingNode):
-    """The part of a node that takes sets of parameters."""
+    """The part of a node that accepts sets of parameters."""
 
     def __init__(self, **values):
         self._parameters = {n: Parameter(n, value=v) for n, v in values.items()}
@@ -353,7 +354,7 @@ class Serving(ServingNode):
         return [r.successful for r in results], [r.reason for r in results], [*self.taken]
 
 
-def test_what_is_set_together_is_taken_together_or_each_by_itself():
+def test_parameters_set_together_are_applied_together_or_one_by_one():
     node = Serving(k=1.0, n=3, text="a", row=[1.0, 2.0], whole=[1, 2], words=["a"])
     assert node.ask(k=2.0, n=4) == ([True, True], ["", ""], [{"k": 2.0, "n": 4}])
     assert node.ask(k=1.0) == ([True], [""], [])  # it is so already
@@ -407,7 +408,7 @@ def test_what_is_set_together_is_taken_together_or_each_by_itself():
 # ---- timers and callbacks ----
 
 
-def test_a_callback_is_quiet_only_when_ros_has_been_shut_down(monkeypatch):
+def test_a_callback_is_silent_only_after_ros_has_been_shut_down(monkeypatch):
     def fail(data):
         raise ros.RCLError("no context")
 
@@ -433,7 +434,7 @@ def test_a_callback_is_quiet_only_when_ros_has_been_shut_down(monkeypatch):
 
 
 class RclTimer:
-    """A timer of rclpy's, in a time that a test moves."""
+    """A timer of rclpy, in a time that the test moves."""
 
     def __init__(self):
         self.now, self.due, self.timer_period_ns, self.resets = 0, None, 1, 0
@@ -448,8 +449,8 @@ class RclTimer:
         return None if self.due is None else self.due - self.now
 
 
-def test_a_timer_that_has_its_period_is_drawn_along_and_not_reset():
-    """So that the call after the next one is where it was asked for, give or take whole periods; none is doubled."""
+def test_a_timer_with_its_period_is_shifted_and_not_reset():
+    """So that the call after the next one is at the requested time within whole periods; none is doubled."""
     inner = RclTimer()
     timer = ros.RosTimer(inner)
     timer.again(5000)
@@ -476,7 +477,7 @@ def test_a_timer_that_has_its_period_is_drawn_along_and_not_reset():
 
 
 class Rcl:
-    """What a node of rclpy's is asked for."""
+    """The part of rclpy's node that is used."""
 
     def __init__(self, **overrides):
         self._parameter_overrides = {k.replace("__", "."): SimpleNamespace(value=v) for k, v in overrides.items()}
@@ -531,7 +532,7 @@ class Rcl:
         self.waitables.remove(what)
 
 
-def test_bytes_go_out_only_while_somebody_reads_them_unless_a_late_reader_is_owed_them():
+def test_bytes_are_sent_only_while_there_is_a_subscriber_except_to_latched_topics():
     port = number("a", "t", "V")
     for options, always in (({}, False), ({"qos_overrides____rig__t__publisher__depth": 5}, True)):
         node = Rcl(**{k.replace("____", "__/").replace("/rig__t", "/rig/t"): v for k, v in options.items()})
@@ -557,7 +558,7 @@ def test_bytes_go_out_only_while_somebody_reads_them_unless_a_late_reader_is_owe
     assert real.made[0].profile.depth == 10
 
 
-def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_after_its_end(monkeypatch):
+def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after_the_end_of_the_node(monkeypatch):
     node = Rcl()
     middleware, received, arrivals = RosMiddleware(node), [], []
 
@@ -632,8 +633,8 @@ def test_messages_are_taken_where_they_arrive_once_a_node_asks_for_that_and_not_
     assert (len(processors), anywhere.prompt, len(anywhere.node.timers)) == (1, True, 2)
 
 
-def test_what_is_posted_is_called_by_the_executor_in_its_turn():
-    """Not by a timer: one that is always due has this executor look at all timers ever more often."""
+def test_posted_calls_are_made_by_the_executor_in_their_turn():
+    """Not by a timer: with one that is always due, this executor would check all timers more and more often."""
     node, log = Rcl(), []
     tasks = []
     node.executor = SimpleNamespace(create_task=tasks.append)
@@ -650,7 +651,7 @@ def test_what_is_posted_is_called_by_the_executor_in_its_turn():
     assert abs(middleware.steady() - time.monotonic()) < 1.0
 
 
-def test_the_graph_is_reported_by_endpoints_and_who_asks_for_more_is_named(monkeypatch):
+def test_the_graph_is_reported_by_endpoints_and_incompatible_subscribers_are_named(monkeypatch):
     def end(name, kind="a/msg/B", **profile):
         return {"node_name": name, "node_namespace": "/rig", "topic_type": kind, "qos_profile": profile}
 
@@ -699,7 +700,7 @@ def test_the_graph_is_reported_by_endpoints_and_who_asks_for_more_is_named(monke
 # ---- a container ----
 
 
-def test_in_a_container_messages_go_through_its_queue_and_to_others_only_while_they_read():
+def test_in_a_container_messages_pass_through_its_queue_and_are_sent_only_to_external_subscribers():
     node, exchange = Rcl(), Exchange()
     middleware, log = ContainedMiddleware(node, exchange), []
     publish = middleware.publisher("t", "std_msgs/msg/Float64", log.append)
@@ -729,7 +730,7 @@ def test_in_a_container_messages_go_through_its_queue_and_to_others_only_while_t
 
 
 class Turns:
-    """A container in a time that a test moves; each turn of the executor takes as long as it is allowed to."""
+    """A container in a time that the test moves; each turn of the executor takes its full limit."""
 
     def __init__(self, monkeypatch, listens=False):
         self.now, self.spun, self.served, self.steps, self.script = 10**9, [], [], 0, {}
@@ -758,7 +759,7 @@ class Turns:
         return self.container._loop(SimpleNamespace(spin_once=self.spun.append))
 
 
-def test_a_container_turns_until_all_have_ended_or_one_has_failed_for_a_second(monkeypatch):
+def test_a_container_runs_until_all_nodes_have_ended_or_one_has_failed_for_a_second(monkeypatch):
     turns = Turns(monkeypatch)
     a, b = turns.container.adapters
     turns.script = {
@@ -783,7 +784,7 @@ def test_a_container_turns_until_all_have_ended_or_one_has_failed_for_a_second(m
     assert {*stopped.spun} == {(300_002 - 150_000) / 1e9}
 
 
-def test_a_container_sends_what_is_left_and_waits_for_those_who_have_it_to_get(monkeypatch):
+def test_a_container_sends_pending_messages_and_waits_for_their_acknowledgement(monkeypatch):
     log, up = [], [True]
 
     def adapter(name, state):
@@ -821,7 +822,7 @@ def test_a_container_sends_what_is_left_and_waits_for_those_who_have_it_to_get(m
         assert log == expected
 
 
-def test_python_looks_for_cycles_seldom_while_there_are_none():
+def test_the_garbage_collector_runs_rarely_while_it_finds_nothing():
     class Collector:
         found, log = 0, []
 
@@ -865,7 +866,7 @@ def test_python_looks_for_cycles_seldom_while_there_are_none():
 
 
 class Asked:
-    """A person's node, whose clients answer when a test says so."""
+    """The node of a person, whose clients answer when the test says so."""
 
     def __init__(self, monkeypatch, patience=4.0):
         self.now, self.said, self.timers, self.calls, self.ready, self.future = 50.0, [], [], [], False, None
@@ -903,7 +904,7 @@ class Asked:
         return self.said.pop() if self.said else None
 
 
-def test_a_set_or_a_press_is_answered_when_the_node_has_and_a_node_that_does_not_is_named(monkeypatch):
+def test_a_set_or_a_press_is_answered_after_the_node_and_a_silent_node_is_named(monkeypatch):
     asked = Asked(monkeypatch)
     asked.remote.ask({"id": 7, "node": "law", "set": {"k": 3.0, "n": 2}})
     assert asked.look(4.0) is None
@@ -991,7 +992,7 @@ class FakeRcl:
         self.resets += 1
 
 
-def test_messages_are_handed_over_as_they_came_however_long_they_are(monkeypatch):
+def test_messages_are_passed_on_unchanged_whatever_their_length(monkeypatch):
     rcl, received, matched, ensured, up = FakeRcl(), [], [], [], [True]
     monkeypatch.setattr(arrival.ctypes.pythonapi, "PyGILState_Ensure", lambda: ensured.append(1))
     monkeypatch.setattr(arrival, "rclpy", SimpleNamespace(ok=lambda: up[0]))
@@ -1046,8 +1047,8 @@ def text(sequence):
     return ctypes.string_at(sequence.data, sequence.size).decode()
 
 
-def test_the_type_of_frames_is_described_as_ros_describes_that_of_tf2_msgs():
-    """Its sources, of ros2/geometry2; sizes of the structures as the headers of rosidl have them on 64 bits."""
+def test_the_type_of_frames_is_described_as_that_of_tf2_msgs():
+    """From the sources of ros2/geometry2; sizes of the structures as the headers of rosidl have them on 64 bits."""
     from geometry_msgs.msg import TransformStamped
 
     sizes = {
@@ -1116,7 +1117,7 @@ def pointer_of(capsule):
     return pointer(capsule, name(capsule))
 
 
-def test_a_set_that_is_refused_for_want_of_time_is_reported():
+def test_a_set_that_is_refused_for_lack_of_time_is_reported():
     node, _hand, adapter, shown = face(Lag(gain=2.0))
     node.readers["/diagnostics"] = 1
     Tuning(node, adapter)

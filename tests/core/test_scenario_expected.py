@@ -1,4 +1,4 @@
-"""What a scenario file says and what is made of it, also in words (`tests/expected`).
+"""The content of scenario files and its interpretation, also as expected text (`tests/expected`).
 
 Source: the page scenario_file, as naive models of its rules.
 """
@@ -27,7 +27,7 @@ from softrig_core.scenario.yaml_file import DEPTH, NODES, SIZE, read_mapping, re
 
 
 def said(function, *given, **words):
-    """What a function gives, or the line of what it raises."""
+    """The result of a function, or the line of its error."""
     try:
         return repr(function(*given, **words))
     except (ScenarioError, ParameterError, ValueError, KeyError) as error:
@@ -53,7 +53,7 @@ def nested(depth):
     return "[" * depth + "]" * depth
 
 
-def test_what_is_no_yaml_or_too_much_of_it_is_expected():
+def test_invalid_or_excessive_yaml_is_refused_as_expected():
     few = "a: &a [" + ",".join("1" * 99) + "]\n"
     cases = {
         "nothing": "",
@@ -105,7 +105,7 @@ def test_a_mapping_is_read_from_a_file_in_utf_8(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_plain_data_comes_back_as_it_was_written(seed):
+def test_plain_data_is_read_back_as_written(seed):
     rng = random.Random(seed)
 
     def data(depth):
@@ -131,14 +131,14 @@ def test_plain_data_comes_back_as_it_was_written(seed):
 
 
 def flat(data, above=()):
-    """A mapping as its leaves by the keys that lead to them; of an empty one, itself."""
+    """A mapping as its leaves by the keys that lead to them; an empty one is returned unchanged."""
     if isinstance(data, dict) and data:
         return {k: v for key, one in data.items() for k, v in flat(one, (*above, key)).items()}
     return {above: data}
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_laid_over_a_mapping_replaces_its_leaves(seed):
+def test_a_mapping_laid_over_another_replaces_its_leaves(seed):
     """Leaf by leaf: those of the upper one, and those of the lower that are not below a key it has or removes."""
     rng = random.Random(seed)
 
@@ -166,7 +166,7 @@ def test_what_is_laid_over_a_mapping_replaces_its_leaves(seed):
         assert json.dumps([lower, upper]) == before
 
 
-def test_what_is_inherited_and_what_is_not():
+def test_inherited_and_not_inherited_keys_are_as_expected():
     base = {
         "title": "T",
         "expect": {"a": 1},
@@ -235,7 +235,7 @@ class Law(Block[Some]):
     OUTPUTS = (joint_state("command", "command", ["u"], effort="N"),)
 
 
-def test_changes_are_given_to_their_nodes_in_the_order_of_time():
+def test_changes_are_passed_to_their_nodes_in_order_of_time():
     def member(name, **more):
         about = {
             "package": "p",
@@ -277,7 +277,7 @@ def test_changes_are_given_to_their_nodes_in_the_order_of_time():
 # faults, ports as text ------------------------------------------------------------------------------------------------
 
 
-def test_faults_are_put_between_a_sender_and_its_readers():
+def test_faults_are_inserted_between_a_publisher_and_its_subscribers():
     signal = scalars("signal", "motor/state", {"x": "m"})
     push = array("push", "motor/push", {"k": 2}, "N", delayed=True, limits=(3.0, 4.0))
     ports = {
@@ -327,7 +327,7 @@ def test_faults_are_put_between_a_sender_and_its_readers():
     check_expected("faults", lines)
 
 
-def test_ports_come_back_from_their_text():
+def test_ports_are_restored_from_their_text():
     for port in (
         joint_state("a", "t", ["x", "y"], position="m", velocity=["m/s", "1"], limits=(1.0,) * 4, held=True),
         array("a", "t", {"row": 2, "column": 3}, "m", safe=(1.0,) * 6, unchecked=True, sporadic=True),
@@ -406,7 +406,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_files_are_found_and_their_variants(folder):
+def test_files_and_their_variants_are_found(folder):
     short = {name: str(path.relative_to(folder)) for name, path in list_scenarios().items()}
     assert short == {
         "base": "one/base.yaml",
@@ -440,7 +440,7 @@ def test_files_are_found_and_their_variants(folder):
     check_expected("scenario_files", [line.replace(str(folder), "HERE") for line in lines])
 
 
-def test_where_a_key_is_written(folder):
+def test_the_place_of_a_key_is_found(folder):
     base, child = folder / "one/base.yaml", folder / "one/child.yaml"
     lines = BASE.splitlines()
     for keys in (
@@ -489,7 +489,7 @@ def test_a_file_that_has_changed_is_read_again(folder):
     assert list(itertools.islice(names(folder / "two/base.yaml"), 3)) == ["base"]
 
 
-def test_what_a_scenario_must_not_say_and_what_goes_over_it():
+def test_forbidden_and_overriding_keys_of_a_scenario_are_as_expected():
     node = {"package": "p", "executable": "e"}
     whole = {
         "name": "here",
@@ -567,7 +567,7 @@ def test_what_a_scenario_must_not_say_and_what_goes_over_it():
     assert (known.written("title"), known.written_in(None) is known) == ("", True)
 
 
-def test_parameters_of_nodes_may_be_those_of_others():
+def test_parameters_of_nodes_may_refer_to_those_of_others():
     def parameters(**nodes):
         entries = {name: {"package": "p", "executable": "e", "parameters": values} for name, values in nodes.items()}
         about = {"name": "here", "title": "T", "system": "s", "source": "S", "duration": 1.0, "nodes": entries}

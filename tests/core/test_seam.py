@@ -1,4 +1,4 @@
-"""What a node's logic knows of the middleware, each part by itself, by hand: queues, buttons, ticks, what is told."""
+"""The middleware-independent logic of a node, each part alone: queues, buttons, ticks, reports."""
 
 import itertools
 import json
@@ -30,7 +30,7 @@ MS = 1_000_000
 
 
 class Still(Exchange):
-    """An exchange in a time that a test moves, and that passes where it waits."""
+    """An exchange in a time that the test moves, and that passes while it waits."""
 
     def __init__(self, monkeypatch, step=0):
         super().__init__()
@@ -48,7 +48,7 @@ class Still(Exchange):
         self.log.append((what, self.t))
 
     def work(self, name, takes):
-        """A call that takes so many ns."""
+        """A call that takes a number of ns."""
 
         def call():
             self.note(name)
@@ -70,7 +70,7 @@ def test_timers_of_a_container_fire_at_their_time_in_order_and_again_after_their
     assert [t for _, t in exchange.log] == sorted(t for _, t in exchange.log)
 
 
-def test_a_timer_may_be_moved_or_cancelled_at_any_time_and_has_a_microsecond_at_least(monkeypatch):
+def test_a_timer_may_be_moved_or_cancelled_at_any_time_and_has_at_least_a_microsecond(monkeypatch):
     exchange = Still(monkeypatch)
     timer = exchange.timer(10, partial(exchange.note, "a"), "node")
     assert (timer.due, timer.period, exchange.next_due()) == (1000, 1000, 1000)
@@ -91,7 +91,7 @@ def test_a_timer_may_be_moved_or_cancelled_at_any_time_and_has_a_microsecond_at_
     assert exchange.serve(10_000_000) == 53_000 - exchange.t  # nothing else is due
 
 
-def test_what_is_posted_is_done_in_order_and_none_within_another(monkeypatch):
+def test_posted_calls_are_made_in_order_and_never_nested(monkeypatch):
     exchange = Still(monkeypatch)
 
     def outer():
@@ -107,7 +107,7 @@ def test_what_is_posted_is_done_in_order_and_none_within_another(monkeypatch):
 
 
 @pytest.mark.parametrize(("until", "done"), [(15_999, 16), (16_000, 32), (31_999, 32), (32_000, 40)])
-def test_after_sixteen_calls_it_looks_at_the_time(until, done, monkeypatch):
+def test_after_sixteen_calls_the_time_is_checked(until, done, monkeypatch):
     exchange = Still(monkeypatch)
     for k in range(40):
         exchange.post(exchange.work(k, 1000))
@@ -116,7 +116,7 @@ def test_after_sixteen_calls_it_looks_at_the_time(until, done, monkeypatch):
     assert left == (0 if done < 40 else (1 << 62) - 40_000 if until >= 40_000 else 0)
 
 
-def test_a_queue_that_never_ends_keeps_a_timer_waiting_for_five_ms(monkeypatch):
+def test_a_queue_that_never_empties_delays_a_timer_by_at_most_five_ms(monkeypatch):
     exchange = Still(monkeypatch)
 
     def endless():
@@ -137,7 +137,7 @@ def test_a_queue_that_never_ends_keeps_a_timer_waiting_for_five_ms(monkeypatch):
     assert timer.due == 14 * MS
 
 
-def test_how_long_nothing_is_due_is_said_and_what_is_nearer_is_waited_for(monkeypatch):
+def test_the_time_until_the_next_due_call_is_reported_and_waited_for(monkeypatch):
     exchange = Still(monkeypatch)
     exchange.timer(5000, partial(exchange.note, "t"), "node")
     assert exchange.serve(4999, 4999) == 5000
@@ -158,7 +158,7 @@ def test_how_long_nothing_is_due_is_said_and_what_is_nearer_is_waited_for(monkey
         (1000, 1000, 7),
     ],
 )
-def test_what_is_for_others_goes_out_when_there_is_time_or_after_eight_turns(due, awake, turns, monkeypatch):
+def test_messages_for_others_are_sent_when_there_is_time_or_after_eight_turns(due, awake, turns, monkeypatch):
     exchange = Still(monkeypatch)
     exchange.timer(due, partial(exchange.note, "timer"), "node")
     for k in range(3):
@@ -169,7 +169,7 @@ def test_what_is_for_others_goes_out_when_there_is_time_or_after_eight_turns(due
     assert whats.count(0) == 1
 
 
-def test_eight_messages_for_others_go_out_together_at_once_and_the_rest_at_the_end(monkeypatch):
+def test_eight_messages_for_others_are_sent_together_and_the_rest_at_the_end(monkeypatch):
     exchange = Still(monkeypatch)
     for k in range(11):
         exchange.carry(exchange.note, k)
@@ -184,7 +184,7 @@ def test_eight_messages_for_others_go_out_together_at_once_and_the_rest_at_the_e
     assert len(exchange.log) == 13
 
 
-def test_who_has_raised_is_named_by_the_node_whose_call_it_was(monkeypatch):
+def test_an_error_names_the_node_whose_call_raised_it(monkeypatch):
     def fail(data=None):
         raise ValueError("no")
 
@@ -208,7 +208,7 @@ def test_who_has_raised_is_named_by_the_node_whose_call_it_was(monkeypatch):
     assert exchange.culprit() == ""
 
 
-def test_a_container_listens_while_somebody_else_writes():
+def test_a_container_receives_while_another_thread_writes():
     exchange = Exchange()
     assert not exchange.listens
     exchange.writers.update(a=0, b=2)
@@ -261,7 +261,7 @@ def test_each_press_is_one_tick_down_and_at_least_one_up_however_fast_they_come(
 # ---- endpoints ----
 
 
-def test_an_end_knows_how_many_are_matched_and_an_input_forgets_the_number_when_that_changes():
+def test_an_endpoint_counts_its_matches_and_an_input_forgets_its_number_when_that_changes():
     end, joined = Input(joint_state("a", "t", ["x"], position="m")), []
     assert (end.publishers, end.outside, end.received_any, end.following) == (0, 0, False, None)
     assert (end.lost, end.late, end.overdue, end.refused, end.last_refusal) == (0, 0, 0, 0, "")
@@ -291,8 +291,8 @@ def test_an_end_knows_how_many_are_matched_and_an_input_forgets_the_number_when_
 
 
 @pytest.mark.parametrize(("clock", "every"), [("1/1000", 1), ("1/300", 1), ("1/1000", 2), ("1/300", 3), ("1/1000", 5)])
-def test_the_clock_waits_for_an_acknowledgement_that_follows_and_is_ahead_by_less_than_nine(clock, every):
-    """Of the ticks of a follower some are acknowledged; what is needed at each tick of the clock is one of these."""
+def test_the_clock_waits_for_an_acknowledgement_of_a_follower_and_is_less_than_nine_ticks_ahead(clock, every):
+    """A follower acknowledges some of its ticks; each tick of the clock needs one of these."""
     owner = Schedule(clock, clock, 41 * float(eval(clock)), at_end=True)
     follower = Schedule(every * owner.period, clock, 41 * float(owner.period))
     ticks = [follower.time(k) for k in range(follower.count())]
@@ -310,7 +310,7 @@ def test_the_clock_waits_for_an_acknowledgement_that_follows_and_is_ahead_by_les
         assert k - owner.tick(max(want, 0)) < 9 + every
 
 
-def test_an_acknowledgement_says_its_tick_and_who_has_spoken_and_is_read_from_anybody(monkeypatch):
+def test_an_acknowledgement_contains_its_tick_and_topics_and_is_read_from_any_node(monkeypatch):
     write, read = TickWriter(), TickReader()
     for t, sent in (
         (0, ()),
@@ -335,7 +335,7 @@ def test_an_acknowledgement_says_its_tick_and_who_has_spoken_and_is_read_from_an
     assert read(write(3, ["a"])) == (3, frozenset("a"))
 
 
-def test_a_number_stands_in_eight_bytes_behind_a_message():
+def test_a_number_takes_eight_bytes_after_a_message():
     messages, counts = [], {"u": 0}
     port = joint_state("a", "t", ["x"], position="m")
     publish = Numbering(messages.append, port.layout(), counts, "u")
@@ -350,7 +350,7 @@ def test_a_number_stands_in_eight_bytes_behind_a_message():
     assert split(numbered(2**40 + 258, b"abc")) == (2**40 + 258, b"abc")
 
 
-def test_recorders_that_ask_are_awaited_but_on_what_they_leave_out():
+def test_requesting_recorders_are_awaited_except_on_topics_that_they_leave_out():
     hand = Hand()
     awaited = Awaited(hand, ["bag"])
     assert awaited.of("/a") == ["bag"]
@@ -373,7 +373,7 @@ def test_recorders_that_ask_are_awaited_but_on_what_they_leave_out():
 
 
 def solving(monkeypatch):
-    """A solver between two ticks of which it is known what was asked of it."""
+    """A solver between two ticks, with a record of its requests."""
     hand, asked, resumed = Hand(time=10**9), [], []
     block = SimpleNamespace(
         begin=lambda x, t, **inputs: asked.append(("begin", x, t, inputs)) or "begun",
@@ -388,7 +388,7 @@ def solving(monkeypatch):
     return hand, block, step, asked, resumed, Solving(hand, step, lambda: resumed.append(hand.time))
 
 
-def test_a_solver_begins_a_tick_once_and_is_looked_at_until_its_answer_is_there(monkeypatch):
+def test_a_solver_begins_a_tick_once_and_is_polled_until_its_answer_is_there(monkeypatch):
     hand, block, step, asked, resumed, part = solving(monkeypatch)
     (timer,) = hand.timers
     assert timer.asked == [(2 * MS, 0), None]
@@ -412,7 +412,7 @@ def test_a_solver_begins_a_tick_once_and_is_looked_at_until_its_answer_is_there(
     assert timer.now == (2 * MS, 0)  # it waits anew
 
 
-def test_a_solver_tells_its_peers_each_half_second_that_it_works(monkeypatch):
+def test_a_solver_informs_its_peers_every_half_second_that_it_works(monkeypatch):
     hand, _, _, _, _, part = solving(monkeypatch)
     assert not part.finished(5)
     times = []
@@ -432,7 +432,7 @@ def test_a_solver_tells_its_peers_each_half_second_that_it_works(monkeypatch):
         assert item.publishers == publishers
 
 
-def test_a_node_that_is_held_says_so_and_takes_what_steps_it_is_given():
+def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     hand, turned = Hand(), []
     hold = Hold(held=True)
     assert hold.ask("pause") == (False, "this node has not begun")
@@ -463,7 +463,7 @@ def test_a_node_that_is_held_says_so_and_takes_what_steps_it_is_given():
     assert hold.holds(0)  # what was not taken is forgotten
 
 
-def test_a_pace_is_looked_at_a_hundred_times_a_second_until_there_is_none():
+def test_a_pace_is_checked_a_hundred_times_a_second_until_there_is_none():
     hand, turned = Hand(time=10**9), []
     hold = Hold(pace=0.5)
     hold.begin(hand, lambda: turned.append(1))
@@ -495,7 +495,7 @@ def test_a_pace_is_looked_at_a_hundred_times_a_second_until_there_is_none():
 # ---- how a node is ----
 
 
-def test_a_status_file_is_whole_whenever_it_is_read(tmp_path):
+def test_a_status_file_is_complete_whenever_it_is_read(tmp_path):
     path = tmp_path / "node.status"
     file = health.StatusFile(str(path))
     file.write({"t": 1})
@@ -507,7 +507,7 @@ def test_a_status_file_is_whole_whenever_it_is_read(tmp_path):
     assert os.listdir(tmp_path) == ["node.status"]
 
 
-def test_where_names_cannot_be_exchanged_a_status_file_is_replaced(tmp_path, monkeypatch):
+def test_a_status_file_is_replaced_if_names_cannot_be_exchanged(tmp_path, monkeypatch):
     for exchange in (None, lambda *names: -1):
         monkeypatch.setattr(health, "_renameat2", exchange)
         for t in (1, 2):
@@ -521,7 +521,7 @@ def test_where_names_cannot_be_exchanged_a_status_file_is_replaced(tmp_path, mon
     assert os.listdir(tmp_path) == ["a.status"]
 
 
-def test_of_times_the_middle_the_hundredth_longest_and_the_longest_are_reported():
+def test_of_durations_the_median_the_hundredth_longest_and_the_longest_are_reported():
     assert health.percentiles("x", [], 5) == {}
     for n in (1, 2, 3, 99, 100, 101, 250):
         samples = list(range(1, n + 1))
@@ -531,7 +531,7 @@ def test_of_times_the_middle_the_hundredth_longest_and_the_longest_are_reported(
         assert text == {"x_p50_ms": middle, "x_p99_ms": n * 99 // 100 + 1, "x_max_ms": 400.0}
 
 
-def test_the_most_memory_is_what_the_system_says():
+def test_the_largest_memory_is_that_of_the_system():
     text = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # noqa: SIM115
     assert health.peak_memory() == pytest.approx(int(text.split()[1]) / 1024, abs=1.0)
     assert round(health.peak_memory(), 1) == health.peak_memory()

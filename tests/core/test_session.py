@@ -1,4 +1,6 @@
-"""Runs in this process by other hands: a loop of the difference equation, message by message, lists of requests."""
+"""Runs in this process against independent code: a loop of the difference equation, message by message, lists of
+requests.
+"""
 
 import gc
 import math
@@ -49,7 +51,7 @@ class LiveParams(BlockParams):
 
 
 class Live(Block[LiveParams]):
-    """A gain that may be turned while it runs."""
+    """A gain that may be changed during a run."""
 
     INPUTS = (STATE, REFERENCE)
     OUTPUTS = (COMMAND,)
@@ -67,7 +69,7 @@ def wired():
 
 
 def by_hand(until, turned):
-    """The commands of the ticks before `until`; the gain is what was set last at or before a tick."""
+    """The commands of the ticks before `until`; the gain is the value that was last set at or before a tick."""
     x, messages = 0.0, []
     for k in range(min(until, LAST)):
         gain = ([2.0] + [value for at, value in turned if at <= k])[-1]
@@ -78,7 +80,7 @@ def by_hand(until, turned):
 
 
 class Model:
-    """Where a session is: its next tick, and what was set when."""
+    """The state of a session: its next tick, and which values were set when."""
 
     def __init__(self, at=0, turned=()):
         self.at, self.turned = at, [*turned]
@@ -97,7 +99,7 @@ class Model:
 
 @pytest.mark.parametrize("kept", [3, 256])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_session_that_goes_on_back_and_apart_at_will_is_the_run_that_had_it_so(seed, kept, monkeypatch):
+def test_a_session_that_goes_back_and_branches_at_random_is_the_run_with_the_same_changes(seed, kept, monkeypatch):
     monkeypatch.setattr(module, "KEPT", kept)
     draw, session, model = random.Random(seed), Session(wired()), Model()
     for _ in range(25):
@@ -138,7 +140,7 @@ def test_a_session_that_goes_on_back_and_apart_at_will_is_the_run_that_had_it_so
     model.agrees(session)
 
 
-def test_a_session_keeps_a_state_every_so_many_ticks_and_half_of_them_when_there_are_too_many(monkeypatch):
+def test_a_session_stores_a_state_every_few_ticks_and_half_of_them_if_there_are_too_many(monkeypatch):
     monkeypatch.setattr(module, "KEPT", 4)
     session = Session(wired())
     seen = []
@@ -151,7 +153,7 @@ def test_a_session_keeps_a_state_every_so_many_ticks_and_half_of_them_when_there
     assert seen[19] == [0, 10, 20]
 
 
-def test_what_is_set_of_several_nodes_is_undone_by_its_newest_values():
+def test_changes_of_several_nodes_are_undone_by_their_newest_values():
     rig = Rig.from_blocks({"plant": Lag(period=0.01), "source": Source(period=0.01), "law": Live(period=0.01)}, 0.2)
     session = Session(rig)
     session.set({"law.k": 1.0})
@@ -205,7 +207,7 @@ def test_changes_of_a_branch_are_those_before_its_time_those_of_the_scenario_and
     assert result == [{"at": 0.02, "set": {"law.k": 1.0}}]
 
 
-def test_changes_that_the_scenario_makes_stay_from_the_tick_on_at_which_they_come():
+def test_changes_of_the_scenario_stay_from_their_tick_on():
     own = [{"at": 0.015, "set": {"gain.k": 3.0}}, {"at": 0.03, "set": {"gain.k": 5.0}}]
 
     made = [SimpleNamespace(at=15 * MS, values={"k": 3.0}), SimpleNamespace(at=30 * MS, values={"k": 5.0})]
@@ -216,7 +218,7 @@ def test_changes_that_the_scenario_makes_stay_from_the_tick_on_at_which_they_com
         assert branched(SimpleNamespace(members=[member]), recording, at, {}) == kept
 
 
-def test_where_two_runs_part_is_reported_of_three_topics_at_most_the_earliest_first():
+def test_the_first_difference_of_two_runs_is_reported_for_up_to_three_topics_earliest_first():
     def recording(**topics):
         made = Kept((name, "x") for name in topics)
         for k, times in enumerate(topics.values()):
@@ -239,7 +241,7 @@ def test_where_two_runs_part_is_reported_of_three_topics_at_most_the_earliest_fi
 # ---- one member, fed by a recording ----
 
 
-def test_a_member_is_fed_with_what_had_come_at_each_of_its_ticks():
+def test_a_single_node_is_fed_with_the_messages_that_had_arrived_at_each_of_its_ticks():
     rig = rig_of(make_scenario(BASIC, 0.1))
     gain = next(m for m in rig.members if m.name == "gain")
     recording = in_process(rig)
@@ -278,8 +280,8 @@ PORTS = [
 ]
 
 
-def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
-    """Silence is a flag of zero behind the numbers, the stamps of delayed outputs come beside."""
+def test_many_answers_recorded_together_equal_those_of_single_ticks():
+    """Silence is a flag of zero after the numbers; the stamps of delayed outputs are stored beside."""
     draw = np.random.default_rng(2)
     n, size = 7, sum(p.size for p in PORTS)
     late, silent = ([p for p in PORTS if getattr(p, what)] for what in ("delayed", "sporadic"))
@@ -314,7 +316,7 @@ def test_many_answers_at_once_are_recorded_as_those_of_single_ticks():
     assert kept == [(4, 5, a(5, rows[0])), (2, 5, b(7, (3.0,))), (2, 6, b(7, (3.0,)))]
 
 
-def test_arrays_go_on_with_the_numbers_that_the_step_has_given():
+def test_arrays_continue_with_the_numbers_of_the_step():
     port = array("m", "m", {"row": 2}, "V")
     kept = []
     step = SimpleNamespace(plain=False, outputs=[port], link=None, name="law", counts={"m": 3})
@@ -325,7 +327,7 @@ def test_arrays_go_on_with_the_numbers_that_the_step_has_given():
     assert [data for _, _, data in kept] == [port.layout().encode(n, (1.0, 2.0)) for n in (3, 4, 5, 6)]
 
 
-def test_python_looks_for_cycles_seldom_during_a_run_and_as_before_after_it():
+def test_the_garbage_collector_runs_rarely_during_a_run_and_as_before_after_it():
     before, seen = gc.get_threshold(), []
     try:
         for given, during in ((700, YOUNG), (10**6, 10**6), (0, 0)):
@@ -339,7 +341,7 @@ def test_python_looks_for_cycles_seldom_during_a_run_and_as_before_after_it():
         gc.set_threshold(*before)
 
 
-def test_of_several_runs_who_only_watches_is_left_out_and_topics_may_be_chosen():
+def test_runs_of_a_study_leave_observers_out_and_record_selected_topics():
     rig = rig_of(make_scenario(BASIC | {"watcher": "watcher"}, 0.1))
     assert list(run_inprocess(rig, 0)) == ["plant", "source", "gain", "watcher"]
     assert list(run_inprocess(rig, 0, runs=2)) == ["plant", "source", "gain"]
@@ -366,7 +368,7 @@ def judged():
     return rig_of(make_scenario(BASIC, 0.1, figures=figures, expect=EXPECT))
 
 
-def test_a_run_says_how_far_it_came_and_how_its_figures_did():
+def test_a_run_reports_its_progress_and_the_result_of_its_figures():
     run = simulate(judged(), seed=3)
     run.wall_s = 0.0123456
     assert repr(run) == "<Run of test (inprocess, seed 3): 0.1 s in 0.0123 s, 1 of 2 figures pass>"
@@ -383,7 +385,7 @@ def test_a_run_says_how_far_it_came_and_how_its_figures_did():
     assert shifted.reached_s == pytest.approx(0.2)
 
 
-def test_a_run_that_was_stopped_cannot_say_never():
+def test_a_stopped_run_cannot_report_never():
     late = {"function": "reach_time", "arguments": {"signal": "lag/state/x/position", "level": 99.0}, "unit": "s"}
     rig = rig_of(make_scenario(BASIC, 0.1, figures={"rise": late}, expect={"rise": "at most 1"}))
     run = simulate(rig)
@@ -395,7 +397,7 @@ def test_a_run_that_was_stopped_cannot_say_never():
     assert result.error == "never"
 
 
-def test_a_branch_of_a_run_goes_as_long_as_it_or_as_is_said():
+def test_a_branch_of_a_run_lasts_as_long_as_the_run_or_as_stated():
     run = simulate(wired())
     for duration, reached in ((None, 0.2), (0.1, 0.1)):
         other = run.branch(0.05, {"law.k": 1.0}, duration=duration)
@@ -404,7 +406,7 @@ def test_a_branch_of_a_run_goes_as_long_as_it_or_as_is_said():
         assert x == pytest.approx(by_hand(LAST, [(5, 1.0)])[: len(x)], abs=1e-12)
 
 
-def test_signals_that_are_asked_for_are_recorded_with_what_figures_read():
+def test_requested_signals_are_recorded_with_those_that_figures_read():
     run = simulate(judged(), signals=["lag/command/u"])
     assert {name for name, topic in run.recording.topics.items() if topic.times} >= {"lag/command", "lag/state"}
     assert not run.recording.topics["lag/reference"].times
@@ -450,8 +452,8 @@ def test_one_signal_may_be_a_text():
     assert topics[0] == topics[1]
 
 
-def test_figures_that_are_measured_while_it_runs_are_reported_what_and_how_often():
-    """Unless they are told otherwise, or nobody asks them."""
+def test_a_node_of_figures_knows_what_to_measure_and_how_often():
+    """Unless its parameters say otherwise, or no subscriber asks."""
     live = dict(zip(("package", "executable"), FIGURES, strict=True))
     own = {"ports": "[]", "figures": "[]"}
     nodes = {name: {"package": "faultrig", "executable": e} for name, e in BASIC.items()}

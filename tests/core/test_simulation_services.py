@@ -1,4 +1,6 @@
-"""The services of simulation_interfaces on the node of a clock: what they say and do, with stand-ins of messages."""
+"""The services of simulation_interfaces on the node of a clock: their answers and effects, with stand-ins for
+messages.
+"""
 
 import math
 from types import SimpleNamespace
@@ -30,7 +32,7 @@ def message(**fields):
 
 
 class Caller:
-    """Calls the services of one node as its executor does; what is answered later comes into `late`."""
+    """Calls the services of one node as its executor does; later answers are in `late`."""
 
     def __init__(self, monkeypatch, name, **options):
         self.world, self.services, self.late = World(), {}, []
@@ -70,7 +72,7 @@ class Caller:
         assert condition()
 
 
-def test_a_rig_is_paused_stepped_resumed_and_its_bytes_are_those_of_a_run_that_nobody_held(monkeypatch):
+def test_a_rig_that_was_paused_stepped_and_resumed_has_the_bytes_of_an_undisturbed_run(monkeypatch):
     call = Caller(monkeypatch, "dc_motor_smc_b2")
     assert call("get_simulator_features", message(features=Features())).features.features == [0, 1, 2, 3, 4, 5]
     assert call.state() == STOPPED
@@ -107,7 +109,7 @@ def test_a_rig_is_paused_stepped_resumed_and_its_bytes_are_those_of_a_run_that_n
 
 
 @pytest.mark.parametrize("fault", [ImportError("no library"), Exception("no 'rosidl_typesupport_c'")])
-def test_a_package_whose_libraries_are_not_found_is_reported_in_one_line(fault, monkeypatch):
+def test_a_package_with_missing_libraries_is_reported_in_one_line(fault, monkeypatch):
     def types():
         raise fault
 
@@ -117,7 +119,7 @@ def test_a_package_whose_libraries_are_not_found_is_reported_in_one_line(fault, 
     assert node.logs == [(Level.WARN, f"the services of simulation_interfaces are not offered: {fault}")]
 
 
-def test_who_waits_for_steps_is_reported_how_many_have_been_taken_of_those_of_his_own(monkeypatch):
+def test_a_client_that_waits_for_steps_is_informed_how_many_of_its_own_have_run(monkeypatch):
     call, messages = Caller(monkeypatch, "dc_motor_smc_b2", paused=True), []
     call.until(lambda: call.adapter.state == "running")
     for name, count in (("a", 3), ("b", 2)):
@@ -137,7 +139,7 @@ def test_who_waits_for_steps_is_reported_how_many_have_been_taken_of_those_of_hi
     assert call.simulation._steps == []
 
 
-def test_of_a_run_without_an_end_any_number_of_steps_may_be_taken(monkeypatch):
+def test_a_run_without_an_end_accepts_any_number_of_steps(monkeypatch):
     call = Caller(monkeypatch, "dc_motor_smc_b2", paused=True)
     call.until(lambda: call.adapter.state == "running")
     call.adapter.schedule = SimpleNamespace(last=None, count=lambda: 0)
@@ -145,7 +147,7 @@ def test_of_a_run_without_an_end_any_number_of_steps_may_be_taken(monkeypatch):
     assert call.adapter.hold.steps == 10**9
 
 
-def test_quitting_ends_the_run_by_its_reason(monkeypatch):
+def test_quitting_ends_the_run_with_its_reason(monkeypatch):
     call = Caller(monkeypatch, "dc_motor_smc_b2")
     call.until(lambda: call.adapter.ticks == 3)
     assert call.set(QUITTING) == (1, "")
@@ -153,7 +155,7 @@ def test_quitting_ends_the_run_by_its_reason(monkeypatch):
     assert str(call.adapter.error).endswith("s by set_simulation_state")
 
 
-def test_bodies_are_where_the_scene_has_them_and_move_as_the_joints_do(monkeypatch):
+def test_bodies_are_placed_as_in_the_scene_and_move_as_the_joints_do(monkeypatch):
     call = Caller(monkeypatch, "manipulator_adsmc")
     anything = {"categories": [], "tags": SimpleNamespace(tags=[]), "bounds": SimpleNamespace(type=0)}
 

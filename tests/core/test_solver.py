@@ -1,4 +1,4 @@
-"""Solver nodes: when a result takes effect is decided by simulated time alone, whatever the work takes."""
+"""Solver nodes: only simulated time decides when a result takes effect, whatever the work takes."""
 
 import gc
 import itertools
@@ -30,7 +30,7 @@ def rig(duration=1.0, timeout=10.0, **planner):
 
 
 def asked_at(recording):
-    """Which request's plan is in effect at each tick of the planner, s; -1: none."""
+    """The request whose plan is in effect at each tick of the planner, s; -1: none."""
     return np.round(Signals(recording)["lag/plan/asked_at/position"].x, 9).tolist()
 
 
@@ -50,7 +50,7 @@ def test_a_plan_takes_effect_its_latency_later_and_the_newest_request_is_next():
     assert asked_at(recording) == [-1.0] * 3 + [0.0] * 3 + [0.3] * 3 + [0.6]
 
 
-def test_simulated_time_alone_decides():
+def test_only_simulated_time_decides():
     """Work that takes no time and work that takes longer than the latency: the same bytes."""
     quick, slow = (in_process(rig(0.7, latency=0.2, work=work)) for work in (0.0, 0.25))
     assert differences(quick, slow) == []
@@ -69,7 +69,7 @@ def drive(block, ticks, first=0):
     return result
 
 
-def test_a_request_may_kill_the_work_under_way():
+def test_a_request_may_kill_the_work_in_progress():
     block = ByHand(Impatient(latency=0.2, work=0.0))
     assert [round(v["plan"][0], 9) for v in drive(block, 5)] == [-1.0] * 5  # asked anew at every tick: never a plan
     block.block.request = lambda x, t, **_: (x, None)  # nobody asks any more: the last request is worked on
@@ -86,7 +86,7 @@ def test_reset_kills_the_work_and_repeats_the_run():
 
 
 @pytest.mark.long
-def test_going_back_has_the_work_of_then_done_once_more():
+def test_going_back_repeats_the_work_of_that_time():
     block = ByHand(Planner(latency=0.2))
     drive(block, 1)
     saved = block.save()  # the request of t = 0 is under way
@@ -99,7 +99,7 @@ def test_going_back_has_the_work_of_then_done_once_more():
 
 
 @pytest.mark.long
-def test_a_limit_gives_the_best_so_far_and_says_that_it_does_not_repeat():
+def test_a_time_limit_gives_the_best_so_far_and_reports_that_it_does_not_repeat():
     block = ByHand(Planner(fault="hang", limit=1.0))
     first, second, third = drive(block, 3)
     assert first["plan"] == (0.0, 1.0)
@@ -117,7 +117,7 @@ def test_a_limit_gives_the_best_so_far_and_says_that_it_does_not_repeat():
         ("kill", "request of t = 0.1 s failed: the process that works was killed by SIGKILL"),
     ],
 )
-def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, reason):
+def test_failed_work_ends_a_run_and_is_reported_in_real_time(fault, reason):
     block = ByHand(Planner(fault=fault))
     with pytest.raises(RunError, match=reason):
         drive(block, 2)
@@ -135,7 +135,7 @@ def test_failed_work_ends_a_run_and_is_reported_against_the_wall_clock(fault, re
     assert block.reports["work"][2] == 1
 
 
-def test_against_the_wall_clock_nothing_waits():
+def test_in_real_time_nothing_waits():
     block = ByHand(Planner(work=0.5))
     block.block.realtime = True
     block.block.worker.warm()
@@ -153,14 +153,14 @@ def test_against_the_wall_clock_nothing_waits():
     assert block.health()["plan"] == "6"
 
 
-def test_a_refused_request_asks_nothing():
+def test_a_refused_request_starts_no_work():
     block = ByHand(Planner())
     (first,) = drive(block, 1)
     assert block.refused(100_000_000) == first
     assert block.x.asked == 1
 
 
-def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
+def test_a_worker_ends_with_its_owner_and_with_the_process_that_started_it():
     worker = Worker(Planner.solve)
     worker.submit((1, 0.0, 1.0, 3600.0, ""))
     pid = worker._process.pid
@@ -179,8 +179,8 @@ def test_worker_ends_with_its_owner_and_with_the_process_that_started_it():
     until(lambda: not status.exists() or "State:\tZ" in status.read_text())
 
 
-def test_work_that_never_looks_up_ends_with_the_process_that_started_it():
-    """It holds Python's lock, so nobody in its process sees that the pipe is closed; the kernel ends it."""
+def test_work_in_an_endless_call_ends_with_the_process_that_started_it():
+    """It holds Python's lock, so no thread of its process sees that the pipe is closed; the kernel ends it."""
     code = (
         "import os, signal; from faultrig import deaf; from softrig_core.solver.worker import Worker\n"
         "worker = Worker(deaf); worker.submit(3600)\n"
@@ -221,14 +221,14 @@ def test_a_function_that_no_other_process_can_import_is_refused():
         Worker(solve)
 
 
-def test_what_a_solver_must_give():
+def test_the_result_of_a_solver_is_checked():
     with pytest.raises(NotImplementedError):
         ByHand(Solver()).update(0)
 
 
 @pytest.mark.processes
-def test_nodes_give_the_bits_of_the_blocks_while_the_work_is_longer_than_their_patience(tmp_path):
-    """A plan of 3.7 s against a timeout of 3 s: the others hear that the planner is busy.
+def test_nodes_give_the_bits_of_the_blocks_while_the_work_exceeds_their_timeout(tmp_path):
+    """A plan of 3.7 s against a timeout of 3 s: the others are informed that the planner is busy.
 
     The second one: who has not begun yet is given as long as a start may take.
     """
@@ -240,7 +240,7 @@ def test_nodes_give_the_bits_of_the_blocks_while_the_work_is_longer_than_their_p
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_with_latency_the_nodes_go_on_meanwhile(tmp_path):
+def test_with_latency_the_nodes_continue_in_the_meantime(tmp_path):
     wired = rig(0.8, latency=0.25, work=0.3)
     outcome = run_processes(wired, 0, tmp_path)
     assert outcome.error == ""
@@ -249,14 +249,14 @@ def test_with_latency_the_nodes_go_on_meanwhile(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_work_that_dies_ends_the_run_naming_it(tmp_path):
+def test_work_that_dies_ends_the_run_and_is_named(tmp_path):
     outcome = run_processes(rig(0.5, fault="kill"), 0, tmp_path)
     assert "planner" in outcome.error
     assert "request of t = 0.1 s failed: the process that works was killed by SIGKILL" in outcome.error
 
 
-def test_realtime_node_answers_every_tick_while_a_plan_is_made():
-    """A plan takes three ticks of the loop: every tick is answered all the same."""
+def test_a_realtime_node_answers_every_tick_while_a_plan_is_made():
+    """A plan takes three ticks of the loop."""
     world = World()
     run = SimulatedRig(rig(60.0, period=0.01), world, "realtime")
     world.match()
@@ -291,7 +291,9 @@ def works(queue=None):
 
 @pytest.fixture
 def no_garbage():
-    """No worker of another test is collected meanwhile: its process would be idle, too, and push out an older one."""
+    """No worker of another test is collected during the test: its process would be idle, too, and replace an
+    older one.
+    """
     gc.collect()
     gc.disable()
     yield
@@ -300,7 +302,7 @@ def no_garbage():
 
 @pytest.mark.long
 def test_a_fork_leaves_the_idle_processes_of_its_parent_alone(monkeypatch, no_garbage):
-    """Python forks by default for `multiprocessing`; closing the parent's pipes would wait for ever."""
+    """Python forks by default for `multiprocessing`; closing the parent's pipes would block forever."""
     monkeypatch.setattr("softrig_core.solver.worker.MOST_IDLE", 1)
     first = works()
     owned = Worker(Planner.solve)

@@ -18,14 +18,14 @@ from softrig_nodes.rehearsal import rehearse
 
 
 class Memory(NamedTuple):
-    """What the solver of the test remembers."""
+    """The state of the solver of the test."""
 
     told: int = 0
     jobs: Jobs = Jobs()
 
 
 class Asking(Solver[SolverParams]):
-    """Asks what it is told to."""
+    """Requests what the test says."""
 
     INPUTS = OUTPUTS = ()
 
@@ -44,7 +44,7 @@ class Asking(Solver[SolverParams]):
 
 
 class Hands:
-    """In the place of a worker: it is done when the test says so."""
+    """Stands for a worker: it is done when the test says so."""
 
     def __init__(self, function=None):
         self.state, self.job, self.struck, self.has_best, self.error, self.status = "idle", None, False, False, "", {}
@@ -95,8 +95,8 @@ def solver(monkeypatch, latency, cancels=False, realtime=False, limit=300.0):
 
 @pytest.mark.parametrize("cancels", [False, True])
 @pytest.mark.parametrize("latency", [0.0, 0.1, 0.25])
-def test_a_solver_ticks_as_its_account_says(latency, cancels, monkeypatch):
-    """Requests at random; each result takes effect at the first tick that is not before its latency."""
+def test_a_solver_ticks_as_its_independent_description_says(latency, cancels, monkeypatch):
+    """Random requests; each result takes effect at the first tick that is not before its latency."""
     rng, held = random.Random(int(100 * latency) + cancels), solver(monkeypatch, latency, cancels)
     ns = round(latency * 1e9)
     waiting = active = result = None
@@ -126,7 +126,7 @@ def test_a_solver_ticks_as_its_account_says(latency, cancels, monkeypatch):
     assert log[-1] == "rest"
 
 
-def test_a_limit_takes_the_best_so_far(monkeypatch):
+def test_a_time_limit_uses_the_best_so_far(monkeypatch):
     held = solver(monkeypatch, 0.0, limit=2.0)
     work = held.block.worker
     for k, (seconds, best, reported) in enumerate(
@@ -148,7 +148,7 @@ def test_work_that_fails_ends_a_run(monkeypatch):
         held.update(250_000_000, ask="r")
 
 
-def test_against_the_wall_clock_a_tick_takes_what_is_there(monkeypatch):
+def test_in_real_time_a_tick_uses_what_is_there(monkeypatch):
     held = solver(monkeypatch, 0.2, realtime=True)
     work, tenth = held.block.worker, 100_000_000
     assert held.update(0, ask="a") == (None, False)
@@ -183,7 +183,7 @@ def test_against_the_wall_clock_a_tick_takes_what_is_there(monkeypatch):
     assert held.block.worker.cancelled == 1
 
 
-def test_going_back_has_the_work_of_then_done_again(monkeypatch):
+def test_going_back_repeats_the_work_again(monkeypatch):
     held = solver(monkeypatch, 0.2)
     held.update(0, ask="a")
     kept = held.save()
@@ -204,7 +204,7 @@ def test_going_back_has_the_work_of_then_done_again(monkeypatch):
 
 
 class Process:
-    """What a worker knows of one."""
+    """The part of a process that a worker uses."""
 
     made: list[Any] = []
 
@@ -237,7 +237,7 @@ def hands(monkeypatch):
     return Process.made
 
 
-def test_what_a_worker_knows_of_its_work(hands, monkeypatch):
+def test_a_worker_knows_the_state_of_its_work(hands, monkeypatch):
     worker = Worker(rehearse)
     fresh = {
         "state": "idle",
@@ -313,7 +313,7 @@ def test_what_a_worker_knows_of_its_work(hands, monkeypatch):
     assert hands[-1].left == 1
 
 
-def test_what_cannot_be_found_by_its_name_is_refused():
+def test_a_function_that_cannot_be_found_by_its_name_is_refused():
     for function in (lambda request, work: None, hands):
         if "<" not in function.__qualname__:
             continue
@@ -324,7 +324,7 @@ def test_what_cannot_be_found_by_its_name_is_refused():
 
 
 class Pipe:
-    """Takes what is written."""
+    """Records what is written."""
 
     def __init__(self):
         self.data, self.closed = b"", False
@@ -340,7 +340,7 @@ class Pipe:
 
 
 class Started:
-    """A process that none has started."""
+    """A process object without a process."""
 
     def __init__(self, command, **options):
         self.command, self.options, self.pid, self.ended, self.killed = command, options, 77, None, 0
@@ -409,7 +409,7 @@ def test_processes_without_an_owner_serve_the_next_of_the_same_call(monkeypatch)
     assert (idle, [p._process.killed for p in again]) == ([], [1, 1, 1])
 
 
-def test_a_listener_hands_on_what_is_said_until_the_end(monkeypatch):
+def test_a_listener_passes_on_messages_until_the_end(monkeypatch):
     read, write = os.pipe()
     for content in (("begun", None), ("status", {"gap": 1}), ("done", 5)):
         with os.fdopen(os.dup(write), "wb") as pipe:
@@ -483,7 +483,7 @@ class Body(Plant):
         self.done.append("warm")
 
 
-def test_a_rehearsal_is_a_tick_that_is_thrown_away(monkeypatch):
+def test_a_rehearsal_is_a_tick_that_is_discarded(monkeypatch):
     monkeypatch.setattr(Law, "done", [])
     monkeypatch.setattr(Body, "done", [])
     assert rehearse(Law, Law().p, "law")  # this module has a compiled function

@@ -1,4 +1,6 @@
-"""How a node begins and ends, by hand: who is not there yet, when t = 0 is, what it says of its ticks and itself."""
+"""How a node begins and ends, with a middleware that the test steps: missing nodes, the time of t = 0,
+acknowledgements, status.
+"""
 
 import json
 import re
@@ -56,7 +58,7 @@ def state(name):
         (["--frob"], "unknown ROS arguments ['--frob']: expected -p NAME:=VALUE, "),
     ],
 )
-def test_an_argument_that_rcl_refuses_is_one_line_with_the_form_that_is_expected(arguments, text, capfd):
+def test_an_argument_that_rcl_refuses_is_one_line_with_the_expected_form(arguments, text, capfd):
     with pytest.raises(ValueError, match=re.escape(text)) as error:
         non_ros_arguments(["node", "--ros-args", *arguments])
     assert not re.search(r"\n|\.c:|lexeme|not set", str(error.value))
@@ -71,7 +73,7 @@ def test_arguments_of_others_are_those_outside_of_rclpys():
 
 
 class Meeting:
-    """A node that reads `x` of "sender" and publishes `y`, which `readers` are to read."""
+    """A node that reads `x` of "sender" and publishes `y`, which `readers` subscribe to."""
 
     def __init__(self, readers=("law",), local=(), rig=True, plant=False, **links):
         self.hand = Hand("node")
@@ -92,14 +94,14 @@ class Meeting:
         return self.shake.absent()
 
     def whole(self, **readers):
-        """All that is awaited there."""
+        """Everything that is awaited is there."""
         self.x.matched(1)
         self.hand.readers["/y"] = readers or {"law": JOINT}
         self.y.matched(len(self.hand.readers["/y"]))
         return self
 
 
-def test_a_node_begins_when_all_that_it_reads_are_said_and_all_who_read_it_hear_it():
+def test_a_node_begins_when_its_inputs_have_publishers_and_its_outputs_their_subscribers():
     meeting = Meeting()
     assert meeting.absent() == ["no publisher on x (expected from sender)", "law does not subscribe /y"]
     assert meeting.shake.missing == ["sender", "law"]
@@ -131,7 +133,7 @@ def test_a_node_begins_when_all_that_it_reads_are_said_and_all_who_read_it_hear_
     assert local.absent() == []
 
 
-def test_readers_that_ask_for_more_than_is_offered_are_named_if_they_are_awaited():
+def test_incompatible_subscribers_are_named_if_they_are_awaited():
     meeting = Meeting().whole(law=JOINT, tool=JOINT)
     meeting.y.matched(1)
     meeting.hand.unfit = lambda topic, kind: [("tool", "reliability")] if (topic, kind) == ("/y", JOINT) else []
@@ -143,7 +145,7 @@ def test_readers_that_ask_for_more_than_is_offered_are_named_if_they_are_awaited
     assert meeting.shake.missing == ["law"]
 
 
-def test_whoever_an_external_node_is_reads_what_it_subscribes():
+def test_any_external_node_counts_as_a_subscriber_of_its_topics():
     meeting = Meeting([], outside=["cmd", "/abs"])
     messages = ["no publisher on x (expected from sender)"]
     messages += [f"no publisher on {name} (expected from an external node)" for name in ("cmd", "/abs")]
@@ -172,7 +174,7 @@ def test_whoever_an_external_node_is_reads_what_it_subscribes():
     assert unmatched.shake.lacking == ["/x"]  # seen, and not yet heard
 
 
-def test_by_hand_what_is_seen_counts_when_it_has_not_changed_for_a_while():
+def test_for_a_node_started_alone_the_visible_endpoints_count_when_they_have_not_changed_for_a_while():
     meeting = Meeting([], rig=False).whole()
     meeting.hand.writers["/_softrig/recorder"] = ["bag"]
     assert meeting.absent() == ["bag does not subscribe /y"]
@@ -229,7 +231,7 @@ class Leaves:
         return self.departure.absent
 
 
-def test_the_starter_waits_until_all_are_ready_and_hear_it_and_says_when():
+def test_the_starter_waits_until_all_are_ready_and_matched_and_announces_the_time():
     one = Leaves()
     ready, text = one.hand.heard[READY], one.hand.said[START]
     assert one.timer.asked == [(20 * MS, 0)]
@@ -262,7 +264,7 @@ def test_the_starter_waits_until_all_are_ready_and_hear_it_and_says_when():
     assert not one.words
 
 
-def test_neighbours_of_its_process_are_reported_in_memory():
+def test_neighbours_in_its_process_are_informed_in_memory():
     one, two = Leaves(local=["law"]), Leaves("other")
     one.departure.neighbours = two.departure.neighbours = [one.departure, two.departure]
     for name in ("law", "source"):
@@ -276,7 +278,7 @@ def test_neighbours_of_its_process_are_reported_in_memory():
 
 
 @pytest.mark.parametrize(("off", "ahead"), [(0, 0), (SECOND // 2, 0), (SECOND // 2 + 1, 1), (-SECOND, 1)])
-def test_the_others_say_that_they_are_ready_and_follow_a_clock_that_is_half_a_second_off(off, ahead):
+def test_the_others_report_that_they_are_ready_and_follow_a_clock_that_is_half_a_second_off(off, ahead):
     one = Leaves("law")
     hear, text = one.hand.heard[START], one.hand.said[READY]
     one.gone.append("nobody on x")
@@ -300,7 +302,7 @@ def test_the_others_say_that_they_are_ready_and_follow_a_clock_that_is_half_a_se
     assert other.begun == [(epoch, 0)]
 
 
-def test_a_start_that_does_not_come_ends_the_run_and_says_why():
+def test_a_start_that_does_not_arrive_ends_the_run_with_a_reason():
     for limit, seconds in ((30.0, 30.0), (0.0, 1e6)):
         one = Leaves("law", limit=limit)
         one.look(1, round(seconds * 1e9))
@@ -327,7 +329,7 @@ def law_links(**more):
 
 
 def node(block, links, sink=True, name="node", **options):
-    """A node in lockstep by hand, with all who are awaited there."""
+    """A lockstep node over a middleware that the test steps, with all awaited nodes."""
     hand, kept = Hand(name), Kept()
     block.reset(0)
     text = "" if links is None else Links(**links).model_dump_json()
@@ -336,7 +338,7 @@ def node(block, links, sink=True, name="node", **options):
 
 
 def begun(adapter, hand, readers):
-    """Have everybody be there; the node begins at its next look."""
+    """Make all nodes present; the node begins at its next check."""
     group = Group([adapter])
     for item in [*adapter.inputs, *adapter.paces]:
         hand.matched[item.port.topic](1)
@@ -349,7 +351,7 @@ def begun(adapter, hand, readers):
     return group
 
 
-def test_a_law_in_lockstep_answers_each_tick_when_its_inputs_are_there_and_leaves_after_the_last():
+def test_a_lockstep_controller_answers_each_tick_when_its_inputs_are_there_and_leaves_after_the_last():
     hand, kept, adapter = node(Gain(), law_links(), duration=0.03)
     left = []
     adapter.on_finished = lambda: left.append(adapter.t)
@@ -367,7 +369,7 @@ def test_a_law_in_lockstep_answers_each_tick_when_its_inputs_are_there_and_leave
     assert "tick_p50_ms" not in adapter.drive.statistics()  # a plant's
 
 
-def test_a_node_that_cannot_begin_says_after_five_seconds_what_it_lacks():
+def test_a_node_that_cannot_begin_reports_after_five_seconds_what_is_missing():
     hand, _, adapter = node(Gain(), law_links())
     Group([adapter])
     start = next(t for t in hand.timers if t.call.__name__ == "_start")
@@ -380,7 +382,7 @@ def test_a_node_that_cannot_begin_says_after_five_seconds_what_it_lacks():
     assert adapter.state == "starting"
 
 
-def test_a_plant_says_its_ticks_on_the_clock_and_is_reported_who_follows():
+def test_a_plant_publishes_its_ticks_on_the_clock_and_knows_its_followers():
     links = {
         "base": "0.01",
         "owns_clock": True,
@@ -418,7 +420,7 @@ def test_a_plant_says_its_ticks_on_the_clock_and_is_reported_who_follows():
     assert (status["state"], status["t"], status["ticks"]) == ("done", 20 * MS, 2)
 
 
-def test_two_who_publish_what_is_paired_end_the_run():
+def test_two_publishers_of_a_paired_input_end_the_run():
     hand, _, adapter = node(Gain(), law_links())
     begun(adapter, hand, {"lag/command": ["plant"]})
     hand.writers["/lag/state"] = ["a", "b"]
@@ -432,7 +434,7 @@ def test_two_who_publish_what_is_paired_end_the_run():
     assert adapter.state == "running"
 
 
-def test_who_speaks_at_some_ticks_says_so_with_its_acknowledgement():
+def test_a_sporadic_node_announces_its_messages_with_its_acknowledgement():
     links = {
         "base": "0.01",
         "clock": InputLink(period="0.01", node="plant"),
@@ -491,8 +493,8 @@ def test_a_topic_of_another_type_is_reported_once_and_a_watch_writes_the_status(
     assert hand.logs[1:] == ["WARN it is late"]
 
 
-def test_an_external_node_that_is_not_seen_is_named_once_with_what_its_vendor_needs(tmp_path):
-    """Of a launch nobody else says it; `run` has `Guests`."""
+def test_a_missing_external_node_is_named_once_with_what_its_vendor_needs(tmp_path):
+    """In a launch no other process reports it; `run` has `Guests`."""
     hand, _, adapter = node(Gain(), law_links())
     Group([adapter])
     watch = next(t for t in hand.timers if t.call.__name__ == "watch").call
@@ -508,7 +510,7 @@ def test_an_external_node_that_is_not_seen_is_named_once_with_what_its_vendor_ne
 
 
 @pytest.mark.parametrize(("every", "written"), [(1, [1, 2, 3, 4, 5, 6, 7, 8]), (4, [4, 8])])
-def test_a_status_is_written_at_each_watch_or_against_the_wall_clock_at_each_fourth(every, written, tmp_path):
+def test_a_status_is_written_at_each_check_and_in_real_time_at_each_fourth(every, written, tmp_path):
     hand, _, adapter = node(Gain(), law_links(), status=str(tmp_path / "a.status"))
     Group([adapter])
     watch = next(t for t in hand.timers if t.call.__name__ == "watch")
@@ -524,7 +526,7 @@ def test_a_status_is_written_at_each_watch_or_against_the_wall_clock_at_each_fou
     assert times[-1] == 9
 
 
-def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch):
+def test_a_restarted_node_announces_every_quarter_of_a_second_that_it_lives(monkeypatch):
     clock, written = SimpleNamespace(now=5.0), []
     monkeypatch.setattr(comebacks, "time", SimpleNamespace(monotonic=lambda: clock.now))
     back = object.__new__(Comeback)
@@ -538,7 +540,7 @@ def test_who_comes_back_says_each_quarter_of_a_second_that_it_lives(monkeypatch)
     assert written == pytest.approx([5.3, 5.6, 5.9])
 
 
-def test_an_observer_that_is_done_says_what_it_has_measured():
+def test_an_observer_that_is_done_publishes_its_figures():
     hand, _, adapter = node(Watcher(), law_links(), duration=0.03)
     begun(adapter, hand, {})
     assert "figures" not in adapter.account.status()
@@ -549,7 +551,7 @@ def test_an_observer_that_is_done_says_what_it_has_measured():
     assert adapter.account.status()["figures"] == {"seen": (7.0, "")}  # worked out once
 
 
-def test_who_comes_back_says_again_what_it_has_said_last():
+def test_a_restarted_node_repeats_its_last_messages():
     sent = []
     outputs = [SimpleNamespace(send=lambda *text, k=k: sent.append((k, *text))) for k in range(2)]
     fake = SimpleNamespace(
@@ -571,7 +573,7 @@ def test_who_comes_back_says_again_what_it_has_said_last():
     assert sent[before : before + 2] == [(0, 2, (1.0,)), (0, 3, (1.0,))]
 
 
-def test_the_files_of_a_run_tell_how_far_its_nodes_have_come(tmp_path):
+def test_the_files_of_a_run_show_the_progress_of_its_nodes(tmp_path):
     for name, status in (("a", {"t": 5, "state": "running"}), ("b", {"t": 9, "state": "done"}), ("c", None)):
         if status:
             (tmp_path / f"{name}.status").write_text(json.dumps(status))
@@ -586,7 +588,7 @@ def test_the_files_of_a_run_tell_how_far_its_nodes_have_come(tmp_path):
     assert {n: t.data for n, t in files.own.topics.items()} == {"mine": [b"mine"]}
 
 
-def test_ticks_of_a_process_keep_a_timer_waiting_for_five_ms_and_stop_where_one_is_missing(monkeypatch):
+def test_ticks_of_a_process_delay_a_timer_by_at_most_five_ms_and_stop_at_a_missing_one(monkeypatch):
     clock = SimpleNamespace(now=0)
 
     def monotonic_ns():
@@ -662,7 +664,7 @@ def ended(state, error=None, absent=(), shard=None, broken=False):
         ("failed", False, 3, "failed"),
     ],
 )
-def test_a_process_ends_with_three_where_its_node_has_failed(state, stopped, status, after, capsys):
+def test_a_process_ends_with_status_3_if_its_node_has_failed(state, stopped, status, after, capsys):
     fake, written = ended(state, RunError("broken") if state == "failed" else None, ["x is late", "y too"])
     assert (conclude(fake, stopped), fake.state, written) == (status, after, [after])
     printed = capsys.readouterr().err
@@ -671,7 +673,7 @@ def test_a_process_ends_with_three_where_its_node_has_failed(state, stopped, sta
     assert ("broken" in printed) is (state == "failed")
 
 
-def test_a_disk_that_is_full_is_a_failure(capsys):
+def test_a_full_disk_is_a_failure(capsys):
     fake, _ = ended("done", broken=True)
     assert (conclude(fake, False), fake.state, str(fake.error)) == (3, "failed", "disk full")
 
@@ -689,7 +691,7 @@ def test_a_disk_that_is_full_is_a_failure(capsys):
     assert "node" in capsys.readouterr().err
 
 
-def test_a_container_is_cut_at_each_two_dashes():
+def test_a_container_command_is_split_at_each_two_dashes():
     for arguments, groups in (
         ([], []),
         (["a", "b"], [["a", "b"]]),
@@ -699,7 +701,7 @@ def test_a_container_is_cut_at_each_two_dashes():
         assert split(arguments) == groups
 
 
-def test_what_a_node_of_a_container_raises_ends_the_run_in_its_name(capsys):
+def test_an_error_of_a_node_in_a_container_ends_the_run_in_its_name(capsys):
     container = Container()
     fake, _ = ended("running")
     other, _ = ended("running")
@@ -718,10 +720,10 @@ def test_what_a_node_of_a_container_raises_ends_the_run_in_its_name(capsys):
 
 
 class Left(Exception):
-    """A process has ended, with this status."""
+    """A process has ended with this status."""
 
 
-def test_a_container_starts_what_its_command_line_names_and_says_what_is_wrong_with_it(monkeypatch, capsys):
+def test_a_container_starts_the_nodes_of_its_command_line_and_reports_errors_in_it(monkeypatch, capsys):
     def leave(nodes, status):
         raise Left(status)
 

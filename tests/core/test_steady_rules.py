@@ -1,4 +1,6 @@
-"""Operating points by their rule: Newton's steps in plain loops; who counts as a state; what is told of none."""
+"""Operating points by their rules: Newton's steps in plain loops; which states count; what is reported if there is
+none.
+"""
 
 import math
 
@@ -9,7 +11,7 @@ from softrig_core.analysis.steady import _core, _go, _least_squares
 
 
 class Curve(Plant):
-    """x+ = x + f(x) + u, and what it has gone through; its law only hears it."""
+    """x+ = x + f(x) + u, and the values it has passed; its controller only reads it."""
 
     INPUTS = (number("u", "law/u", "m"),)
     OUTPUTS = (number("y", "plant/y", "m"), number("way", "plant/way", "m s"))
@@ -29,7 +31,7 @@ class Curve(Plant):
 
 
 class Quiet(Block):
-    """Says a tenth of nothing."""
+    """Publishes a tenth of zero."""
 
     INPUTS = (number("y", "plant/y", "m"),)
     OUTPUTS = (number("u", "law/u", "m"),)
@@ -47,7 +49,7 @@ def rig_of_curve(f, gain=0.0):
 
 
 def by_newton(f, slope, x, size):
-    """Steps until one and the move are within a billionth of the size."""
+    """Newton steps until the remaining error and the step are within a billionth of the size."""
     for steps in range(25):
         step = -f(x) / slope(x)
         if abs(step) <= 1e-9 * size and abs(f(x)) <= 1e-9 * size:
@@ -75,8 +77,8 @@ def test_the_point_is_where_newtons_method_ends(at):
     assert point.drifting == {"plant[1]": pytest.approx(root / point.period, rel=1e-9)}  # what adds up goes on
 
 
-def test_an_unstable_point_is_reported_as_one():
-    """x+ = 1.2 x - 0.22: rests at 1.1, where nothing stays."""
+def test_an_unstable_point_is_reported_as_unstable():
+    """x+ = 1.2 x - 0.22: at rest at 1.1, which is unstable."""
     point = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1) if abs(x) < 50.0 else 0.0), at=0.0)
     assert (point.states["plant[0]"], point.slowest, point.stable) == (pytest.approx(1.1), pytest.approx(1.2), False)
     held = steady(rig_of_curve(lambda x: 0.2 * (x - 1.1), -0.4), at=0.0)  # the law holds it: x+ = 0.8 x - 0.22
@@ -85,8 +87,8 @@ def test_an_unstable_point_is_reported_as_one():
 
 
 @pytest.mark.parametrize("gain", [0.2, -0.3])
-def test_a_plant_that_rests_where_it_begins_has_its_states_there(gain):
-    """x+ = (1 + gain) x - gain from x = 1: nothing moves but what adds up, and a stone on its top is not stable."""
+def test_a_plant_that_starts_at_rest_has_its_states_there(gain):
+    """x+ = (1 + gain) x - gain from x = 1: only a sum moves, and a ball on a hilltop is not stable."""
     rig = rig_of_curve(lambda x: (gain - 0.0625) * (x - 1.0) - 0.0625, 0.0625)  # with what its law does
     point = steady(rig, at=0.0)
     assert (point.states["plant[0]"], point.stable, point.steps) == (1.0, gain < 0.0, 0)
@@ -97,7 +99,7 @@ def test_a_plant_that_rests_where_it_begins_has_its_states_there(gain):
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
 def test_rest_is_relative_to_the_size_of_a_state(scale):
-    """The same in another unit: as many steps, the same place."""
+    """The same in another unit: the same number of steps, the same place."""
 
     class Scaled(Curve):
         def first(self):
@@ -130,7 +132,7 @@ def test_the_seed_is_that_of_the_rig_or_another():
 
 
 class Wanders:
-    """A map that rests at 1 and 8, from which a run goes off by a little in each of its periods."""
+    """A map with equilibria at 1 and 8, from which a run departs slightly in each of its periods."""
 
     t, period, names, places = 3.0, 0.01, ("plant.a", "plant.b"), ()
     little = np.array([0.0, 1e-8])
@@ -152,7 +154,7 @@ class Wanders:
         return []
 
 
-def test_how_far_a_run_goes_off_counts_in_the_sizes_of_the_states(monkeypatch):
+def test_the_drift_of_a_run_is_measured_in_the_sizes_of_the_states(monkeypatch):
     monkeypatch.setattr("softrig_core.analysis.steady.StateMap", Wanders)
     point = steady(rig_of_curve(Curve.f))
     assert point.states == pytest.approx({"plant.a": 1.0, "plant.b": 8.0}, rel=1e-12)
@@ -166,7 +168,7 @@ def test_how_far_a_run_goes_off_counts_in_the_sizes_of_the_states(monkeypatch):
         steady(rig_of_curve(Curve.f))
 
 
-def test_where_newtons_method_ends_nowhere_it_is_reported_with_the_state_that_moves_most():
+def test_if_newtons_method_does_not_converge_the_state_that_moves_most_is_reported():
     with pytest.raises(NoOperatingPoint) as refused:
         steady(rig_of_curve(lambda x: 0.05 * (2.0 + x * x) if abs(x) < 1e3 else 0.0), at=0.0)
     message = str(refused.value)
@@ -174,7 +176,7 @@ def test_where_newtons_method_ends_nowhere_it_is_reported_with_the_state_that_mo
     assert message.endswith(" within 2 s")
 
 
-def test_what_cannot_be_asked():
+def test_impossible_requests_are_refused():
     rig = rig_of_curve(Curve.f)
     for at in (-0.1, math.inf, math.nan):
         with pytest.raises(ScenarioError, match=r"^at = .* s: expected 0 or more$"):
@@ -185,7 +187,7 @@ def test_what_cannot_be_asked():
 
 
 def who_moves(A, received):
-    """Take away one state after the other that nobody hears of, that forgets or adds up, and moves no other."""
+    """Remove one state after the other that no output reads, that forgets or adds up, and that moves no other."""
     n, left = len(A), set(range(len(A)))
     while True:
         gone = [
@@ -196,7 +198,7 @@ def who_moves(A, received):
         left -= set(gone)
 
 
-def test_states_that_only_tell_of_others_are_none():
+def test_states_that_only_observe_others_do_not_count():
     rng = np.random.default_rng(4)
     reported = 0
     for _ in range(60):
@@ -212,7 +214,7 @@ def test_states_that_only_tell_of_others_are_none():
     assert _core(near, np.array([False, False])).tolist() == [False, True]
 
 
-def test_a_step_is_the_shortest_in_the_sizes_of_the_states_that_comes_nearest():
+def test_the_step_is_the_shortest_that_comes_nearest_in_the_sizes_of_the_states():
     rng = np.random.default_rng(5)
     for rank in (3, 2, 1):
         sizes = rng.uniform(0.1, 10.0, 3)
@@ -224,7 +226,7 @@ def test_a_step_is_the_shortest_in_the_sizes_of_the_states_that_comes_nearest():
 
 
 class Fenced:
-    """A map that breaks where its first number is beyond a fence."""
+    """A map that raises an error if its first number is beyond a limit."""
 
     t, names = 2.5, ["a", "b"]
 
@@ -243,14 +245,14 @@ class Fenced:
 
 
 @pytest.mark.parametrize(("fence", "halved"), [(2.0, 0), (1.9, 1), (1.25, 2), (1.0 + 2.0**-7, 7)])
-def test_a_step_is_halved_until_the_rig_goes_along(fence, halved):
+def test_a_step_is_halved_until_the_rig_accepts_it(fence, halved):
     fenced = Fenced(fence)
     _go(fenced, [0], np.array([1.0]))
     assert fenced.asked == [1.0 + 0.5**k for k in range(halved + 1)]
     assert fenced.start.tolist() == [1.0 + 0.5**halved, 7.0]
 
 
-def test_a_step_that_goes_nowhere_is_reported():
+def test_a_step_without_progress_is_reported():
     fenced = Fenced(1.0)
     with pytest.raises(
         NoOperatingPoint, match=r"^fenced: no operating point near t = 2\.5 s: the way there leaves the l"

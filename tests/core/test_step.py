@@ -1,4 +1,4 @@
-"""The step and the runner: what may leave a block, ages, ticks one by one; alike in every placement."""
+"""The step and the runner: which values may leave a block, ages, ticks one by one; alike in every placement."""
 
 import gc
 import math
@@ -22,7 +22,7 @@ from softrig_core.run.inprocess import record, wired
 
 
 def overdriven(values, period=0.01):
-    """A stable plant under a command; the unit of both is the volt, which no number beyond 1e7 can mean."""
+    """A stable plant under a command; the unit of both is the volt, whose plausible range ends at 1e7."""
     nodes = {
         "linear_plant": {
             "package": "softrig_control",
@@ -38,7 +38,7 @@ def overdriven(values, period=0.01):
     return rig_of(make_scenario(nodes, 1.0))
 
 
-def test_what_is_beyond_its_range_ends_the_run_at_who_says_it_wherever_it_runs():
+def test_a_value_beyond_its_range_ends_the_run_and_names_its_publisher_in_every_placement():
     text = "command_source: command u/effort became 2e+07 V, expected at most 1e+07 in magnitude at t = 0 s"
     with pytest.raises(RunError) as error:
         run_inprocess(overdriven(2e7), 0)
@@ -50,7 +50,7 @@ def test_what_is_beyond_its_range_ends_the_run_at_who_says_it_wherever_it_runs()
     run_inprocess(overdriven(0.99e7), 0)
 
 
-def test_in_real_time_a_law_beyond_its_range_gives_its_safe_value_and_says_so():
+def test_in_real_time_a_controller_beyond_its_range_publishes_its_safe_value_and_reports_it():
     run = SimulatedRig(overdriven(2e7), World(), "realtime")
     assert set(run.run().values()) == {"done"}
     assert "became 2e+07 V" in run.adapters["command_source"].step.reports["failed"][1]
@@ -60,7 +60,7 @@ def test_in_real_time_a_law_beyond_its_range_gives_its_safe_value_and_says_so():
 
 
 @pytest.mark.parametrize("text", [(0.5, 2.0), [0.5, 2.0], (0.5, 2)])
-def test_what_is_almost_a_row_of_floats_becomes_one(text):
+def test_values_that_are_almost_a_row_of_floats_are_converted(text):
     step, rows = _alone({"out": text})
     step.answer(0)
     assert rows == [((0.5, 2.0),)]
@@ -78,7 +78,7 @@ def test_what_is_almost_a_row_of_floats_becomes_one(text):
         ((math.inf, -math.inf), "out a/position became inf"),
     ],
 )
-def test_what_may_not_leave_a_block_is_reported(text, reason):
+def test_an_output_that_may_not_leave_a_block_is_reported(text, reason):
     step, rows = _alone({"out": text} if text else {})
     with pytest.raises(RunError, match=reason) as error:
         step.answer(0)
@@ -104,8 +104,8 @@ def test_an_output_that_a_block_does_not_have_is_refused(returned, reason):
     assert rows == []
 
 
-def test_after_a_refused_input_the_row_that_was_admitted_is_held():
-    """A block says arrays, one of them its own memory: neither their kind nor what becomes of them is held."""
+def test_after_a_rejected_input_the_last_accepted_row_is_held():
+    """A block publishes arrays, one of them its own memory: neither their type nor their later changes are kept."""
     row = np.array([0.5, 2.0])
     answer = {"out": row}
     step, rows = _alone(answer)
@@ -120,10 +120,10 @@ def test_after_a_refused_input_the_row_that_was_admitted_is_held():
 
 
 def _alone(answer):
-    """A step whose input has a name that is no word of Python, and what it has sent."""
+    """A step whose input has a name that is not a word of Python, and what it has published."""
 
     class Odd(Block):
-        """Says what it is told to."""
+        """Publishes what the test says."""
 
         INPUTS = (scalars("for", "for", {"x": ""}), scalars("of-all", "all", {"x": ""}))
         OUTPUTS = (scalars("out", "out", {"a": "V", "b": "V"}),)
@@ -143,9 +143,9 @@ def _alone(answer):
     return step, rows
 
 
-def test_a_rig_is_stepped_tick_by_tick_with_a_member_that_python_plays():
+def test_a_rig_is_stepped_tick_by_tick_with_one_node_played_by_python():
     class Agent(Block):
-        """A law that is set from outside between two ticks."""
+        """A controller that is set from outside between two ticks."""
 
         INPUTS, OUTPUTS = Gain.INPUTS, Gain.OUTPUTS
         action = 0.0
@@ -184,8 +184,8 @@ KINDS = (
 
 
 @pytest.mark.parametrize("rig", KINDS, ids=lambda rig: rig.scenario.name)
-def test_the_ticks_whose_text_is_written_are_those_of_the_loop(rig, monkeypatch):
-    """Messages, states, what inputs hold, reports: of the functions that a page shows, and of their written form."""
+def test_ticks_whose_text_is_generated_equal_those_of_the_loop(rig, monkeypatch):
+    """Messages, states, held inputs, reports: of the functions that a page shows, and of their generated form."""
 
     def ran():
         steps = wired(rig, {m.name: m.block(3) for m in rig.members})
@@ -203,7 +203,7 @@ def test_the_ticks_whose_text_is_written_are_those_of_the_loop(rig, monkeypatch)
     assert written[0][-1] == rig.end
 
 
-def test_what_is_recorded_as_numbers_is_the_bytes_of_each_message(monkeypatch):
+def test_recorded_numbers_have_the_bytes_of_each_message(monkeypatch):
     monkeypatch.setenv("SOFTRIG_JIT", "0")  # an instance that an earlier test compiled is asked less often
     rig = Rig.from_blocks({"plant": Lag(), "law": Gain(), "source": Source()}, 0.1)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
@@ -217,7 +217,7 @@ def test_what_is_recorded_as_numbers_is_the_bytes_of_each_message(monkeypatch):
     assert [port.layout().encode(*message) for message in results] == topic.data
 
 
-def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_the_same():
+def test_a_recording_keeps_numbers_until_bytes_are_needed_and_both_are_equal():
     rig = Rig.from_blocks({"plant": Lag(), "law": Gain(), "source": Source()}, 1.0)
 
     def record():
@@ -244,7 +244,7 @@ def test_a_recording_keeps_numbers_until_somebody_asks_for_bytes_and_both_say_th
 @pytest.mark.parametrize(
     ("package", "executable"), [("softrig_systems", "aqm_controller"), ("softrig_control", "gpc_certificate")]
 )
-def test_nothing_is_loaded_in_the_first_tick_of_a_node_in_real_time(package, executable):
+def test_nothing_is_imported_in_the_first_tick_of_a_node_in_real_time(package, executable):
     code = f"""
 import sys
 from softrig_core import ByHand, Plant
@@ -267,7 +267,7 @@ print(sorted(set(sys.modules) - before))
 
 
 @pytest.mark.parametrize(("usual", "during"), [((700, 9, 9), 200_000), ((300_000, 9, 9), 300_000), ((0, 9, 9), 0)])
-def test_a_run_in_process_leaves_the_search_for_cycles_as_it_was(usual, during):
+def test_a_run_in_process_leaves_the_garbage_collector_as_it_was(usual, during):
     before, seen = gc.get_threshold(), []
     gc.set_threshold(*usual)
     try:

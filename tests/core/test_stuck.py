@@ -1,4 +1,4 @@
-"""A block whose code does not return is reported, and a signal ends its process then."""
+"""A block whose code does not return is reported, and a signal then ends its process."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from softrig_core.run import stuck
 
 
 class Endless(Gain):
-    """Does not return from its third tick until it may."""
+    """Does not return from its third tick until the test allows it."""
 
     def update(self, x, t, **inputs):
         if t == 20_000_000:
@@ -168,7 +168,7 @@ def test_a_thread_that_goes_on_is_not_waited_for():
     assert (done.returncode, done.stderr) == (1, line)
 
 
-def test_who_waits_for_a_compiler_or_is_in_no_block_is_let_alone(lines):
+def test_a_node_that_waits_for_a_compiler_or_runs_no_block_is_left_alone(lines):
     with stuck.watched():
         with stuck.watched():  # within another one it does nothing
             assert watches() == 1

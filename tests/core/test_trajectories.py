@@ -50,7 +50,7 @@ POINTS = {
 
 @pytest.mark.parametrize("fields", [1, 2, 3])
 def test_between_points_the_motion_is_the_polynomial_that_meets_both(fields):
-    """There is one of that degree (Hermite), so to meet the conditions is to be it; sums in fractions are exact."""
+    """There is only one of that degree (Hermite), so the conditions are enough; sums in fractions are exact."""
     names = [*POINTS][:fields]
     goal = Goal(start=0.5, times=(0.25, 0.75, 2.75), **{n: tuple(x for row in POINTS[n] for x in row) for n in names})
     path = Path(goal, 2)
@@ -103,7 +103,7 @@ def test_points_that_do_not_fit_are_refused(values, reason):
 ROW = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.01, 0.02, 0.03)
 
 
-def test_a_motion_begins_where_the_reference_is_with_the_fields_of_the_points():
+def test_a_motion_begins_at_the_reference_with_the_fields_of_the_points():
     result = motion(trajectory(point(SECOND, (4, 5, 6), (0, 0, 0))), JOINTS, 7 * MS, ROW, 0, None)
     assert result.values["goal.start"] == 0.007
     assert result.values["goal.times"] == [0.0, 1.0]
@@ -113,7 +113,7 @@ def test_a_motion_begins_where_the_reference_is_with_the_fields_of_the_points():
     assert result.end == SECOND + 7 * MS
 
 
-def test_joints_come_in_any_order_and_those_that_are_missing_stay():
+def test_joints_may_have_any_order_and_missing_ones_stay():
     result = motion(trajectory(point(SECOND, (6, 4)), names=("joint3", "joint1")), JOINTS, 0, ROW, 0, None)
     assert result.values["goal.positions"] == [1.0, 2.0, 3.0, 4.0, 2.0, 6.0]
 
@@ -157,7 +157,7 @@ def test_a_trajectory_that_cannot_be_followed_is_refused(message, reason, code):
     assert caught.value.code == code
 
 
-def test_to_hold_is_to_stay_at_the_present_positions():
+def test_a_hold_stays_at_the_present_positions():
     block = TrajectorySource(goal={n.removeprefix("goal."): v for n, v in hold(3, 5 * MS, ROW).items()})
     assert block.update((), 9 * SECOND)[1]["reference"] == (1.0, 2.0, 3.0, *[0.0] * 6)
 
@@ -197,7 +197,7 @@ def goal(message, path=(), end=(), delay=0):
 
 
 class Handle:
-    """What rclpy gives to whoever follows a goal."""
+    """The handle that rclpy passes to code that follows a goal."""
 
     def __init__(self, request, number):
         self.request, self.goal_id, self.told, self.state = request, number, [], "executing"
@@ -259,14 +259,14 @@ class Rig:
 
 
 class Flight:
-    """A goal under way."""
+    """A goal that is being followed."""
 
     def __init__(self, handle, run):
         self.handle, self.answer, self._run = handle, None, run(handle)
         self.go_on()
 
     def go_on(self):
-        """Go on with what follows the goal, as an executor does: it looks by itself whether it is over."""
+        """Continue as an executor does: the code that follows the goal checks by itself whether it has ended."""
         try:
             self._run.send(None)
         except StopIteration as end:
@@ -277,7 +277,7 @@ class Flight:
         return self.answer.error_code, self.handle.state
 
 
-def test_a_goal_is_followed_reported_of_and_reached(monkeypatch):
+def test_a_goal_is_followed_reported_and_reached(monkeypatch):
     rig = Rig(monkeypatch)
     assert rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))))) is None  # it has not begun
     assert rig.node.logs[-1] == (Level.WARN, "follow_joint_trajectory: a goal is refused: the run has not begun")
@@ -318,7 +318,7 @@ def test_a_path_tolerance_that_is_violated_ends_the_goal_and_the_reference_stays
     assert rig.reference() == stays
 
 
-def test_a_goal_tolerance_is_waited_for_and_no_longer_than_allowed(monkeypatch):
+def test_a_goal_tolerance_is_waited_for_within_its_time(monkeypatch):
     rig = Rig(monkeypatch)
     rig.until(10 * MS)
     late = rig.send(goal(trajectory(point(20 * MS, (1, 1, 1))), end=[bound("joint1", 1e-12)], delay=10 * MS))
@@ -366,7 +366,7 @@ def test_a_new_trajectory_replaces_the_goal_from_where_the_reference_is(monkeypa
     assert rig.adapter.step.reports["joint_trajectory"][1] == "a trajectory is refused: the trajectory has no points"
 
 
-def test_what_nobody_measures_is_not_called_reached_within_a_tolerance(monkeypatch):
+def test_an_unmeasured_joint_is_not_reported_as_within_a_tolerance(monkeypatch):
     monkeypatch.setattr(following, "LOOK", 1_000)  # simulated time passes by a latency a message
     rig = Rig(monkeypatch)
     monkeypatch.setattr(rig.node, "resolve", lambda topic: f"/elsewhere/{topic}")
@@ -378,8 +378,8 @@ def test_what_nobody_measures_is_not_called_reached_within_a_tolerance(monkeypat
     assert flight.answer.error_string == "no node publishes /elsewhere/joint_states, so that no tolerance was checked"
 
 
-def test_in_a_container_the_joints_are_those_of_the_node_beside(monkeypatch):
-    """No message of it goes by a wire; what the goal rests on is looked at now and then."""
+def test_in_a_container_the_joints_are_those_of_the_neighbour_node(monkeypatch):
+    """None of its messages passes DDS; the goal's data are polled now and then."""
     rig = Rig(monkeypatch, seconds=3.0, groups=[["manipulator_plant", "trajectory_source", "vcs_controller"]])
     rig.until(10 * MS)
     within = rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))), end=[bound(joint, 0.1) for joint in JOINTS]))
@@ -411,7 +411,7 @@ def test_a_goal_that_cannot_be_followed_is_refused_with_its_reason_in_the_log(re
     assert reason in rig.node.logs[-1][1]
 
 
-def test_the_rehabilitation_robots_reference_follows_as_well(monkeypatch):
+def test_the_reference_of_the_rehabilitation_robot_follows_a_trajectory_as_well(monkeypatch):
     rig = Rig(monkeypatch, "rehab_impedance", 0.2)
     names = [*followed(rig.adapter).channels]
     rig.until(50 * MS)

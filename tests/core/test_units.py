@@ -1,4 +1,4 @@
-"""Units: held against each other where a rig is wired, converted where a figure asks for another."""
+"""Units: compared where a rig is wired, converted where a figure uses another."""
 
 import math
 import random
@@ -56,18 +56,18 @@ def law(voltage="V", current="A", duty="1", topic="buck/state"):
         ({"duty": "V"}, r"d/effort is in 'V', expected '1', which is another quantity"),
     ],
 )
-def test_units_that_do_not_fit_are_refused_where_the_rig_is_wired(units, message):
+def test_units_that_do_not_fit_are_refused_when_the_rig_is_wired(units, message):
     with pytest.raises(ScenarioError, match=message):
         Rig.from_blocks({"plant": buck(), "law": law(**units)}, 0.01)
 
 
 @pytest.mark.parametrize("units", [{}, {"voltage": ""}, {"voltage": "W/A"}, {"voltage": "kg m^2/s^3/A"}])
-def test_units_that_say_the_same_and_those_not_stated_fit(units):
+def test_equal_units_and_undeclared_ones_fit(units):
     rig = Rig.from_blocks({"plant": buck(), "law": law(**units)}, 0.01)
     assert signal_units(rig)["buck/state/voltage/position"] == "V"
 
 
-def test_a_link_hands_on_the_units_of_what_it_carries():
+def test_a_link_passes_on_the_units_of_its_messages():
     link = {
         "topic_in": "buck/state",
         "topic_out": "late/state",
@@ -95,7 +95,7 @@ def test_a_link_hands_on_the_units_of_what_it_carries():
         ("1", "%", 1e2),
     ],
 )
-def test_units_are_converted_where_they_measure_the_same(given, wanted, number):
+def test_units_of_the_same_quantity_are_converted(given, wanted, number):
     result = factor(given, wanted)
     assert result == (None if number is None else pytest.approx(number))
     assert bool(misfit(given, wanted)) == (number != 1.0)
@@ -147,7 +147,7 @@ NAMES = [*((p, u) for p in PREFIXES for u in DIMENSIONS if u not in PLAIN), *(("
 
 
 def drawn(rng):
-    """A product of powers, of few units, so that some measure the same."""
+    """A product of powers of few units, so that some measure the same quantity."""
     return [(rng.choice(NAMES), rng.choice([1, 1, 2, 3, -1, -2])) for _ in range(rng.choice([1, 1, 2, 3]))]
 
 
@@ -174,7 +174,7 @@ MADE = [
 ]
 
 
-def test_any_two_units_measure_the_same_or_not():
+def test_any_two_units_measure_the_same_quantity_or_not():
     rng = random.Random(1)
     for name in NAMES:  # each, beside another of its own and of any
         alike = [n for n in NAMES if DIMENSIONS[n[1]][0] == DIMENSIONS[name[1]][0]]
@@ -205,7 +205,7 @@ def hold_units(one, other):
     assert misfit(a, "") == misfit("", b) == ""
 
 
-def test_how_units_are_written():
+def test_units_are_written_as_expected():
     assert powers("m/s^2") == {"m": 1, "s": -2}
     assert powers("1/s") == {"s": -1}
     assert powers("N*m/rad/m") == {"N": 1, "rad": -1}

@@ -1,4 +1,4 @@
-"""State as a value: what the contract promises, and the rule that keeps it."""
+"""State as a value: what the contract promises, and the rule that enforces it."""
 
 import ast
 import inspect
@@ -27,19 +27,19 @@ MUTATING = {"append", "extend", "insert", "pop", "popleft", "appendleft", "clear
 
 
 def own_classes(cls):
-    """Give a block's classes below the contract."""
+    """Return a block's classes below the contract."""
     return [c for c in cls.__mro__ if issubclass(c, Block) and c not in (Block, Plant, Observer)]
 
 
 def of_self(node):
-    """Whether an expression reaches through self."""
+    """Return whether an expression reaches through self."""
     while isinstance(node, ast.Attribute | ast.Subscript):
         node = node.value
     return isinstance(node, ast.Name) and node.id == "self"
 
 
 def written(cls):
-    """Give (method, line) of what a class writes into itself outside `setup`."""
+    """Return (method, line) of what a class writes into itself outside `setup`."""
     result = []
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
     for method in body.body:
@@ -70,7 +70,7 @@ def test_a_block_writes_nothing_outside_setup(name):
     assert method.__code__.co_varnames[1] == "x"
 
 
-def test_the_rule_sees_what_is_written():
+def test_the_rule_finds_what_is_written():
     class Bad(Block):
         def update(self, x, t):
             self.a, b = 1, 2
@@ -103,7 +103,7 @@ def test_random_numbers_by_index_are_those_of_the_stream():
     assert block.standard_normal(5) != first
 
 
-def test_a_tick_that_is_dropped_has_reported_nothing_and_draws_again():
+def test_a_discarded_tick_has_reported_nothing_and_draws_again():
     held = ByHand(Noise(name="n"))
     held.update(0)
     saved = held.save()
@@ -150,7 +150,7 @@ def test_the_floats_of_a_state():
     assert (other.r, other.w, other.wd) == (11.0, None, 1.0)
 
 
-def test_a_block_that_takes_no_state_is_refused_where_it_is_written():
+def test_a_block_without_a_state_argument_is_refused_at_its_definition():
     with pytest.raises(TypeError, match=r"Old\.update\(self, t, \.\.\.\): expected update\(self, x, t, \.\.\.\)"):
 
         class Old(Block):

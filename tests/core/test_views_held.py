@@ -1,4 +1,6 @@
-"""Views of the systems against faults: a step through a link, run by nodes of the rig, beside what the view says."""
+"""Linear views of the systems against a fault: a step on a link, run by the nodes of the rig, beside the view's
+prediction.
+"""
 
 import json
 import math
@@ -36,7 +38,7 @@ STEPS = {
 
 
 def stepped(name, link, height, begin, end):
-    """Run a scenario with an offset on a link; give its signals."""
+    """Run a scenario with an offset on a link; return its signals."""
     topic, channel, _ = link.rsplit("/", 2)
     fault = {"link": topic, "kind": "offset", "channels": [channel], "value": [height], "from": begin}
     scenario = load_scenario(name).having(faults={"step": fault}, duration=end, figures={}, expect={}, claims={},
@@ -45,7 +47,7 @@ def stepped(name, link, height, begin, end):
 
 
 def apart(name, link, share):
-    """Give the largest difference of an output between view and rig, of the largest that the output does."""
+    """Return the largest difference of an output between view and rig, relative to the largest output."""
     view = linear_along(name, PERIODS, at=0.3, inputs=[link])
     end = view.at + (PERIODS + 1) * view.period
     quiet = simulate(name, duration=end).signals
@@ -65,7 +67,7 @@ def apart(name, link, share):
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", STEPS)
-def test_a_view_along_a_run_is_the_rig_under_a_step_through_a_fault(name):
+def test_a_view_along_a_run_agrees_with_the_rig_under_a_step_through_a_fault(name):
     link, share, most = STEPS[name]
     result = apart(name, link, share)
     assert max(result.values()) < most, result
@@ -86,7 +88,7 @@ OTHERWISE = {
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("name", "reason"), OTHERWISE.items())
-def test_where_a_view_along_a_run_is_another_rig_it_is_reported(name, reason):
+def test_a_view_along_a_run_that_differs_from_the_rig_is_reported(name, reason):
     if isinstance(reason, str):
         with pytest.raises(RunError, match=reason):
             linear_along(name, PERIODS, at=0.3, inputs=["dispatch/setpoints/2/effort"] if "dispatch" in name else None)
@@ -95,7 +97,7 @@ def test_where_a_view_along_a_run_is_another_rig_it_is_reported(name, reason):
 
 
 @pytest.mark.long
-def test_grid_currents_turn_and_belong_to_no_view_of_one_tick():
+def test_rotating_grid_currents_have_no_view_at_one_tick():
     steady = {"event_source.times": [0.0, 5.0]}
     view = linear_view("rectifier_mpc", "", at=0.1, overrides=steady)
     assert {f"grid/current/{axis}" for axis in "xyz"} <= view.left_out.keys()
@@ -110,14 +112,14 @@ def test_grid_currents_turn_and_belong_to_no_view_of_one_tick():
 
 
 class Turned(NamedTuple):
-    """A state and the ticks so far."""
+    """A state and the number of ticks."""
 
     x: float = 1.0
     shown: float = 0.0
 
 
 class Turning(Plant):
-    """x+ = 0.98 x + u, said as it is, turned by an angle, counted, and at each eighth tick only."""
+    """x+ = 0.98 x + u, published plainly, turned by an angle, counted, and at each eighth tick only."""
 
     INPUTS = (number("u", "law/u", "1"),)
     OUTPUTS = tuple(number(name, f"plant/{name}", "1") for name in ("y", "turned", "counts", "window"))
@@ -147,7 +149,7 @@ def turning():
     return Rig.from_blocks({"plant": Turning(period=0.01), "law": Law(period=0.01)}, duration=2.0)
 
 
-def test_outputs_of_each_kind_are_named_and_those_that_turn_are_carried_along():
+def test_outputs_of_each_kind_are_named_and_rotating_ones_are_followed():
     view = linear_view(turning(), "", at=0.32)
     assert view.outputs == ("plant/y/data",)
     assert "turns with an angle" in view.left_out["plant/turned/data"]
@@ -163,7 +165,7 @@ def test_outputs_of_each_kind_are_named_and_those_that_turn_are_carried_along():
     assert not y.any()
 
 
-def test_a_view_along_is_written_and_refuses_what_it_cannot_do(tmp_path, capsys):
+def test_a_view_along_a_run_is_written_and_impossible_ones_are_refused(tmp_path, capsys):
     command = ["linearise", "dc_motor_smc", "--at", "0.1", "--along", "3", "--output", "speed"]
     assert main([*command, "--out", str(tmp_path)]) == 0
     assert "3 periods of 0.0001 s from 0.1 s" in capsys.readouterr().out

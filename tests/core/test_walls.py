@@ -1,4 +1,4 @@
-"""Who may import whom; every import counts, those inside functions too."""
+"""Which module may import which; every import counts, also those inside functions."""
 
 import ast
 from functools import cache
@@ -32,7 +32,7 @@ LAYERS = {f"{package}.{room}": k for package, rooms in ROOMS.items() for k, room
 
 
 def imports(package, types=True):
-    """Module name to the modules that it imports, relative ones resolved; without those that only name types."""
+    """Module name to the modules that it imports, relative ones resolved; without those for type checking only."""
     result = {}
     for file in sorted((PACKAGES / package / package).rglob("*.py")):
         parts = file.relative_to(PACKAGES / package).with_suffix("").parts
@@ -54,7 +54,7 @@ def imports(package, types=True):
 
 @cache
 def everything():
-    """By package; not at once, which would take a second of each worker's time."""
+    """By package; not all together, which would take a second of each worker's time."""
     return {package.name: imports(package.name) for package in sorted(PACKAGES.glob("softrig_*"))}
 
 
@@ -63,12 +63,12 @@ def within(module, *prefixes):
 
 
 def layer(module):
-    """The layer of a module: that of the longest name which it begins with."""
+    """The layer of a module: that of the longest matching prefix."""
     names = [name for name in LAYERS if within(module, name)]
     return LAYERS[max(names, key=len)] if names else None
 
 
-def test_the_walls_see_imports():
+def test_the_check_finds_imports():
     assert any(within(t, "rclpy") for t in everything()["softrig_nodes"]["softrig_nodes.ros.ros"])
     assert "softrig_core.wire.types.TYPES" in everything()["softrig_core"]["softrig_core.block.port"]
     assert "casadi" in everything()["softrig_core"]["softrig_core.kit.compiled"]  # within a function
@@ -80,7 +80,7 @@ def test_the_walls_see_imports():
     assert layer("softrig_nodes.seam.tick") < layer("softrig_nodes.main")
 
 
-def test_only_the_nodes_know_the_middleware():
+def test_only_the_nodes_package_uses_the_middleware():
     bags = [f"softrig_bags.{name}" for name in ("live.recorder", "live.player", "live.ros")]
     may = ("softrig_nodes", *bags)
     breaches = [
@@ -94,7 +94,7 @@ def test_only_the_nodes_know_the_middleware():
 
 
 @pytest.mark.parametrize("package", ROOMS)
-def test_a_room_knows_those_below_it(package):
+def test_a_package_folder_imports_only_those_below_it(package):
     result = everything()[package]
     assert [m for m in result if m != package and layer(m) is None] == []  # every module has its room
     breaches = [
@@ -109,7 +109,7 @@ def test_a_room_knows_those_below_it(package):
     assert breaches == []
 
 
-def test_no_room_holds_more_than_a_person_takes_in_at_a_look():
+def test_no_folder_has_more_modules_than_a_person_can_survey():
     crowded = {
         str(folder.relative_to(PACKAGES)): count
         for package in PACKAGES.glob("softrig_*")
@@ -123,8 +123,10 @@ def test_no_room_holds_more_than_a_person_takes_in_at_a_look():
     "place",
     ["softrig_core", "softrig_nodes", "softrig_control", "softrig_optim", "softrig_bags", "softrig_bringup", *DOMAINS],
 )
-def test_no_module_imports_itself_by_way_of_others(place):
-    """What imports each other is one module in two files; a type may be named in the same room."""
+def test_no_module_imports_itself_through_others(place):
+    """Two modules that import each other are one module in two files; importing a type in the same folder is
+    allowed.
+    """
     results = {}
     for module, targets in imports(place, types=False).items():
         room = module.rpartition(".")[0]
@@ -137,7 +139,7 @@ def test_no_module_imports_itself_by_way_of_others(place):
 
 
 @pytest.mark.parametrize("package", DOMAINS)
-def test_domains_and_their_systems_stand_alone(package):
+def test_domain_packages_and_their_systems_are_independent(package):
     systems = {f"{package}.{p.parent.name}" for p in (PACKAGES / package / package).glob("*/__init__.py")}
     assert systems
     breaches = []
@@ -175,7 +177,7 @@ def test_packages_depend_one_way():
 
 
 def test_no_dataclass_has_a_default_that_python_3_11_refuses():
-    """There a mapping proxy has no hash, and a field without one is a mutable default: nothing could be imported."""
+    """There a mapping proxy has no hash, and a field without one is a mutable default, so nothing could be imported."""
     refused = []
     for path in PACKAGES.glob("*/softrig_*/**/*.py"):
         if "MappingProxyType({" not in (text := path.read_text()):

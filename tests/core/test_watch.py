@@ -1,4 +1,4 @@
-"""Observers as windows with figures: each message once, nothing paired that does not belong together."""
+"""Observers as windows with figures: each message counts once, and only matching ones are paired."""
 
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
@@ -28,7 +28,9 @@ class Eye(Watch[WatchParams]):
 
 @pytest.mark.parametrize("period", [0.01, 0.05])
 def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
-    """A command five times as slow is not counted five times, and the last output is not paired with old inputs."""
+    """A command with five times the period is not counted five times, and the last output is not paired with old
+    inputs.
+    """
     rig = Rig.from_blocks(
         {"plant": Lag(), "source": Source(), "gain": Gain(period=period, noise=0.1), "eye": Eye()}, 1.0
     )
@@ -43,8 +45,8 @@ def test_running_figures_equal_those_of_the_recording_to_the_last_bit(period):
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
-def test_running_figures_go_out_while_somebody_reads_them(mode):
-    """Against the wall clock they are measured beside the ticks, of what there was when they were asked for."""
+def test_running_figures_are_published_while_there_is_a_subscriber(mode):
+    """In real time they are measured beside the ticks, from the messages at the time of the request."""
     import diagnostic_msgs.msg  # noqa: F401
     from softrig_nodes.face.faces import Faces
 
@@ -88,7 +90,7 @@ def test_running_figures_go_out_while_somebody_reads_them(mode):
     assert "mean_command" in expected
 
 
-def test_the_window_moves_and_forgets():
+def test_the_window_moves_and_drops_old_messages():
     rig = Rig.from_blocks({"plant": Lag(), "source": Source(), "gain": Gain(), "eye": Eye(window=0.25)}, 1.0)
     status = run_inprocess(rig, 0)["eye"].status()
     signals = Signals(in_process(rig))
@@ -96,7 +98,7 @@ def test_the_window_moves_and_forgets():
     assert status["mean_command"][0] != measures.mean(signals, U)
 
 
-def test_nothing_seen_gives_no_figures_and_reset_forgets():
+def test_without_messages_there_are_no_figures_and_reset_drops_them():
     eye = ByHand(Eye())
     assert eye.status() == {}
     eye.update(0, state=(1.0, 0.0), command=(2.0,), reference=(3.0,))
@@ -136,8 +138,8 @@ def test_a_figure_counts_from_the_newest_step_of_its_reference():
 
 
 @pytest.mark.parametrize("window", [60.0, 0.015])
-def test_a_recording_has_the_figures_of_a_node_that_kept_the_messages(window):
-    """Windows that are shorter than the run, too: what has left the window counts for neither."""
+def test_a_recording_has_the_figures_of_a_node_that_stored_the_messages(window):
+    """Also with windows shorter than the run: messages outside the window count for neither."""
     rig = rig_of("induction_dtc_short", duration=0.05, overrides={"flux_monitor.window": window})
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     kept = run_inprocess(rig, 1, recording)["flux_monitor"].status()

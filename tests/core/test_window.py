@@ -1,4 +1,4 @@
-"""What a watch keeps of its messages, against a list: one by one or at once, in blocks that are as small as can be."""
+"""The messages that an observer keeps, against a list: one by one or in batches, in blocks of the smallest size."""
 
 import random
 
@@ -12,7 +12,7 @@ from softrig_core.verdict.watch import EVER, Kept, Seen, left_behind, packed, ro
 
 
 class Listed:
-    """All messages that were new, and the begin of the window, which never goes back."""
+    """All new messages, and the start of the window, which never goes back."""
 
     def __init__(self):
         self.rows, self.since = [], EVER
@@ -41,8 +41,8 @@ def same(kept, listed, size):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_window_is_the_newest_of_a_list(monkeypatch, seed):
-    """Stamps that repeat or go back, a window that is made longer and shorter, both ways in turn."""
+def test_a_window_has_the_newest_messages_of_a_list(monkeypatch, seed):
+    """Stamps that repeat or go back, a window that is lengthened and shortened, both ways in turn."""
     rng = random.Random(seed)
     size = rng.choice([1, 2, 3])
     monkeypatch.setattr(watch, "SOME", rng.choice([1, 40, 100]))
@@ -75,7 +75,7 @@ def test_a_window_is_the_newest_of_a_list(monkeypatch, seed):
         same(kept, listed, size)
 
 
-def test_messages_as_bytes():
+def test_messages_as_bytes_are_kept():
     assert packed([(3, (1.0, 2.0)), (5, (4.0, 8.0))]) == row_of(2).pack(3, 1.0, 2.0) + row_of(2).pack(5, 4.0, 8.0)
     assert packed(ReceivedMessages(np.array([3]), np.array([[1.0]]))) == row_of(1).pack(3, 1.0)
 
@@ -84,7 +84,7 @@ STATE = joint_state("state", "cart/state", ["x"], position=["m"], velocity=["m/s
 FLAGS = scalars("flags", "flags", {"on": "", "off": ""})
 
 
-def test_what_is_kept_is_read_as_signals():
+def test_the_kept_messages_are_read_as_signals():
     one = (
         Kept()
         .with_message(row_of(2), 1_000_000_000, (0.5, -1.0), 0, 1 << 40)
@@ -102,8 +102,8 @@ def test_what_is_kept_is_read_as_signals():
     assert [seen.topic(name) for name in (names[0], names[3], "elsewhere/x")] == ["cart/state", "flags", ""]
 
 
-def test_a_step_is_left_behind_where_all_of_it_were_before_what_is_kept():
-    """A step is where a value changes; where nothing did, it is the first that is kept, which may be none."""
+def test_a_step_before_the_kept_messages_is_dropped():
+    """A step is a change of a value; without one, it is the first kept message, if there is any."""
 
     def seen(**rows):
         kept = {name: Kept() for name in ("state", "flags")}

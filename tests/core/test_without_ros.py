@@ -33,7 +33,7 @@ sys.meta_path.insert(0, Blocked())
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
-    """Run Python where only four packages are installed and no ROS can be imported."""
+    """Run Python with only four packages installed and without ROS."""
     prefix = tmp_path_factory.mktemp("alone") / "prefix"
     layout.lay_out(prefix, places=[f"ros_pkgs/{name}/setup.cfg" for name in ALONE])
     ours = ("AMENT_", "PYTHON", "SOFTRIG_", "COLCON_", "ROS_", "RMW_")
@@ -63,7 +63,7 @@ assert not {"rclpy", "softrig_nodes"} & set(sys.modules)
     assert done.stdout == "6 1\n"
 
 
-def test_a_node_without_softrig_nodes_says_what_it_needs(alone):
+def test_a_node_without_softrig_nodes_names_what_it_needs(alone):
     code = """
 from softrig_drives.dc_motor.plant import DcMotorPlant
 DcMotorPlant.main(["/some/lib/softrig_drives/dc_motor_plant"])
@@ -76,7 +76,7 @@ DcMotorPlant.main(["/some/lib/softrig_drives/dc_motor_plant"])
     )
 
 
-def test_a_class_is_the_node_that_its_package_names(monkeypatch):
+def test_a_class_is_the_node_that_its_package_declares(monkeypatch):
     assert block_of(EntryPoint("gain", "faultrig:Gain.main", "console_scripts").load()) is faultrig.Gain
     assert block_of(faultrig.script) is None
     assert block_of("".join) is None  # a method of no class
@@ -89,7 +89,7 @@ def test_a_class_is_the_node_that_its_package_names(monkeypatch):
     assert asked == [("node", faultrig.Gain, ["/lib/faultrig/gain", "--help"]), ("node", faultrig.Gain, ["gain", "a"])]
 
 
-def test_runners_are_those_of_softrig_nodes():
+def test_placements_are_those_of_softrig_nodes():
     import softrig_nodes.container
     import softrig_nodes.main
 
@@ -102,7 +102,7 @@ def test_runners_are_those_of_softrig_nodes():
         softrig_nodes.nothing  # noqa: B018
 
 
-def test_earlier_names_work_and_say_what_has_replaced_them(monkeypatch):
+def test_earlier_names_work_and_name_their_replacement(monkeypatch):
     with pytest.warns(FutureWarning, match=r"executable\(Gain\) .* 0.4; use .*`NAME = faultrig:Gain.main`") as text:
         main = softrig_core.executable(faultrig.Gain)
     assert text[0].filename == __file__

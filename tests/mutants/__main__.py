@@ -1,4 +1,4 @@
-"""How strong are the tests? Mutants drawn at random, each against the daily tests that run its line.
+"""How strong are the tests? Random mutants, each against the daily tests that execute its line.
 
 First the tests given (files or folders; all of them is an hour) are run once and told line by line which of them runs
 what: `--lines FILE` keeps that, or reads it when FILE is there. Then mutants are drawn among the lines that were run,
@@ -30,7 +30,7 @@ BARE = {name: value for name, value in os.environ.items() if name not in OURS}
 
 
 class Tests:
-    """What is known of the tests: their seconds, and which run a line."""
+    """Facts about the tests: their seconds, and which execute a line."""
 
     def __init__(self, file: Path) -> None:
         self.seconds: dict[str, float] = {}
@@ -47,14 +47,16 @@ class Tests:
                     self.of_line[place][line].append(content["test"])
 
     def meeting(self, place: str, mutant: Mutant) -> list[str]:
-        """The tests that a mutant can fail, the quickest first; those of its folder where nobody sees who runs it."""
+        """The tests that a mutant can fail, the quickest first; those of its folder if the executing tests are
+        unknown.
+        """
         beside = [p for p in self.of_line if Path(p).parent == Path(place).parent] if not mutant.runs else [place]
         lines = [self.of_line[p] for p in beside]
         results = {test for of in lines for line in mutant.runs or of for test in of.get(line, ())}
         return sorted(results, key=lambda test: (self.seconds[test], test))
 
     def silent(self, tree: Path) -> list[str]:
-        """Tests in which no line was run that asserts."""
+        """Tests in which no asserting line was executed."""
         places = [place for place in self.of_line if place.startswith("tests/")]
         asserting = set()
         for place in places:
@@ -64,7 +66,7 @@ class Tests:
 
 
 def _asserting(source: str) -> set[int]:
-    """Lines of a test's module at which something is claimed."""
+    """Lines of a test's module that assert something."""
     claims = ("raises", "warns", "fail", "exit")
     result = set()
     for node in ast.walk(ast.parse(source)):
@@ -75,7 +77,7 @@ def _asserting(source: str) -> set[int]:
 
 
 class Warm:
-    """Runs pytest in a worktree, again and again, without importing everything each time."""
+    """Runs pytest in a worktree repeatedly, without importing everything each time."""
 
     def __init__(self, tree: Path) -> None:
         command = ["nice", "scripts/softrig", "python", str(Path(__file__).with_name("warm.py"))]
@@ -84,14 +86,14 @@ class Warm:
         )
 
     def __call__(self, arguments: list[str], limit: float) -> int | None:
-        """Give pytest's exit status; None when it took more than `limit` s."""
+        """Return pytest's exit status; None if it took more than `limit` s."""
         self._process.stdin.write(json.dumps([arguments, limit]) + "\n")
         self._process.stdin.flush()
         return json.loads(self._process.stdout.readline())
 
 
 def trace(tree: Path, what: list[str], out: Path) -> None:
-    """Run tests once; a line of JSON each goes to `out`, behind one that says of which commit they are."""
+    """Run tests once; write a line of JSON for each to `out`, after a line with their commit."""
     out.write_text(f"{_head(tree)}\n")
     with tempfile.TemporaryDirectory() as folder:
         results = {
@@ -123,7 +125,7 @@ def met(tree: Path, known: Tests, under: tuple[str, ...]) -> dict[str, list[tupl
 
 
 def main() -> int:
-    """Draw, run, tell."""
+    """Draw, run, print."""
     parser = argparse.ArgumentParser(prog="scripts/mutants", description=__doc__.splitlines()[0])
     parser.add_argument("tests", nargs="*", default=["tests/core", "tests/bags"])
     parser.add_argument("--lines", type=Path, metavar="FILE", help="which test runs which line, kept or read")
@@ -187,7 +189,7 @@ def _campaign(tree: Path, known: Tests, options: argparse.Namespace) -> int:
 
 
 def _tried(tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most: float) -> tuple[str, str]:
-    """Run the tests of a mutant; whether one killed it, and how many there were."""
+    """Run the tests of a mutant; return whether one killed it, and how many there were."""
     tests = known.meeting(place, mutant)
     chosen, seconds = [], 0.0
     for test in tests:

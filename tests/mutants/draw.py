@@ -42,14 +42,14 @@ class Mutant:
     runs: tuple[int, ...]  # lines of which one must have been run for it to be met; none: run once a process, or unseen
 
     def applied(self, source: str) -> str:
-        """The file with it."""
+        """Return the file with the mutant."""
         lines = source.encode().splitlines(keepends=True)
         (first, a), (last, b) = self.start, self.end
         changed = lines[first - 1][:a] + self.text.encode() + lines[last - 1][b:]
         return b"".join([*lines[: first - 1], changed, *lines[last:]]).decode()
 
     def told(self, source: str) -> str:
-        """What it changes, in a line."""
+        """Return a line that describes the change."""
         lines = source.encode().splitlines(keepends=True)
         (first, a), (last, b) = self.start, self.end
         chosen = lines[first - 1 : last]
@@ -59,7 +59,7 @@ class Mutant:
 
 
 def mutants(source: str) -> Iterator[Mutant]:
-    """All mutants of a module; nothing of its annotations, documentation or messages."""
+    """All mutants of a module, except in annotations, documentation or messages."""
     yield from _within(ast.parse(source), ())
 
 

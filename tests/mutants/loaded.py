@@ -1,4 +1,4 @@
-"""Plugin of pytest: mutants put into the functions that are loaded, each in a fork of a session that has collected.
+"""Plugin of pytest: mutants are put into the loaded functions, each in a fork of a session that has collected.
 
 Ten times as quick as `scripts/mutants`, which writes each into its file and imports all anew; what stands outside of
 functions, or in compiled or cached ones, it leaves out. The kinds take turns. In a worktree of its own::
@@ -54,7 +54,7 @@ def known_tests(files):
 
 
 def loaded_functions(packages):
-    """All functions of some packages that there are, by file, first line and name."""
+    """All loaded functions of some packages, by file, first line and name."""
     for package in packages:
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             with suppress(Exception, SystemExit):  # of an extra that is not here
@@ -76,7 +76,7 @@ def codes(code):
 
 
 def put_in(file, mutant, source, functions):
-    """Put a mutant into the functions of its file; gives whether it could be."""
+    """Put a mutant into the functions of its file; return whether that was possible."""
     new = mutant.applied(source)
     for name in {
         str(file),
@@ -127,7 +127,7 @@ def _put_default(file, mutant, source, functions):
 
 
 def in_fork(work, limit):
-    """Exit status of some work in a process of its own; `LATE` after `limit` s."""
+    """Exit status of some work in a separate process; `LATE` after `limit` s."""
     child = os.fork()
     if not child:
         os.setsid()
@@ -152,7 +152,7 @@ def in_fork(work, limit):
 
 
 def failing(items):
-    """Run tests until one fails; gives 0, or its number from 1 on."""
+    """Run tests until one fails; return 0, or its number from 1 on."""
     for number, (item, following) in enumerate(zip(items, [*items[1:], None], strict=True), 1):
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         if failed:
@@ -161,7 +161,7 @@ def failing(items):
 
 
 def drawn(seed, kinds, places, of_line):
-    """Mutants that a test meets, a kind after the other."""
+    """Mutants that a test executes, one kind after the other."""
     result = defaultdict(list)
     for place in places:
         for mutant in mutants((ROOT / place).read_text()):

@@ -71,7 +71,7 @@ class Table:
         aside.replace(TABLE)
 
     def update(self, rows: Iterable[str], whole: Iterable[str]) -> None:
-        """Take what has been traced; `whole` names the test files of which all tests have been run."""
+        """Update with what has been traced; `whole` names the test files of which all tests have been run."""
         digests = {file: _digest(file) for file in whole}
         self.tests = {test: entry for test, entry in self.tests.items() if _file_of(test) not in digests}
         self.digests |= digests
@@ -82,7 +82,7 @@ class Table:
             self.tests[row["test"]] = (row["seconds"], sorted(files))
 
     def of(self, file: str) -> set[str]:
-        """Return the tests that execute a file; those of its folder where no function of it is known to run."""
+        """Return the tests that execute a file; those of its folder if none of its functions is known to run."""
         tests = {test for test, (_, files) in self.tests.items() if file in files}
         if not tests:
             folder = str(Path(file).parent)
@@ -121,7 +121,7 @@ def _choice(table: Table, files: list[str]) -> tuple[set[str], list[str]]:
 
 
 def _traced(tests: set[str], whole: list[str], workers: int, more: list[str]) -> tuple[int, list[str]]:
-    """Run tests, all when none is named; return pytest's status and what has been traced, a line a test."""
+    """Run tests, all if none is named; return pytest's status and the trace, one line for each test."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rows, processes, chosen = folder / "rows", folder / "processes", folder / "chosen"
@@ -148,7 +148,7 @@ def _named(name: str) -> str:
 
 
 def main() -> int:
-    """Choose, run, keep what has been traced; return pytest's status."""
+    """Choose, run, store the trace; return pytest's status."""
     parser = argparse.ArgumentParser(
         prog="scripts/test --touching", description="Run the daily tests that execute these files.",
         epilog="Without a file all daily tests run and the table is made again. Options behind -- go to pytest.",

@@ -1,4 +1,6 @@
-"""Runs pytest in forks of a process that has imported what is not ours: a line of JSON asks, a line answers."""
+"""Runs pytest in forks of a process that has imported all foreign modules: one line of JSON for each request and
+answer.
+"""
 
 import json
 import os
@@ -12,7 +14,7 @@ FOREIGN = ("pytest", "hypothesis", "numpy", "scipy.optimize", "scipy.signal", "n
 
 
 def ended(child: int, limit: float) -> int | None:
-    """Wait for a child; its exit status, None where it has been killed after `limit` s."""
+    """Wait for a child; return its exit status, None if it was killed after `limit` s."""
     end = time.monotonic() + limit
     while time.monotonic() < end:
         there, status = os.waitpid(child, os.WNOHANG)
@@ -25,7 +27,7 @@ def ended(child: int, limit: float) -> int | None:
 
 
 def main() -> None:
-    """Serve until nobody asks any more."""
+    """Serve until the input is closed."""
     for name in FOREIGN:
         import_module(name)
     assert not any(name.startswith("softrig") for name in sys.modules)

@@ -1,4 +1,4 @@
-"""What measurements prove of a falling characteristic, against all pairs of them."""
+"""What measurements prove about a falling characteristic, against all pairs of them."""
 
 import math
 
@@ -9,7 +9,7 @@ from softrig_optim.falling import FallingCurve
 
 
 def brute(samples):
-    """Largest change that two measurements prove: on one curve none exceeds another in both."""
+    """Largest change that two measurements prove: on one falling curve no point exceeds another in both."""
     rises = [min(a / x, b / y) for a, b in samples for x, y in samples]
     return max(1.0, *rises) ** 2 - 1.0
 
@@ -31,7 +31,7 @@ def test_any_two_measurements_are_compared(samples):
 
 @given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=200), st.sampled_from([1, 3, 10]))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_one_characteristic_contradicts_nothing(voltages, n):
+def test_measurements_of_one_characteristic_do_not_contradict(voltages, n):
     samples = [(v, max(3.8 - 0.01 * math.expm1(v / 3.2), 0.0), 25.0) for v in voltages]
     assert changes(FallingCurve(n), samples) == [0.0] * len(voltages)
 
@@ -39,7 +39,7 @@ def test_one_characteristic_contradicts_nothing(voltages, n):
 @given(st.lists(st.tuples(st.floats(0.0, 60.0), st.floats(0.8, 1.2)), max_size=80), st.sampled_from([1, 3, 10]))
 @settings(max_examples=50, deadline=None, derandomize=True)
 def test_native_code_keeps_the_same_corners(samples, n):
-    """One of many measurements that contradict each other, taken in both forms; and in turn."""
+    """For many contradicting measurements, stored in both forms; and in turn."""
     curve = FallingCurve(n)
     rows = curve.native()
     for k, (v, share) in enumerate(samples):

@@ -54,7 +54,7 @@ def rastrigin(x):
 
 
 @pytest.mark.parametrize("algorithm", POPULATIONS)
-def test_same_seed_same_search(algorithm):
+def test_the_same_seed_gives_the_same_search(algorithm):
     """The seed fixes every candidate; another seed gives others; a maximisation of -f is the minimisation of f."""
     histories = []
     for seed, sign in ((3, 1.0), (3, 1.0), (4, 1.0), (3, -1.0)):
@@ -86,7 +86,7 @@ def test_ask_repeats_until_reported_and_ends():
         search.ask()
 
 
-def test_nan_is_never_taken():
+def test_nan_is_never_accepted():
     search = ParticleSwarm([0.0], [1.0], 1)
     x = search.ask()
     with pytest.raises(ValueError, match="NaN"):
@@ -152,7 +152,7 @@ def test_bad_settings_are_named(call, text):
         lambda: RampScan([0.1], [0.9], matching=Transformer(), n_ramp=2),
     ],
 )
-def test_settings_that_are_just_enough_are_taken(call):
+def test_settings_at_their_limits_are_accepted(call):
     assert len(call().ask()) == 1
 
 
@@ -172,8 +172,8 @@ def test_settings_that_are_just_enough_are_taken(call):
         (Genetic, 1e-3),
     ],
 )
-def test_finds_a_known_optimum(algorithm, close):
-    """With enough evaluations every one comes to the bottom of a bowl, each as close as its last steps are small."""
+def test_every_search_finds_a_known_optimum(algorithm, close):
+    """With enough evaluations each reaches the bottom of a bowl, as close as its last steps are small."""
     worst = 0.0
     for seed in range(2):
         best = run(algorithm(LOWER, UPPER, seed, n_pop=20, n_iter=60), bowl)
@@ -182,7 +182,7 @@ def test_finds_a_known_optimum(algorithm, close):
 
 
 @pytest.mark.parametrize("name", ["issa", "ssa", "pso", "de_rand1", "de_best1", "woa"])
-def test_published_count_of_evaluations(name):
+def test_the_number_of_evaluations_is_as_published(name):
     search = make(name, [0.1], [0.9], 0, AlgorithmParams(), maximise=True)
     run(search, lambda x: -(x[0] ** 2))
     assert search.evaluations == 44
@@ -195,7 +195,9 @@ def test_firefly_evaluates_every_ordered_pair():
 
 
 def test_salp_chain_follows_the_published_rules():
-    """Followers: (x + ahead)/2, in order, behind a leader that is on the box; the leader's step shrinks as c_1 does."""
+    """Followers: (x + ahead)/2, in order, behind a leader that is on the bounds; the leader's step shrinks as
+    c_1 does.
+    """
     search = SalpSwarm([0.1], [0.9], 2)
     generations = []
     while not search.done:
@@ -266,7 +268,7 @@ def test_differential_evolution_against_scipy(variant):
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 3.0), (0.3, 1.7)])
-def test_scan_refines_as_scipy_does(low, high):
+def test_a_scan_refines_as_scipy_does(low, high):
     """Grid of 20, then exactly the evaluations of scipy's bounded Brent search in the two cells beside the best."""
 
     def f(x):
@@ -335,7 +337,7 @@ class Transformer:
 
 
 def operate(v, i, load, d):
-    """Where the load line crosses the polyline (v, i)."""
+    """The intersection of the load line with the polyline (v, i)."""
     R = load / d**2
     k = int(np.flatnonzero(v - R * i >= 0.0)[0])
     share = (R * i[k - 1] - v[k - 1]) / ((v[k] - v[k - 1]) - R * (i[k] - i[k - 1]))
@@ -343,7 +345,7 @@ def operate(v, i, load, d):
 
 
 @pytest.mark.parametrize("maximise", [False, True])
-def test_of_equals_the_first_is_best(maximise):
+def test_of_equal_candidates_the_first_is_best(maximise):
     search = DifferentialEvolution(LOWER, UPPER, 1, n_pop=5, n_iter=2, maximise=maximise)
     first = search.ask()
     for _ in range(3):
@@ -379,7 +381,7 @@ def test_certificate_holds_on_any_falling_curve(widths, drops, load, eps):
 
 
 def test_a_bound_waits_for_both_ends():
-    """What is passed on the way to the second command bounds the voltages between them, and no others."""
+    """Samples on the way to the second command bound the voltages between them, and no others."""
     v, i = np.array([0.0, 10.0, 12.0, 30.0, 40.0]), np.array([2.0, 1.9, 1.2, 1.1, 0.0])
     search = CertifiedSearch([0.05], [20.0], matching=Transformer(), transients=True)
     bounds = []
@@ -394,7 +396,7 @@ def test_a_bound_waits_for_both_ends():
     assert search.bound >= 33.0
 
 
-def test_certified_search_gives_up_a_proof_that_cannot_be():
+def test_a_certified_search_abandons_an_impossible_proof():
     """A source that changes contradicts its own samples; the search still ends, with the corrections."""
     search = CertifiedSearch([0.1], [0.9], matching=Transformer(), n_iter=30)
     while not search.done:
@@ -467,8 +469,8 @@ class Loop:
         return self.state
 
 
-def test_optimiser_points_a_dish():
-    """Two commands, a plant it knows nothing of: the main lobe is found, then held."""
+def test_the_optimiser_points_a_dish():
+    """Two commands, a plant without a model: the main lobe is found, then held."""
     loop = Loop()
     state = loop.run(0.01 + 12 * 16 * 0.3)
     assert state["phase"] == Phase.HOLD
@@ -516,7 +518,7 @@ def test_small_changes_and_single_dips_do_not_restart():
 
 
 def test_a_change_during_the_search_is_found_once_at_its_end():
-    """What the search found no longer holds: one new search, and none after that although nothing fits."""
+    """The result of the search no longer holds: one new search, and none after that although nothing fits."""
     loop = Loop()
     loop.run(0.01 + 192 * 0.3, objective=None)
     assert loop.state["phase"] == Phase.HOLD
@@ -536,8 +538,8 @@ def test_rescan_by_timer():
     assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, 1)
 
 
-def test_buttons():
-    """Each acts when it goes down: start from stopped, stop holds the best so far, restart begins anew."""
+def test_buttons_act_when_pressed():
+    """Start from stopped, stop holds the best so far, restart begins again."""
     loop = Loop(autostart=False)
     loop.run(1.0)
     assert (loop.state["phase"], loop.state["evaluations"]) == (Phase.STOPPED, 0)
@@ -558,8 +560,8 @@ def test_buttons():
 
 
 @pytest.mark.parametrize("bad", [{"objective": math.nan}, {"refuse": True}])
-def test_a_bad_measurement_is_taken_again(bad):
-    """NaN, or a message that the node refused: the candidate stays for a whole dwell more, and is never stored."""
+def test_a_bad_measurement_is_repeated(bad):
+    """NaN, or a message that the node rejected: the candidate stays for another whole dwell, and is never stored."""
     loop = Loop()
     loop.run(0.25)
     first = loop.commands[-1]
@@ -573,7 +575,7 @@ def test_a_bad_measurement_is_taken_again(bad):
     assert math.isfinite(loop.state["best_value"])
 
 
-def test_refused_from_the_first_tick():
+def test_a_rejected_first_measurement_waits():
     """Without any measurement the first candidate is applied, and waits."""
     loop = Loop()
     loop.run(1.0, refuse=True)
@@ -582,8 +584,8 @@ def test_refused_from_the_first_tick():
 
 
 @pytest.mark.parametrize("bad", [{"objective": math.nan}, {"refuse": True}])
-def test_bad_measurements_in_hold_do_not_blind(bad):
-    """Far into a hold, one bad sample in each dwell: a change is still seen in two samples a dwell apart."""
+def test_bad_measurements_in_hold_do_not_hide_a_change(bad):
+    """Late in a hold, one bad sample in each dwell: a change is still detected by two samples a dwell apart."""
     loop = Loop()
     loop.run(0.01 + 192 * 0.3 + 20.0)
     held = loop.dish.block.power(loop.dish.x)
@@ -595,7 +597,7 @@ def test_bad_measurements_in_hold_do_not_blind(bad):
     assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, 1)
 
 
-def test_bad_measurements_do_not_hold_up_the_rescan():
+def test_bad_measurements_do_not_delay_the_rescan():
     loop = Loop(rescan_period=100.0)
     loop.run(90.0)
     for _ in range(55):
@@ -604,8 +606,8 @@ def test_bad_measurements_do_not_hold_up_the_rescan():
     assert loop.state["restarts"] == 1
 
 
-def test_no_signal_means_no_claim():
-    """Below the floor a search goes on for ever; in hold it waits, and searches when the signal is back."""
+def test_without_a_signal_there_is_no_claim():
+    """Below the floor a search continues forever; in hold it waits, and searches when the signal is back."""
     loop = Loop(floor=0.01, n_pop=2, n_iter=1)
     loop.run(20.0, objective=0.0)
     assert loop.state["phase"] == Phase.SEARCH
@@ -621,7 +623,7 @@ def test_no_signal_means_no_claim():
     assert (loop.state["phase"], loop.state["restarts"]) == (Phase.SEARCH, restarts + 1)
 
 
-def test_slew_limit():
+def test_the_slew_rate_is_limited():
     """The command moves at most 0.5 rad/s, and the dwell begins when it has arrived."""
     loop = Loop(max_slew=0.5)
     loop.run(60.0)
@@ -634,7 +636,7 @@ def test_slew_limit():
 
 
 class Source(Optimiser):
-    """Of a voltage and a current, on a characteristic that falls."""
+    """A source with a voltage and a current, on a falling characteristic."""
 
     def objective(self, sample):
         return sample[0] * sample[1]
@@ -644,8 +646,8 @@ class Source(Optimiser):
 
 
 @pytest.mark.parametrize(("met", "again"), [(3.0, False), (3.0000001, True)])
-def test_a_look_back_begins_anew_where_it_meets_more_than_the_threshold(met, again):
-    """Half as much again as the 2 W of the search is not more than half as much again."""
+def test_a_new_search_starts_only_beyond_the_threshold(met, again):
+    """Exactly half as much again as the 2 W of the search is not beyond it."""
     about = {"channels": ("d",), "lower": (0.0,), "upper": (1.0,), "algorithm": "scan", "n_grid": 3, "tolerance": 0.0}
     block = ByHand(Source(**(DISH | about | {"restart_threshold": 0.5})))
     block.reset(0)
@@ -673,7 +675,7 @@ def fail(x):
     raise ZeroDivisionError("case 3") if x == 3 else ValueError(x)
 
 
-def test_sweep_keeps_the_order_on_any_number_of_workers():
+def test_a_sweep_keeps_the_order_with_any_number_of_workers():
     cases = [f"(2 * {k}, __import__('os').getpid())" for k in range(7)]
     here = sweep(eval, cases, workers=1)
     there = sweep(eval, cases, workers=2)
@@ -683,7 +685,7 @@ def test_sweep_keeps_the_order_on_any_number_of_workers():
 
 
 @pytest.mark.long
-def test_workers_stay_from_one_batch_to_the_next_and_go_with_the_block():
+def test_workers_are_reused_between_batches_and_end_with_the_block():
     with Workers(2) as workers:
         pids = [{pid for _, pid in workers.map(double, range(12))} for _ in range(3)]
         started = set(workers._pool._processes)
@@ -692,7 +694,7 @@ def test_workers_stay_from_one_batch_to_the_next_and_go_with_the_block():
     until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in started))
 
 
-def test_short_cases_are_handed_over_together_and_long_ones_one_by_one(monkeypatch):
+def test_short_cases_are_sent_together_and_long_ones_one_by_one(monkeypatch):
     chunks = []
     submit = Workers._submit
     monkeypatch.setattr(
@@ -711,7 +713,7 @@ def test_short_cases_are_handed_over_together_and_long_ones_one_by_one(monkeypat
         assert chunks == [1, 1, 1, 1]
 
 
-def test_sweep_hands_on_the_failure():
+def test_a_sweep_passes_on_the_failure():
     with pytest.raises(ZeroDivisionError, match="case 3"):
         sweep(fail, [3], workers=1)
 
@@ -740,7 +742,7 @@ def test_nothing_is_imported_from_the_current_directory(code, tmp_path):
 
 
 def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
-    """Of its thread, directory and variables; one that works ends with its worker."""
+    """With the same thread, directory and variables; a busy one ends with its worker."""
 
     def works(seconds=0.0):
         worker = Worker(faultrig.Planner.solve)
@@ -762,7 +764,7 @@ def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
     assert works() not in (first, other)
 
 
-def test_a_run_that_is_over_leaves_its_process_to_the_next():
+def test_a_completed_run_leaves_its_process_to_the_next():
     while _Process.idle:  # of other tests
         _Process.idle.pop().kill()
     nodes = {
@@ -782,7 +784,7 @@ def test_a_run_that_is_over_leaves_its_process_to_the_next():
     assert second.block.worker._process is None
 
 
-def test_sweep_names_the_missing_package(monkeypatch):
+def test_a_sweep_names_the_missing_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delenv("SOFTRIG_COMMAND", raising=False)  # as where the wheel is installed
     with pytest.raises(
@@ -806,7 +808,7 @@ def test_an_address_without_a_scheduler_is_named(monkeypatch):
 
 
 class Cluster:
-    """A scheduler whose workers say what they are made of, and that goes away when it gets work."""
+    """A scheduler whose workers report their versions, and that disappears when it gets work."""
 
     status = "closed"
 
@@ -837,7 +839,7 @@ class Cluster:
         pass
 
 
-def test_peers_that_lack_softrig_or_have_other_versions_are_named():
+def test_workers_without_softrig_or_with_other_versions_are_named():
     sweeping._check_peers(Cluster(workers={"tcp://a:1": {}}), "tcp://s:8786")
     lacks = ModuleNotFoundError("No module named 'softrig_optim'")
     for cluster, text in (
@@ -856,7 +858,7 @@ def test_peers_that_lack_softrig_or_have_other_versions_are_named():
         )
 
 
-def test_a_scheduler_that_goes_away_says_how_to_go_on(monkeypatch):
+def test_a_disappeared_scheduler_is_reported_with_how_to_continue(monkeypatch):
     import distributed
 
     monkeypatch.setattr(distributed, "as_completed", lambda: iter(()))
@@ -868,7 +870,7 @@ def test_a_scheduler_that_goes_away_says_how_to_go_on(monkeypatch):
         workers.map(abs, [1])
 
 
-def test_sweep_on_a_local_cluster():
+def test_a_sweep_runs_on_a_local_cluster():
     import distributed
 
     local = distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None)
@@ -901,8 +903,8 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("threads", [[], ["a thread"]])
-def test_workers_are_forked_where_nothing_would_be_lost(tmp_path, threads):
-    """They share what their parent has imported: 35 MB of their own at most; beside a thread they start anew."""
+def test_workers_are_forked_if_nothing_would_be_lost(tmp_path, threads):
+    """They share what their parent has imported: 35 MB of their own at most; beside a thread they are started fresh."""
     script = FORKED
     if threads:
         script = FORKED.replace(

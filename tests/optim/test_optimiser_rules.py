@@ -1,4 +1,4 @@
-"""The optimiser tick by tick: measurements and buttons at random, plants that change.
+"""The optimiser tick by tick: random measurements and buttons, changing plants.
 
 Source: its page, as a naive model of the contract tick by tick.
 """
@@ -28,7 +28,7 @@ class Transformer:
 
 
 class ProvenParams(SearchParams):
-    """Of a search that ends with a proof."""
+    """Parameters of a search that ends with a proof."""
 
     transients: bool = param(False, "whether it looks on the way")
     max_slew: float = param(0.0, "slew")
@@ -40,7 +40,7 @@ class ProvenParams(SearchParams):
 
 
 class OfPower:
-    """What is searched for is the product of both measurements."""
+    """The search maximises the product of both measurements."""
 
     def objective(self, sample):
         return sample[0] * sample[1]
@@ -53,7 +53,7 @@ class OfPower:
 
 
 class Proven(OfPower, CommandOptimiser[ProvenParams]):
-    """A source of which something is proven."""
+    """A source with a proven optimum."""
 
     ports = Optimiser.ports
 
@@ -63,7 +63,7 @@ class Scanned(OfPower, Optimiser):
 
 
 class Account:
-    """The page of `CommandOptimiser` as one would do it by hand."""
+    """The page of `CommandOptimiser`, implemented independently."""
 
     def __init__(self, make, rng, falls, *, hold, window, settle, threshold, rescan, floor, autostart, slew):
         self.make, self.rng, self.falls, self.hold, self.n, self.settle = make, rng, falls, hold, window, settle
@@ -83,7 +83,7 @@ class Account:
         return tuple(self.search.upper.tolist())
 
     def begin(self, k, style=None):
-        """A new search, with the random numbers of the one before."""
+        """Begin a new search, with the random numbers of the one before."""
         self.search = self.make(copy.deepcopy(self.rng if self.command is None else self.search.rng))
         self.phase, self.began, self.restarts, self.target = SEARCH, k, self.restarts + 1, self.search.ask()
         self.proven = math.isfinite(self.search.gap)
@@ -107,7 +107,7 @@ class Account:
         return self.threshold > 0.0 and abs(value - reference) > part * self.threshold * abs(reference)
 
     def forget(self, k):
-        """A bad sample: a candidate is measured for a whole dwell again."""
+        """After a bad sample a candidate is measured for a whole dwell again."""
         self.since_arrival = []
         if self.phase == SEARCH and self.arrived is not None:
             self.arrived = k
@@ -150,7 +150,7 @@ class Account:
         return self.move(k)
 
     def waiting(self, k):
-        """For the signal to come back, a look each dwell."""
+        """Wait for the signal to return, with a check each dwell."""
         if self.arrived is not None and k - self.arrived >= self.hold:
             if self.floor is None or self.mean() > self.floor:
                 self.begin(k)
@@ -269,7 +269,7 @@ class Account:
         self.note()
 
     def calls(self, k, mean, held):
-        """Whether the value held calls for a new search, now."""
+        """Return whether the held value requires a new search now."""
         if self.no_signal(mean):
             self.said.add("no signal")
             self.lost = True
@@ -286,7 +286,7 @@ class Account:
         return self.off == 2
 
     def refuted(self, k, mean):
-        """As often as not it was tried: once, and thrice where it was broken off; then later and later."""
+        """Return whether a proof is refuted: once, and after three interruptions; then later and later."""
         free = 3 if self.broken else 1
         if not self.broken:
             if not self.differs(mean, self.search.expected):
@@ -298,7 +298,7 @@ class Account:
 
 
 class Episode:
-    """A source of which the command turns the load, another one now and then; what is measured is bad or refused."""
+    """A source whose load the command changes, another one now and then; some measurements are bad or rejected."""
 
     def __init__(self, seed, calm, floor, threshold):
         self.rng, self.calm, self.level, self.drift, self.down = random.Random(seed), calm, 1.0, 0.0, [False] * 3
@@ -392,7 +392,7 @@ def built(**changes):
         ({"upper": (0.0,)}, "lower < upper"),
     ],
 )
-def test_times_and_bounds_that_cannot_be_are_refused_at_once(changes, refused):
+def test_impossible_times_and_bounds_are_refused(changes, refused):
     if not refused:
         assert built(**changes)
     else:
@@ -401,7 +401,7 @@ def test_times_and_bounds_that_cannot_be_are_refused_at_once(changes, refused):
 
 
 @pytest.mark.parametrize(("value", "phase"), [(0.5, SEARCH), (0.5000001, HOLD)])
-def test_what_just_reaches_the_floor_is_no_signal(value, phase):
+def test_a_signal_exactly_at_the_floor_is_no_signal(value, phase):
     block = ByHand(built(floor=0.5, measure_window=0.01))
     block.reset(0)
     for k in range(60):
@@ -410,7 +410,7 @@ def test_what_just_reaches_the_floor_is_no_signal(value, phase):
 
 
 @pytest.mark.parametrize(("value", "restarts"), [(0.5, 0), (0.5000001, 1)])
-def test_a_signal_that_just_reaches_the_floor_is_not_back(value, restarts):
+def test_a_signal_exactly_at_the_floor_is_not_back(value, restarts):
     block = ByHand(built(floor=0.5, measure_window=0.01))
     block.reset(0)
     for k in range(40):

@@ -1,4 +1,4 @@
-"""Each swarm moves by its published rule: every candidate against loops over numbers, written from the formulas."""
+"""Each swarm moves by its published rule: every candidate against plain loops written from the formulas."""
 
 import inspect
 import itertools
@@ -24,12 +24,12 @@ LOWER, UPPER = (0.5, 1.0, 0.2), (3.5, 2.2, 0.9)  # unlike in all, so that what m
 
 
 def steps(x):
-    """A cost with many equals, so that their order counts."""
+    """A cost with many equal values, so that their order counts."""
     return float(round(2.0 * ((x[0] - 2.0) ** 2 + 3.0 * abs(x[1] - 1.9) + math.cos(20.0 * x[2]))))
 
 
 class Rule:
-    """What the rules share: the box, the random numbers as the search draws them, the record of what was evaluated."""
+    """The common part of the rules: the box, the random numbers as the search draws them, the record of evaluations."""
 
     def __init__(self, seed, n, iterations):
         self.rng, self.n, self.iterations, self.record = np.random.default_rng(seed), n, iterations, []
@@ -198,8 +198,8 @@ def genes(rule, blend=0.5, mutation=0.1, step=0.1, elite=1):
     ],
 )
 @pytest.mark.parametrize(("n", "iterations"), [(6, 7), (11, 4)])
-def test_each_candidate_is_that_of_the_published_rule(algorithm, rule, settings, n, iterations):
-    """What a rule does not say, the order of its random draws, is the search's: golden bags hold that, too."""
+def test_each_candidate_follows_the_published_rule(algorithm, rule, settings, n, iterations):
+    """The order of its random draws is not published; it is that of the search, which golden bags fix, too."""
     search = algorithm(LOWER, UPPER, 11, n_pop=n, n_iter=iterations, **settings)
     run(search, steps)
     expected = Rule(11, n, iterations)
@@ -207,8 +207,8 @@ def test_each_candidate_is_that_of_the_published_rule(algorithm, rule, settings,
     np.testing.assert_allclose([e.x for e in search.history], expected.record, rtol=1e-9)
 
 
-def test_what_nobody_says_is_as_published():
-    """Defaults of all searches, of [1] as their pages say where it has them."""
+def test_defaults_are_as_published():
+    """Defaults of all searches, from [1] as their pages say."""
     entries = {
         kind.__name__: {
             name: p.default
@@ -344,8 +344,8 @@ QUARTERS = st.integers(-1, 12).map(lambda n: n / 4.0)
 @example([(0.0, 0.0)] * 40, 2, True)
 @example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(2.0, 1.0)] * 37, 2, True)
 @example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(0.5, 0.5)] * 37, 2, True)  # of equals the first is the best
-def test_searches_along_the_load_line_go_where_their_rule_says(samples, corrections, gap):
-    """Of any measurements, also such as no source gives: the commands, what is best, and what is proven when."""
+def test_searches_along_the_load_line_follow_their_rule(samples, corrections, gap):
+    """For any measurements, also impossible ones: the commands, the best, and what is proven when."""
     settings_of = {CertifiedSearch: {"eps": 0.5 if gap else 0.0, "n_iter": 9}, RampScan: {"n_ramp": 7}}
     for kind, reported in settings_of.items():
         rule = LoadLine(samples, corrections)
@@ -363,7 +363,9 @@ def test_searches_along_the_load_line_go_where_their_rule_says(samples, correcti
 
 
 def check_bound(search, seen, eps):
-    """No proof before the third measurement, nor where a current rises with the voltage by more than the gap."""
+    """Check that nothing is proven before the third measurement, nor where the current rises with the voltage by more
+    than the gap.
+    """
     row, best = sorted(seen[: max(3, search.iteration + 3)]), search.expected
     rises = any((j - i) * w > eps * best for (_, i), (w, j) in itertools.combinations(row, 2) if w > 0.0)
     if len(seen) < 3 or rises:
@@ -374,7 +376,7 @@ def check_bound(search, seen, eps):
     assert search.gap == eps
 
 
-def test_what_is_passed_on_the_way_is_seen():
+def test_samples_on_the_way_to_a_command_are_used():
     search = CertifiedSearch([0.5], [2.0], matching=Transformer(), transients=True)
     assert (search.watches, CertifiedSearch([0.5], [2.0], matching=Transformer()).watches) == (True, False)
     search.watch((4.0, 1.5))

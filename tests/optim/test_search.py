@@ -16,7 +16,7 @@ from softrig_optim.sweep import Workers, _own_imports, progress, sweep
 
 
 class Walk(Search):
-    """Goes on by what it was told and what it has seen on the way; ends after five values."""
+    """Continues from its results and from samples on the way; ends after five values."""
 
     def moves(self):
         seen = 0.0
@@ -33,8 +33,8 @@ class Walk(Search):
         self.passed += sample[0]
 
 
-def test_a_search_as_a_value_goes_on_from_any_of_its_past():
-    """Also after another line has gone on from there; equal by what was said, and copied with it."""
+def test_a_search_as_a_value_continues_from_any_of_its_past():
+    """Also after another branch has continued from there; equal by its calls, and copied with them."""
     made = []
 
     def make(rng):
@@ -71,7 +71,7 @@ def test_a_search_as_a_value_goes_on_from_any_of_its_past():
     assert native.python() is line[2]
 
 
-def test_a_search_says_what_it_knows():
+def test_a_search_reports_what_it_knows():
     search = ParticleSwarm([0.0], [1.0], 0, n_pop=2, n_iter=1, maximise=True)
     assert (search.bound, search.gap, search.settle, search.watches, search.remembers) == (
         None,
@@ -103,7 +103,7 @@ def test_a_search_says_what_it_knows():
 
 
 def test_progress_is_reported_by_tenths_or_after_ten_seconds(monkeypatch, capsys):
-    """Where nobody looks at a terminal; nothing when it is to be quiet."""
+    """Without a terminal; nothing in quiet mode."""
     clock = [0.0]
     monkeypatch.setattr("softrig_optim.sweep.time", SimpleNamespace(monotonic=lambda: clock[0]))
     monkeypatch.setattr("sys.stderr.isatty", lambda: False)
@@ -139,7 +139,7 @@ def test_progress_is_reported_by_tenths_or_after_ten_seconds(monkeypatch, capsys
         (0.125, 3, 2, 0, []),
     ],
 )
-def test_cases_are_handed_over_in_chunks_of_a_quarter_of_a_second(mean, room, workers, cases, sizes):
+def test_cases_are_sent_in_chunks_of_a_quarter_of_a_second(mean, room, workers, cases, sizes):
     pool = Workers(workers)
     pool._mean = mean
     left = iter(enumerate(range(cases)))
@@ -149,7 +149,7 @@ def test_cases_are_handed_over_in_chunks_of_a_quarter_of_a_second(mean, room, wo
     assert next(left, (sum(sizes),))[0] == sum(sizes)  # no more were taken
 
 
-def test_how_long_a_case_takes_is_that_of_the_newest_chunks():
+def test_the_duration_of_a_case_is_estimated_from_the_newest_chunks():
     pool, means = Workers(2), []
     for seconds in (4.0, 1.0, 6.0):
         assert list(pool._numbered([(7, "a"), (9, "b")], (["x", "y"], seconds))) == [(7, "x"), (9, "y")]
@@ -158,7 +158,7 @@ def test_how_long_a_case_takes_is_that_of_the_newest_chunks():
 
 
 @pytest.mark.parametrize("deaths", [0, 1, 2, 3])
-def test_a_case_whose_worker_dies_three_times_is_given_up_and_no_other_is_lost(monkeypatch, deaths):
+def test_a_case_whose_worker_dies_three_times_is_abandoned_and_no_other_is_lost(monkeypatch, deaths):
     asked = []
 
     def submit(self, function, chunk):
@@ -191,7 +191,7 @@ def test_a_sweep_has_no_more_workers_than_cases(monkeypatch):
     assert Workers()._count == 5
 
 
-def test_nobody_imports_from_the_current_directory_while_a_process_starts(monkeypatch):
+def test_no_process_imports_from_the_current_directory_while_it_starts(monkeypatch):
     for before in (None, "", "0"):
         monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
         if before is not None:

@@ -1,4 +1,4 @@
-"""Arrays: their bytes, and the number in their layout that stands for the stamp which they have not."""
+"""Arrays: their bytes, and the number in their layout that replaces the stamp which they lack."""
 
 from itertools import count
 
@@ -27,7 +27,7 @@ types = store.types
 
 
 def message(dims, values):
-    """What somebody writes who knows ROS and not us."""
+    """A message as written by somebody who knows ROS and not softrig."""
     dimension, layout = types["std_msgs/msg/MultiArrayDimension"], types["std_msgs/msg/MultiArrayLayout"]
     strides = np.cumprod([size for _, size in reversed(dims)])[::-1].tolist()
     dim = [dimension(label, size, stride) for (label, size), stride in zip(dims, strides, strict=True)]
@@ -46,7 +46,7 @@ def test_array_bytes_are_those_of_the_ros_type():
     assert Decoder(MATRIX)(data) == (17, values)
 
 
-def test_a_reader_that_knows_nothing_of_the_number_sees_the_matrix():
+def test_a_reader_that_ignores_the_number_sees_the_matrix():
     values = np.arange(6.0)
     result = store.deserialize_cdr(MATRIX.layout().encode(4, values.tolist()), MULTI)
     dim, offset = result.layout.dim, result.layout.data_offset
@@ -69,7 +69,7 @@ def test_every_number_has_as_many_bytes(number):
 
 
 @pytest.mark.parametrize("number", [-1, 10**12])
-def test_a_number_beyond_twelve_digits_is_no_number(number):
+def test_a_number_beyond_twelve_digits_is_not_a_number(number):
     with pytest.raises(ValueError, match=f"message number {number}"):
         MATRIX.layout().encode(number, (0.0,) * 6)
 
@@ -77,7 +77,7 @@ def test_a_number_beyond_twelve_digits_is_no_number(number):
 @pytest.mark.parametrize(
     ("label", "number"), [("row", -1), ("row; sequence 5", 5), ("row; sequence 000000000000005", 5)]
 )
-def test_others_may_leave_the_number_out_or_write_it_as_they_like(label, number):
+def test_others_may_omit_the_number_or_format_it_as_they_like(label, number):
     decode, values = Decoder(MATRIX), tuple(map(float, range(6)))
     data = message([(label, 2), ("column", 3)], values)
     assert [decode(data), decode(MATRIX.layout().encode(7, values)), decode(data)] == [
@@ -88,7 +88,7 @@ def test_others_may_leave_the_number_out_or_write_it_as_they_like(label, number)
 
 
 @pytest.mark.parametrize("label", ["row; sequence ", "row; sequence -5", "row; sequence 0x5", "row sequence 5"])
-def test_a_label_that_says_no_number_is_another_label(label):
+def test_a_label_without_a_number_is_another_label(label):
     decode = Decoder(MATRIX)
     decode(MATRIX.layout().encode(7, (0.0,) * 6))
     with pytest.raises(Refused, match=r"expected {'row': 2, 'column': 3}"):
@@ -152,7 +152,7 @@ ARRAYS = {"plant": "plant", "spread": "spread", "peaks": "peaks", "weigh": "weig
 
 
 class Meddler(World):
-    """A graph that hands over other messages than one topic was given: `change` gives what becomes of message k."""
+    """A graph that delivers changed messages of one topic: `change` returns the replacement of message k."""
 
     def __init__(self, topic, change, **options):
         super().__init__(**options)
@@ -230,7 +230,7 @@ def test_arrays_without_a_number_pair_by_order(loop, topic):
 
 
 @pytest.mark.parametrize(("topic", "sender"), [("lag/matrix", "spread"), ("lag/peaks", "peaks")])
-def test_a_repeated_array_is_refused_and_the_run_goes_on_with_the_same_numbers(loop, topic, sender):
+def test_a_repeated_array_is_rejected_and_the_run_continues_with_the_same_numbers(loop, topic, sender):
     run = SimulatedRig(loop, Meddler(topic, twice), "lockstep")
     assert set(run.run().values()) == {"done"}
     assert differences(in_process(loop), run.recording) == []
@@ -241,7 +241,7 @@ def test_a_repeated_array_is_refused_and_the_run_goes_on_with_the_same_numbers(l
 
 
 @pytest.mark.parametrize(("topic", "sender"), [("lag/matrix", "spread"), ("lag/peaks", "peaks")])
-def test_a_skipped_number_ends_the_run_at_once_and_is_named(loop, topic, sender):
+def test_a_skipped_number_ends_the_run_immediately_and_is_named(loop, topic, sender):
     run = SimulatedRig(loop, Meddler(topic, skipping), "lockstep")
     assert set(run.run().values()) == {"failed"}
     assert str(run.adapters["weigh"].error) == f"{topic}: number 6 from {sender}, expected 5 (1 lost)"
@@ -255,8 +255,8 @@ def test_a_lost_array_is_waited_for_by_name(loop, topic, sender):
     assert len(run.recording.topics["lag/command"].data) == (5 if sender == "spread" else 16)
 
 
-def test_a_lost_array_of_who_runs_ahead_is_named_by_the_next_one():
-    """Nobody who is waited for needs it to go on, as of a fast sender with a slow reader."""
+def test_a_lost_array_of_a_fast_sender_is_named_by_the_next_one():
+    """No awaited node needs it to continue, as with a fast sender and a slow subscriber."""
     nodes = {
         "plant": "plant",
         "spread": "spread",
@@ -270,8 +270,8 @@ def test_a_lost_array_of_who_runs_ahead_is_named_by_the_next_one():
     assert str(run.adapters["watch"].error) == "lag/matrix: number 6 from spread, expected 5 (1 lost)"
 
 
-def test_a_bad_array_is_answered_and_a_better_one_comes_too_late(loop):
-    """A law answers by what it holds; what has the same number again is no message of the next tick."""
+def test_a_bad_array_is_answered_and_a_better_one_arrives_too_late(loop):
+    """A controller answers with what it holds; a message with the same number is not one of the next tick."""
     bad = SPREAD.layout().encode(5, (float("nan"), 0.0))
     run = SimulatedRig(loop, Meddler("lag/matrix", lambda k, data: [bad, data] if k == 5 else [data]), "lockstep")
     assert set(run.run().values()) == {"done"}
@@ -303,7 +303,7 @@ class Push(Block):
         return x, {"push": (1.0 - state[0],)}
 
 
-def test_a_plant_takes_the_better_array_after_a_bad_one():
+def test_a_plant_accepts_the_better_array_after_a_bad_one():
     pair = Rig.from_blocks({"plant": Pushed(), "law": Push()}, 0.2)
     bad = PUSH.layout().encode(5, (float("nan"),))
     run = SimulatedRig(pair, Meddler("lag/push", lambda k, data: [bad, data] if k == 5 else [data]), "lockstep")
@@ -315,7 +315,7 @@ def test_a_plant_takes_the_better_array_after_a_bad_one():
 # in real time: the newest one counts
 
 
-def test_in_real_time_a_repeated_array_is_refused_and_a_lost_one_counted(loop):
+def test_in_real_time_a_repeated_array_is_rejected_and_a_lost_one_counted(loop):
     change = {5: lambda data: [data, data], 8: lambda data: [], 9: lambda data: []}
     run = SimulatedRig(loop, Meddler("lag/matrix", lambda k, data: change.get(k, lambda d: [d])(data)), "realtime")
     assert set(run.run().values()) == {"done"}
@@ -327,7 +327,7 @@ def test_in_real_time_a_repeated_array_is_refused_and_a_lost_one_counted(loop):
     assert weigh.step.reports["lost lag/matrix"][:2] == (Level.WARN, "2 messages of spread are lost")
 
 
-def test_in_real_time_arrays_without_a_number_are_taken(loop):
+def test_in_real_time_arrays_without_a_number_are_accepted(loop):
     run = SimulatedRig(loop, Meddler("lag/matrix", bare), "realtime")
     assert set(run.run().values()) == {"done"}
     assert [(i.refused, i.lost) for i in run.adapters["weigh"].inputs] == [(0, 0)] * 2
@@ -335,8 +335,8 @@ def test_in_real_time_arrays_without_a_number_are_taken(loop):
 
 
 @pytest.mark.parametrize(("first", "matched"), [(0, False), (3, True)])
-def test_in_real_time_a_sender_that_comes_again_counts_from_the_beginning(loop, first, matched):
-    """A bag in a loop begins with number 0; of a new publisher the first ones may have been missed."""
+def test_in_real_time_a_returning_sender_counts_from_its_first_number(loop, first, matched):
+    """A bag in a loop begins with number 0; the first ones of a new publisher may have been missed."""
     again = count(first)
     world = Meddler("lag/matrix", lambda k, data: [renumbered(data, next(again))] if k >= 12 else [data])
     run = SimulatedRig(loop, world, "realtime")
@@ -377,7 +377,7 @@ NUMBER = 'f"row; sequence {k}"'
 
 
 def with_outside_sender(label, twice, directory):
-    """Run the rig with a plain rclpy node in place of the one that sends the matrix."""
+    """Run the rig with a plain rclpy node in place of the one that publishes the matrix."""
     nodes = ARRAYS | {"spread": {"executable": "spread", "external": True}}
     wired = rig_of(make_scenario(nodes, 0.3, timeout=60.0))
     code, outside = OUTSIDE.replace("LABEL", label).replace("TWICE", str(twice)), []

@@ -1,4 +1,4 @@
-"""Nodes that go by /clock and copy no stamp, in lockstep: real rclpy, in processes of their own."""
+"""Nodes with a timer under /clock that copy no stamp, in lockstep: real rclpy, in separate processes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def rig(duration: float = 0.3, **external: Any) -> Rig:
 
 
 def expected(run: Any, delay: int) -> list[float]:
-    """The law by hand on what the rig has published: a timer's first message is at one period."""
+    """The controller computed independently from what the rig published: a timer first fires after one period."""
     speeds = run.signals["motor/state/shaft/velocity"][1].tolist()
     reference = run.signals["motor/reference/shaft/velocity"][1][0]
     integral, result = 0.0, [0.0] * delay
@@ -101,7 +101,7 @@ def test_its_answers_are_those_of_the_inputs_of_the_tick(kind: str, more: dict[s
         ("message", {}, r"before its first message is due; a node that answers each message has first:"),
     ],
 )
-def test_what_it_does_otherwise_ends_the_run_by_name(kind: str, more: dict[str, Any], message: str) -> None:
+def test_a_node_that_behaves_differently_ends_the_run_by_name(kind: str, more: dict[str, Any], message: str) -> None:
     with started(kind), pytest.raises(RunError, match=message):
         simulate(rig(**more))
 
@@ -120,7 +120,7 @@ def test_what_it_does_otherwise_ends_the_run_by_name(kind: str, more: dict[str, 
         ),
     ],
 )
-def test_what_a_node_lacks_is_reported_while_it_is_waited_for(
+def test_what_a_node_lacks_is_reported_while_the_rig_waits_for_it(
     kind: str, external: dict[str, Any], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     node = started(kind, sim_time="reads" in external) if kind else nullcontext()
@@ -136,7 +136,7 @@ def test_what_a_node_lacks_is_reported_while_it_is_waited_for(
         ({"answers": "order"}, r"answers"),
     ],
 )
-def test_what_does_not_fit_is_refused(external: dict[str, Any], message: str) -> None:
+def test_a_mismatch_is_refused(external: dict[str, Any], message: str) -> None:
     with pytest.raises((ScenarioError, ValueError), match=message):
         rig(**external)
 

@@ -1,4 +1,4 @@
-"""Real time on a container's exchange, with a clock that stands in for the machine's: nothing depends on speed."""
+"""Real time on a container's exchange, with a clock in place of the machine's: nothing depends on speed."""
 
 import json
 import time
@@ -32,7 +32,7 @@ SECOND = 1_000_000_000
 
 
 class StandIn:
-    """A clock that moves only when somebody waits; what is worked out takes no time."""
+    """A clock that moves only when a thread waits; computation takes no time."""
 
     def __init__(self):
         self.t = time.monotonic_ns()
@@ -56,7 +56,7 @@ class PatientExchange(Exchange):
 
 
 class Contained:
-    """All nodes of a rig on one exchange, without ROS: `carried` gets what is for other processes, by topic."""
+    """All nodes of a rig on one exchange, without ROS: `carried` gets the messages for other processes, by topic."""
 
     def __init__(self, rig, monkeypatch, seed=0):
         self.clock = StandIn()
@@ -133,7 +133,7 @@ def shortened(name, duration):
         pytest.param("lsrm_fuzzy", 0.02, marks=pytest.mark.long),
     ],
 )
-def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration, monkeypatch):
+def test_messages_that_a_node_publishes_together_give_the_numbers_of_lockstep(name, duration, monkeypatch):
     rig = shortened(name, duration)
     expected = Signals(in_process(rig))
     run = Contained(rig, monkeypatch)
@@ -151,7 +151,7 @@ def test_what_a_node_says_together_gives_the_numbers_of_lockstep(name, duration,
                 assert np.array_equal(a.x[:n], b.x[:n]), f"{port.topic}/{label}"
 
 
-def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monkeypatch):
+def test_a_held_input_published_together_with_an_awaited_one_belongs_to_the_same_tick(monkeypatch):
     extra = command("extra", "lag/extra", ("u",), "N", held=True)
 
     class Both(Lag):
@@ -181,8 +181,8 @@ def test_a_held_input_said_together_with_an_awaited_one_is_of_the_same_tick(monk
         pytest.param(70_000_000, (6, 1), (0.12,), {0.15: 0.10}, id="too late to say all of it"),
     ],
 )
-def test_who_is_late_answers_with_what_had_been_said_by_its_tick(held, missed, without, used, monkeypatch):
-    """Some ticks of the plant are gone at once, among them one or two of the law."""
+def test_a_late_node_answers_with_the_messages_published_by_its_tick(held, missed, without, used, monkeypatch):
+    """Some ticks of the plant are skipped, and with them one or two of the controller."""
     extra = command("extra", "lag/extra", ("u",), "N")
 
     class Both(Lag):
@@ -212,8 +212,8 @@ def test_who_is_late_answers_with_what_had_been_said_by_its_tick(held, missed, w
 
 
 @pytest.mark.parametrize(("periods", "missed", "late"), [(6, 0, 5), (12, 11, 0)])
-def test_a_law_that_was_slow_once_has_not_been_silent(periods, missed, late, monkeypatch):
-    """Its command comes after more periods of the plant than a silence has; a few of them are said late."""
+def test_a_controller_that_was_slow_once_does_not_count_as_silent(periods, missed, late, monkeypatch):
+    """Its command arrives after more periods of the plant than a timeout has; a few of them are published late."""
     slow = []
 
     class Slow(Block):
@@ -233,7 +233,7 @@ def test_a_law_that_was_slow_once_has_not_been_silent(periods, missed, late, mon
     assert plant.drive.statistics().get("late_ticks", 0) == late
 
 
-def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):
+def test_messages_with_an_external_subscriber_are_also_sent(monkeypatch):
     run = Contained(shortened("induction_dtc", 0.02), monkeypatch)
     run.readers["/currents_meas"](1)
     run.run()
@@ -243,7 +243,7 @@ def test_what_somebody_outside_reads_is_carried_beside(monkeypatch):
     assert not any(data for topic, data in run.carried.items() if topic != "/currents_meas")
 
 
-def test_of_two_writers_none_is_believed_until_one_has_gone(monkeypatch):
+def test_of_two_writers_none_is_accepted_until_one_has_gone(monkeypatch):
     run = Contained(shortened("induction_dtc", 0.05), monkeypatch)
     controller = run.adapters["dtc_controller"]
     item = next(i for i in controller.inputs if i.name == "currents_meas")
@@ -263,7 +263,7 @@ def test_of_two_writers_none_is_believed_until_one_has_gone(monkeypatch):
     assert controller.ticks > ticks + 190
 
 
-def test_a_message_that_fails_is_answered_by_what_was_said_and_its_neighbours_are_used(monkeypatch):
+def test_a_message_that_fails_is_answered_by_the_previous_one_and_its_neighbours_are_used(monkeypatch):
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 1.0))
     run = Contained(rig, monkeypatch)
     run.run(run.epoch + SECOND // 10)
@@ -283,7 +283,7 @@ def test_a_message_that_fails_is_answered_by_what_was_said_and_its_neighbours_ar
 
 
 class Collector:
-    """Stands in for `gc`: finds what it is told to find."""
+    """Stands in for `gc`: reports what the test sets."""
 
     def __init__(self):
         self.found, self.searches, self.frozen = 0, 0, 0
@@ -299,7 +299,7 @@ class Collector:
         self.threshold = number
 
 
-def test_cycles_are_searched_for_seldom_while_there_are_none_and_as_usual_while_there_are():
+def test_the_garbage_collector_runs_rarely_while_it_finds_nothing_and_as_usual_otherwise():
     collector = Collector()
     garbage = Garbage(collector)
     assert collector.threshold == YOUNG
@@ -317,7 +317,7 @@ def test_cycles_are_searched_for_seldom_while_there_are_none_and_as_usual_while_
     assert (collector.searches, collector.frozen) == (5, 1 + CLEAN)
 
 
-def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatch):
+def test_a_status_is_complete_while_it_is_changed_in_place(tmp_path, monkeypatch):
     run = Contained(shortened("induction_dtc", 0.02), monkeypatch)
     plant = run.adapters["im_plant"]
     path = tmp_path / "im_plant.status"
@@ -343,8 +343,8 @@ def test_a_status_is_whole_while_it_is_changed_in_its_place(tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize("states", [("failed", "done"), ("done", "done"), ("failed", "failed")])
-def test_a_container_whose_nodes_have_all_ended_waits_for_nobody(monkeypatch, states):
-    """Only beside one that still runs does a node that gave up leave the others a second."""
+def test_a_container_whose_nodes_have_all_ended_does_not_wait(monkeypatch, states):
+    """Only beside a running node does a failed one leave the others a second."""
     asked, now = [], time.monotonic_ns()
     monkeypatch.setattr(container_module.rclpy, "ok", lambda: True)
     container = object.__new__(Container)
@@ -356,7 +356,7 @@ def test_a_container_whose_nodes_have_all_ended_waits_for_nobody(monkeypatch, st
     assert awake == container_module.SPIN  # who waits longer sleeps
 
 
-def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():
+def test_ticks_older_than_the_window_are_dropped_except_the_newest():
     """One that is exactly as old as the window is still answered."""
     answered, timer = [], SimpleNamespace(cancel=lambda: None, again=lambda _: None)
     node = SimpleNamespace(
@@ -383,7 +383,7 @@ def test_ticks_older_than_the_window_are_dropped_but_for_the_newest():
     assert (answered, answering.dropped) == ([100], 2)
 
 
-def test_by_hand_a_law_begins_with_the_tick_of_its_first_message():
+def test_a_controller_started_alone_begins_with_the_tick_of_its_first_message():
     node = SimpleNamespace(epoch=0, is_plant=False, schedule=SimpleNamespace(held=lambda stamp: stamp // 10 * 10))
     row = object.__new__(Live)
     row.node, row.port, row.table = node, SimpleNamespace(stamped=True, held=False), SimpleNamespace(clock=lambda: 130)

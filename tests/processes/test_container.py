@@ -1,4 +1,6 @@
-"""All nodes of a rig in one process: the same bytes as through processes and in process, the same words on faults."""
+"""All nodes of a rig in one process: the same bytes as through processes and in process, the same messages on
+faults.
+"""
 
 import json
 import os
@@ -48,13 +50,13 @@ DAILY = ("dc_motor_fsfb", "economic_dispatch", "fault_location", "induction_dtc"
 
 
 def run(wired, directory, seed=0, groups=None, domain=None, clock="lockstep", listener=NOBODY):
-    """Run a rig in one container, or in those that are given."""
+    """Run a rig in one container, or in the given ones."""
     groups = [[m.name for m in wired.members]] if groups is None else groups
     return run_processes(wired, seed, directory, Placement(domain=domain, containers=groups, clock=clock), listener)
 
 
 def short(name, ticks):
-    """A scenario for so many ticks, and three of its slowest node."""
+    """A scenario shortened to some ticks, at least three of its slowest node."""
     whole = rig_of(name)
     slowest = max(m.schedule.period for m in whole.members)
     least = max(ticks * whole.clock.schedule.period, 3 * slowest)
@@ -89,7 +91,7 @@ def test_every_scenario_gives_the_bytes_of_the_run_in_process(name, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", HEADLINES)
-def test_a_headline_through_processes_and_in_a_container(name, tmp_path):
+def test_a_headline_scenario_through_processes_and_in_a_container(name, tmp_path):
     wired = short(name, 1000)
     processes = run(wired, tmp_path / "processes", wired.scenario.seed, groups=[])
     container = run(short(name, 1000), tmp_path / "container", wired.scenario.seed)
@@ -98,7 +100,7 @@ def test_a_headline_through_processes_and_in_a_container(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", few(RIGS, 4))
-def test_rigs_of_all_shapes(name, tmp_path):
+def test_rigs_of_all_shapes_run_in_a_container(name, tmp_path):
     nodes, duration = RIGS[name]
     outcome = run(rig(nodes, duration), tmp_path, 7)
     equal_to_in_process(rig(nodes, duration), outcome, 7)
@@ -114,7 +116,7 @@ def test_some_nodes_share_a_process(groups, tmp_path):
     equal_to_in_process(rig(BASIC), outcome)
 
 
-def test_containers_of_a_scenario_are_judged():
+def test_containers_of_a_scenario_are_checked():
     scenario = make_scenario(BASIC, containers=[["plant", "source"]])
     assert scenario.containers == (("plant", "source"),)
     with pytest.raises(ValueError, match="containers: no node 'plan'; the nodes are plant, source, gain"):
@@ -148,7 +150,7 @@ print(json.dumps({"nodes": sorted(node.get_node_names()), "noise": asked.result(
 """
 
 
-def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_path):
+def test_each_node_is_on_the_graph_and_the_run_is_unchanged(tmp_path):
     wired, people = rig(BASIC, 1e4), []
     with free_domain() as domain, (tmp_path / "said").open("w") as text:
 
@@ -174,7 +176,7 @@ def test_each_node_is_on_the_graph_for_everybody_and_the_run_stays_as_it_is(tmp_
 
 
 def stopped(call):
-    """A run that is interrupted says so or raises, as the runner sees fit."""
+    """A stopped run returns or raises, as the runner decides."""
     with suppress(KeyboardInterrupt):
         call()
 
@@ -213,7 +215,7 @@ def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
         ("raise", "gain: failed at t = 0.2 s: ArithmeticError: deliberate"),
     ],
 )
-def test_a_failing_node_ends_the_run_with_its_name_and_a_readable_record(how, text, tmp_path):
+def test_a_failing_node_ends_the_run_with_its_name_and_a_readable_recording(how, text, tmp_path):
     wired = rig(BASIC | {"gain": params("killed", how=how, at=0.2)}, 1.0, timeout=2.5)
     outcome = run(wired, tmp_path)
     assert text in outcome.error
@@ -225,7 +227,7 @@ def test_a_failing_node_ends_the_run_with_its_name_and_a_readable_record(how, te
 
 
 def container(directory, *arguments):
-    """Exit status and words of a container that has something to object to."""
+    """Exit status and output of a container that fails to start."""
     command = [find_executable("softrig_nodes", "container"), *arguments]
     with ExitStack() as stack:
         process = fork(stack, "softrig_nodes", "container", command, environment(1, directory))
@@ -294,7 +296,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
     assert "2 publishers on lag/command (/gain, /intruder), expected exactly one" in outcome.error
 
 
-def test_realtime_in_a_container(tmp_path):
+def test_a_rig_runs_in_real_time_in_a_container(tmp_path):
     outcome = run(rig(BASIC), tmp_path, clock="realtime")
     assert outcome.error == ""
     status = outcome.status["plant"]
@@ -305,7 +307,7 @@ def test_realtime_in_a_container(tmp_path):
     assert status["round_trip_p50_ms"] > 0.0
 
 
-def test_a_container_that_is_stopped_leaves_what_it_has(tmp_path):
+def test_a_stopped_container_keeps_its_recordings(tmp_path):
     command = [str(find_executable("softrig_nodes", "container"))]
     for name in BASIC:
         command += [
@@ -336,7 +338,7 @@ def status(directory, name):
 # the exchange alone ----------------------------------------------------------------------------------------------
 
 
-def test_messages_follow_each_other_and_none_is_handed_over_inside_another():
+def test_messages_are_delivered_one_after_the_other_and_never_nested():
     exchange, order, depth = Exchange(), deque(maxlen=4), [0]
     limit = 100_000
 
@@ -353,7 +355,7 @@ def test_messages_follow_each_other_and_none_is_handed_over_inside_another():
     assert list(order) == [limit - 3, limit - 2, limit - 1, limit]
 
 
-def test_what_is_for_others_goes_out_in_bursts_and_when_there_is_time():
+def test_messages_for_others_are_sent_in_bursts_and_when_there_is_time():
     exchange, sent = Exchange(), []
     for k in range(BURST + 1):
         exchange.carry(sent.append, k)
@@ -371,7 +373,7 @@ def test_what_is_for_others_goes_out_in_bursts_and_when_there_is_time():
     assert sent[-1] == "late"
 
 
-def test_a_full_queue_gives_way_in_time_and_an_error_has_an_owner():
+def test_a_full_queue_yields_in_time_and_an_error_names_its_node():
     exchange = Exchange()
 
     def again():
@@ -406,7 +408,7 @@ def test_timers_repeat_and_can_be_moved():
     assert len(fired) == so_far
 
 
-def test_a_timer_that_moves_or_ends_itself_is_obeyed():
+def test_a_timer_can_move_or_end_itself():
     exchange, fired = Exchange(), []
 
     def once():
@@ -422,7 +424,7 @@ def test_a_timer_that_moves_or_ends_itself_is_obeyed():
 # the profile -------------------------------------------------------------------------------------------------------
 
 
-def test_a_profile_keeps_what_it_says_and_gets_ports_and_the_property(tmp_path, monkeypatch):
+def test_a_profile_keeps_its_settings_and_gets_ports_and_the_property(tmp_path, monkeypatch):
     mine = tmp_path / "mine.xml"
     mine.write_text(
         '<?xml version="1.0"?><profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">'
@@ -443,7 +445,7 @@ def test_a_profile_keeps_what_it_says_and_gets_ports_and_the_property(tmp_path, 
 
 
 def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
-    """With the standard ones at 7400 + 250 * domain, no port is that of another participant or of a dead one."""
+    """With the standard ones at 7400 + 250 * domain, no port belongs to another participant or to a dead one."""
     seen = set()
     for k in range(40):
         monkeypatch.setattr(os, "getpid", lambda k=k: 32_700 + k)
@@ -468,8 +470,10 @@ def test_the_well_known_ports_stay_and_the_others_change(monkeypatch):
     assert len(together) == 50
 
 
-def test_a_number_of_which_there_is_a_file_is_chosen_last(tmp_path, monkeypatch):
-    """Who wrote to its dead owner goes on with that file, and what he has for a new one of the name gets lost there."""
+def test_a_port_number_with_an_existing_file_is_chosen_last(tmp_path, monkeypatch):
+    """A process that wrote to its dead owner continues with that file, so its messages to a new owner of the name are
+    lost.
+    """
     for name in ("fastrtps_port9236", "fastrtps_port9237_el", "sem.fastrtps_port1_mutex", "fastrtps_0123456789abcdef"):
         (tmp_path / name).touch()
     assert numbers(tmp_path) == {9236, 9237}
@@ -490,7 +494,7 @@ def test_a_profile_without_a_participant_is_refused(text, why):
         own(text)
 
 
-def test_a_container_without_nodes_says_how_it_is_used(tmp_path):
+def test_a_container_without_nodes_prints_its_usage(tmp_path):
     done = subprocess.run([find_executable("softrig_nodes", "container")], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (2, "")
     assert "PACKAGE EXECUTABLE" in done.stdout
@@ -498,7 +502,7 @@ def test_a_container_without_nodes_says_how_it_is_used(tmp_path):
         assert container(tmp_path, *arguments) == (2, done.stdout)
 
 
-def test_who_has_failed_is_named_by_those_that_had_not_ended(monkeypatch):
+def test_failed_nodes_are_named_among_those_that_had_not_ended(monkeypatch):
     def node(name, state):
         return SimpleNamespace(middleware=SimpleNamespace(name=name), state=state, error=None, waits_for=[])
 

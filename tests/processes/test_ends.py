@@ -1,4 +1,4 @@
-"""How a run ends that is stopped from outside: nodes leave, what was recorded is kept, the status says what it was."""
+"""How a run that is stopped from outside ends: nodes leave, recordings are kept, the status names the signal."""
 
 import fcntl
 import json
@@ -35,7 +35,7 @@ from softrig_nodes.seam import health
 BASIC = {"plant": "plant", "source": "source", "gain": "gain"}
 
 
-def test_a_signal_becomes_an_interrupt_once_and_the_handlers_come_back():
+def test_a_signal_becomes_an_interrupt_once_and_the_handlers_are_restored():
     before = signal.getsignal(signal.SIGTERM)
 
     def stopped_twice():
@@ -52,7 +52,7 @@ def test_a_signal_becomes_an_interrupt_once_and_the_handlers_come_back():
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_signal_that_strikes_where_python_swallows_it_still_stops():
+def test_a_signal_at_a_place_where_python_swallows_it_still_stops():
     class Swallows:
         def __del__(self):
             os.kill(os.getpid(), signal.SIGTERM)
@@ -81,7 +81,7 @@ def test_a_run_under_nohup_outlives_its_terminal(ignored):
         signal.signal(signal.SIGHUP, before)
 
 
-def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
+def test_leftovers_of_dead_processes_are_removed_and_those_of_living_ones_stay(tmp_path):
     names = ["fastrtps_00aa", "fastrtps_00aa_el", "fastrtps_port7411", "fastrtps_port7411_el",
              "sem.fastrtps_port7411_mutex", "fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el",
              "fastrtps_port7661", "fastrtps_port7001", "sem.fastrtps_port7001_mutex", "other"]  # fmt: skip
@@ -111,8 +111,8 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
     assert remove_leftovers(folder=tmp_path) == 1
 
 
-def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_is_dead(tmp_path, monkeypatch):
-    """Who opens it waits for ever."""
+def test_a_node_waits_for_a_port_in_creation_and_removes_one_whose_creator_is_dead(tmp_path, monkeypatch):
+    """A process that opens it would wait forever."""
     monkeypatch.setattr(shared_memory, "AGE", 0.5)
     ports = [tmp_path / f"fastrtps_port{7400 + 250 + k}" for k in range(4)]
     plain = tmp_path / "fastrtps_port7005"  # of a node that is not ours, in any domain
@@ -130,7 +130,7 @@ def test_a_node_waits_for_a_port_that_is_being_made_and_removes_one_whose_maker_
     assert {p.name for p in tmp_path.iterdir()} == {p.name for p in (*ports, other)} - {ports[1].name}
 
 
-def test_what_shared_memory_lacks_is_said(tmp_path, monkeypatch):
+def test_missing_room_in_shared_memory_is_reported(tmp_path, monkeypatch):
     assert lacking(4, tmp_path / "none") == f"{tmp_path}/none: No such file or directory"
     assert lacking(0, tmp_path) == ""
     assert lacking(10**12, tmp_path).startswith(f"{tmp_path} has ")
@@ -146,7 +146,7 @@ exec "$@"
 
 @pytest.mark.long
 @pytest.mark.parametrize("how", ["size=64k", "size=1300k", "size=2600k", "ro"])
-def test_a_run_with_no_room_in_shared_memory_goes_by_udp_and_says_so(how, tmp_path):
+def test_a_run_without_room_in_shared_memory_uses_udp_and_reports_it(how, tmp_path):
     command = [sys.executable, "-m", "softrig_bringup", "run", "dc_motor_smc", "--duration", "0.1", "--no-plots",
                "--mode", "processes", "--out", str(tmp_path / "run")]  # fmt: skip
     done = subprocess.run(["unshare", "-m", "sh", "-c", SMALL, "sh", how, *command], capture_output=True, text=True)
@@ -159,7 +159,7 @@ def test_a_run_with_no_room_in_shared_memory_goes_by_udp_and_says_so(how, tmp_pa
 
 
 def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
-    """Who has it mapped and reads it hears nobody who opens it by its name."""
+    """The process that has mapped it receives nothing from those that open it by its name."""
     monkeypatch.setattr(Ears, "PATIENCE", 0.0)
     names = ("7661", "7661_el", "7662", "7662_el", "7663")
     port, lock, other, others, foreign = (tmp_path / f"fastrtps_port{name}" for name in names)
@@ -183,8 +183,8 @@ def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
     assert Ears().lost() == ""
 
 
-def test_a_process_that_looks_after_its_ports_says_so_in_them(tmp_path):
-    """Else who opens one that idles waits for its reader, up to 20 s."""
+def test_a_process_marks_its_ports_as_alive(tmp_path):
+    """Otherwise a process that opens an idle port waits for its reader, up to 20 s."""
     port, now = tmp_path / "fastrtps_port7661", time.time_ns() // 1_000_000
     head = struct.pack("=4I", 7661, 1, 20_000, 6666)  # the number alone is not enough
     node = struct.pack("=qI2I", now - 30_000, 3, 0, 0) + head + struct.pack("=3I", 512, 1, 7)
@@ -207,7 +207,7 @@ def test_a_process_that_looks_after_its_ports_says_so_in_them(tmp_path):
 
 
 def test_a_node_waits_until_its_reader_has_replaced_a_damaged_port(tmp_path, monkeypatch):
-    """A reader looks at his port after a third of what it may be silent, and on a busy host when it is his turn."""
+    """A reader checks its port after a third of the time that it may be silent, and on a busy host later."""
     third = int(re.search(r"<healthy_check_timeout_ms>(\d+)<", LOOPBACK.read_text())[1]) / 3e3
     assert third + 1.0 < Ears.PATIENCE
     clock = iter((0.0, 50.0, 55.0, *(55.0 + k for k in range(1, 20))))
@@ -218,7 +218,7 @@ def test_a_node_waits_until_its_reader_has_replaced_a_damaged_port(tmp_path, mon
 
 
 def test_ctrl_c_cannot_be_swallowed_while_a_node_starts():
-    """By a module that is being imported, say: the node would wait for its peers."""
+    """For example by a module that is being imported: the node would then wait for its peers."""
     # a shell that starts the tests in the background has SIGINT ignored
     code = (
         "import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -248,8 +248,8 @@ main()
 
 
 @pytest.mark.parametrize(("where", "reported"), [("import slow", ""), ("", "told\n")])
-def test_ctrl_c_while_an_executable_imports_ends_it_without_a_word(where, reported, tmp_path):
-    """A program that is under way, and imports something more, answers as Python does."""
+def test_ctrl_c_while_an_executable_imports_ends_it_silently(where, reported, tmp_path):
+    """A running program that imports something more answers as Python does."""
     (tmp_path / "slow.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
     (tmp_path / "share/ament_index/resource_index/packages").mkdir(parents=True)
     (tmp_path / "share/ament_index/resource_index/packages/mine").touch()
@@ -261,7 +261,7 @@ def test_ctrl_c_while_an_executable_imports_ends_it_without_a_word(where, report
     assert (done.returncode, done.stdout, done.stderr) == (0, reported, "")
 
 
-def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
+def test_no_process_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
     lock = tmp_path / "fastrtps_port7411_el"
     for path in (tmp_path / "fastrtps_port7411", tmp_path / "sem.fastrtps_port7411_mutex", lock):
         path.touch()
@@ -281,7 +281,7 @@ def test_nobody_takes_a_port_while_it_is_removed(tmp_path, monkeypatch):
 
 @pytest.mark.processes
 @pytest.mark.parametrize("mode", ["lockstep", pytest.param("realtime", marks=pytest.mark.long)])
-def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
+def test_an_interrupted_run_returns_its_recording(mode, tmp_path):
     rig = rig_of(make_scenario(BASIC, 1e4))
 
     def progress(t):
@@ -296,7 +296,7 @@ def test_an_interrupted_run_gives_what_it_has(mode, tmp_path):
 
 @pytest.mark.processes
 @pytest.mark.parametrize("forked", [True, False])
-def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(forked, monkeypatch, tmp_path):
+def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_traceback(forked, monkeypatch, tmp_path):
     strikes = [signal.SIGINT]
 
     def strike(*_):
@@ -316,7 +316,7 @@ def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_trace(forked
 
 @pytest.mark.processes
 @pytest.mark.parametrize("containers", [pytest.param((), marks=pytest.mark.long), [("plant", "source", "gain")]])
-def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path):
+def test_nodes_whose_processes_are_stopped_end_the_run_by_name(containers, tmp_path):
     rig = rig_of(make_scenario(BASIC, 1e4, timeout=2.0))
 
     def progress(t):
@@ -335,8 +335,8 @@ def test_nodes_whose_processes_are_held_end_the_run_by_name(containers, tmp_path
 @pytest.mark.long
 @pytest.mark.parametrize("held", ["plant", "source", "gain"])
 @pytest.mark.parametrize("seconds", [4.5, 9.0, 13.0])
-def test_a_node_that_is_held_for_less_than_the_timeout_is_waited_for(held, seconds, tmp_path):
-    """Nobody takes it for dead meanwhile, and nothing that is sent to it is lost."""
+def test_a_node_that_is_stopped_for_less_than_the_timeout_is_waited_for(held, seconds, tmp_path):
+    """No node takes it for dead in the meantime, and no message to it is lost."""
     rig, strikes = rig_of(make_scenario(BASIC, 150.0, timeout=10.0)), [seconds]
 
     def progress(t):
@@ -358,8 +358,8 @@ def test_a_node_that_is_held_for_less_than_the_timeout_is_waited_for(held, secon
 
 
 @pytest.mark.processes
-def test_a_run_without_a_tick_says_so(tmp_path, monkeypatch):
-    """In real time it may be over at once by the clocks of its nodes."""
+def test_a_run_without_a_tick_reports_it(tmp_path, monkeypatch):
+    """In real time it may end immediately by the clocks of its nodes."""
     gathered = processes.gathered
 
     def without_ticks(*which):
@@ -418,8 +418,8 @@ def test_a_stopped_run_has_bag_and_metrics_and_its_status(number, status, tmp_pa
 
 @pytest.mark.processes
 @pytest.mark.parametrize("mode", ["lockstep", pytest.param("realtime", marks=pytest.mark.long)])
-def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
-    """As a launch sends it, and `timeout -s INT`, which sends it to the group as well."""
+def test_ctrl_c_once_or_twice_ends_every_node_in_order(mode, tmp_path):
+    """As a launch sends it, and as `timeout -s INT`, which sends it to the group as well."""
     rig = rig_of(make_scenario(BASIC, 1e4))
     with free_domain() as domain:
         running = []
@@ -453,9 +453,10 @@ def test_ctrl_c_once_or_twice_is_a_clean_end_of_every_node(mode, tmp_path):
 
 
 @pytest.mark.parametrize("exchanged", [True, False])
-def test_a_status_is_never_found_half_written(exchanged, tmp_path, monkeypatch):
-    """Who has opened the file before it is written anew reads what it said then, whole; also where names cannot be
-    exchanged."""
+def test_a_status_file_is_never_read_half_written(exchanged, tmp_path, monkeypatch):
+    """A process that has opened the file before it is rewritten reads its old content, complete; also if names cannot
+    be exchanged.
+    """
     if not exchanged:
         monkeypatch.setattr(health, "_renameat2", lambda *_: -1)
     path = tmp_path / "plant.status"

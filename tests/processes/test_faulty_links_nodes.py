@@ -56,7 +56,7 @@ def faulty(name, shift):
 
 @pytest.mark.parametrize("shift", [0, 7])
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_a_system_with_a_fault_on_every_link(name, shift, tmp_path):
+def test_a_system_with_a_fault_on_every_link_gives_the_same_bytes(name, shift, tmp_path):
     rig = faulty(name, shift)
     seed = rig.scenario.seed
     expected = in_process(rig, seed)

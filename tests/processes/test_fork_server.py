@@ -1,4 +1,4 @@
-"""Nodes forked from a process that has done their imports are processes as any other."""
+"""Nodes forked from a process that has done their imports are ordinary processes."""
 
 import json
 import os
@@ -32,7 +32,7 @@ def sleep():
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package of tools: gives its file, and a function that starts one of them and waits for its output's file."""
+    """A package of executables: returns its file, and a function that starts one and waits for its output file."""
     info = tmp_path / "tools-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: tools\nVersion: 1.0\n")
@@ -54,7 +54,7 @@ def package(tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-def test_each_node_is_a_process_of_its_own(tmp_path):
+def test_each_node_is_a_separate_process(tmp_path):
     seen = {}
 
     def progress(t):
@@ -92,7 +92,7 @@ def test_it_has_its_own_directory_environment_arguments_output_and_end(package, 
 
 
 @pytest.mark.long
-def test_what_was_edited_is_imported_anew_and_what_runs_goes_on(package):
+def test_an_edited_module_is_imported_again_and_running_nodes_continue(package):
     sleeper = package("sleep")
     assert package("say").wait(60) == 0
     package.file.write_text(TOOLS.replace('"one"', '"two, another"'))
@@ -117,13 +117,13 @@ def test_a_server_that_dies_takes_its_nodes_along_and_the_next_node_has_another(
 
 
 @pytest.mark.long
-def test_an_answer_that_a_signal_has_cut_off_is_not_taken_for_the_next(package, monkeypatch):
+def test_an_answer_truncated_by_a_signal_is_not_taken_for_the_next(package, monkeypatch):
     fail, say = package("fail"), package("say")
     until(lambda: (package.folder / "say.log").read_text())
     server = fork_server._server
 
     class Struck(Exception):
-        """As `Stopped`, out of a signal handler."""
+        """As `Stopped`, raised from a signal handler."""
 
     class Link:
         def recv(self, size):
@@ -141,7 +141,7 @@ def test_an_answer_that_a_signal_has_cut_off_is_not_taken_for_the_next(package, 
     assert fail.wait(60) == 3
 
 
-def test_a_node_has_its_own_status_where_another_had_its_number_before(monkeypatch):
+def test_a_node_has_its_own_status_although_another_had_its_process_id_before(monkeypatch):
     """Linux counts to 32,768 and begins again: a long set does so every quarter of an hour."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ends = iter((signal.SIGKILL, 0))
@@ -161,7 +161,7 @@ def test_a_node_has_its_own_status_where_another_had_its_number_before(monkeypat
 
 
 @pytest.mark.long
-def test_a_node_ends_with_whoever_had_it_started(tmp_path):
+def test_a_node_ends_with_the_process_that_had_it_started(tmp_path):
     code = (
         "import os, sys; sys.path[:0] = ['tests']; from pathlib import Path; import conftest as c\n"
         "from softrig_core import rig_of, run_processes\n"
@@ -187,8 +187,8 @@ def test_without_a_server_the_run_is_the_same(monkeypatch, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.timeout(7200)
-def test_many_runs_through_one_server_leave_nothing_open(tmp_path, monkeypatch):
-    """Neither here nor in the server; SOFTRIG_SERVER_RUNS says how many."""
+def test_many_runs_through_one_server_leave_no_file_open(tmp_path, monkeypatch):
+    """Neither here nor in the server; SOFTRIG_SERVER_RUNS sets how many."""
     monkeypatch.setattr(fork_server, "_server", None)
     rig = rig_of(make_scenario(BASIC, 0.05, start_timeout=900.0))
     runs = int(os.environ.get("SOFTRIG_SERVER_RUNS", "40"))
@@ -221,6 +221,6 @@ def threads(pid):
 
 
 def memory(pid):
-    """MB."""
+    """Memory, MB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -1,4 +1,4 @@
-"""/tf and /tf_static of a robot that runs, without tf2_msgs: what tf2 reads, from the joint states that it said."""
+"""/tf and /tf_static of a running robot, without tf2_msgs: what tf2 reads, computed from its published joint states."""
 
 import subprocess
 import sys
@@ -83,7 +83,7 @@ def test_bytes_and_hash_are_those_of_the_message_type():
 
 
 @pytest.mark.processes
-def test_the_frames_of_a_robot_are_forward_kinematics_of_what_it_says(tmp_path):
+def test_the_frames_of_a_robot_are_forward_kinematics_of_its_joint_states(tmp_path):
     with free_domain() as domain:
         variables = environment(domain, tmp_path)
         command = [str(find_executable("softrig_robots", "manipulator_plant")), "--ros-args", "-r", "__node:=plant"]

@@ -1,4 +1,4 @@
-"""The launch file: one start and one end of all nodes, a status, and no node left behind."""
+"""The launch file: one start and one end of all nodes, a status, and no remaining node."""
 
 import json
 import random
@@ -53,7 +53,7 @@ def lag(tmp_path, monkeypatch):
 
 
 def drawn_today(count):
-    """Names of published scenarios, others each day."""
+    """Names of published scenarios, different ones each day."""
     return random.Random(datetime.now(UTC).toordinal()).sample(sorted(list_scenarios()), count)
 
 
@@ -73,7 +73,7 @@ def test_nodes_and_parameters_are_those_of_the_scenario(lag):
 
 @pytest.mark.parametrize("place", ["processes", "container"])
 def test_the_lease_of_launched_nodes_follows_the_timeout(place, lag, monkeypatch):
-    """A node held for 3 s had ended the rig: with the lease of the default profile others took it for dead."""
+    """With the lease of the default profile a node stopped for 3 s ended the rig, because others took it for dead."""
     values = {"scenario": "lag", "mode": "lockstep", "place": place}
     for given in ("", "/their/own.xml"):
         monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", given)
@@ -95,7 +95,7 @@ def test_a_launch_ends_by_itself(mode, place, lag, tmp_path):
 
 @pytest.mark.processes
 def test_a_node_that_dies_ends_the_launch_with_a_status(lag, tmp_path):
-    """At once, and not after the timeout of those who wait for it."""
+    """Immediately, and not after the timeout of the nodes that wait for it."""
 
     def meddle(processes):
         if "source" in processes and processes["source"].poll() is None:
@@ -156,8 +156,8 @@ FILE_OF_THREE = """
 
 @pytest.mark.long
 @pytest.mark.processes
-def test_launches_in_one_domain_take_the_options_of_runs_and_leave_what_runs_leave(lag, tmp_path, capsys):
-    """Three rigs of one parameter file in namespaces, in two placements, and none reads another or its values."""
+def test_launches_in_one_domain_accept_the_options_of_runs_and_leave_the_same_files(lag, tmp_path, capsys):
+    """Three rigs of one parameter file in namespaces, in two placements; none reads another or its values."""
     (tmp_path / "given.yaml").write_text(FILE_OF_THREE)
     options = {"a": {"seed": "5"}, "b": {"duration": "0.3", "place": "container"}, "c": {}}
     common = {"scenario": "lag", "mode": "lockstep", "record": "true", "params_file": str(tmp_path / "given.yaml")}
@@ -218,7 +218,9 @@ def test_a_rig_that_trips_ends_its_launch_with_a_status_unless_the_scenario_expe
 
 
 def test_a_launch_that_is_terminated_ends_in_order(lag, monkeypatch):
-    """By its own handler launch would go at once; SIGTERM to the launch alone, so its nodes are to be interrupted."""
+    """With its own handler launch would exit immediately; SIGTERM goes to the launch only, so it must interrupt its
+    nodes.
+    """
     handlers, events = {}, []
     manager = SimpleNamespace(handle=handlers.__setitem__)
     monkeypatch.setattr(AsyncSafeSignalManager, "_AsyncSafeSignalManager__current", manager, raising=False)
@@ -251,7 +253,7 @@ def test_nodes_end_with_a_launch_that_is_killed(tmp_path):
         assert process.communicate(timeout=PATIENCE)[0] == b""  # nobody holds it any more
 
 
-def test_an_unknown_argument_of_our_launch_file_is_said():
+def test_an_unknown_argument_of_our_launch_file_is_reported():
     words = ["ros2", "launch", "softrig_bringup", "rig.launch.py", "scenarioo:=1"]
     assert strange(words).startswith("scenarioo: no argument of rig.launch.py (did you mean 'scenario'?); expected")
     assert strange([*words[:4], "scenario:=lag", "seed:=1"]) == ""
@@ -268,25 +270,25 @@ def test_an_unknown_argument_of_our_launch_file_is_said():
         ("gain: [", "given.yaml"),
     ],
 )
-def test_a_params_file_that_does_not_fit_is_refused_in_words(content, reported, lag, tmp_path):
+def test_a_wrong_params_file_is_refused_in_one_line(content, reported, lag, tmp_path):
     (tmp_path / "given.yaml").write_text(content)
     with pytest.raises(ScenarioError, match=reported):
         nodes_of({"scenario": "lag", "params_file": str(tmp_path / "given.yaml")})
 
 
 @pytest.mark.parametrize(("name", "value"), [("external", "gian"), ("duration", "long"), ("seed", "-1")])
-def test_an_argument_that_does_not_fit_is_refused_in_words(name, value, lag):
+def test_a_wrong_argument_is_refused_in_one_line(name, value, lag):
     with pytest.raises(ScenarioError, match=f"{name}.*{value}"):
         nodes_of({"scenario": "lag", name: value})
 
 
-def test_a_viewer_is_no_node_of_the_rig_and_its_end_is_that_of_the_launch(lag):
+def test_a_viewer_is_not_a_node_of_the_rig_and_its_end_ends_the_launch(lag):
     *nodes, viewer = nodes_of({"scenario": "lag", "use_rviz": "true"})
     assert [n.name for n in nodes] == ["plant", "source", "gain"]
     assert (viewer.package, viewer.on_exit.reason) == ("rviz2", "the viewer is closed")
 
 
-def test_what_is_external_is_not_launched_and_waited_for_without_limit(lag):
+def test_external_nodes_are_not_launched_and_waited_for_without_limit(lag):
     nodes = nodes_of({"scenario": "lag", "external": "gain source"})
     assert [n.name for n in nodes] == ["plant"]
     with open(nodes[0].parameters[0]) as file:
@@ -299,7 +301,7 @@ def test_what_is_external_is_not_launched_and_waited_for_without_limit(lag):
     "topics", [(), pytest.param(("/lag/state", "/clock"), marks=pytest.mark.long)], ids=["all", "some"]
 )
 def test_a_launched_rig_waits_for_a_recorder_that_asks_for_it(topics, lag, tmp_path):
-    """What was recorded is what the same run in process gives, from t = 0 on, whatever the recorder leaves out."""
+    """The recording equals that of the same run in process, from t = 0 on, whatever the recorder leaves out."""
     with free_domain() as domain:
         variables = environment(domain, tmp_path, silence=PATIENCE)  # a busy host may hold the recorder
         with recording(tmp_path / "bag", variables, *topics) as recorder:

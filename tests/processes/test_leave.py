@@ -1,4 +1,4 @@
-"""The end of a process whose middleware does not let it go."""
+"""The end of a process whose middleware does not return."""
 
 import subprocess
 import sys
@@ -26,7 +26,9 @@ leave([Node()], {status})
     [pytest.param("pause()", 0, marks=pytest.mark.long), ("pause()", 3), ("strlen(None)", 0), ("abort()", 3)],
 )
 def test_a_node_that_cannot_leave_ends_with_its_status(call, status):
-    """Fast DDS waits for ever or breaks while it takes a node out of the graph; what that node had to do is done."""
+    """Fast DDS blocks forever or crashes while it removes a node from the graph; the node's own work is done by
+    then.
+    """
     code = STUCK.format(call=call, status=status)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE)
     assert done.returncode == status

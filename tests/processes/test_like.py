@@ -1,4 +1,4 @@
-"""A drive in a container against the wall clock, under the hands of a person, and that run once more in lockstep."""
+"""A drive in a container in real time, with changes by a person, and that run repeated in lockstep."""
 
 import json
 import subprocess
@@ -51,7 +51,7 @@ assert ask(button.call_async(Trigger.Request())).success
 
 
 @pytest.mark.long
-def test_a_gain_a_fault_and_a_button_in_real_time_are_there_again_in_lockstep(tmp_path, capsys):
+def test_a_gain_a_fault_and_a_button_in_real_time_are_repeated_in_lockstep(tmp_path, capsys):
     scenario = tmp_path / "drive.yaml"
     scenario.write_text(DRIVE)
     command = [sys.executable, "-m", "softrig_bringup", "run", str(scenario), "--mode", "container", "--realtime",

@@ -1,4 +1,4 @@
-"""Ticks of a container that native code answers: the same bytes, whoever comes, goes, holds or changes something."""
+"""Native ticks of a container: the same bytes, with external nodes that appear, leave, pause or change something."""
 
 import math
 import threading
@@ -21,7 +21,7 @@ from softrig_nodes.processes.spawning import node_parameters
 
 
 class Container:
-    """The nodes of a rig in one process of a simulated world, at work natively where nobody else has a part."""
+    """The nodes of a rig in one process of a simulated world, which run natively while no external node takes part."""
 
     def __init__(self, rig, folder, monkeypatch, make=None):
         self.expected = in_process(rig, 1)
@@ -51,7 +51,7 @@ class Container:
         self.clock = self.adapters[rig.clock.name]
 
     def on(self, ticks=math.inf):
-        """Go on to so many ticks of the clock, or to the end."""
+        """Run to a number of ticks of the clock, or to the end."""
 
         def over():
             return self.clock.ticks >= ticks or all(a.state in ("done", "failed") for a in self.adapters.values())
@@ -75,7 +75,7 @@ class Container:
 @pytest.mark.parametrize(
     ("name", "duration"), [("dc_motor_smc", 0.1), pytest.param("induction_dtc", 0.03, marks=pytest.mark.long)]
 )
-def test_while_nobody_has_a_part_native_code_answers(name, duration, tmp_path, monkeypatch):
+def test_without_external_nodes_native_code_answers(name, duration, tmp_path, monkeypatch):
     rig = rig_of(name, duration=duration)
     container = Container(rig, tmp_path, monkeypatch)
     reported = container.ends_as_in_process()
@@ -84,7 +84,7 @@ def test_while_nobody_has_a_part_native_code_answers(name, duration, tmp_path, m
     assert container.clock.account.status()["tick_p50_ms"] > 0.0
 
 
-def test_it_is_compiled_while_python_goes_on(tmp_path, monkeypatch):
+def test_it_is_compiled_while_python_continues(tmp_path, monkeypatch):
     made, go = [], threading.Event()
 
     def slow(text):
@@ -109,7 +109,7 @@ def test_it_is_compiled_while_python_goes_on(tmp_path, monkeypatch):
     assert container.native() > 600
 
 
-def test_a_reader_gets_each_message_from_when_it_is_there(tmp_path, monkeypatch):
+def test_an_external_subscriber_gets_each_message_from_its_arrival_on(tmp_path, monkeypatch):
     container = Container(rig_of("dc_motor_smc", duration=0.1), tmp_path, monkeypatch)
     container.on(200)
     before, received = container.native(), []
@@ -132,7 +132,7 @@ def test_a_reader_gets_each_message_from_when_it_is_there(tmp_path, monkeypatch)
     assert before < reported[container.rig.clock.name][0] < 1000 - (last - first) + 10
 
 
-def test_who_holds_or_changes_is_obeyed(tmp_path, monkeypatch):
+def test_pauses_and_changes_by_external_nodes_take_effect(tmp_path, monkeypatch):
     rig = rig_of("dc_motor_smc", duration=0.1)
     container = Container(rig, tmp_path, monkeypatch)
     clock = container.clock

@@ -1,4 +1,4 @@
-"""Plain rclpy nodes in place of each node of each system: our nodes say the same bytes as without them."""
+"""Plain rclpy nodes in place of each node of each system: our nodes publish the same bytes as without them."""
 
 import json
 import math
@@ -27,7 +27,7 @@ CLOCK = {"topic": "/clock", "type": "rosgraph_msgs/msg/Clock"}
 
 
 def short(name):
-    """A scenario over some ticks of its slowest node."""
+    """A scenario shortened to some ticks of its slowest node."""
     rig = rig_of(name)
     slowest = max(m.schedule.period for m in rig.members)
     duration = min(rig.scenario.duration, float(max(60 * rig.clock.schedule.period, 3 * slowest)))
@@ -35,7 +35,7 @@ def short(name):
 
 
 def relay(rig, member, expected, reads, names, realtime=False):
-    """What `relay.py` is to do in place of a member, one of some names, that reads some of its topics."""
+    """The arguments of `relay.py` in place of a node, one of some names, that reads some of its topics."""
     calls = min(reads, key=lambda p: member.links[p.name].source.schedule.every, default=None)
     caller = rig.clock if calls is None else member.links[calls.name].source
     topics = [CLOCK]
@@ -67,7 +67,9 @@ def relay(rig, member, expected, reads, names, realtime=False):
 
 
 def with_outside(rig, names, directory, seed=0, realtime=False):
-    """Run a rig with a relay in place of each of some nodes; gives the rig, what it was to say and what came of it."""
+    """Run a rig with a relay in place of each of some nodes; return the rig, its expected messages and the real
+    ones.
+    """
     expected = in_process(rig, rig.scenario.seed)
     rng = random.Random(seed)
     commands = []
@@ -101,7 +103,9 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
 
 
 def by_chance(rig):
-    """Nodes that hear of what an outside node says now and then, whose silence nobody tells, and who hears of them."""
+    """Nodes that read sporadic messages of an outside node, whose silence is not announced, and the subscribers of
+    these nodes.
+    """
     result = set()
     while True:
         more = {
@@ -116,7 +120,7 @@ def by_chance(rig):
 
 
 def replaced(rig, name, directory, seed=0):
-    """Run a rig in lockstep with a relay in place of a node, or of several; gives what is wrong."""
+    """Run a rig in lockstep with a relay in place of one node or several; return what is wrong."""
     ours, expected, outcome = with_outside(rig, (name,) if isinstance(name, str) else name, directory, seed)
     chance = by_chance(ours)
     wrong = [outcome.error] if outcome.error else []
@@ -134,7 +138,7 @@ def replaced(rig, name, directory, seed=0):
 
 
 def replaceable(rig):
-    """All members but the rig's own clock."""
+    """All nodes except the rig's own clock."""
     return [m.name for m in rig.members if m.name != CLOCK_NODE]
 
 
@@ -144,7 +148,7 @@ def test_a_plain_node_takes_the_place_of_ours(name, tmp_path):
     assert replaced(short("dc_motor_smc"), name, tmp_path) == []
 
 
-def test_a_plain_plant_that_nobody_commands_goes_by_who_acknowledges(tmp_path):
+def test_a_plain_plant_without_commands_follows_acknowledgements(tmp_path):
     assert replaced(short("fault_location"), "line_plant", tmp_path) == []
 
 
@@ -170,12 +174,14 @@ TOGETHER = [
 
 @pytest.mark.long
 @pytest.mark.parametrize(("system", "names"), TOGETHER, ids=[system for system, _ in TOGETHER])
-def test_plain_nodes_take_the_places_of_several_at_once(system, names, tmp_path):
+def test_plain_nodes_take_the_places_of_several_together(system, names, tmp_path):
     assert replaced(short(system), names, tmp_path) == []
 
 
 def unaccounted(rig, outcome):
-    """What our nodes neither said nor counted in real time, from the first to the last thing that each said."""
+    """The ticks that our nodes neither published nor counted in real time, from the first to the last message
+    of each.
+    """
     wrong = [outcome.error] if outcome.error else []
     for member in (m for m in rig.members if not m.external):
         state = outcome.status[member.name]

@@ -1,4 +1,4 @@
-"""Lockstep through real processes over DDS: exact, bit-equal to in-process, and clear about every fault."""
+"""Lockstep through real processes over DDS: exact, bit-equal to in-process, with a clear message for every fault."""
 
 import os
 import signal
@@ -76,7 +76,7 @@ RIGS = {
 
 # the others' shapes stand in a container (test_container.py) daily
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in RIGS])
-def test_equal_to_in_process_bit_for_bit(name, tmp_path):
+def test_processes_equal_in_process_bit_for_bit(name, tmp_path):
     nodes, duration = RIGS[name]
     wired = rig(nodes, duration)
     outcome = run_processes(wired, 7, tmp_path)
@@ -123,11 +123,11 @@ def test_many_starts_are_identical_also_under_load(tmp_path):
 
 @pytest.fixture
 def hasty(monkeypatch):
-    """For nodes that heed nothing but the last of the signals that end them."""
+    """For nodes that react only to the last of the signals that end them."""
     monkeypatch.setattr(children, "STOP_STEPS", [(number, 0.3) for number, _ in children.STOP_STEPS])
 
 
-def test_a_node_that_stays_behind_ends_the_run_with_its_name(hasty, tmp_path):
+def test_a_node_that_does_not_continue_ends_the_run_with_its_name(hasty, tmp_path):
     nodes = BASIC | {"watcher": params("watcher", lingers_after=31)}
     outcome = run_processes(rig(nodes, 0.3, timeout=2.5), 0, tmp_path)
     assert outcome.error == "node watcher did not reach the end of the run within 2.5 s after it"
@@ -136,8 +136,8 @@ def test_a_node_that_stays_behind_ends_the_run_with_its_name(hasty, tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["lockstep", pytest.param("realtime", marks=pytest.mark.long)])
-def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, hasty, tmp_path):
-    """As one that waits inside of DDS; with an outside node its peers would wait for ever, too."""
+def test_a_node_that_never_publishes_ends_the_run_with_its_name(mode, hasty, tmp_path):
+    """As one that is blocked inside DDS; with an outside node its peers would wait forever, too."""
     nodes = BASIC | {"gain": params("gain") | {"external": True}, "watcher": params("watcher", comes_up=False)}
     outcome = run_processes(rig(nodes, 0.3, start_timeout=2.0), 0, tmp_path, Placement(clock=mode))
     assert outcome.error == "node watcher has reported nothing within 2 s of its start"
@@ -145,7 +145,7 @@ def test_a_node_that_never_says_anything_ends_the_run_with_its_name(mode, hasty,
 
 
 @pytest.mark.long
-def test_a_slow_node_does_not_end_a_run_that_goes_on(tmp_path):
+def test_a_slow_node_does_not_end_a_run_that_continues(tmp_path):
     """Its ticks, and its end, are further apart than the timeout."""
     nodes = {name: params(name, period=1e-4) for name in ("plant", "gain")} | {"source": params("source", period=1.0)}
     outcome = run_processes(rig(nodes, 1.0, timeout=2.5), 0, tmp_path)
@@ -218,7 +218,7 @@ def fault(how, **keys):
         pytest.param("raise", ["gain: failed at t = 0.2 s: ArithmeticError: deliberate"], marks=pytest.mark.long),
     ],
 )
-def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_record(how, texts, tmp_path):
+def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_recording(how, texts, tmp_path):
     wired = fault(how)
     outcome = run_processes(wired, 0, tmp_path)
     for text in texts:
@@ -371,7 +371,7 @@ def with_outside_controller(extra, directory, duration=1.0, mode="lockstep", sta
 
 @pytest.mark.long
 def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
-    """A late joiner by construction: it is started only when the rig already waits for it."""
+    """It joins late by construction: it is started only when the rig already waits for it."""
     _, outcome = with_outside_controller("", tmp_path)
     assert outcome.error == ""
     ours = in_process(rig(BASIC))
@@ -380,7 +380,7 @@ def test_an_outside_controller_takes_the_place_of_ours(tmp_path):
 
 
 @pytest.mark.long
-def test_real_time_begins_when_the_outside_controller_has_come(tmp_path):
+def test_real_time_begins_when_the_outside_controller_has_joined(tmp_path):
     """And not a fixed time after the start: it is started only when the rig already waits for it."""
     _, outcome = with_outside_controller("", tmp_path, 1.0, "realtime", script)
     assert outcome.error == ""
@@ -447,8 +447,8 @@ rclpy.spin(node)
 """
 
 
-def test_a_link_loses_a_refused_measurement_and_the_run_goes_on(tmp_path):
-    """Messages that are paired by counting: one that cannot be read counts too."""
+def test_a_link_loses_a_rejected_measurement_and_the_run_continues(tmp_path):
+    """For messages that are paired by counting: one that cannot be read counts too."""
     parameters = {"topic_in": "lag/state", "topic_out": "lag/late_state", "channels": ["x"], "delay": 0.03}
     link = {"package": "softrig_control", "executable": "fieldbus_delay", "parameters": parameters}
     nodes = {"plant": {"executable": "plant", "external": True}, "source": "source", "link": link, "gain": "late_gain"}
@@ -492,7 +492,7 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
     assert "2 publishers on lag/command (/gain, /intruder), expected exactly one" in outcome.error
 
 
-def test_a_peer_that_never_comes_is_named(tmp_path):
+def test_a_peer_that_never_starts_is_named(tmp_path):
     wired = rig(BASIC | {"gain": {"executable": "gain", "external": True}})
     outcome = run_processes(wired, 0, tmp_path, Placement(wait=1.0))
     assert "not all peers after 1 s" in outcome.error
@@ -500,7 +500,7 @@ def test_a_peer_that_never_comes_is_named(tmp_path):
 
 
 @pytest.mark.long
-def test_two_runs_at_once_do_not_mix(tmp_path):
+def test_two_simultaneous_runs_do_not_mix(tmp_path):
     wired = rig(BASIC, 1.0)
     with ThreadPoolExecutor(2) as pool:
         outcomes = list(pool.map(lambda i: run_processes(wired, i, tmp_path / str(i)), range(2)))

@@ -1,4 +1,4 @@
-"""Nodes against the wall clock, started one by one as a user does: watchdog, recovery, rivals, bad input."""
+"""Nodes in real time, started one by one as a user does: watchdog, recovery, second publishers, bad input."""
 
 import mmap
 import re
@@ -25,16 +25,18 @@ STATE, COMMAND, APPLIED = "lag/state/x/position", "lag/command/u/effort", "lag/a
 
 
 def recorded(bench, name, signal, number):
-    """Wait until a node has recorded so many values: four times a second, where a status file is written once."""
+    """Wait until a node has recorded a number of values: checks four times a second, as often as a status file is
+    written.
+    """
     bench.wait(lambda: bench.signal(name, signal).x.size > number)
 
 
 def goes_on(bench, ticks):
-    """Wait until the plant has made so many ticks more."""
+    """Wait until the plant has run a number of further ticks."""
     recorded(bench, "plant", STATE, bench.signal("plant", STATE).x.size + ticks)
 
 
-def test_nodes_started_by_hand_close_the_loop_and_stop_on_ctrl_c(bench):
+def test_nodes_started_one_by_one_close_the_loop_and_stop_on_ctrl_c(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")
     bench.start("gain", "gain")
@@ -49,8 +51,8 @@ def test_nodes_started_by_hand_close_the_loop_and_stop_on_ctrl_c(bench):
     assert bench.status("plant")["round_trip_p50_ms"] < 1000
 
 
-def test_who_waits_for_nobody_and_has_no_end_does_not_run_away(bench):
-    """Of a campaign: a clock by hand in lockstep answered ticks and nothing else."""
+def test_a_lockstep_node_without_peers_and_end_does_not_run_away(bench):
+    """Found by a campaign: a clock started alone in lockstep ran ticks and did nothing else."""
     bench.start("clock", "clock", "-p", "run.mode:=lockstep", package="softrig_core")
     for _ in range(2):
         ticks = bench.status("clock").get("ticks", 0)
@@ -59,7 +61,7 @@ def test_who_waits_for_nobody_and_has_no_end_does_not_run_away(bench):
     assert bench.ends("clock") == 0
 
 
-def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench):
+def test_a_lost_controller_gives_the_safe_input_and_a_new_one_takes_over(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")
     bench.start("gain", "gain")
@@ -77,7 +79,7 @@ def test_a_lost_controller_brings_the_safe_input_and_a_new_one_takes_over(bench)
 
 
 def test_a_timer_that_is_always_late_lets_messages_through():
-    """A tick that takes longer than its period, and what waits for its turn while it does: nothing piles up."""
+    """For a tick that takes longer than its period, and messages that arrive during it: no queue grows."""
     period, late, received = 200_000, [], []
     context = Context()
     with free_domain() as domain:
@@ -116,8 +118,10 @@ def test_a_node_whose_port_is_taken_away_ends_by_name(bench):
 
 
 @pytest.mark.long
-def test_a_node_whose_port_is_taken_for_damaged_hears_again(bench):
-    """By Fast DDS in any process, on a host so busy that the reader did not stir: the reader makes another."""
+def test_a_node_whose_port_was_judged_damaged_receives_again(bench):
+    """Fast DDS in any process may do so on a host so busy that the reader did not run: the reader makes another
+    port.
+    """
     for name in ("plant", "source", "gain"):
         bench.start(name, name)
     bench.wait(lambda: bench.status("gain")["ticks"] > 30)
@@ -132,8 +136,8 @@ def test_a_node_whose_port_is_taken_for_damaged_hears_again(bench):
 
 
 @pytest.mark.long
-def test_no_port_of_a_node_that_lives_is_judged(bench):
-    """Who opens one that idles, as one does that nobody writes to, would wait for its reader for 6.7 s or more."""
+def test_no_port_of_a_living_node_is_judged(bench):
+    """A process that opens an idle port, such as one without messages, would wait for its reader for 6.7 s or more."""
     for name in ("plant", "source"):
         bench.start(name, name)
     bench.wait(lambda: bench.status("plant")["ticks"] > 2500)
@@ -147,14 +151,14 @@ def test_no_port_of_a_node_that_lives_is_judged(bench):
 
 
 def mark_damaged(port):
-    """As `SharedMemGlobal` does (`PortNode::is_port_ok`): the first bit after six numbers."""
+    """Mark a port as `SharedMemGlobal` does (`PortNode::is_port_ok`): the first bit after six numbers."""
     with port_node(port) as (node, begin):
         node[begin + 24] &= ~1
 
 
 @contextmanager
 def port_node(port):
-    """Give what is in a port, and where its number stands: two further stand these two."""
+    """Return the content of a port, and the place of its number; the two following numbers are beside it."""
     number = int(port.name.removeprefix("fastrtps_port"))
     with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as node:
         yield (
@@ -185,7 +189,7 @@ node.create_timer(0.01, send)
 
 
 @pytest.mark.long
-def test_of_two_rivals_neither_is_believed(bench):
+def test_of_two_simultaneous_writers_neither_is_accepted(bench):
     bench.start("plant", "plant")
     bench.start("source", "source")
     bench.start("gain", "gain")
@@ -208,8 +212,8 @@ TAKES_OVER = PUBLISHER.replace("VALUE", "2.0 if said < 100 else 3.0").replace("d
 
 
 @pytest.mark.long
-def test_of_two_publishers_the_one_that_alone_speaks_is_believed(bench):
-    """The first one stays and is silent, as one that was killed does for its lease."""
+def test_of_two_publishers_the_one_that_alone_publishes_is_accepted(bench):
+    """The first one stays matched and is silent, as a killed one is for its lease."""
     bench.start("plant", "plant")
     outside(bench, "intruder", TAKES_OVER)
     bench.wait(lambda: 3.0 in bench.signal("plant", APPLIED).x)
@@ -220,7 +224,7 @@ def test_of_two_publishers_the_one_that_alone_speaks_is_believed(bench):
     assert bench.status("plant")["refused"]["lag/command"] == refused
 
 
-def test_nan_from_outside_is_refused_and_counted(bench):
+def test_nan_from_outside_is_rejected_and_counted(bench):
     bench.start("plant", "plant")
     outside(bench, "intruder", PUBLISHER.replace("VALUE", "float('nan')"))
     bench.wait(lambda: bench.status("plant")["refused"]["lag/command"][0] > 10)
@@ -244,7 +248,7 @@ while not any(name == "plant" and "refused on lag/command: u/effort is nan" in t
 """
 
 
-def test_the_usual_tools_hear_of_a_refusal(bench):
+def test_the_usual_tools_see_a_rejection(bench):
     outside(bench, "listener", LISTENER)
     bench.start("plant", "plant")
     outside(bench, "intruder", PUBLISHER.replace("VALUE", "float('nan')"))
@@ -331,7 +335,7 @@ assert any(len(m.points) > 2 for m in seen["markers"])
 
 
 @pytest.mark.long
-def test_a_viewer_that_comes_late_gets_the_robot_description_and_markers(bench):
+def test_a_late_viewer_gets_the_robot_description_and_markers(bench):
     bench.start("robot_dynamics", "robot_dynamics", package="softrig_robots")
     bench.wait(lambda: bench.status("robot_dynamics")["state"] == "running")
     outside(bench, "viewer", WATCHER)
@@ -356,7 +360,7 @@ sys.exit(0 if kept and told["/lag/state"] == ("TRANSIENT_LOCAL", "BEST_EFFORT", 
 
 
 @pytest.mark.long
-def test_the_profile_of_a_topic_is_settable_as_of_any_node_of_ros(bench):
+def test_the_qos_of_a_topic_can_be_set_as_for_any_ros_node(bench):
     """By the parameters that rclpy has for it; a topic that is not named keeps its own."""
     given = {"durability": "transient_local", "reliability": "best_effort", "deadline": "20000000"}
     words = [w for k, v in given.items() for w in ("-p", f"qos_overrides./lag/state.publisher.{k}:={v}")]
@@ -404,7 +408,9 @@ while not latest or latest[-1].position[0] < latest[0].position[0] + 0.05:
     ],
 )
 def test_a_plant_is_hardware_for_ros2_control_over_topics(package, plant, joints, states, commands, bench):
-    """An outside node speaks as TopicBasedSystem of topic_based_ros2_control: best effort in, depth 1 out, no frame."""
+    """An outside node uses the topics of TopicBasedSystem (topic_based_ros2_control): best effort in, depth 1 out, no
+    frame.
+    """
     bench.start(plant, plant, "-p", "period:=0.001", package=package)
     outside(bench, "hardware", HARDWARE.format(joints=joints, states=states, commands=commands))
     assert bench.ends("hardware") == 0
@@ -430,8 +436,8 @@ while not latest or latest[-1].velocity[0] < 1.0:
 
 
 @pytest.mark.long
-def test_what_a_forward_command_controller_takes_drives_a_plant(bench):
-    """A bare array, as `ros2 topic pub` and ros2_controllers write it; one of another length is refused."""
+def test_commands_for_a_forward_command_controller_drive_a_plant(bench):
+    """A bare array, as `ros2 topic pub` and ros2_controllers write it; one of another length is rejected."""
     bench.start("plant", "dc_motor_plant", package="softrig_drives")
     bench.start("forward", "forward_command", "-r", "command:=motor/command", package="softrig_control")
     outside(bench, "person", COMMANDS)

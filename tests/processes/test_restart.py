@@ -1,4 +1,4 @@
-"""`--restart N`: nodes that are killed at any tick of a run through processes come back, and its bag is the same."""
+"""`--restart N`: nodes that are killed at any tick of a run through processes restart, and its bag is the same."""
 
 import os
 import random
@@ -20,7 +20,7 @@ NODES = {"plant": "plant", "source": "source", "gain": {"executable": "gain", "p
 
 @pytest.fixture
 def killer(monkeypatch):
-    """Kills a node's process, whichever has its name now."""
+    """Kills the process of a node, whichever process that is now."""
     pids, start = {}, processes.start
 
     def started(*args, **options):
@@ -33,7 +33,7 @@ def killer(monkeypatch):
 
 
 def from_then_on(acts):
-    """Progress that does each of some acts once, when the run has come to its time (ns)."""
+    """A progress function that runs some actions once each, when the run has reached their times (ns)."""
     left = sorted(acts, key=lambda act: act[0])
 
     def progress(t):
@@ -44,7 +44,7 @@ def from_then_on(acts):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_node_killed_at_any_tick_comes_back_and_the_bag_is_the_same(seed, killer, tmp_path):
+def test_a_node_killed_at_any_tick_restarts_and_the_bag_is_the_same(seed, killer, tmp_path):
     rng = random.Random(seed)
     rig = rig_of(make_scenario(NODES, 100.0))
     name, at, messages = rng.choice(list(NODES)), rng.randrange(rig.end // 2), []
@@ -59,8 +59,8 @@ def test_a_node_killed_at_any_tick_comes_back_and_the_bag_is_the_same(seed, kill
 
 
 @pytest.mark.parametrize("name", ["plant", "bus", "gain"])
-def test_who_says_or_reads_messages_that_are_late_comes_back(name, killer, tmp_path):
-    """What is counted has its number where nodes come back; the bag has it without."""
+def test_a_node_with_delayed_messages_restarts(name, killer, tmp_path):
+    """Counted messages have their number if nodes can restart; the bag has it removed."""
     bus = fieldbus("state", "late_state", delay=0.02, jitter=0.03, loss=0.3)
     rig = rig_of(make_scenario({**NODES, "gain": "late_gain", "bus": bus}, 100.0))
     acts = [(rig.end // 10, lambda: killer(name)), (rig.end // 2, lambda: killer("bus"))]
@@ -71,7 +71,7 @@ def test_who_says_or_reads_messages_that_are_late_comes_back(name, killer, tmp_p
     assert not differences(in_process(rig, 7), outcome.recording)
 
 
-def test_after_so_many_restarts_the_run_ends_and_names_the_node(killer, tmp_path):
+def test_after_the_allowed_restarts_the_run_ends_and_names_the_node(killer, tmp_path):
     rig = rig_of(make_scenario(NODES, 100.0))
     acts = [(rig.end // 10, lambda: killer("gain")), (rig.end // 2, lambda: killer("gain"))]
     outcome = run_processes(rig, 7, tmp_path, Placement(restart=1), Listener(from_then_on(acts)))
@@ -80,7 +80,7 @@ def test_after_so_many_restarts_the_run_ends_and_names_the_node(killer, tmp_path
     assert outcome.recording.topics["lag/command"].times
 
 
-def test_a_run_of_the_command_line_says_that_a_node_came_back(killer, tmp_path, capsys, monkeypatch):
+def test_the_command_line_reports_that_a_node_was_restarted(killer, tmp_path, capsys, monkeypatch):
     run = processes.run_processes
 
     def killing(rig, seed, directory, placement, listener):

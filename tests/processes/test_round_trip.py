@@ -47,7 +47,7 @@ def domain():
 
 @contextmanager
 def started(name, block, domain, *files):
-    """A node of a block with files of parameters, and a client of its services, as the one of `ros2 param`."""
+    """A node of a block with files of parameters, and a client of its services, as `ros2 param` has."""
     context = Context()
     words = [word for file in files for word in ("--params-file", str(file))]
     rclpy.init(args=["--ros-args", "-p", "run.mode:=lockstep", *words], context=context, domain_id=domain)
@@ -114,7 +114,7 @@ def test_tuned_dumped_and_loaded_it_is_the_same(name, block, tmp_path, domain):
         assert {n: now[n] for n in live & now.keys()} == {n: values[n] for n in live & values.keys()}
 
 
-def test_a_parameter_that_is_not_there_is_named_and_the_others_are_set(domain):
+def test_an_unknown_parameter_is_named_and_the_others_are_set(domain):
     with started("gain", Gain, domain) as (_, _, client, done):
         results = done(client.set_parameters([Parameter("k", value=2.0), Parameter("noize", value=1.0)])).results
         together = done(client.set_parameters_atomically([Parameter("noize", value=1.0)])).result
@@ -124,7 +124,7 @@ def test_a_parameter_that_is_not_there_is_named_and_the_others_are_set(domain):
 
 
 def hostile():
-    """Values of wrong kinds, beyond all ranges, and none."""
+    """Values of wrong types, beyond all ranges, and none."""
     for given in ("x", "", True, math.inf, -math.inf, math.nan, 5e-324, 1e308, 2**63 - 1, -(2**63), [math.nan], ["x"]):
         yield lambda name, given=given: Parameter(name, value=given)
     yield lambda name: Parameter(name, Parameter.Type.NOT_SET)
@@ -132,8 +132,10 @@ def hostile():
 
 @pytest.mark.processes
 @pytest.mark.parametrize(("name", "block"), executables())
-def test_whatever_is_set_over_ros_each_parameter_stays_what_it_is(name, block, domain):
-    """By both services, with `list` and `describe` before and after; tests/core/test_declared_parameters.py has all."""
+def test_whatever_is_set_over_ros_each_parameter_keeps_its_type_and_range(name, block, domain):
+    """By both services, with `list` and `describe` before and after; tests/core/test_declared_parameters.py has all
+    executables.
+    """
 
     def seen():
         names = sorted(done(client.list_parameters()).result.names)

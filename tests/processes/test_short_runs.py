@@ -1,4 +1,4 @@
-"""Runs of a few ticks: whatever figure cannot be computed says so; no library warns of numbers."""
+"""Runs of a few ticks: a figure that cannot be computed is reported as such; no library warns."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""The services of simulation_interfaces on a real node, called as anybody would; where that package is installed."""
+"""The services of simulation_interfaces on a real node, called by a real client; if that package is installed."""
 
 import math
 import threading
@@ -46,7 +46,7 @@ class Caller:
 
 
 @pytest.mark.parametrize("mode", ["processes", "container"])
-def test_a_client_pauses_steps_looks_and_lets_go_on(mode, tmp_path, monkeypatch):
+def test_a_client_pauses_steps_reads_and_resumes(mode, tmp_path, monkeypatch):
     from rclpy.action import ActionClient
     from simulation_interfaces.action import SimulateSteps
     from simulation_interfaces.msg import EntityFilters, SimulationState
@@ -85,7 +85,7 @@ def test_a_client_pauses_steps_looks_and_lets_go_on(mode, tmp_path, monkeypatch)
     assert not differences(results[0].recording, in_process(rig))
 
 
-def test_a_client_that_quits_ends_the_run_with_a_record_up_to_there(tmp_path, monkeypatch):
+def test_a_client_that_quits_ends_the_run_with_the_recording_so_far(tmp_path, monkeypatch):
     from simulation_interfaces.msg import SimulationState
 
     rig = rig_of("dc_motor_smc_b2")

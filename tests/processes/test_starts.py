@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.long, pytest.mark.processes]
 
 
 def trial(seed):
-    """One start; gives what it was and what is wrong with it."""
+    """One start; returns its kind and what is wrong with it."""
     rng = random.Random(seed)
     kind = rng.choice([k for k in KINDS if k != "solver"])  # its work is slow, its start that of any other
     rig, expected = rig_and_record(kind)
@@ -51,7 +51,7 @@ JOINS = "import rclpy; print(flush=True); rclpy.init(); rclpy.create_node('victi
 
 @contextmanager
 def killings():
-    """Meanwhile processes join one of the domains that the runs of this process take, and are killed."""
+    """During the test, processes join one of the domains of this process' runs, and are killed."""
     over, killed = threading.Event(), []
 
     def kill():

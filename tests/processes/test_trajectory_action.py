@@ -1,4 +1,4 @@
-"""FollowJointTrajectory on real nodes, asked as MoveIt does; where control_msgs is installed."""
+"""FollowJointTrajectory on real nodes, with requests as MoveIt makes them; if control_msgs is installed."""
 
 import threading
 

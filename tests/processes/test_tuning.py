@@ -1,4 +1,4 @@
-"""Parameters of a running node by ROS services and by the command: checked, all of a call where all of it fits."""
+"""Parameters of a running node by ROS services and by the command: checked, and applied if all of a call are valid."""
 
 import json
 import os
@@ -63,7 +63,7 @@ print(json.dumps({
 
 
 def asked(bench, code, *arguments):
-    """What a person has been told."""
+    """The output for the user."""
     answer = bench.directory / "answer.json"
     with answer.open("wb") as output:
         status = script(code, bench.environment, *arguments, output=output.fileno()).wait(PATIENCE)
@@ -72,7 +72,7 @@ def asked(bench, code, *arguments):
 
 
 @pytest.mark.long
-def test_what_is_set_by_services_and_by_the_command_is_checked(tmp_path):
+def test_parameters_set_by_services_and_by_the_command_are_checked(tmp_path):
     with free_domain() as domain:
         bench = Bench(tmp_path, domain)
         try:
@@ -134,7 +134,7 @@ print(json.dumps([[r.successful, r.reason] for r in found]))
 @pytest.mark.long
 @pytest.mark.parametrize(("mode", "duration"), [("processes", "1"), ("container", "100")])
 def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_path):
-    """Of a plant that takes milliseconds to be made anew: each set is answered, and each change recorded."""
+    """For a plant that takes milliseconds to be set up again: each set is answered, and each change recorded."""
     with free_domain() as domain:
         pass  # the run reserves it
     variables = Bench(tmp_path, domain).environment
@@ -159,7 +159,7 @@ def test_a_flood_of_sets_does_not_keep_a_rig_from_its_ticks(mode, duration, tmp_
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, *range(3, 297, 25)])
 def test_no_call_of_a_live_node_changes_type_range_or_existence(seed, tmp_path, monkeypatch):
-    """Each executable by hand and in a rig in turn; `scripts/campaign services` goes through all.
+    """Each executable started alone and in a rig in turn; `scripts/campaign services` tries all.
 
     The first one waits for nobody: it answers ticks without end, and its services all the same.
     """
@@ -179,8 +179,8 @@ print(json.dumps({name: [v.type, v.string_value, list(v.double_array_value)] for
 
 
 @pytest.mark.long
-def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
-    """No path of this one, and lists without an element with the type of their elements."""
+def test_listed_and_dumped_parameters_suit_another_run(tmp_path):
+    """Without paths of this run, and with empty lists of the type of their elements."""
     with free_domain() as domain:
         bench = Bench(tmp_path, domain)
         try:
@@ -194,7 +194,7 @@ def test_what_is_listed_and_dumped_fits_another_run(tmp_path):
 
 
 def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
-    """Scripted for the record, set by services in the replay: the same messages."""
+    """Scripted for the recording, set by services in the replay: the same messages."""
     entries = [
         {"at": 0.05, "set": {"dc_motor_smc.k": 60.0}},
         {"at": 0.1011, "set": {"dc_motor_smc.delta": 0.5, "dc_motor_smc.c": 6.0}},

@@ -72,7 +72,7 @@ def two_hosts(disturbance=()):
 
 
 def run_parts(parts, domain, directory, prefix=(), *more):
-    """Run each part of the rig as `softrig run --only` does; gives exit statuses, what was said and the shards."""
+    """Run each part of the rig as `softrig run --only` does; return exit statuses, outputs and the shards."""
     scenario = directory / "two.yaml"
     nodes = "".join(f"  {name}: {{package: faultrig, executable: {name}}}\n" for name in BASIC)
     scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\ntimeout: 60.0\nnodes:\n{nodes}")
@@ -118,7 +118,7 @@ def test_two_parts_of_a_rig_make_the_bag_of_the_whole(tmp_path):
         (["--only", "gain", "--domain", "3", "--mode", "inprocess"], "--only: blocks in process"),
     ],
 )
-def test_a_part_that_cannot_be_is_reported(arguments, text, tmp_path, capsys):
+def test_an_impossible_part_is_reported(arguments, text, tmp_path, capsys):
     scenario = tmp_path / "two.yaml"
     nodes = "".join(f"  {name}: {{package: faultrig, executable: {name}}}\n" for name in BASIC)
     scenario.write_text(f"title: t\nsystem: lag\nsource: s\nduration: 1.0\nnodes:\n{nodes}")
@@ -126,7 +126,7 @@ def test_a_part_that_cannot_be_is_reported(arguments, text, tmp_path, capsys):
     assert text in capsys.readouterr().err
 
 
-def test_the_profile_of_this_host_is_the_other_one_but_for_its_sockets(tmp_path, monkeypatch):
+def test_the_profile_of_this_host_differs_only_in_its_sockets(tmp_path, monkeypatch):
     transports = "|".join(
         (
             r" *<transport_descriptors>.*</transport_descriptors>\n",
@@ -166,7 +166,7 @@ print(*node.get_node_names())
         ({"ROS_STATIC_PEERS": "", "ROS_DISCOVERY_SERVER": ""}, LOOPBACK),
     ],
 )
-def test_who_does_not_ask_for_other_hosts_is_not_reached_from_them(variables, profile, monkeypatch):
+def test_a_node_that_does_not_ask_for_other_hosts_is_not_reachable_from_them(variables, profile, monkeypatch):
     for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE", *NETWORK):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
@@ -184,8 +184,10 @@ def test_who_does_not_ask_for_other_hosts_is_not_reached_from_them(variables, pr
 
 @pytest.mark.long
 @pytest.mark.parametrize("how", [LOOPBACK, PROFILE, "by hand"])
-def test_who_comes_from_another_host_finds_nobody(how, tmp_path):
-    """By the address, which discovery on this host alone does not hinder; with the sockets of any interface it does."""
+def test_a_node_on_another_host_finds_no_node_here(how, tmp_path):
+    """By the address, which discovery on this host alone would not prevent; with sockets on all interfaces it finds
+    one.
+    """
     with free_domain() as domain, two_hosts() as (a, b):
         here = environment(domain, tmp_path)
         assert here["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(LOOPBACK)

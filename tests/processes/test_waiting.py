@@ -1,4 +1,4 @@
-"""A rig waits for outside nodes as long as it takes, and no clock but the steady one decides; over simulated nodes."""
+"""A rig waits for outside nodes without limit, and only the steady clock decides; over simulated nodes."""
 
 import json
 import os
@@ -40,7 +40,7 @@ def lacking(run):
 
 
 def waiting(mode, seconds):
-    """A rig without its controller, which is outside, for some time."""
+    """A rig whose controller is external, for some time."""
     world = World()
     Discovery(world, random.Random(0))
     run = SimulatedRig(with_guests("basic", ("gain",)), world, mode, departs=True, start_timeout=0.0)
@@ -51,7 +51,7 @@ def waiting(mode, seconds):
     return run
 
 
-def test_a_controller_on_a_wrong_topic_is_reported_which_one_it_should_be():
+def test_a_controller_on_a_wrong_topic_is_reported_with_the_right_one():
     run = waiting("lockstep", 1.0)
     messages = []
     guests = Guests(with_guests("basic", ("gain",)), messages.append)
@@ -75,7 +75,7 @@ def test_a_controller_on_a_wrong_topic_is_reported_which_one_it_should_be():
     assert messages[1:] == ["gain is there"]
 
 
-def test_a_refused_message_of_an_outside_node_is_reported_once():
+def test_a_rejected_message_of_an_outside_node_is_reported_once():
     messages = []
     guests = Guests(with_guests("basic", ("gain",)), messages.append)
     for count in (1, 2):
@@ -83,7 +83,7 @@ def test_a_refused_message_of_an_outside_node_is_reported_once():
     assert messages == ["plant refused a message on lag/command: u is nan"]
 
 
-def test_in_lockstep_a_controller_may_come_after_minutes_and_nothing_is_lost():
+def test_in_lockstep_a_controller_may_join_after_minutes_and_nothing_is_lost():
     run = waiting("lockstep", 120.0)
     ours, expected = rig_and_record("basic")
     gain = next(m for m in ours.members if m.name == "gain")
@@ -94,8 +94,8 @@ def test_in_lockstep_a_controller_may_come_after_minutes_and_nothing_is_lost():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_nobody_waits_for_an_onlooker_who_can_never_be_matched(seed):
-    """`ros2 topic echo --qos-durability transient_local`, begun before the rig."""
+def test_no_node_waits_for_an_observer_that_can_never_be_matched(seed):
+    """`ros2 topic echo --qos-durability transient_local`, started before the rig."""
     world = World()
     Discovery(world, random.Random(seed))
     rig, expected = rig_and_record("basic")
@@ -121,7 +121,7 @@ def test_a_node_of_the_rig_that_can_never_be_matched_is_named_with_the_reason(mo
     assert run.adapters["gain"].waits_for == ["plant"]
 
 
-def test_the_graph_tells_which_readers_ask_for_more_than_a_writer_offers():
+def test_the_graph_shows_which_subscribers_request_more_than_a_writer_offers():
     context, best_effort = Context(), QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     with free_domain() as domain:
@@ -140,8 +140,8 @@ def test_the_graph_tells_which_readers_ask_for_more_than_a_writer_offers():
     assert result == [("ours", "Volatile publisher and transient local subscription")]
 
 
-def test_an_answer_goes_to_a_client_that_is_there_and_to_none_that_has_left(monkeypatch):
-    """The middleware would wait for 0.1 s at each of the others; the header of a request tells whose it is."""
+def test_an_answer_is_sent_to_a_present_client_and_to_none_that_has_left(monkeypatch):
+    """The middleware would wait for 0.1 s at each of the others; the header of a request identifies its client."""
     monkeypatch.setattr(requests, "UNKNOWN", 0.0)
     contexts, sent, dropped = [Context() for _ in range(3)], [], []
     with free_domain() as domain:
@@ -171,7 +171,7 @@ def test_an_answer_goes_to_a_client_that_is_there_and_to_none_that_has_left(monk
     assert ([h.request_id.sequence_number for h in sent], len(dropped)) == ([1, 2], 3)
 
 
-def test_in_real_time_the_start_is_after_the_controller_has_come():
+def test_in_real_time_the_start_is_after_the_controller_has_joined():
     run = waiting("realtime", 120.0)
     world, arrived = run.world, run.world.now
     node = SimulatedNode(world, "somebody", {})
@@ -187,8 +187,8 @@ def test_in_real_time_the_start_is_after_the_controller_has_come():
 @pytest.mark.parametrize(
     "groups", [(), [("plant", "source", "gain")], [("plant", "gain")]], ids=["processes", "a container", "both"]
 )
-def test_a_run_that_takes_longer_than_a_start_may_take_has_begun(groups, monkeypatch):
-    """In a container nobody waits for a message of another process, which is what shows the others."""
+def test_a_run_longer_than_the_time_of_a_start_counts_as_begun(groups, monkeypatch):
+    """In a container no node waits for a message of another process, which is how a beginning is noticed elsewhere."""
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.4))
     world = World(lambda *_: 20 * MS)
     monkeypatch.setattr(turns, "SLICE", 0)
@@ -200,7 +200,7 @@ def test_a_run_that_takes_longer_than_a_start_may_take_has_begun(groups, monkeyp
     assert differences(in_process(rig), run.recording) == []
 
 
-def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
+def test_a_topic_of_an_outside_node_is_not_remapped_for_its_observer():
     """An observer of this rig reads `other/command` in place of `lag/command`."""
     nodes = {n: e.model_dump() | {"external": n == "gain"} for n, e in KINDS["basic"].nodes.items()}
     elsewhere = {"lag/command": "other/command"}
@@ -214,7 +214,7 @@ def test_a_topic_of_an_outside_node_is_not_remapped_by_who_looks_for_it():
     assert {tuple(a.lacking) for a in run.adapters.values()} == {("lag/command",)}
 
 
-def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning():
+def test_a_node_started_alone_does_not_take_a_future_stamp_for_the_beginning():
     world = World()
     node = SimulatedNode(world, "gain", {})
     gain, sent = Adapter(node, Gain(), RunOptions(mode="realtime")), []
@@ -239,8 +239,8 @@ def test_a_node_by_hand_does_not_take_a_stamp_from_the_future_for_the_beginning(
 
 
 @pytest.mark.parametrize(("lease", "state"), [(0.0, "done"), (3.0, "failed")])
-def test_a_law_by_hand_leaves_with_those_that_it_reads_and_fails_when_they_die(lease, state):
-    """Who is killed stays in the graph for its lease."""
+def test_a_controller_started_alone_leaves_with_its_senders_and_fails_when_they_die(lease, state):
+    """A killed node stays in the graph for its lease."""
     world = World()
     node, player = SimulatedNode(world, "gain", {}), SimulatedNode(world, "player", {})
     gain, sent = Adapter(node, Gain(), RunOptions(mode="lockstep")), []
@@ -262,12 +262,12 @@ def test_a_law_by_hand_leaves_with_those_that_it_reads_and_fails_when_they_die(l
 
 
 class Needy(Lag):
-    """A plant that cannot do without commands."""
+    """A plant that requires commands."""
 
     AWAITS_COMMAND = True
 
 
-def test_a_plant_that_needs_commands_stays_at_the_beginning_until_one_comes():
+def test_a_plant_that_requires_commands_stays_at_the_start_until_one_arrives():
     world = World()
     node, law = SimulatedNode(world, "plant", {}), SimulatedNode(world, "law", {})
     plant, messages = Adapter(node, Needy(), RunOptions(mode="realtime", duration=0.1)), []
@@ -292,7 +292,7 @@ def test_a_plant_that_needs_commands_stays_at_the_beginning_until_one_comes():
     assert plant.state == "done"
 
 
-def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
+def test_a_jumping_system_clock_does_not_matter_in_lockstep(monkeypatch):
     rng = random.Random(0)
     monkeypatch.setattr(SimulatedNode, "now", lambda self: self.world.now + rng.randrange(-HOUR, HOUR))
     rig = rig_of(make_scenario({"plant": "plant", "source": "source", "gain": "gain"}, 0.2))
@@ -301,7 +301,7 @@ def test_a_system_clock_that_jumps_decides_nothing_in_lockstep(monkeypatch):
     assert differences(in_process(rig), run.recording) == []
 
 
-def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_does(monkeypatch):
+def test_the_wall_clock_of_a_node_advances_steadily_whatever_the_system_clock_does(monkeypatch):
     ros = RosMiddleware(
         SimpleNamespace(
             monitor=None,
@@ -319,15 +319,15 @@ def test_the_wall_clock_of_a_node_goes_on_steadily_whatever_the_system_clock_doe
 
 
 @pytest.mark.parametrize(("jump", "seconds"), [(0.0, 0.5), (HOUR / SECOND, 0.0), (-HOUR / SECOND, 8.0)])
-def test_who_watches_a_run_waits_for_its_start_whatever_the_system_clock_does(jump, seconds, monkeypatch):
+def test_a_supervisor_waits_for_the_start_of_a_run_whatever_the_system_clock_does(jump, seconds, monkeypatch):
     epoch = time.time_ns() + SECOND // 2
     now = time.time() + jump
     monkeypatch.setattr(time, "time", lambda: now)
     assert supervision._to_start(epoch, 8.0) == pytest.approx(seconds, abs=0.1)
 
 
-def test_who_has_said_why_it_failed_is_the_cause_before_its_process_has_ended(tmp_path, monkeypatch):
-    """On a busy host it takes its time to end, and those that waited for it have ended before."""
+def test_a_node_that_has_reported_its_failure_is_the_cause_before_its_process_has_ended(tmp_path, monkeypatch):
+    """On a busy host its process may end after those of the nodes that waited for it."""
     monkeypatch.setattr(supervision, "GRACE", 0.0)
 
     def child(name, code, error, waits_for):
@@ -340,7 +340,7 @@ def test_who_has_said_why_it_failed_is_the_cause_before_its_process_has_ended(tm
     assert supervision._reason([source, gain], [gain], None) == "node source: hears nobody"
 
 
-def test_a_clock_that_was_set_back_is_a_reason(monkeypatch):
+def test_a_clock_that_was_set_back_is_named_as_a_reason(monkeypatch):
     clock, now = supervision.SystemClock(), time.time
     assert clock.set_back() == ""
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
@@ -353,8 +353,8 @@ def test_a_clock_that_was_set_back_is_a_reason(monkeypatch):
 
 
 @pytest.mark.parametrize("ok", [True, False])
-def test_a_publish_after_the_shutdown_of_the_context_is_no_error(ok, monkeypatch):
-    """It happens between a signal and the end of the callback under way; the executor would log a stack."""
+def test_publishing_after_the_shutdown_of_the_context_is_no_error(ok, monkeypatch):
+    """It happens between a signal and the end of the current callback; the executor would log a traceback."""
 
     def publish(data):
         raise RCLError("publisher's context is invalid")

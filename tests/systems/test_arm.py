@@ -1,4 +1,4 @@
-"""The torque-driven arm and its laws: against pinocchio, and against the closed form of the error."""
+"""The torque-driven arm and its controllers: against pinocchio, and against the closed form of the error."""
 
 import math
 
@@ -18,7 +18,7 @@ THREE = "package://softrig_robots/urdf/manipulator.urdf"
 
 
 @pytest.mark.parametrize(("urdf", "joints"), [(TWO, ("shoulder", "elbow")), (THREE, ("joint1", "joint2", "joint3"))])
-def test_the_functions_are_those_of_pinocchio(urdf, joints):
+def test_the_functions_equal_those_of_pinocchio(urdf, joints):
     """Torques by rnea, the tool and its Jacobian by frames, rotor inertias in both."""
     text = read_urdf(urdf)
     arm, model = compile_arm(text, "tool", joints, 0.05), load_model(text)
@@ -61,12 +61,12 @@ def test_computed_torque_leaves_a_linear_error():
     assert rows[:, 1] - 0.4 == pytest.approx(-0.7 * shape, abs=6e-3)
 
 
-def test_pd_with_gravity_rests_where_it_shall():
+def test_pd_with_gravity_rests_at_its_reference():
     rows, _ = closed("pd_gravity", (0.4, 0.3), (0.5, 0.2), 3000, kp=(150.0, 60.0), kd=(30.0, 8.0))
     assert rows[-1] == pytest.approx((0.5, 0.2), abs=1e-4)
 
 
-def test_the_tool_gives_way_by_force_over_stiffness():
+def test_the_tool_is_displaced_by_force_over_stiffness():
     q = (0.5, 0.9)
     rows, _ = closed("impedance", q, q, 3000, force=(0.0, 0.0, 0.0), stiffness=2000.0, damping=100.0, kd=1.0)
     assert rows[-1] == pytest.approx(q, abs=1e-6)
@@ -80,7 +80,7 @@ def test_the_tool_gives_way_by_force_over_stiffness():
     assert shift == pytest.approx(force / 2000.0, abs=2e-5)
 
 
-def test_limits_and_what_cannot_be():
+def test_limits_hold_and_impossible_parameters_are_refused():
     plant = ByHand(ArmPlant(ArmPlantParams(torque_limit=(5.0, 1.0))))
     plant.advance(0, joint_torques=(100.0, -100.0), tool_force=None)
     assert plant.outputs(0)["joint_states"][4:] == (5.0, -1.0)
@@ -105,7 +105,7 @@ def test_the_scenario_settles_as_the_closed_form_says():
 
 
 def test_a_linear_joint_has_its_own_units(tmp_path):
-    """By the joint's kind in the URDF; a reference in rad for it is refused, one that names it linear is not."""
+    """By the joint's kind in the URDF; a reference in rad is refused, one that declares it linear is accepted."""
     text = read_urdf(TWO)
     at = text.index('name="elbow"')
     (tmp_path / "lift.urdf").write_text(text[:at] + text[at:].replace('type="revolute"', 'type="prismatic"', 1))

@@ -1,4 +1,4 @@
-"""Parameters that are within their bounds, and do not fit: each is refused by a message that says what and why.
+"""Parameters within their bounds that contradict each other: each is refused by a message that says what and why.
 
 And parameters that just fit, on the edge of what is refused: each is taken.
 """
@@ -21,7 +21,7 @@ FITTING = (Path(__file__).parent / "fitting_parameters.txt").read_text().splitli
 
 
 @pytest.mark.parametrize("row", ROWS)
-def test_what_does_not_fit_is_named(row):
+def test_a_contradiction_is_named(row):
     executable, values, text = re.fullmatch(r"([\w.]+) (\{.*\}) -> (.*)", row).groups()
     block = BLOCKS[executable]
     with pytest.raises((ParameterError, ValueError), match=re.escape(text)):
@@ -29,7 +29,7 @@ def test_what_does_not_fit_is_named(row):
 
 
 @pytest.mark.parametrize("row", FITTING)
-def test_what_just_fits_is_taken(row):
+def test_a_combination_that_just_fits_is_accepted(row):
     executable, values = re.fullmatch(r"([\w.]+) (\{.*\})", row).groups()
     block = BLOCKS[executable]
     block.ports(block(build(block.Params, yaml.safe_load(values))).p)

@@ -1,4 +1,4 @@
-"""Every certificate of the suite, on problems drawn at random, against a test that is exact: no false "valid".
+"""Every certificate of the suite, on random problems, against an exact test: no false "valid".
 
 Each case draws a problem from a generator and tells whether the suite certifies it and whether what is certified is so:
 by the roots of the characteristic equation, by simulation to growth, by rational arithmetic, by enumeration. A few
@@ -33,7 +33,7 @@ from softrig_systems.pwa_delay.system import from_lines, linear
 
 
 class Drawn(NamedTuple):
-    """Whether it is certified, whether that is true, and what was drawn."""
+    """Whether a problem is certified, whether that is true, and the problem."""
 
     certified: bool
     true: bool
@@ -59,7 +59,7 @@ def rightmost(A, Ad, h, points=24):
 
 
 def a_linear_system(rng, most=3):
-    """Matrices, and a delay that is near the end of a window as often as not."""
+    """Matrices, and a delay that is near the end of a window in half of the cases."""
     n = int(rng.integers(1, most + 1))
     A = rng.normal(size=(n, n)) - rng.uniform(-0.5, 2.5) * np.eye(n)
     Ad = rng.uniform(0.2, 2.0) * rng.normal(size=(n, n))
@@ -77,7 +77,7 @@ def a_linear_system(rng, most=3):
 
 
 def stable(A, Ad, delays):
-    """At all of them, but for what collocation and rounding leave open."""
+    """Return whether all are stable, except for what collocation and rounding leave open."""
     return all(rightmost(A, Ad, h) < 1e-7 * (np.linalg.norm(A) + np.linalg.norm(Ad)) for h in delays)
 
 
@@ -123,7 +123,7 @@ def theorem_1(rng):
 
 
 def grows(system, delay, rng):
-    """Whether a trajectory from one of three starts ends larger than it was."""
+    """Return whether a trajectory from one of three starts ends larger than it was."""
     slowest = max(delay.h, *(1.0 / np.linalg.norm(A) for A in system.A))
     duration = 60.0 * slowest + (20.0 * math.pi * delay.h / delay.mu if delay.mu else 0.0)
     for _ in range(3):
@@ -136,7 +136,7 @@ def grows(system, delay, rng):
 
 
 def a_piecewise_system(rng):
-    """Slopes that are continuous over the faces, but for a fourth of the draws, which may slide."""
+    """Slopes that are continuous over the faces, except for a quarter of the draws, which may slide."""
     n = int(rng.integers(1, 3))
     A = rng.normal(size=(n, n)) - rng.uniform(-0.3, 2.0) * np.eye(n)
     Ad = rng.uniform(0.2, 1.5) * rng.normal(size=(n, n))
@@ -179,7 +179,7 @@ def theorem_1_of_cells(rng):
 
 
 def margin_by_simulation(rng):
-    """What `margin_search` finds: stable on its grid below, at the edge there."""
+    """The result of `margin_search`: stable on its grid below, at the edge there."""
     A, Ad, h = a_linear_system(rng, 2)
     low, high = 0.5 * h, 1.3 * h
     what = f"{low!r} to {high!r} A = {A.tolist()} Ad = {Ad.tolist()}"
@@ -196,7 +196,8 @@ def margin_by_simulation(rng):
 
 
 def lowest_level(h, s, kL, kR, c, start, rng):
-    """Lowest level where the delay, up to h with the hold, picks of all that is in the pipe: the most, then the least.
+    """The lowest level if the delay, up to h with the hold, selects from everything in the pipe: the most, then the
+    least.
 
     A trajectory of the tank but for the drain, which is late by a step: at most c sqrt(highest) of it.
     """
@@ -237,7 +238,7 @@ def level(rng):
 
 
 def tank_of_the_node(rng):
-    """The node's own answer: what it asked for, and what it searched."""
+    """The node's own answer: its request, and its search range."""
     s, kL, kR = (float(v) for v in rng.uniform([0.2, 0.05, 0.02], [1.5, 0.5, 0.5]))
     x0, c = float(rng.uniform(0.05, 1.0)), float(10.0 ** rng.uniform(-4.0, -1.5))
     own = {"switch": s, "k_low": kL, "k_high": kR, "c": c, "x0": x0}
@@ -264,7 +265,9 @@ def times(a, b):
 
 
 def schur(matrix):
-    """Whether all eigenvalues are inside the unit circle, exactly: Schur and Cohn on the characteristic polynomial."""
+    """Return whether all eigenvalues are inside the unit circle, exactly: Schur and Cohn on the characteristic
+    polynomial.
+    """
     n = len(matrix)
     p, power = [Fraction(1)], [[Fraction(int(i == j)) for j in range(n)] for i in range(n)]
     for k in range(1, n + 1):  # Faddeev and LeVerrier
@@ -281,7 +284,7 @@ def schur(matrix):
 
 
 def positive(matrix):
-    """Whether a symmetric matrix is positive definite, exactly: pivots."""
+    """Return whether a symmetric matrix is positive definite, exactly, by pivots."""
     m = [row[:] for row in matrix]
     for k in range(len(m)):
         if m[k][k] <= 0:
@@ -293,7 +296,9 @@ def positive(matrix):
 
 
 def dual_mode_holds(a, b, gain, terminal, q, r):
-    """A + B K inside the circle, Qbar > 0, V falls by the stage cost but for 1e-8 of its largest entry; all exact."""
+    """Return whether A + B K is inside the circle, Qbar > 0, and V falls by the stage cost within 1e-8 of its largest
+    entry; all exact.
+    """
     a, b, k, p, q = (rational(m) for m in (a, b, gain, terminal, q))
     n = len(a)
     p = [[(p[i][j] + p[j][i]) / 2 for j in range(n)] for i in range(n)]
@@ -470,7 +475,7 @@ class Transformer:
 
 
 def bound_of_a_search(rng):
-    """Strings with modules in the shade: steps in the current, passed on the way from command to command, too."""
+    """Strings with shaded modules: steps in the current, passed between two commands, too."""
     parts = int(rng.integers(2, 9))
     v = np.concatenate([[0.0], np.cumsum(np.repeat(rng.uniform(1.0, 20.0, parts), 2) * np.tile([0.9, 0.1], parts))])
     steps = np.concatenate([[0.0], np.cumsum(rng.exponential(1.0, parts))])[::-1]
@@ -525,7 +530,7 @@ CASES = {
 
 
 def judge(case, draws, seed):
-    """Give how many are certified; each false one is an error."""
+    """Return how many are certified; each false one is an error."""
     certified = 0
     for k in range(draws):
         drawn = case(np.random.default_rng([seed, k]))

@@ -1,4 +1,4 @@
-"""What a user can change, tried: one change in each system, against what physics says, not against an earlier run."""
+"""Changes that a user can make: one in each system, compared with physics and not with an earlier run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from softrig_systems.pwa_delay.plants import TankPlant
 
 
 def moved(plant, steps, **inputs):
-    """Advance a plant under constant inputs; its outputs at the end."""
+    """Advance a plant under constant inputs; return its outputs at the end."""
     held = ByHand(plant)
     for k in range(steps):
         held.advance(to_ns(k * plant.p.period), **inputs)
@@ -53,7 +53,7 @@ def test_dc_axis_twice_the_gain_twice_the_acceleration():
 
 
 def test_induction_machine_twice_the_inertia_half_the_acceleration():
-    """A load torque on the shaft of a machine without voltage, for the machine's flux is zero then."""
+    """With a load torque on the shaft of a machine without voltage, because its flux is then zero."""
     speeds = []
     for J in (0.015, 0.03):
         plant = ImPlant(J=J)
@@ -115,7 +115,7 @@ def _free_fall(plant):
 
 
 @pytest.mark.long
-def test_rehab_robot_of_twice_the_stiffness_gives_way_half_as_far():
+def test_rehab_robot_of_twice_the_stiffness_is_displaced_half_as_far():
     """Active exercise under a constant force of the patient: K_d e = J' F at rest."""
     ways = []
     for stiffness in (100.0, 200.0):
@@ -146,7 +146,7 @@ def test_tcp_with_twice_the_flows_has_half_the_window():
 
 
 def test_tank_of_twice_the_area_rises_half_as_fast():
-    """From an empty tank, before anything drains; the pipe's delay is none."""
+    """From an empty tank, before anything drains; the pipe has no delay."""
     levels = []
     for area in (10.0, 20.0):
         plant = TankPlant(A=area, c=1e-6, delay=0.0, x0=0.0, k_low=0.0, k_high=0.0)

@@ -16,7 +16,7 @@ PHASES = ("A", "B", "C")
 
 
 def waves(n=400, f=50.0, rate=RATE, late=0.0, channels=12):
-    """Twelve sines of a network, each with its own size and angle: band limited, so any skew has a closed form."""
+    """Twelve sines of a network with different sizes and angles: band limited, so any skew has a closed form."""
     t = np.arange(n) / rate + late
     k = np.arange(channels)
     return 100.0 * (1 + k) * np.sin(2 * np.pi * f * t[:, None] + 0.5 * k)
@@ -70,7 +70,7 @@ def read(file, *more, **how):
 
 @pytest.mark.parametrize("revision", ["1991", "1999", "2013"])
 @pytest.mark.parametrize("form", ["ASCII", "BINARY", "BINARY32", "FLOAT32"])
-def test_each_form_as_the_comtrade_package_reads_it(tmp_path, form, revision):
+def test_each_form_is_read_as_by_the_comtrade_package(tmp_path, form, revision):
     file = File(tmp_path, form=form, revision=revision)
     for k, channel in enumerate(file.channels):
         channel[5:7] = str(0.5 + k), str(3.0 * k)
@@ -84,7 +84,7 @@ def test_each_form_as_the_comtrade_package_reads_it(tmp_path, form, revision):
 
 
 @pytest.mark.parametrize("skews", [[25] * 12, [0] * 3 + [40] * 3 + [10] * 3 + [-30] * 3, [5 * k for k in range(12)]])
-def test_channels_are_brought_to_one_time_by_their_skew(tmp_path, skews):
+def test_channels_are_shifted_to_one_time_by_their_skew(tmp_path, skews):
     """The channel k was sampled skew_k later: its samples are the sine at these times."""
     x = np.column_stack([waves(late=1e-6 * s)[:, k] for k, s in enumerate(skews)])
     file = File(tmp_path, x=x)
@@ -160,7 +160,7 @@ def test_clocks_that_are_not_good_enough_are_refused_for_two_recorders(tmp_path,
     assert read(one).rate == RATE  # of one recorder both ends have one clock
 
 
-def test_the_clocks_own_account_is_the_error_budget_and_the_frequency_is_the_recorders(tmp_path):
+def test_the_stated_clock_error_enters_the_budget_and_the_frequency_is_the_recorders(tmp_path):
     s, r = two(tmp_path, tail=["1", "0,0", "5,0"], frequency="60")
     s.frequency = "60"
     data = read(s, r)
@@ -175,7 +175,7 @@ def test_the_clocks_own_account_is_the_error_budget_and_the_frequency_is_the_rec
         read(s, r)
 
 
-def test_a_zone_of_only_one_recorder_is_said(tmp_path):
+def test_a_time_zone_of_only_one_recorder_is_reported(tmp_path):
     s, r = two(tmp_path, tail=["1", "+1,+1", "4,0"])
     s.tail = ["1", ",", "4,0"]
     assert "only one recorder has a time_code" in read(s, r).note
@@ -185,7 +185,7 @@ def test_a_zone_of_only_one_recorder_is_said(tmp_path):
 
 
 @pytest.mark.parametrize("slow_first", [True, False])
-def test_of_several_rates_the_fastest_stretch_is_used_or_the_one_with_the_trigger(tmp_path, slow_first):
+def test_of_several_rates_the_fastest_part_is_used_or_the_one_with_the_trigger(tmp_path, slow_first):
     slow, fast = waves(100, rate=1000.0), waves(400)
     file = File(tmp_path, x=np.vstack([slow, fast] if slow_first else [fast, slow]))
     parts = [("1000", 100), ("4000", 500)] if slow_first else [("4000", 400), ("1000", 500)]
@@ -202,14 +202,14 @@ def test_of_several_rates_the_fastest_stretch_is_used_or_the_one_with_the_trigge
     assert read(file).rate == 1000.0
 
 
-def test_stretches_of_one_rate_are_one(tmp_path):
+def test_parts_of_one_rate_are_joined(tmp_path):
     file = File(tmp_path)
     file.nrates, file.rates = "3", ["4000,100", "4000,250", "4000,400"]
     data = read(file)
     assert (len(data.samples), data.note) == (400, "")
 
 
-def test_times_of_the_data_where_there_is_no_rate(tmp_path):
+def test_without_a_rate_the_times_of_the_data_are_used(tmp_path):
     file = File(tmp_path)
     file.nrates, file.rates, file.us, file.tail[0] = "0", ["0,400"], file.us // 2, "2"
     data = read(file)
@@ -219,7 +219,7 @@ def test_times_of_the_data_where_there_is_no_rate(tmp_path):
         read(file)
 
 
-def test_stamps_that_contradict_the_rate_and_missing_numbers_are_said(tmp_path):
+def test_stamps_that_contradict_the_rate_and_missing_numbers_are_reported(tmp_path):
     file = File(tmp_path)
     file.us = file.us * 2
     data = read(file)
@@ -282,7 +282,7 @@ def test_old_binary_data_of_an_unsigned_range(tmp_path):
 @pytest.mark.parametrize(
     "system", ["A B C", "L1 L2 L3", "1 2 3", "R S T", "U V W", "R Y B", "A-N B-N C-N", "AN BN CN", "r s t"]
 )
-def test_the_phases_of_each_country(tmp_path, system):
+def test_the_phase_names_of_each_country_are_read(tmp_path, system):
     file = File(tmp_path)
     for k, channel in enumerate(file.channels):
         channel[2] = system.split()[k % 3]
@@ -297,7 +297,7 @@ def test_letters_of_two_systems_are_not_guessed(tmp_path):
         read(file)
 
 
-def test_a_channel_twice_or_two_of_one_name_or_both_ends_alike_are_refused(tmp_path):
+def test_repeated_channels_equal_names_and_equal_ends_are_refused(tmp_path):
     file = File(tmp_path)
     names = [c[1] for c in file.channels]
     with pytest.raises(ComtradeFileError, match="channel VA_S occurs twice"):
@@ -311,11 +311,11 @@ def test_a_channel_twice_or_two_of_one_name_or_both_ends_alike_are_refused(tmp_p
 
 
 @pytest.mark.parametrize(("cfg", "dat"), [(".cfg", ".DAT"), (".CFG", ".dat"), (".Cfg", ".Dat"), (".CFG", ".DAT")])
-def test_the_data_are_found_in_whatever_case(tmp_path, cfg, dat):
+def test_the_data_file_is_found_in_any_letter_case(tmp_path, cfg, dat):
     assert len(read_comtrade([File(tmp_path).write(cfg, dat)]).samples) == 400
 
 
-def test_no_data_or_two_of_them_are_refused(tmp_path):
+def test_missing_or_ambiguous_data_are_refused(tmp_path):
     path = File(tmp_path).write(".cfg", ".DaT")
     (tmp_path / "rec.Dat").write_bytes(b"")
     with pytest.raises(ComtradeFileError, match=r"several data files beside it: rec\.D"):
@@ -334,7 +334,7 @@ def test_no_data_or_two_of_them_are_refused(tmp_path):
 )  # fmt: skip
 @pytest.mark.parametrize("form", ["ASCII", "FLOAT32"])
 @pytest.mark.parametrize("ended", [True, False])
-def test_sections_of_a_cff_in_whatever_case_and_without_a_last_line_end(tmp_path, head, form, ended):
+def test_sections_of_a_cff_are_read_in_any_letter_case_and_without_a_last_line_end(tmp_path, head, form, ended):
     file = File(tmp_path, form=form)
     data = file.dat() if ended or form != "ASCII" else file.dat().rstrip(b"\r\n")
     size = f": {len(data)}" if form != "ASCII" else ""
@@ -349,7 +349,7 @@ def test_sections_of_a_cff_in_whatever_case_and_without_a_last_line_end(tmp_path
         read_comtrade([path])
 
 
-def test_sections_are_found_by_their_heads_alone():
+def test_sections_are_found_only_by_their_heads():
     assert [name for name, _, _ in sections(b"--- file type: CFG ---\nx\n--- file type: DAT ASCII ---")] == [
         "CFG",
         "DAT",
@@ -365,7 +365,7 @@ def test_sections_are_found_by_their_heads_alone():
 # counts and fields ---------------------------------------------------------------------------------------------------
 
 
-def test_counts_that_do_not_agree_are_said(tmp_path):
+def test_contradicting_counts_are_reported(tmp_path):
     file = File(tmp_path)
     file.rates = ["4000,410"]
     assert "the data end after 400 of 410 samples" in read(file).note
@@ -410,14 +410,14 @@ def test_counts_that_do_not_agree_are_said(tmp_path):
         ("\r\n1\r\n4000,400", "\r\n2\r\n4000,400\r\n1000,300", "rising last sample"),
     ],
 )
-def test_fields_that_cannot_be_right_are_refused_by_their_line(tmp_path, old, new, why):
+def test_impossible_fields_are_refused_by_their_line(tmp_path, old, new, why):
     text = File(tmp_path).cfg()
     assert old in text
     with pytest.raises(SettingsError, match=why):
         read_settings(text.replace(old, new, 1))
 
 
-def test_what_has_no_effect_is_said_once_when_there_is_something_in_it(tmp_path):
+def test_a_field_without_effect_is_reported_once_if_it_is_not_empty(tmp_path):
     file = File(tmp_path, form="BINARY")
     file.tail = ["1", "0,+2", "0,1"]
     text = file.cfg().replace("12,12A,0D", "13,12A,1D").replace("50\r\n1", "1,trip,,,0\r\n50\r\n1")
@@ -467,7 +467,9 @@ OF_DATA = {"n", "timestamp", "missing value", "CFF: CFG", "CFF: DAT"}  # tested 
 
 
 def reading(tmp_path, old="", new=""):
-    """All that comes of a file, or why nothing does; the second channel in secondary values of a ratio of one."""
+    """Everything read from a file, or the reason of a refusal; the second channel is in secondary values with a ratio
+    of one.
+    """
     file = File(tmp_path)
     file.channels[1][12] = "S"
     path = file.write()
@@ -487,6 +489,6 @@ def test_a_used_field_has_an_effect(tmp_path, field):
     assert reading(tmp_path, old, new) != reading(tmp_path)
 
 
-def test_the_table_is_whole():
+def test_the_table_is_complete():
     used = {name for name, (use, _) in COMTRADE.table.items() if use == "used"}
     assert used == set(CHANGES) | OF_DATA

@@ -1,4 +1,4 @@
-"""Rigs from rated values: what follows is held against equations of its own, what cannot be is refused."""
+"""Rigs from rated values: results are compared with independent equations, impossible values are refused."""
 
 import cmath
 import math
@@ -38,7 +38,7 @@ def drawn(plant, slip, voltage, frequency):
 
 
 @pytest.mark.parametrize("plate", [PLATE, {**PLATE, "R_s": 0.5}, {**LESS, "efficiency": 0.88}])
-def test_an_induction_machine_draws_what_its_name_plate_says(plate):
+def test_an_induction_machine_draws_the_current_of_its_name_plate(plate):
     drive = induction(plate)
     current, power, flux = drawn(drive.plant, 0.03, 400.0, 50.0)
     assert abs(current) == pytest.approx(14.5, rel=1e-12)
@@ -49,7 +49,7 @@ def test_an_induction_machine_draws_what_its_name_plate_says(plate):
     assert drive.plant["pole_pairs"] == 2
 
 
-def test_an_equivalent_circuit_is_taken_as_it_is():
+def test_an_equivalent_circuit_is_used_unchanged():
     """The T circuit draws the same current, and has the same power, as the constants of the plant."""
     drive = induction({**PLATE, **CIRCUIT})
     w, slip = 100.0 * math.pi, 0.03
@@ -64,7 +64,7 @@ def test_an_equivalent_circuit_is_taken_as_it_is():
     assert not any(line.startswith(("R_s", "L_sigma", "R_R")) for line in drive.assumed)
 
 
-def test_a_phase_of_a_brushless_machine_has_half_of_the_terminals():
+def test_a_phase_of_a_brushless_machine_has_half_of_the_terminal_resistance():
     plant = bldc(FLAT).plant
     assert [plant[n] for n in ("R", "L", "k_e")] == pytest.approx([0.515, 2.86e-4, 0.01675])
     by_speed = bldc({k: v for k, v in FLAT.items() if k != "K_t"} | {"K_v": 285.05})
@@ -75,7 +75,7 @@ def test_a_phase_of_a_brushless_machine_has_half_of_the_terminals():
     assert K * 5240.0 * math.pi / 30.0 + 2.0 * assumed["R"] * 2.36 == pytest.approx(24.0)
 
 
-def test_the_parts_of_a_buck_converter_have_the_ripples_that_were_asked_for():
+def test_the_parts_of_a_buck_converter_give_the_requested_ripples():
     """By the areas of volt-seconds and of charge, not by the formulas of the module."""
     result = buck({**SUPPLY, "ripple_current": 1.0, "ripple_voltage": 0.05})
     L, C, T, D = result.plant["L"], result.plant["C"], 1e-5, 15.0 / 28.0
@@ -98,7 +98,7 @@ RIGS = {
 
 
 @pytest.mark.parametrize("name", [n if n != "im" else pytest.param(n, marks=pytest.mark.long) for n in RIGS])
-def test_the_rig_does_what_it_expects(name, tmp_path):
+def test_the_rig_meets_its_expectations(name, tmp_path):
     written, given = RIGS[name]
     text, assumed = written("mine", given)
     file = tmp_path / "mine.yaml"
@@ -165,7 +165,7 @@ def test_a_rated_value_is_one_number(speed, tmp_path, capsys):
     assert not [*tmp_path.iterdir()]
 
 
-def test_the_servo_is_taken_and_another_convention_of_its_emf_is_remarked():
+def test_the_servo_is_accepted_and_another_convention_of_its_emf_is_remarked():
     assert not any("convention" in line for line in pmsm(SERVO).assumed)
     assert any("convention" in line for line in pmsm({**SERVO, "K_e": 38.0 * math.sqrt(2.0)}).assumed)
 
@@ -210,12 +210,12 @@ BOTH, HALF = (-2.0, -1.0, 0.0, 1.0, 2.0), (0.0, 1.0, 2.0)
         (PmsmPlant, grid(BOTH, (1.0, 2.0), lambda d, q: 0.1 * d, lambda d, q: 0.1 * q), "begins at 1 A"),
     ],
 )  # fmt: skip
-def test_machines_that_cannot_be_or_that_no_step_resolves_are_refused(plant, values, text):
-    """Before: speeds of 1e18 rad/s at run time, or a division by zero."""
+def test_impossible_machines_and_those_that_no_step_resolves_are_refused(plant, values, text):
+    """Previously speeds of 1e18 rad/s at run time, or a division by zero."""
     with pytest.raises(ValueError, match=text) as error:
         plant(**values)
     assert "\n" not in str(error.value)
 
 
-def test_tables_with_as_much_coupling_as_there_can_be_are_taken():
+def test_tables_with_the_largest_possible_coupling_are_accepted():
     PmsmPlant(**grid(BOTH, BOTH, lambda d, q: 0.1 * d + 0.099 * q, lambda d, q: 0.099 * d + 0.1 * q), substeps=10)

@@ -66,7 +66,7 @@ def settling(signals, step):
 
 
 def unsettled(signals, step):
-    """Outside the 2 % band again within the last two seconds."""
+    """Return whether it leaves the 2 % band again within the last two seconds."""
     return measures.peak(signals, Y, reference=step, start=6.0) > 0.02 * step
 
 
@@ -267,8 +267,8 @@ FIRMNESS = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("ratio", [pytest.param(r, marks=[pytest.mark.long] * (r != 3.8576)) for r in FIRMNESS])
-def test_how_firm_the_overshoot_without_compensation_is(ratio):
-    """Small changes of cycle and speed filter move it a lot; the predictor's result does not move."""
+def test_the_overshoot_without_compensation_is_sensitive(ratio):
+    """Small changes of cycle and speed filter change it a lot; the predictor's result does not change."""
     p = inner_pole(ratio)
     kv, kp, ki = design([-p, -ratio * p, -ratio * p])
     for (dt, window), expected in FIRMNESS[ratio].items():
@@ -335,7 +335,9 @@ def test_stretch_random_delay_of_6_to_10_periods(step, limit):
 
 
 def drive(plant, volts, seconds):
-    """Positions and speeds with a constant voltage, first sample at 0; of a plant, or of one that somebody holds."""
+    """Positions and speeds with a constant voltage, first sample at 0; for a plant, or for one with a state of
+    its own.
+    """
     plant = plant if isinstance(plant, ByHand) else ByHand(plant)
     period = round(plant.block.p.period * 1e9)
     states = []
@@ -401,12 +403,12 @@ def test_friction_stops_where_and_when_the_equation_says():
     assert len(moving) == 50
 
 
-def test_friction_without_any_is_the_plain_motor():
+def test_without_friction_the_axis_is_the_plain_motor():
     free = drive(DcAxisPlant(friction=True, coulomb=0.0, stiction=0.0), 5.0, 1.0)
     assert np.abs(free - drive(DcAxisPlant(), 5.0, 1.0)).max() < 1e-11
 
 
-def test_friction_step_size(monkeypatch):
+def test_the_step_size_of_friction_is_fine_enough(monkeypatch):
     """Half the sub-step moves the figures by less than their tolerances."""
     coarse = {n: run(n) for n in ("dc_motor_fsfb_s8", "dc_motor_fsfb_s8_40mm")}
     monkeypatch.setattr("softrig_drives.dc_axis.plant.SUBSTEP", 0.5e-3)
@@ -555,7 +557,7 @@ def test_reset_forgets_everything():
 
 @pytest.fixture
 def moving():
-    """A controller that wants to move: set point 10 mm, ten good periods behind it."""
+    """A controller in motion: set point 10 mm, ten good periods before."""
     block = controller()
     for k in range(10):
         answer = ask(block, 10 * k, forward=1)
@@ -579,7 +581,7 @@ def test_bad_feedback_or_reference_gives_zero_volt_and_holds(moving, bad, key, t
     assert ask(moving, 110, forward=1)["command"][0] > 0.1  # and goes on
 
 
-def test_a_tick_that_the_node_refused_is_one_with_bad_feedback(moving):
+def test_a_tick_that_the_node_rejected_counts_as_bad_feedback(moving):
     twin = controller()
     for k in range(10):
         ask(twin, 10 * k, forward=1)
@@ -605,7 +607,7 @@ def test_feedback_out_of_order_is_dropped(moving):
 
 
 def test_prediction_over_unknown_commands_gives_zero_volt():
-    """A controller that starts while late feedback is under way does not know what was commanded before."""
+    """A controller that starts while late feedback is on its way does not know the earlier commands."""
     block = controller()
     answers = [ask(block, 1000 + 10 * k, 5.0, forward=1, stamp_ms=920 + 10 * k) for k in range(10)]
     assert [a["command"][0] for a in answers[:8]] == [0.0] * 8

@@ -16,7 +16,7 @@ SET_POINT = "axis/controller_state/set_point/position"
 
 @pytest.mark.long
 def test_real_time_reaches_the_same_result_with_the_delay_read_from_the_stamps(tmp_path):
-    """Missed periods of a busy host may move the figures; delay, end and absence of a large overshoot may not move."""
+    """Missed periods of a busy host may change the figures, but not the delay, the end and the small overshoot."""
     long_press = {"step_buttons.forward": [1.0], "step_buttons.hold": 3.0}  # seen also by a node that starts late
     rig = rig_of(load_scenario("dc_motor_fsfb", long_press), duration=5.0)
     outcome = run_processes(rig, 0, tmp_path, Placement(clock="realtime"))
@@ -74,11 +74,11 @@ class Axis:
         assert self.bench.ends("person") == 0
 
     def asked(self, where):
-        """Wait until that is the set point."""
+        """Wait until the set point has a value."""
         self.wait(lambda: self.bench.signal("controller", SET_POINT).x[-1] == where)
 
     def arrives(self, where):
-        """Wait until set point and axis stand there."""
+        """Wait until set point and axis have reached a value."""
 
         def there():
             asked, y = self.bench.signal("controller", SET_POINT).x, self.bench.signal("plant", Y).x[-50:]
@@ -87,7 +87,7 @@ class Axis:
         self.wait(there)
 
     def wait(self, condition):
-        """Look at what is recorded when there is more of it."""
+        """Check the recording when it has grown."""
         seen = None
 
         def more():

@@ -1,4 +1,4 @@
-"""DC motor rig: the acceptance numbers through the scenario files, the model, the laws, bad input."""
+"""DC motor rig: the acceptance numbers through the scenario files, the model, the controllers, bad input."""
 
 import functools
 import math
@@ -62,7 +62,7 @@ def test_every_scenario_meets_its_figures(name):
     assert figures(name)
 
 
-def test_softening_takes_the_chattering_away():
+def test_softening_removes_the_chattering():
     soft = [
         figures(f"dc_motor_smc_b2{d}")["total_variation"] for d in ("_delta1", "_delta2", "", "_delta10", "_delta20")
     ]
@@ -237,13 +237,13 @@ def test_smc_is_eq_33_and_36():
         assert answer["surface"][0] == pytest.approx(s, rel=1e-12)
 
 
-def test_absolute_switching_gain():
+def test_the_switching_gain_can_be_absolute():
     law = ByHand(DcMotorSmc(k=160.0))
     answer = law.update(0, state=(0.0,), sensors=(0.0, 0.0), reference=(2.0,))
     assert answer["command"][0] == pytest.approx(160.0 / 13.89, rel=1e-12)
 
 
-def test_wd_of_the_speed_difference_and_its_filter():
+def test_the_derivative_term_uses_the_speed_difference_and_its_filter():
     def answers(**p):
         law = ByHand(DcMotorSmc(wd_source="diff", publish_surface=True, **p))
         ramp = [law.update(0, state=(0.02 * k,), sensors=(0.0, 9.0), reference=(1.0,))["surface"][0] for k in range(9)]
@@ -258,7 +258,7 @@ def test_no_switching_before_the_first_reference_other_than_zero():
     assert law.update(0, state=(0.0,), sensors=(0.0, 0.0), reference=None)["command"] == (0.0,)
 
 
-def test_a_refused_reference_gives_the_surface_too():
+def test_a_rejected_reference_still_gives_the_surface():
     law = ByHand(DcMotorSmc(publish_surface=True))
     answer = law.refused(0)
     assert answer == {"command": (0.0,), "surface": (0.0,)}
@@ -272,7 +272,7 @@ def test_motor_brakes_when_the_reference_becomes_zero():
 
 
 def answers(pid, *errors):
-    """Give what a PID law says to errors."""
+    """Return the outputs of a PID controller for a sequence of errors."""
     x, result = PidState(), []
     for e in errors:
         x, u = pid(x, e)
@@ -295,12 +295,12 @@ def test_integral_stops_while_the_output_is_beyond_the_limit(anti_windup, integr
     assert result[11] < result[12]  # inside the limit it integrates in both cases
 
 
-def test_integral_winds_back_beyond_the_limit():
+def test_the_integral_winds_back_beyond_the_limit():
     pid = Pid(PidParams(kp=0.1, ki=100.0, u_max=1.0), 0.01)
     assert answers(pid, 0.9, 0.9, 0.5, -0.1, -0.1) == pytest.approx([0.09, 0.99, 1.85, 1.79, 1.69])
 
 
-def test_kalman_gain_is_where_the_riccati_recursion_ends():
+def test_the_kalman_gain_is_the_limit_of_the_riccati_recursion():
     a, c = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[1.0, 0.0]])
     q, r = (1e-3, 1e-2), (0.05,)
     P = np.eye(2)
@@ -322,7 +322,7 @@ def test_kalman_gain_is_where_the_riccati_recursion_ends():
 # Bad input
 
 
-def test_the_law_with_an_estimate_begins_with_its_set_point_and_the_size_of_that():
+def test_the_controller_with_an_estimate_begins_with_its_set_point_and_the_size_of_that():
     assert DcMotorSmcKalman(set_point=-3.0).first()[:2] == (-3.0, 3.0)
 
 
@@ -340,7 +340,7 @@ MEASURED = [
 
 
 @pytest.mark.parametrize(("make", "inputs", "used"), MEASURED)
-def test_a_tick_of_which_something_was_refused_gives_zero_volt_and_leaves_no_trace(make, inputs, used):
+def test_a_tick_with_a_rejected_input_gives_zero_volt_and_leaves_the_state_unchanged(make, inputs, used):
     block, clean = ByHand(make()), ByHand(make())
     inputs = inputs | {"reference": (10.0,)}
     for b in (block, clean):

@@ -22,13 +22,13 @@ BRIDGE = P.vmax - P.bridge_drop  # V
 
 
 def rows(firmware, *times):
-    """What the simulator says at times in ms."""
+    """The output of the simulator at times in ms."""
     given = b"".join(struct.pack("<q", t * 1_000_000) for t in times)
     done = subprocess.run([simulator_of(P), firmware], input=given, capture_output=True, check=True, timeout=60)
     return list(ROW.iter_unpack(done.stdout))
 
 
-def test_the_run_is_that_of_the_digital_rig_and_the_same_again():
+def test_the_run_equals_that_of_the_digital_rig_and_repeats():
     first, again, digital = (
         simulate(name, duration=0.5) for name in ("dc_motor_smc_uno", "dc_motor_smc_uno", "dc_motor_smc_b1")
     )
@@ -43,7 +43,7 @@ def test_the_run_is_that_of_the_digital_rig_and_the_same_again():
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", UNO)
-def test_the_hardware_section_of_the_paper(name):
+def test_the_hardware_section_of_the_paper_is_reproduced(name):
     run = simulate(name)
     assert [r.name for r in run.results if r.passed is not True and r.limited] == []
 
@@ -138,7 +138,7 @@ def test_a_controller_with_other_ports_is_refused():
         )
 
 
-def test_speed_by_the_counts_of_the_encoder():
+def test_the_speed_follows_from_the_counts_of_the_encoder():
     run = simulate("dc_motor_smc_uno_soft", duration=1.0)
     theta = run.signals["motor/true_state/shaft/position"].x
     count = run.signals["motor/sensors/encoder_count/position"].x

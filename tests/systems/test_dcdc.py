@@ -1,4 +1,4 @@
-"""Buck and boost converters and the PID controller: by text-book ratios, scipy with events, and linear loops."""
+"""Buck and boost converters and the PID controller: against textbook ratios, scipy with events, and linear loops."""
 
 import math
 from importlib.util import find_spec
@@ -14,7 +14,7 @@ from softrig_power.dcdc.plant import DcdcPlant, DcdcPlantParams
 
 
 def settled(periods=3000, **values):
-    """Run a converter at a constant duty ratio; give its mean output over the last periods, and its state."""
+    """Run a converter at a constant duty ratio; return its mean output over the last periods, and its state."""
     duty = values.pop("duty")
     block = ByHand(DcdcPlant(DcdcPlantParams(**{"delay": 0, "C": 50e-6, **values})))
     seen = []
@@ -52,7 +52,7 @@ def test_the_boundary_of_discontinuous_conduction(topology):
             assert v == pytest.approx(M * 28.0, rel=1e-2)
 
 
-def test_losses_and_saturation_are_those_of_scipy_with_events():
+def test_losses_and_saturation_equal_those_of_scipy_with_events():
     """Twenty periods of a boost converter with all parasitics, discontinuous at first; within 1e-6."""
     p = DcdcPlantParams(topology="boost", delay=0, R_L=0.05, R_on=0.03, v_diode=0.6, R_C=0.02, i_sat=3.0, v_0=30.0,
                         R=15.0, C=40e-6, substeps=32)  # fmt: skip
@@ -83,11 +83,11 @@ def test_losses_and_saturation_are_those_of_scipy_with_events():
 
 
 @pytest.mark.parametrize("name", ["buck_pi", "buck_pi_cascade", "buck_pi_light"])
-def test_converters_meet_what_they_expect(name):
+def test_converters_meet_their_expectations(name):
     assert not simulate(name).missed
 
 
-def test_what_cannot_be_is_refused():
+def test_impossible_converters_are_refused():
     for values, text in (
         ({"L_sat": 1.0, "i_sat": 1.0}, "at most L"),
         ({"load_times": (0.0, 0.0)}, "later than the one before"),
@@ -108,8 +108,8 @@ def command(block, t, y, r=None):
     return block.update(t, measurement=(y,), **({} if r is None else {"reference": (r,)}))["command"][0]
 
 
-def test_it_is_the_law_of_the_suite_with_the_same_options():
-    """The same bits but for the first derivative, which the law of the suite takes from an error of zero."""
+def test_it_equals_the_pid_of_the_suite_with_the_same_options():
+    """The same bits except for the first derivative, for which the suite's PID assumes an error of zero before."""
     gains = {"kp": 2.0, "ki": 3.0, "kd": 0.1, "n_filter": 50.0}
     law, x = Pid(PidParams(**gains, u_max=5.0), 0.01), PidState()
     block = controller(**gains, u_min=-5.0, u_max=5.0, period=0.01, set_point=0.0)
@@ -135,7 +135,7 @@ def test_forms(form, t_i, t_d):
     assert results == pytest.approx(Kp * e + integral + derivative, abs=1e-9)
 
 
-def test_derivative_on_the_measurement_and_weight_do_not_kick():
+def test_derivative_on_the_measurement_and_set_point_weight_do_not_kick():
     block = controller(kp=2.0, kd=1.0, derivative_on="measurement", weight=0.0, ki=1.0, reference="r/r/position")
     assert command(block, 0, 0.0, 0.0) == 0.0
     assert command(block, 1, 0.0, 10.0) == 0.0  # of the step itself nothing but the integral, from the next tick on
@@ -145,7 +145,7 @@ def test_derivative_on_the_measurement_and_weight_do_not_kick():
     assert command(kicked, 1, 0.0, 10.0) > 900.0
 
 
-def test_windup():
+def test_the_integral_does_not_wind_up():
     """A plant 1/(s + 1) that cannot follow for 5 s, then can: how long the command stays at its limit."""
     stays = {}
     for way in ("none", "conditional", "back_calculation"):
@@ -161,7 +161,7 @@ def test_windup():
     assert stays["conditional"] == stays["back_calculation"] == 0
 
 
-def test_hands_and_gains_change_without_a_bump():
+def test_manual_mode_and_gains_change_without_a_bump():
     block = controller(kp=2.0, ki=2.0, set_point=1.0, period=0.01)
     for k in range(50):
         u = command(block, k, 0.4)
@@ -176,7 +176,7 @@ def test_hands_and_gains_change_without_a_bump():
     assert command(block, 61, 0.4) == pytest.approx(5.0, abs=1e-9)
 
 
-def test_a_loop_is_the_linear_loop():
+def test_a_loop_equals_the_linear_loop():
     """PI on 1/(s + 1), sampled: the closed loop's step by scipy, within 1e-9."""
     T, Kp, Ki = 0.05, 1.5, 2.0
     a = math.exp(-T)
@@ -193,7 +193,7 @@ def test_a_loop_is_the_linear_loop():
 
 @pytest.mark.long
 @pytest.mark.skipif(find_spec("control") is None, reason="python-control is not installed: pip install control")
-def test_a_loop_is_that_of_python_control():
+def test_a_loop_equals_that_of_python_control():
     """The ideal form with a filtered derivative on a double pole, both sampled by python-control; within 1e-8."""
     import control
 
@@ -223,6 +223,6 @@ def test_a_loop_is_that_of_python_control():
         ({"measurement": "y"}, "expected topic/channel/field"),
     ],
 )
-def test_controllers_that_cannot_be_are_refused(values, text):
+def test_impossible_controllers_are_refused(values, text):
     with pytest.raises(ValueError, match=text):
         PidControllerParams(**values)

@@ -18,7 +18,7 @@ THREE = Units.read("units_3")
 
 
 def enumerated(units, demand, conditions, step):
-    """The least cost of a fine grid over two units, the third one balancing; the grid is finer at valve points."""
+    """The least cost on a fine grid over two units, with the third one balancing; the grid is finer at valve points."""
     axes = []
     for j in (0, 1):
         low, high = conditions.low[j], conditions.high[j]
@@ -39,7 +39,7 @@ def enumerated(units, demand, conditions, step):
 
 
 def with_more(**columns):
-    """The three units with further columns of the field's tables."""
+    """The three units with further columns of common tables."""
     more = np.full((3, 4), np.nan)
     for name, values in columns.items():
         more[:, MORE.index(f"{name}_MW")] = values
@@ -59,7 +59,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("demand", [700.0, 850.0])
-def test_proven_against_enumeration(case, demand):
+def test_the_proven_optimum_equals_the_enumerated_one(case, demand):
     units, losses, reserve = CASES[case]
     conditions = Conditions.of(units, losses, reserve)
     grid = enumerated(units, demand, conditions, 4.0)
@@ -80,7 +80,7 @@ def test_proven_against_enumeration(case, demand):
     assert result.cost >= plain.cost - 1e-3
 
 
-def test_each_condition_binds_somewhere():
+def test_each_condition_is_active_somewhere():
     """Otherwise the enumeration above would compare the same thing five times."""
     plain = Optimiser(THREE).certified(850.0).cost
     costs = {}
@@ -90,7 +90,7 @@ def test_each_condition_binds_somewhere():
     assert costs["all"] > max(costs["losses"], plain)
 
 
-def test_without_conditions_the_same_dispatch():
+def test_without_conditions_the_dispatch_is_unchanged():
     none = Conditions.of(THREE)
     assert Optimiser(THREE).conditioned(850.0, none).cost == pytest.approx(8234.07173, abs=1e-3)
 
@@ -117,7 +117,7 @@ def test_thirteen_units_with_losses_are_proven():
         (Conditions.of(THREE, Losses(100.0 * B, np.zeros(3))), "an incremental loss of 1 or more"),
     ],
 )
-def test_what_cannot_be_is_said(conditions, why):
+def test_impossible_conditions_are_reported(conditions, why):
     if not why:
         assert conditions.infeasible(THREE, 850.0) == ""
         return
@@ -134,7 +134,7 @@ def write(path, units, columns=(), head=b""):
     return str(path)
 
 
-def test_tables_as_the_field_has_them(tmp_path):
+def test_tables_of_common_formats_are_read(tmp_path):
     """Further columns, a byte order mark, any number of units: ports and set points follow the table."""
     units = CASES["ramps"][0]
     again = Units.read(write(tmp_path / "units.csv", units, MORE[:3], b"\xef\xbb\xbf"))
@@ -166,8 +166,8 @@ def test_tables_as_the_field_has_them(tmp_path):
 
 
 @pytest.mark.long
-def test_the_scenario_takes_any_table_whatever_the_names_of_its_units(tmp_path):
-    """Its pictures and its first unit were those of a unit called 1."""
+def test_the_scenario_accepts_any_table_whatever_the_names_of_its_units(tmp_path):
+    """Its pictures and its first unit once required a unit called 1."""
     table = resource("package://softrig_power/dispatch/tables/units_3.csv").read_text("utf-8")
     for number, name in enumerate(("coal", "gas", "oil"), 1):
         table = re.sub(rf"^{number},", f"{name},", table, flags=re.M)

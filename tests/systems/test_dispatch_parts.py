@@ -1,4 +1,6 @@
-"""Each part of the dispatch by another hand: loops over the published formulas, brute force, scipy, tables of edges."""
+"""Each part of the dispatch against independent code: loops over the published formulas, brute force, scipy, tables of
+limits.
+"""
 
 from __future__ import annotations
 
@@ -68,13 +70,13 @@ def cost(row, p):
         (("a",), [[2, 1, 0, 0, 0, 0, 0]], "unit a: p_min_MW 2 is above p_max_MW 1"),
     ],
 )
-def test_a_wrong_table_is_refused_in_these_words(ids, table, text):
+def test_a_wrong_table_is_refused_with_the_expected_message(ids, table, text):
     with pytest.raises(TableError) as refused:
         Units(ids, table)
     assert str(refused.value) == text
 
 
-def test_what_a_table_may_hold():
+def test_values_at_the_limits_of_a_table_are_accepted():
     units = Units(("a",), [[1, 1, 0, -5, -6, 0, 0]])  # as good a unit as any: b and c of either sign, one output
     assert units.table.dtype == float
     assert not units.table.flags.writeable
@@ -131,14 +133,14 @@ ROW = "a,1,2,3,4,5,6,7"
         (HEAD.replace(",", ";") + "\na;1.000,5;2;3;4;5;6;7\n", "column p_min_MW: '1.000,5' is no number"),
     ],
 )
-def test_what_would_be_read_wrongly_or_not_at_all_is_refused(tmp_path, text, words):
+def test_columns_that_would_be_misread_or_ignored_are_refused(tmp_path, text, words):
     (tmp_path / "units.csv").write_text(text)
     with pytest.raises(TableError) as refused:
         Units.read(str(tmp_path / "units.csv"))
     assert words in str(refused.value)
 
 
-def test_a_file_may_tell_of_some_units_more_than_of_others(tmp_path):
+def test_a_file_may_have_more_columns_for_some_units(tmp_path):
     (tmp_path / "u.csv").write_text(
         f"{HEAD},reserve_MW,ramp_up_MW,p_now_MW\na,1,9,3,4,5,6,7,0,2,5\nb,2,8,1,1,1,1,1,,,3\n"
     )
@@ -157,7 +159,7 @@ def test_a_file_may_tell_of_some_units_more_than_of_others(tmp_path):
 
 @pytest.mark.parametrize("separator", [";", "\t"])
 @pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "cp1252"])
-def test_tables_of_other_countries_are_read_with_their_commas_and_said(tmp_path, separator, coding, capfd):
+def test_tables_of_other_countries_are_read_with_their_commas_and_reported(tmp_path, separator, coding, capfd):
     """As spreadsheets write them: semicolons or tabs, decimal commas, empty columns and rows, a code page."""
     rows = [HEAD, "Süd,100,600,0.001562,7.92,561,300,0.0315", "b,50.5,200,0.00482,7.97,78,150,0.063"]
     text = (
@@ -183,7 +185,7 @@ def test_every_column_of_the_table_is_read_or_refused():
 # The cost ----------------------------------------------------------------------------------------------
 
 
-def test_the_cost_and_its_one_sided_slopes_by_differences():
+def test_the_cost_and_its_one_sided_slopes_agree_with_differences():
     for P in ([150.0, 47.0, 93.0, 70.0], [200.0, 60.0, 50.0, 70.0], [400.0, 100.0, 150.0, 70.0]):
         assert FOUR.cost(P).tolist() == pytest.approx([cost(r, p) for r, p in zip(FOUR.table, P, strict=True)])
         assert FOUR.total(P) == pytest.approx(sum(cost(r, p) for r, p in zip(FOUR.table, P, strict=True)))
@@ -196,7 +198,7 @@ def test_the_cost_and_its_one_sided_slopes_by_differences():
     assert FOUR.cost(np.tile(FOUR.p_min, (2, 1))).shape == (2, 4)
 
 
-def test_how_near_to_an_end_counts_as_at_it():
+def test_outputs_near_an_end_count_as_at_it_within_the_tolerance():
     one = Units(("a",), [[0.0, 100.0, 0.0, 1.0, 0.0, 3.0, 1.0]])  # slope 1 +- 3, valve points at multiples of pi
 
     def slopes(p):
@@ -212,7 +214,7 @@ def test_how_near_to_an_end_counts_as_at_it():
     assert slopes(PI - 1.1e-6) == pytest.approx([-2.0, -2.0])
 
 
-def test_valve_points_by_counting():
+def test_valve_points_are_counted_independently():
     def counted(p_min, p_max, e, f):
         results = [p_min]
         k = 1
@@ -235,7 +237,7 @@ def test_valve_points_by_counting():
         assert units.valve_points(0).tolist() == pytest.approx(counted(p_min, p_max, e, f), abs=1e-9)
 
 
-def test_units_that_are_alike_stand_together():
+def test_equal_units_are_grouped():
     table = FOUR.table[[1, 0, 1, 2, 0, 1]]
     units = Units(tuple("abcdef"), table)
     assert units.order.tolist() == [0, 2, 5, 3, 1, 4]  # by p_min, then the rest
@@ -265,12 +267,12 @@ def linear(*rows):
         ((0.0, 0.0, 0.0), 30.0, (10.0, 10.0, 10.0)),
     ],
 )
-def test_the_rest_of_the_balance_goes_where_it_costs_least(given, demand, wanted):
+def test_the_rest_of_the_balance_is_assigned_where_it_costs_least(given, demand, wanted):
     units = linear((0.0, 10.0, 3.0), (0.0, 10.0, 1.0), (0.0, 10.0, 2.0))
     assert balanced(units, given, demand).tolist() == pytest.approx(wanted, abs=1e-13)
 
 
-def test_what_units_can_give_to_a_millionth():
+def test_the_range_of_units_is_exact_to_a_millionth():
     units = linear((1.0, 4.0, 1.0), (2.0, 6.0, 1.0))
     low, high = 3.0 - BALANCE, 10.0 + BALANCE
     assert [infeasible(units, d) for d in (low, 3.0, 10.0, high)] == [""] * 4
@@ -278,7 +280,7 @@ def test_what_units_can_give_to_a_millionth():
         assert infeasible(units, d) == f"infeasible: demand {d:g} MW, but the units give 3 to 10 MW"
 
 
-def test_the_price_is_that_of_the_dearest_that_runs_and_of_the_cheapest_that_has_room():
+def test_the_price_is_between_the_dearest_running_unit_and_the_cheapest_with_room():
     units = linear((0.0, 10.0, 3.0), (0.0, 10.0, 1.0), (0.0, 10.0, 2.0))
     assert marginal_cost(units, np.array([0.0, 10.0, 5.0])) == (2.0, 2.0)
     assert marginal_cost(units, np.array([0.0, 10.0, 10.0])) == (2.0, 3.0)
@@ -289,7 +291,7 @@ def test_the_price_is_that_of_the_dearest_that_runs_and_of_the_cheapest_that_has
 # Baselines ----------------------------------------------------------------------------------------------
 
 
-def test_equal_incremental_costs_by_bisection():
+def test_equal_incremental_costs_are_found_as_by_bisection():
     for demand in (250.0, 301.0, 388.8, 500.0, 650.0, 739.0):
         low, high = 0.0, 100.0
         for _ in range(100):  # of the price: each unit where 2 a P + b meets it
@@ -302,7 +304,7 @@ def test_equal_incremental_costs_by_bisection():
     assert lambda_iteration(linear((2.0, 2.0, 1.0)), 2.0).tolist() == [2.0]
 
 
-def test_a_candidate_is_repaired_in_proportion_to_the_room_left():
+def test_a_candidate_is_repaired_in_proportion_to_the_remaining_range():
     units = linear((0.0, 10.0, 1.0), (0.0, 20.0, 1.0), (5.0, 5.0, 1.0))
     assert repaired(units, np.array([4.0, 8.0, 5.0]), 26.0).tolist() == [7.0, 14.0, 5.0]
     assert repaired(units, np.array([4.0, 8.0, 5.0]), 11.0).tolist() == [2.0, 4.0, 5.0]
@@ -310,7 +312,7 @@ def test_a_candidate_is_repaired_in_proportion_to_the_room_left():
     assert repaired(units, np.array([10.0, 20.0, 5.0]), 40.0).tolist() == [10.0, 20.0, 5.0]
 
 
-def test_a_swarm_searches_over_what_is_free():
+def test_a_swarm_searches_over_the_free_units():
     three = Units(tuple("abc"), FOUR.table[:3])
     result = swarm(FOUR, 500.0, "pso", 3, 6, 4)
     assert result.tolist() == pytest.approx([*swarm(three, 430.0, "pso", 3, 6, 4), 70.0])
@@ -330,7 +332,7 @@ def lost(P):
     return sum(P[i] * B3[i, j] * P[j] for i in range(3) for j in range(3)) + sum(B0[i] * P[i] for i in range(3)) + B00
 
 
-def test_losses_and_their_slopes_in_loops():
+def test_losses_and_their_slopes_agree_with_loops():
     P = np.array([120.0, 80.0, 33.0])
     assert LOSSES.of(P) == pytest.approx(lost(P), rel=1e-13)
     steps = 1e-3 * np.eye(3)
@@ -352,7 +354,7 @@ def test_losses_and_their_slopes_in_loops():
         ("name,a,b\na,1,2\nb,2,3\n", "l.csv: losses of the units , , expected a, b"),
     ],
 )
-def test_wrong_losses_are_refused_in_these_words(tmp_path, text, words):
+def test_wrong_losses_are_refused_with_the_expected_message(tmp_path, text, words):
     (tmp_path / "l.csv").write_text(text)
     with pytest.raises(TableError) as refused:
         Losses.read(str(tmp_path / "l.csv"), ("a", "b"))
@@ -365,7 +367,7 @@ def test_losses_of_a_table_are_made_symmetric(tmp_path):
     assert (losses.B.tolist(), losses.B0.tolist(), losses.B00) == ([[1, 3], [3, 3]], [0.5, 0.0], 0.25)
 
 
-def test_windows_by_ramps_from_the_outputs_now():
+def test_ramp_windows_start_at_the_present_outputs():
     more = np.array([[50.0, 20.0, 10.0, 5.0], [np.nan, 3.0, 3.0, np.nan], [90.0, 20.0, np.nan, 200.0]])
     units = Units(("a", "b", "c"), [[45.0, 100.0, 0, 1, 0, 0, 0]] * 3, more)
     of = Conditions.of(units)
@@ -377,7 +379,7 @@ def test_windows_by_ramps_from_the_outputs_now():
     assert again.spinning(units, np.array([98.0, 60.0, 40.0])) == 2.0 + 40.0 + 55.0
 
 
-def test_what_conditions_forbid_and_what_they_just_allow():
+def test_conditions_forbid_and_just_allow_the_expected_outputs():
     units = linear((0.0, 100.0, 1.0), (0.0, 60.0, 1.0))
 
     def why(demand, low=(10.0, 10.0), high=(100.0, 60.0), losses=None, reserve=0.0):
@@ -406,7 +408,7 @@ def test_what_conditions_forbid_and_what_they_just_allow():
 # The two stages -----------------------------------------------------------------------------------------
 
 
-def test_break_points_are_even_in_each_arch():
+def test_break_points_are_evenly_spaced_in_each_arch():
     for nseg in (1, 2, 3, 4):
         three, half, smooth, fixed = breakpoints(FOUR, nseg)
         assert three.tolist() == pytest.approx(np.linspace(100.0, 400.0, 3 * nseg + 1).tolist())
@@ -427,7 +429,7 @@ def piecewise(points, row, lowered=0.0):
 
 
 def cheapest(units, demand, points, lowered):
-    """Every choice of a segment a unit, filled by rising slope."""
+    """Every choice of one segment for each unit, filled by rising slope."""
     best = (np.inf, None)
     of = [piecewise(p, r, d) for p, r, d in zip(points, units.table.tolist(), lowered, strict=True)]
     for choice in itertools.product(*of):
@@ -461,7 +463,7 @@ def test_the_milp_is_the_cheapest_choice_of_segments(demand, start, lowered):
     assert result.nodes >= 0
 
 
-def test_a_milp_without_a_dispatch_says_so():
+def test_a_milp_without_a_solution_is_reported():
     with pytest.raises(NoDispatch, match=r"^the MILP ended without a dispatch: Infeasible$"):
         milp(FOUR, 900.0, breakpoints(FOUR, 1))
 
@@ -531,7 +533,7 @@ def test_the_nlp_is_the_best_of_its_arches(P):
         (True, (200.0 + 0.9e-5, 100.0 - 0.9e-5), False, True),  # ends a tolerance inside its bounds
     ],
 )
-def test_what_counts_of_the_answer_of_ipopt(monkeypatch, success, answer, raises, used):
+def test_results_of_ipopt_are_accepted_as_expected(monkeypatch, success, answer, raises, used):
     given, asked = np.array([220.0, 80.0]), []
 
     class Solver:
@@ -558,14 +560,14 @@ def test_what_counts_of_the_answer_of_ipopt(monkeypatch, success, answer, raises
 
 @pytest.fixture
 def plain(monkeypatch):
-    """The compiled functions as plain ones: nothing is compiled for a few calls."""
+    """The compiled functions as plain ones: compilation does not pay for a few calls."""
     for name in ("unit_cost", "chord_excess", "_surplus", "_meets", "_order", "_value"):
         monkeypatch.setattr(branch, name, getattr(branch, name).py_func)
     return branch
 
 
 def excess(row, x0, x1):
-    """The bound on chord less cost by the rule of `chord_excess`, slopes by differences of the cost."""
+    """The bound on chord minus cost by the rule of `chord_excess`, with slopes by differences of the cost."""
     p_min, _, a, _, _, e, f = row
     h, d = x1 - x0, 1e-7
     whole = a * h * h / 4.0
@@ -579,7 +581,7 @@ def excess(row, x0, x1):
 
 
 def stretches(n=60):
-    """Random units, and a stretch inside one arch of each; some begin or end at valve points."""
+    """Random units, and a part of one arch of each; some begin or end at valve points."""
     chance = np.random.default_rng(8)
     for k in range(n):
         a, b, e, f = chance.uniform([0.0, -3.0, 0.0, 0.01], [0.3, 9.0, 300.0, 0.1])
@@ -592,7 +594,7 @@ def stretches(n=60):
         yield (0.0, 9.0, 1.0, 0.0, 0.0, e, 1.0), 0.0, PI
 
 
-def test_a_chord_is_lowered_by_what_its_rule_says_and_is_then_below_the_cost(plain):
+def test_a_chord_is_lowered_by_its_rule_and_is_then_below_the_cost(plain):
     tight = 0
     for row, x0, x1 in stretches():
         down = plain.chord_excess(row, x0, x1)
@@ -605,14 +607,14 @@ def test_a_chord_is_lowered_by_what_its_rule_says_and_is_then_below_the_cost(pla
     assert 5 < tight < 50
 
 
-def test_each_chord_of_a_unit_is_lowered_by_itself():
+def test_each_chord_of_a_unit_is_lowered_separately():
     down = [excess(PAIR.table[0], 100.0, 150.0), excess(PAIR.table[0], 150.0, 300.0)]
     assert lowering(PAIR, 0, np.array([100.0, 150.0, 300.0])).tolist() == pytest.approx(down)
     assert lowering(FOUR, 3, np.array([70.0])).tolist() == [0.0]
 
 
 def envelope(points):
-    """Corners of the lower convex envelope: no point above a line through one before and one behind it."""
+    """Corners of the lower convex envelope: no point is above a line through one before and one after it."""
 
     def above(k):
         x, y = points[k]
@@ -661,7 +663,7 @@ def test_a_narrow_box_is_one_point_below_all_of_it(plain):
 
 
 def problem(units, demand, reserve=0.0, losses=None, ready=None, conditioned=True, groups=None):
-    """What the search works on."""
+    """The problem of the search."""
     n = len(units)
     given = losses or Losses.none(n)
     return branch.Problem(
@@ -718,7 +720,7 @@ def test_the_order_of_pieces_is_that_of_their_values(plain):
 THREE = Units(("a", "b", "c"), FOUR.table[:3])
 
 
-def test_the_balance_of_a_box_is_its_tangent_and_what_that_can_be_wrong_by(plain):
+def test_the_balance_of_a_box_is_its_tangent_and_the_bound_of_its_error(plain):
     p = problem(THREE, 400.0, losses=LOSSES)
     centre, half = np.array([200.0, 70.0, 100.0]), np.array([30.0, 10.0, 20.0])
     relaxed = types.SimpleNamespace(centre=centre, half=half, weight=np.empty(3))
@@ -752,14 +754,14 @@ def test_the_balance_of_a_box_is_its_tangent_and_what_that_can_be_wrong_by(plain
         ((180.0, 70.0, 150.0), 41.0, False),
     ],
 )
-def test_what_meets_all_conditions_and_by_how_little(plain, P, reserve, meets):
+def test_conditions_are_met_within_their_tolerances(plain, P, reserve, meets):
     given = problem(
         THREE, math.fsum(P) if abs(math.fsum(P) - 400.0) > 1e-3 else 400.0, reserve, ready=np.array([30.0, 10.0, 20.0])
     )
     assert plain._meets(given, np.array(P)) == meets
 
 
-def test_a_nearly_balanced_dispatch_is_mended_by_the_unit_with_which_it_costs_least(plain):
+def test_a_nearly_balanced_dispatch_is_repaired_by_the_cheapest_unit(plain):
     given = problem(THREE, 380.0, losses=LOSSES)
     for start in ([200.0, 70.0, 130.0], [210.0, 119.0, 60.0], [130.0, 110.0, 149.5], [399.0, 21.0, 50.0]):
         choices = []
@@ -818,7 +820,7 @@ CONDITIONS = {
         ("all", 440.0, 237),
     ],
 )
-def test_a_proof_with_conditions_is_below_all_and_reaches_the_best_in_so_many_boxes(case, demand, boxes):
+def test_a_proof_with_conditions_is_a_lower_bound_and_reaches_the_best_within_its_boxes(case, demand, boxes):
     losses, reserve, ready, low, high = CONDITIONS[case]
     given = Conditions(
         THREE.p_min if low is None else np.array(low),
@@ -841,7 +843,7 @@ def test_a_proof_with_conditions_is_below_all_and_reaches_the_best_in_so_many_bo
 
 
 @pytest.mark.parametrize("reserve", [0.0, 45.0])
-def test_what_a_proof_begins_with_counts_if_it_meets_the_conditions(reserve):
+def test_the_starting_point_of_a_proof_counts_if_it_meets_the_conditions(reserve):
     given = Conditions(THREE.p_min, THREE.p_max, Losses.none(3), reserve, np.array([30.0, 10.0, 20.0]))
     for P, good in (((200.0, 70.0, 130.0), True), ((200.0, 70.0, 131.0), False), ((130.0, 120.0, 150.0), not reserve)):
         proof = branch.branch_and_bound(THREE, 400.0, np.array(P), 1e-3, 0, given)
@@ -863,7 +865,7 @@ def test_an_answer_without_a_proof_claims_none():
     assert np.isnan([dispatch.losses, dispatch.reserve]).all()
 
 
-def test_the_search_begins_with_each_unit_at_the_same_share_of_its_range_or_with_what_is_given():
+def test_the_search_begins_with_equal_shares_of_the_ranges_or_with_the_given_point():
     work = Optimiser(PAIR)
     for given, arches in [
         (None, [(200.0, 60.0), (300.0, 100.0)]),  # 180 of 400 MW: 100 + 135, 20 + 45
@@ -878,7 +880,7 @@ def test_the_search_begins_with_each_unit_at_the_same_share_of_its_range_or_with
     assert fixed.start(5.0).tolist() == [5.0]
 
 
-def test_progress_tells_the_best_cost_then_its_bound():
+def test_progress_reports_the_best_cost_then_its_bound():
     messages = []
     result = Optimiser(FOUR, tol=40.0).certified(611.0, progress=lambda best, bound: messages.append((best, bound)))
     assert messages[-1] == (result.cost, result.bound)
@@ -889,7 +891,7 @@ def test_progress_tells_the_best_cost_then_its_bound():
     assert result.gap == result.cost - result.bound
 
 
-def test_the_stages_of_a_proof_that_runs_out_of_boxes():
+def test_the_stages_of_a_proof_that_runs_out_of_boxes_are_as_expected():
     messages = []
     work = Optimiser(PAIR, max_nodes=1, nseg=2, tol=1e-2)
     result = work.certified(333.0, progress=lambda best, bound: messages.append((best, bound)))
@@ -905,7 +907,7 @@ def test_the_stages_of_a_proof_that_runs_out_of_boxes():
     assert result.cost == pytest.approx(proven.cost, abs=1e-2)
 
 
-def test_where_a_segment_is_split_and_by_how_much_its_chord_is_too_low():
+def test_a_segment_is_split_where_its_chord_is_too_low():
     work, row = Optimiser(PAIR), PAIR.table[0]
     points, low = np.array([100.0, 200.0, 300.0, 400.0]), np.array([1.0, 2.0, 3.0])
 
@@ -928,7 +930,7 @@ def test_where_a_segment_is_split_and_by_how_much_its_chord_is_too_low():
     assert (at, missing) == (pytest.approx(150.0 + 0.55e-5, abs=1e-7), pytest.approx(1.0))
 
 
-def test_what_cannot_be_is_reported_with_its_numbers():
+def test_impossible_problems_are_reported_with_their_numbers():
     def conditioned(demand, reserve=0.0, nodes=1000, losses=None):
         given = Conditions.of(PAIR, losses, reserve)
         return Optimiser(PAIR, max_nodes=nodes).conditioned(demand, given)
@@ -948,7 +950,7 @@ def test_what_cannot_be_is_reported_with_its_numbers():
 
 
 def kinks(units, demand):
-    """All but one unit on valve points or limits: every one of them free in turn."""
+    """All but one unit on valve points or limits, with every one of them free in turn."""
     best, count = (np.inf, None), 0
     points = [units.valve_points(j).tolist() for j in range(len(units))]
     for free in range(len(units)):
@@ -962,7 +964,7 @@ def kinks(units, demand):
 
 
 @pytest.mark.parametrize("demand", [240.0, 333.0, 480.0, 611.0, 740.0])
-def test_kinks_by_brute_force(demand):
+def test_kinks_equal_those_of_brute_force(demand):
     least, P, count = kinks(FOUR, demand)
     result = enumerate_kinks(FOUR, demand)
     assert FOUR.total(result) == pytest.approx(least)
@@ -1004,7 +1006,7 @@ def test_the_fleet_goes_to_its_set_points_within_limits_and_ramp():
 # The node -----------------------------------------------------------------------------------------------
 
 
-def test_when_a_dispatch_is_asked_for():
+def test_a_dispatch_is_requested_at_the_expected_ticks():
     solver = DispatchSolver(unit_table="units_3")
     table = tuple(Units.read("units_3").table.ravel().tolist())
     dear = tuple(x + (1.0 if k % 7 == 4 else 0.0) for k, x in enumerate(table))
@@ -1051,7 +1053,7 @@ def test_when_a_dispatch_is_asked_for():
     assert solver.reports["infeasible"][1] == text
 
 
-def test_a_press_asks_again_whatever_table_does_not_count_and_the_default_demand_counts():
+def test_a_press_requests_again_an_invalid_table_does_not_count_and_the_default_demand_counts():
     solver = DispatchSolver(unit_table="units_3", demand=700.0)
     table = Units.read("units_3").table.ravel().tolist()
     x, request = solver.request(solver.first(), 0)
@@ -1068,14 +1070,14 @@ def test_a_press_asks_again_whatever_table_does_not_count_and_the_default_demand
 
 
 def solved(demand, units="units_3", conditions=None, start=None, drawn=5, **values):
-    """What the working process gives."""
+    """The result of the working process."""
     p = DispatchSolver(unit_table=units, **values).p
     messages = []
     work = types.SimpleNamespace(status=lambda **figures: messages.append(figures))
     return DispatchSolver.solve(Request(p, Units.read(units), demand, start, conditions, drawn), work), messages
 
 
-def test_each_method_in_the_working_process():
+def test_each_method_runs_in_the_working_process():
     units = Units.read("units_3")
     proven, reported = solved(850.0)
     assert (proven.reason, proven.nodes) == ("proven", 41)
@@ -1115,7 +1117,7 @@ def answered(result, repeatable=True, units=PAIR, x=None):
     return solver, x, values
 
 
-def test_what_is_reported_of_a_dispatch():
+def test_reports_of_a_dispatch_are_as_expected():
     dispatch = Dispatch(np.array([200.0, 99.0]), 10.0, 7.0, (-np.inf, 5.0), {"nlp": 1.0}, 3, 4, "nlp", "two stages")
     solver, x, values = answered(dispatch)
     assert values["setpoints"] == (200.0, 99.0)
@@ -1138,7 +1140,7 @@ def test_what_is_reported_of_a_dispatch():
     assert solver.answer(x, 0, Result(0, None, dispatch, True), False) == (x, {})
 
 
-def test_an_answer_withdraws_what_was_wrong_before():
+def test_an_answer_withdraws_an_earlier_error():
     solver = DispatchSolver(unit_table="units_3")
     for key in ("infeasible", "no dispatch", "NLP", "time limit", "units"):
         solver.report(Level.ERROR, key, "so")
@@ -1147,7 +1149,7 @@ def test_an_answer_withdraws_what_was_wrong_before():
     assert list(solver.reports) == ["units"]
 
 
-def test_the_health_of_the_node_in_words():
+def test_the_health_of_the_node_is_described_as_expected():
     solver = DispatchSolver(unit_table="units_3")
     assert solver.health(solver.first()) == {"work": "idle"}
     dispatch = Dispatch(np.ones(2), 10.123456789, 7.0, (1.0, 5.0), {"nlp": 1.2345}, 3, 4, "nlp", "two stages")
@@ -1168,7 +1170,7 @@ def test_the_health_of_the_node_in_words():
     assert solver.health(solver.first()._replace(last=dispatch)) == wanted | more
 
 
-def test_what_takes_conditions(tmp_path):
+def test_methods_accept_conditions_as_expected(tmp_path):
     head = f"{HEAD},p_now_MW,ramp_up_MW,ramp_down_MW\n"
 
     def conditioned(now="", up="", down="", **values):

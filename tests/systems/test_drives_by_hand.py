@@ -1,4 +1,4 @@
-"""Laws and plants of the drives over random inputs.
+"""Controllers and plants of the drives over random inputs, against independent code.
 
 Sources: the equations of the papers as the pages dc_motor_smc, dc_motor_fsfb and induction_dtc print them, in loops;
 scipy for the sampled motor and the Kalman filter, numpy's least squares for slopes, Runge-Kutta steps in complex
@@ -44,8 +44,8 @@ def near(expected):
 # the axis --------------------------------------------------------------------------------------------------------
 
 
-def test_the_set_point_is_what_references_and_presses_make_of_it():
-    """A new reference sets it, a press moves it, both buttons move nothing; steps beyond 4 mm are told."""
+def test_the_set_point_follows_references_and_presses():
+    """A new reference sets it, a press moves it, both buttons move nothing; steps beyond 4 mm are reported."""
     draw_ = Random(1)
     messages = []
     accept = SetPoint(2.0, lambda level, key, text: messages.append(key), 4.0)
@@ -68,7 +68,7 @@ def test_the_set_point_is_what_references_and_presses_make_of_it():
         down = buttons
 
 
-def test_buttons_are_down_from_each_time_on_for_so_long():
+def test_buttons_are_down_from_each_time_on_for_their_duration():
     buttons = ByHand(StepButtons(forward=(0.0, 0.3), reverse=(0.05,), hold=0.1))
     late = 700 * MS  # times count from the first tick
     for ms in range(0, 500, 10):
@@ -83,7 +83,7 @@ def sampled(p):
 
 
 @pytest.mark.parametrize("wanted", [40.0, -40.0])
-def test_the_loop_as_designed_tells_its_motion(wanted):
+def test_the_loop_as_designed_reports_its_motion(wanted):
     """Position, speed clipped at its limit, acceleration, deceleration, and jerk by difference."""
     p = MotorParams(period=0.01, vmax=12.0)
     phi, gamma = sampled(p)
@@ -108,9 +108,7 @@ def test_the_loop_as_designed_tells_its_motion(wanted):
 
 @pytest.mark.parametrize("compensation", ["none", "velocity", "predictor"])
 @pytest.mark.parametrize("options", [{}, {"integral": False}, {"aw": True, "count_mm": 0.5}, {"delay_from": "fixed"}])
-def test_the_axis_controller_is_state_feedback_on_what_its_compensation_makes_of_a_late_measurement(
-    compensation, options
-):
+def test_the_axis_controller_is_state_feedback_on_its_compensated_late_measurement(compensation, options):
     law = ByHand(FsfbController(compensation=compensation, period=0.01, u_limit_v=2.0, **options))
     p, draw_ = law.block.p, Random(compensation)
     phi, gamma = sampled(p)
@@ -146,7 +144,7 @@ def test_the_axis_controller_is_state_feedback_on_what_its_compensation_makes_of
         assert outputs["controller_state"] == near((r, state[1], state[0], xi, (t - newest) * 1e-9))
 
 
-def test_other_gains_of_the_axis_bring_no_bump_nor_does_the_loop_as_designed():
+def test_changed_gains_of_the_axis_and_the_loop_as_designed_give_no_bump():
     before, after = FsfbController(), FsfbController(poles=(-4.0, -5.0, -6.0))
     x = before.first()
     for k in range(30):
@@ -162,8 +160,8 @@ def test_other_gains_of_the_axis_bring_no_bump_nor_does_the_loop_as_designed():
     assert now.nominal.xi != x.nominal.xi
 
 
-def test_the_axis_controller_at_the_edges_of_what_it_takes():
-    """Feedback of now, as old as is allowed and out of a gap as long as is allowed is used; beyond each 0 V."""
+def test_the_axis_controller_is_exact_at_its_limits():
+    """Present feedback, of the largest allowed age, and after the longest allowed gap is used; beyond each 0 V."""
     made = {"period": 0.01, "max_age": 0.1}
     law = ByHand(FsfbController(**made))
     assert law.refused(0) == {"command": (0.0,), "model": (0.0,) * 5, "controller_state": (0.0,) * 5}
@@ -214,7 +212,7 @@ def references(draw_, limit):
         {"wd_source": "diff", "wd_lp": 0.004, "publish_surface": True, "set_point": 0.0},
     ],
 )
-def test_the_sliding_mode_law_is_its_formula(options):
+def test_the_sliding_mode_controller_equals_its_formula(options):
     law = ByHand(DcMotorSmc(**{"reference_limit": 15.0, "period": 0.001, "c": 4.0, **options}))
     p, draw_ = law.block.p, Random(3)
     gain, a1, a0, per_i, per_w = p.model_gain, p.model_a1, p.model_a0, p.wd_i, p.wd_w
@@ -243,7 +241,7 @@ def test_the_sliding_mode_law_is_its_formula(options):
         assert outputs == {"command": near((u,))} | ({"surface": near((s,))} if p.publish_surface else {})
 
 
-def test_the_law_on_estimates_is_that_on_a_kalman_filter_of_scipys():
+def test_the_controller_on_estimates_equals_the_one_on_scipys_kalman_filter():
     law = ByHand(DcMotorSmcKalman(period=0.001, delta=3.0, set_point=7.0))
     p, draw_ = law.block.p, Random(5)
     count = math.tau / p.counts_per_rev
@@ -272,7 +270,7 @@ def test_the_law_on_estimates_is_that_on_a_kalman_filter_of_scipys():
 
 
 @pytest.mark.parametrize("make", [DcMotorPid, DcMotorSmc, DcMotorSmcKalman], ids=lambda make: make.__name__)
-def test_another_set_point_counts_where_no_reference_overruled_it(make):
+def test_another_set_point_counts_unless_a_reference_has_overruled_it(make):
     before, after = make(set_point=5.0), make(set_point=-8.0)
     x = after.go_on(before.first(), before.p)
     assert x.r == -8.0
@@ -284,7 +282,7 @@ def test_another_set_point_counts_where_no_reference_overruled_it(make):
 
 
 @pytest.mark.parametrize("command", [12.0, -12.0])
-def test_the_whole_supply_is_no_command_beyond_it_and_the_whole_range_no_current_beyond_it(command):
+def test_the_full_supply_and_the_full_range_are_not_beyond_it(command):
     motor = ByHand(DcMotorPlant(rig=True, current_limit=3.2, current_lsb=0.0008))
     motor.advance(0, command=(command,))
     assert motor.reports == {}
@@ -302,8 +300,8 @@ def test_the_whole_supply_is_no_command_beyond_it_and_the_whole_range_no_current
 # the induction motor ---------------------------------------------------------------------------------------------
 
 
-def test_flux_sectors_and_levels_on_their_edges():
-    """Sector n is the 60 degrees around 60 (n - 1) with its lower end; levels change beyond their band alone."""
+def test_flux_sectors_and_levels_are_exact_at_their_edges():
+    """Sector n is the 60 degrees around 60 (n - 1) with its lower end; levels change only beyond their band."""
     for degrees in range(0, 360, 7):
         assert sector(cmath.rect(0.9, math.radians(degrees))) == math.floor((degrees + 30.0) / 60.0) % 6 + 1
     wide = math.sqrt(3.0)
@@ -417,7 +415,7 @@ def test_the_speed_loop_slews_its_reference_and_limits_its_torque():
         assert outputs["torque_ref"] == near((min(max(torque, -6.0), 6.0),))
 
 
-def test_the_machine_moves_as_its_equations_say():
+def test_the_machine_moves_by_its_equations():
     """Against explicit Runge-Kutta steps in complex numbers, over two periods of two steps."""
     m = build(MachineConstants, {"B": 0.02, "J": 0.01, "pole_pairs": 2})
     h, u, T_L = 2e-4, complex(200.0, -120.0), 3.0
@@ -444,7 +442,7 @@ def test_the_machine_moves_as_its_equations_say():
     assert y.full().ravel().tolist() == near([*phases, 3.0 * (x[0].conjugate() * i).imag])
 
 
-def test_the_inverter_at_the_edges_of_what_it_takes():
+def test_the_inverter_is_exact_at_its_limits():
     plant = ByHand(ImPlant())
     plant.advance(0, switches=(1.0 - 1e-9, 1e-9, 0.0), load_torque=None)
     assert (plant.x.vector, plant.reports) == (1, {})

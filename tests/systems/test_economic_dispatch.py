@@ -150,7 +150,7 @@ def test_kink_enumeration_agrees_with_the_proof():
 
 @pytest.mark.long
 def test_scip_confirms_the_13_units():
-    """A global solver of other people's, the sine kept as it is."""
+    """An independent global solver, with the sine kept as it is."""
     from pyscipopt import Model, quicksum, sin as scip_sin
 
     for table, _, _, _ in list(CASES.values())[:3]:
@@ -177,7 +177,7 @@ def test_scip_confirms_the_13_units():
 
 @pytest.mark.long
 def test_the_plain_two_stages_are_no_proof():
-    """One segment an arch ends in other arches: the method of the paper finds the optimum only with luck."""
+    """One segment an arch ends in other arches: the method of the paper finds the optimum only by luck."""
     units = Units.read("units_3")
     assert Optimiser(units, nseg=1).two_stage(850.0).cost == pytest.approx(8343.936, abs=1e-2)
     assert Optimiser(units, nseg=4).two_stage(850.0).cost == pytest.approx(8234.071730, abs=1e-4)
@@ -268,7 +268,7 @@ def test_the_proof_takes_few_boxes(name, boxes):
 
 
 @pytest.mark.long
-def test_where_boxes_run_out_the_adaptive_milps_prove_it():
+def test_if_boxes_run_out_the_adaptive_milps_prove_it():
     """The certificate of the paper's own machinery: chords lowered below the cost and split where they are too low."""
     units = Units.read("units_3")
     optimiser = Optimiser(units, max_nodes=1, nseg=2)
@@ -301,7 +301,7 @@ def test_fewer_boxes_give_a_lower_bound_never_a_wrong_one():
 # Prices and baselines ----------------------------------------------------------------------------------------------
 
 
-def test_the_price_is_what_a_megawatt_more_or_less_changes(case):
+def test_the_price_is_the_cost_change_of_a_megawatt_more_or_less(case):
     units, _, _, _, result = case
     less, more = result.price
     assert less <= more + 1e-9
@@ -342,7 +342,7 @@ def test_a_demand_beyond_the_units_is_infeasible_with_both_sums():
     assert marginal_cost(units, units.p_min)[0] == -np.inf
 
 
-def test_a_table_several_times_over():
+def test_a_table_repeated_several_times_is_solved():
     units = Units.read("3*units_13")
     one = Units.read("units_13")
     assert len(set(units.ids)) == 39
@@ -387,7 +387,7 @@ def ask(node, t, demand, **inputs):
     )
 
 
-def test_a_result_comes_once_with_its_cost_and_rows(node):
+def test_a_result_is_published_once_with_its_cost_and_rows(node):
     result = ask(node, 0, 850.0)
     assert sum(result["setpoints"]) == pytest.approx(850.0, abs=1e-6)
     rows = np.reshape(result["result"], (3, 4))
@@ -403,8 +403,8 @@ def test_a_result_comes_once_with_its_cost_and_rows(node):
     assert ask(node, 3, 850.0, solve=(1.0,)) == {}  # held down: not again
 
 
-def test_a_late_result_is_that_of_its_request():
-    """Demand and table change while the work is under way."""
+def test_a_late_result_belongs_to_its_request():
+    """Demand and table change during the work."""
     units = Units.read("units_3")
     dear = units.table.copy()
     dear[:, 4] += 100.0

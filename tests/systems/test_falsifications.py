@@ -1,4 +1,4 @@
-"""What the shipped falsifications find: the worst run, the violation made small, and that both rerun."""
+"""The shipped falsifications: their worst run, the reduced violation, and that both can be run again."""
 
 import json
 

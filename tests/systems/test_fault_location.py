@@ -1,4 +1,4 @@
-"""Two-terminal fault location: the simulated line, the record, the locator in all its ways, COMTRADE."""
+"""Two-terminal fault location: the simulated line, the record, the locator with all its methods, COMTRADE."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_three_phase_fault():
     assert line.state.opened == pytest.approx([40.22e-3, 45.32e-3, 42.39e-3], abs=0.01e-3)
 
 
-def test_floating_star_carries_no_sum_of_currents():
+def test_a_floating_star_carries_no_sum_of_currents():
     line = FaultedLine(rig(Case("AB", 30.0, 5.0)))
     samples = line.run(1200)
     currents = samples[:, 12:]
@@ -113,8 +113,8 @@ def test_halving_the_step():
     assert change.reshape(4, 3)[[1, 3]].max() < 0.0004  # currents
 
 
-def test_stream_equals_record():
-    """Sample by sample, as a node streams them, and at once: the same bits, noise included."""
+def test_streaming_equals_the_record():
+    """Sample by sample, as a node streams them, and in one batch: the same bits, noise included."""
     p = rig(measurement__noise_snr_db=40.0, measurement__profile="m4k", measurement__shift_us_r=7.0)
     line = FaultedLine(p)
     at_once = line.run(p.samples)[:, :12] + line.noise(np.random.default_rng(3), p.samples)
@@ -288,7 +288,7 @@ def test_small_swarms(record, algorithm, within):
 
 @pytest.mark.long
 def test_the_band_of_the_wolves_is_that_of_their_seeds(record):
-    """How far they end from Brent falls off about exponentially; one seed of a thousand is beyond the band."""
+    """Their distance from Brent falls off about exponentially; one seed of a thousand is beyond the band."""
     best, band = located(record).x_km, load_scenario("fault_location_gwo").expect["error"].tolerance
     off = [1e3 * abs(located(record, algorithm="gwo", seed=s).x_km - best) for s in range(80, 120)]
     assert max(off) < band
@@ -324,7 +324,7 @@ def test_phasor(case, error):
 
 
 def test_phasor_is_exact_for_sinusoids(record):
-    """Fed with the telegraph equation's phasors of a fault in the steady state it gives the place."""
+    """With the telegraph equation's phasors of a fault in the steady state it returns the place."""
     p = LocatorParams(algorithm="phasor", window_start=0.03, window_end=0.05)
     line, omega, x = p.line.aerial, 2.0 * math.pi * 50.0, 37.5
     gamma, zc = line.propagation(omega), line.characteristic_impedance(omega)
@@ -469,7 +469,7 @@ def test_ends_at_different_times(record):
 @pytest.mark.parametrize("late", [4.0, 13.0, 25.0])
 @pytest.mark.parametrize("case", [AG, Case("AG", 115.0, 15.0), Case("AB", 100.0, 5.0)])
 def test_ends_that_sample_between_each_other(case, late):
-    """R samples late by a part of a sample and says so: located as well as by common samples."""
+    """R samples a fraction of a sample late and declares it: located as well as with common samples."""
     both, other = simulated(case), simulated(case, measurement__shift_us_r=late)
     joined = Record.from_ends(both.t, both.samples[:, :6], both.t - 1e-6 * late, other.samples[:, 6:])
     assert f"{-late / 50.0:+.3g} of a sample" in joined.note
@@ -536,7 +536,7 @@ WIRED = {  # what is wrong at an end, and what the locator says about it
     ],
 )
 def test_ends_that_contradict_each_other(name, case):
-    """Reversed transformers and exchanged phases gave no_fault, or with status ok a place up to 60 km away."""
+    """Reversed transformers and exchanged phases once gave no_fault, or status ok with a place up to 60 km away."""
     record = simulated(case)
     WIRED[name](record.samples)
     result = located(record)
@@ -577,7 +577,7 @@ def test_a_healthy_line_of_a_reversed_transformer(record):
         ),
     ],
 )
-def test_usual_errors_are_no_contradiction(settings):
+def test_usual_errors_are_not_contradictions(settings):
     for case in (AG, Case("ABCG", 113.3, 15.0), Case("BC", 96.7, 5.0), Case("BG", 61.0, 50.0)):
         assert located(simulated(case, **settings)).status == Status.OK
 
@@ -608,7 +608,7 @@ def test_line_too_short_for_the_rate(record):
 
 @pytest.mark.parametrize(("profile", "length"), [("m20k", 34.0), ("m10k", 50.0), ("m4k", 87.0), ("m20k", 7.0)])
 def test_short_lines_are_located_at_every_rate(profile, length):
-    """Samples of travel time do not decide how well a fault is located: 0.05 % of the line from half a sample on."""
+    """The number of samples of travel time does not limit the accuracy: 0.05 % of the line from half a sample on."""
     for share, kind in ((0.1, "AG"), (0.47, "ABCG"), (0.8, "AB")):
         x = max(1.2, share * length)
         record = simulated(Case(kind, x, 5.0), line__length=length, measurement__profile=profile)
@@ -633,7 +633,9 @@ def test_uncertainties_add_by_their_squares():
 
 @pytest.mark.long
 def test_confidence_covers_the_error():
-    """The scatter told by one noisy record agrees with the spread over records; the budget covers what it names."""
+    """The scatter computed from one noisy record agrees with the spread over records; the budget covers the named
+    errors.
+    """
     p = LocatorParams()
     errors, scatters = [], []
     for seed in range(8):
@@ -662,7 +664,7 @@ def test_confidence_covers_the_error():
     }
 
 
-def test_shifted_is_a_late_clock():
+def test_a_shifted_record_is_one_of_a_late_clock():
     clean, late = simulated(), simulated(measurement__shift_us_r=10.0)
     np.testing.assert_allclose(shifted(clean, 10e-6)[10:-10], late.samples[10:-10, 6:], atol=0.01 * 5e5)
     rms = np.sqrt(np.mean((shifted(clean, 10e-6) - late.samples[:, 6:])[10:-10] ** 2, axis=0))
@@ -687,7 +689,7 @@ def test_inception_of_a_healthy_line():
 
 
 def position(recording):
-    """The bytes of what was located, to be compared bit by bit."""
+    """The bytes of a location, for a comparison bit by bit."""
     return recording.topics["location"].data, recording.topics["verdict"].data
 
 
@@ -739,7 +741,7 @@ def test_processes_give_the_same_bits(runs, tmp_path, form):
 @pytest.mark.long
 @pytest.mark.processes
 def test_a_bag_is_played_in_lockstep_into_the_locator(tmp_path):
-    """It says nothing until its last tick: the player waits for its ticks, and nothing is lost."""
+    """It publishes only at its last tick: the player waits for its ticks, and nothing is lost."""
     bag = BAGS / "fault_location_m4k" / "bag"
     recorded = read_bag(bag)
     node = ("softrig_power", "fault_locator", "--ros-args", "-p", "run.mode:=lockstep", "-p", "run.duration:=0.05975",
@@ -773,7 +775,7 @@ def test_every_variant_is_tested():
 
 
 def fed(locator, record, skip=(), until=None):
-    """Give a record to a locator block sample by sample; samples in `skip` are refused by its node."""
+    """Feed a record to a locator block sample by sample; its node rejects the samples in `skip`."""
     n = len(record.samples) if until is None else until
     for k in range(n):
         t = round(k * 1e9 / record.rate)
@@ -785,7 +787,7 @@ def fed(locator, record, skip=(), until=None):
     return locator
 
 
-def test_a_refused_sample_is_a_gap(record):
+def test_a_rejected_sample_is_a_gap(record):
     locator = fed(ByHand(FaultLocator()), record, skip={600})
     answer = locator.update(10**9, locate=(1.0,), **dict.fromkeys(("u_s", "i_s", "u_r", "i_r"), (1.0, 2.0, 3.0)))
     assert answer == {"verdict": (float(Status.GAP), 0.0, 0.0)}
@@ -793,7 +795,7 @@ def test_a_refused_sample_is_a_gap(record):
     assert locator.reports["gap"][0] == Level.WARN
 
 
-def test_the_button_locates_what_is_there(record):
+def test_the_button_locates_with_the_samples_so_far(record):
     locator = fed(ByHand(FaultLocator(truth_km=50.0)), record, until=1100)
     rows = {name: tuple(record.group(name)[1100].tolist()) for name in ("u_s", "i_s", "u_r", "i_r")}
     answer = locator.update(55_000_000, locate=(1.0,), **rows)
@@ -980,7 +982,7 @@ def test_comtrade_that_cannot_be_used(record, tmp_path):
     ],
 )
 @pytest.mark.parametrize("single", [False, True])
-def test_comtrade_that_tells_of_more_than_it_has_is_refused_before_there_is_room_for_it(
+def test_comtrade_with_false_counts_is_refused_before_memory_is_allocated(
     record, tmp_path, line, old, new, why, single
 ):
     cfg, data = write_comtrade(tmp_path / "both", record)
@@ -1000,7 +1002,7 @@ def test_comtrade_that_tells_of_more_than_it_has_is_refused_before_there_is_room
     assert largest < 10e6
 
 
-def test_the_study_tool_takes_what_launch_gives_to_every_executable(monkeypatch, capsys):
+def test_the_study_tool_accepts_what_launch_passes_to_every_executable(monkeypatch, capsys):
     given = []
     monkeypatch.setattr(study_tool, "sensitivity", lambda processes: given.append(processes) or {})
     ros = ["--ros-args", "-r", "__node:=study", "-p", "a:=1", "--"]
@@ -1008,7 +1010,7 @@ def test_the_study_tool_takes_what_launch_gives_to_every_executable(monkeypatch,
     assert given == [3]
 
 
-def test_ctrl_c_stops_the_study_tool_without_its_stack(monkeypatch, capsys):
+def test_ctrl_c_stops_the_study_tool_without_a_traceback(monkeypatch, capsys):
     def interrupted(jobs, processes):
         raise KeyboardInterrupt
 
@@ -1064,8 +1066,8 @@ def test_tables_of_the_study_are_as_expected(monkeypatch, capsys, tmp_path):
     check_expected("fault_study", [*text, *table.splitlines(), *study.as_csv(rows[:6]).splitlines(), *changed])
 
 
-def test_a_sensitivity_is_the_error_of_each_case_and_of_noise_its_deviation(monkeypatch):
-    """The jobs are what is asked for; each answers its place among them."""
+def test_a_sensitivity_is_the_error_of_each_case_and_for_noise_its_deviation(monkeypatch):
+    """The jobs are recorded; each returns its index."""
 
     def answered(jobs, processes):
         assert {locator["mode"] for _, _, locator in jobs} == {"2"}
@@ -1178,7 +1180,7 @@ def test_own_line(record, tmp_path, capsys):
     assert locate_tool.main([file, file, "--line", "paper"]) == 2
 
 
-def test_a_topic_that_is_short_of_a_message_is_named(record, tmp_path, capsys):
+def test_a_topic_that_lacks_a_message_is_named(record, tmp_path, capsys):
     to_bag(record, tmp_path / "bag")
     recording = read_bag(tmp_path / "bag")
     topic = recording.topics["line/r/current"]
@@ -1188,8 +1190,8 @@ def test_a_topic_that_is_short_of_a_message_is_named(record, tmp_path, capsys):
     assert "line/r/current has no message at 0.035 s, line/r/voltage has" in capsys.readouterr().err
 
 
-def test_a_bag_stamped_by_a_wall_clock(record, tmp_path, capsys):
-    """Its times in s have but seven digits behind the point as floats: they count from the first stamp."""
+def test_a_bag_stamped_by_a_wall_clock_is_located(record, tmp_path, capsys):
+    """As floats its times in s have only seven decimals, so they count from the first stamp."""
     to_bag(record, tmp_path / "there")
     recording = read_bag(tmp_path / "there")
     for topic in recording.topics.values():
@@ -1244,7 +1246,7 @@ def test_swarms_find_the_minimum_with_every_seed(algorithm, largest, beyond):
 
 
 @pytest.mark.long
-def test_study_does_not_depend_on_the_processes():
+def test_a_study_does_not_depend_on_the_number_of_processes():
     jobs = study.published_jobs(["brent"])[:12]
     strip = lambda rows: [replace(row, cpu_s=0.0) for row in rows]  # noqa: E731
     assert strip(study.run(jobs, processes=2)) == strip(study.run(jobs, processes=1))

@@ -1,4 +1,5 @@
-"""The simulated line and the locator against the telegraph equations with distributed resistance, solved another way.
+"""The simulated line and the locator against the telegraph equations with distributed resistance, solved by another
+method.
 
 Superposition: the sinusoidal state before the fault by exact two-ports, and the answer to the fault as a voltage source
 switched in at the fault, in the Laplace domain, turned into time by the numerical inverse transform (N. Mullineux and
@@ -59,7 +60,7 @@ def before(case):
 
 
 def answer(case):
-    """What the fault adds at both ends, shape (n, 12), from the inception on in steps of 1 us."""
+    """The change caused by the fault at both ends, shape (n, 12), from the inception on in steps of 1 us."""
     n = round(SPAN / STEP)
     damping = math.log(1e6) / SPAN
     k = np.arange(n // 2 + 1)

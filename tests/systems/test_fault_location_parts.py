@@ -1,4 +1,6 @@
-"""Each part of the fault locator by another hand: loops over the formulas, scipy, made-up records, tables of edges."""
+"""Each part of the fault locator against independent code: loops over the formulas, scipy, artificial records, tables
+of limits.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,7 @@ def table(t, samples=None):
 
 
 def changed(at, value, t=None, channel=0):
-    """A record of a second a sample in which one time or value is another."""
+    """A record with one sample a second in which one time or value is changed."""
     result = table(np.arange(20.0) if t is None else t)
     result[at, channel] = value
     return result
@@ -79,13 +81,13 @@ def changed(at, value, t=None, channel=0):
         (changed(slice(None), 0.0, channel=4), Status.DEAD_CHANNEL, "dead channel: i_s/a is zero in the whole record"),
     ],
 )
-def test_a_record_that_is_unfit_is_refused_in_these_words(given, status, text):
+def test_an_unfit_record_is_refused_with_the_expected_message(given, status, text):
     with pytest.raises(RecordError) as refused:
         Record.from_table(given)
     assert (refused.value.status, str(refused.value)) == (status, text)
 
 
-def test_what_is_fit():
+def test_fit_records_are_accepted():
     jitter = Record.from_table(changed(5, 5.1))
     assert (jitter.start, jitter.rate, jitter.note) == (0.0, 1.0, "")
     assert jitter.t.tolist() == list(range(20))
@@ -102,7 +104,7 @@ def test_what_is_fit():
 
 
 def both(t_s, t_r):
-    """Ends that see slow sines; what R sees at a time is another thing than what S sees."""
+    """Ends that see different slow sines."""
     s, r = (
         np.array([[math.sin(0.2 * x + k) + 3.0 for k in range(e, e + 6)] for x in t]) for e, t in ((0, t_s), (6, t_r))
     )
@@ -110,7 +112,7 @@ def both(t_s, t_r):
 
 
 def check_seen(record, within):
-    """The record holds what both ends see at its times."""
+    """Check that the record contains what both ends see at its times."""
     wanted = np.sin(0.2 * record.t[:, None] + np.arange(12)) + 3.0
     np.testing.assert_allclose(record.samples, wanted, atol=within)
 
@@ -166,7 +168,7 @@ def test_ends_are_joined_at_the_times_of_the_slower_one(t_s, t_r, first, samples
         ),
     ],
 )
-def test_ends_that_cannot_be_joined(t_s, t_r, status, text):
+def test_ends_that_cannot_be_joined_are_refused(t_s, t_r, status, text):
     with pytest.raises(RecordError) as refused:
         both(t_s, t_r)
     assert (refused.value.status, str(refused.value)) == (status, text)
@@ -181,7 +183,7 @@ def test_two_samples_in_common_are_a_record():
 
 
 def streams(**lost):
-    """The four topics of a recording, short of the messages at some places."""
+    """The four topics of a recording, with some messages missing."""
     result = {}
     for k, (name, topic) in enumerate(
         (("u_s", "s/voltage"), ("i_s", "s/current"), ("u_r", "r/voltage"), ("i_r", "r/current"))
@@ -209,8 +211,8 @@ def test_streams_of_a_recording_by_their_times():
         assert (refused.value.status, str(refused.value)) == (Status.GAP, text)
 
 
-def test_rows_are_the_newest_ones_whoever_adds_to_which():
-    """Against lists: values that stay what they are, however they branch."""
+def test_rows_are_the_newest_ones_for_each_branch():
+    """Against lists: values do not change, however they branch."""
     for most in (1, 2, 3):
         known = [(Rows(most, 1), [])]
         chance = np.random.default_rng(most)
@@ -224,7 +226,7 @@ def test_rows_are_the_newest_ones_whoever_adds_to_which():
         assert known[0][0].__eq__(3) is NotImplemented
 
 
-def test_rows_hold_little_more_than_they_keep():
+def test_rows_store_little_more_than_they_keep():
     rows = Rows(4, 1)
     for n in range(100):
         rows = rows.put((float(n),))
@@ -277,7 +279,7 @@ FLOAT32
 
 
 def whole(n=9, start=1.5):
-    """A record with numbers that each format holds exactly: multiples of the largest one's share."""
+    """A record with numbers that each format represents exactly: multiples of the largest one's resolution."""
     samples = np.arange(n)[:, None] * np.arange(1.0, 13.0)
     samples[0] = -samples[-1]
     return Record(start, 4000.0, samples)
@@ -320,7 +322,7 @@ APART_BY = (
 
 
 def edited(tmp_path, record=None, name="one", end="both", **changes):
-    """A written file with other lines (by number), read."""
+    """A written file with some lines (by number) replaced, read again."""
     cfg, _ = write_comtrade(tmp_path / name, record or whole(), end)
     lines = cfg.read_text().splitlines()
     for number, text in changes.items():
@@ -329,7 +331,7 @@ def edited(tmp_path, record=None, name="one", end="both", **changes):
     return cfg
 
 
-def test_a_file_without_dates_is_read_without_a_word(tmp_path):
+def test_a_file_without_dates_is_read_without_a_report(tmp_path):
     cfg = edited(tmp_path)
     dates = [k for k, line in enumerate(cfg.read_text().splitlines()) if line.count("/") == 2]
     assert len(dates) == 2
@@ -366,14 +368,14 @@ def test_channels_by_unit_and_phase_and_their_scale(tmp_path):
         ("1,VA_S,A,S,Hz,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (Hz, phase A), VB_S (V, phase B)"),
     ],
 )
-def test_channels_that_are_not_reported_apart(tmp_path, line, text):
+def test_indistinguishable_channels_are_refused(tmp_path, line, text):
     cfg = edited(tmp_path, l2=line)
     with pytest.raises(ComtradeFileError) as refused:
         read_comtrade([cfg])
     assert str(refused.value).startswith(f"{cfg}: {text}")
 
 
-def test_which_files_and_channels_may_be_named(tmp_path):
+def test_files_and_channels_can_be_named_as_expected(tmp_path):
     cfg = edited(tmp_path)
     names = [f"{q}{p}_{e}" for e in "SR" for q in "VI" for p in "ABC"]
     for paths, channels, text in [
@@ -395,7 +397,7 @@ def test_which_files_and_channels_may_be_named(tmp_path):
     assert (unfit.value.status, str(unfit.value)) == (Status.TOO_SHORT, f"{one}: 1 samples")
 
 
-def test_two_recorders_by_their_clocks_and_what_is_reported_of_them(tmp_path):
+def test_two_recorders_are_aligned_by_their_clocks_and_reported(tmp_path):
     long = whole(40)
     s = write_comtrade(tmp_path / "s", long, "s")[0]
     r = write_comtrade(tmp_path / "r", long, "r", clock_late=0.001)[0]
@@ -416,7 +418,7 @@ def test_two_recorders_by_their_clocks_and_what_is_reported_of_them(tmp_path):
     assert str(refused.value) == f"{s} and {s}: both are the same record, expected one of each end"
 
 
-def test_the_text_of_a_file_in_what_recorders_write():
+def test_texts_of_a_file_are_read_in_the_encodings_of_recorders():
     assert text_of("Süd".encode()) == "Süd"
     assert text_of(b"\xef\xbb\xbf" + "Süd".encode()) == "Süd"
     assert text_of("Süd".encode("cp1252")) == "Süd"
@@ -428,7 +430,7 @@ def test_the_text_of_a_file_in_what_recorders_write():
 
 @pytest.fixture
 def plain(monkeypatch):
-    """The compiled functions as plain ones: nothing is compiled for a few calls."""
+    """The compiled functions as plain ones: compilation does not pay for a few calls."""
     for name in ("lagrange", "trial_voltage", "mismatch"):
         monkeypatch.setattr(equations, name, getattr(equations, name).py_func)
     return equations
@@ -449,7 +451,7 @@ def at_delay(x, k, delay):
 
 
 def u_x(u, i, k, r, delay, back_sign=1.0, squared=None, shunt=None):
-    """Equation (9) as its page has it; what is printed otherwise is given."""
+    """Equation (9) of the page, with optional misprints."""
     z = math.sqrt(1e-3 / 1.2e-8)
     plus, minus = z + r / 4, z - r / 4
     ahead = at_delay(u, k, delay) - plus * at_delay(i, k, delay)
@@ -518,7 +520,7 @@ def long_record(n=1200, rate=20_000.0, start=0.0):
     return Record(start, rate, 1e5 * np.sin(100.0 * math.pi * t[:, None] + np.arange(12)))
 
 
-def test_the_window_in_samples_and_the_room_that_it_needs():
+def test_the_window_in_samples_and_its_margin_are_as_expected():
     work = Objective(long_record(), LocatorParams())
     assert (work.first, work.count) == (420, 371)  # 21 to 39.5 ms
     assert Objective(long_record(start=0.001), LocatorParams()).first == 400
@@ -580,7 +582,7 @@ PASS = (
         (1.0, PASS.format(1)),
     ],
 )
-def test_how_many_samples_waves_should_need(travel, text):
+def test_the_samples_needed_for_a_travel_time_are_as_expected(travel, text):
     assert check_travel(travel, 20_000.0, LocatorParams()) == text
 
 
@@ -599,7 +601,7 @@ def test_too_few_samples_are_refused():
 
 
 def chooser(curves, monkeypatch, against="", **settings):
-    """A locator that sees these curves; what it tells, and by which limit it has asked for contradictions."""
+    """A locator with given curves; returns its reports, and the limit with which it has asked for contradictions."""
     work = Locator.__new__(Locator)
     work.p, work.evaluations = LocatorParams(**settings), 7
     work.__dict__["curves"] = np.array(curves)
@@ -638,14 +640,14 @@ FLAT, SMALL, LARGE = (1900.0, 1000.0), (2000.0, 400.0), (9000.0, 900.0)
         ((FLAT, FLAT, FLAT), {"f_threshold": 1900.0, "f_ratio": 1.9}, "OK", 1, "", 0.05),
     ],
 )
-def test_the_mode_and_whether_there_is_a_fault(monkeypatch, curves, settings, status, mode, text, limit):
+def test_the_mode_and_the_presence_of_a_fault_are_decided(monkeypatch, curves, settings, status, mode, text, limit):
     result, asked = chooser(curves, monkeypatch, **settings)
     assert (result.status.name, result.mode, result.text) == (status, mode, text)
     assert (result.x_km, result.f_max, result.f_min, result.evaluations) == (None, *curves[mode - 1], 7)
     assert asked == ([] if limit is None else [limit])
 
 
-def test_a_contradiction_is_reported_before_all(monkeypatch):
+def test_a_contradiction_is_reported_first(monkeypatch):
     result, _ = chooser((FLAT, SMALL, LARGE), monkeypatch, "so it is")
     assert (result.status, result.text, result.mode, result.x_km) == (Status.CONTRADICTORY, "so it is", 3, None)
     assert chooser((FLAT, FLAT, FLAT), monkeypatch, "so it is")[0].status == Status.NO_FAULT  # nobody asked
@@ -672,7 +674,7 @@ def test_a_contradiction_is_reported_before_all(monkeypatch):
         ("travelling_wave", "transient", "travelling_wave"),
     ],
 )
-def test_each_algorithm_gives_the_place_and_a_place_at_an_end_is_reported(
+def test_each_algorithm_returns_the_place_and_a_place_at_an_end_is_reported(
     monkeypatch, algorithm, module, name, x, status, text
 ):
     work = Locator.__new__(Locator)
@@ -689,7 +691,7 @@ def test_each_algorithm_gives_the_place_and_a_place_at_an_end_is_reported(
 
 
 def work_of(f, n_grid=11, length=100.0, **settings):
-    """Something whose objective is a function."""
+    """An object whose objective is a given function."""
     work = types.SimpleNamespace(
         p=LocatorParams(n_grid=n_grid, **settings), grid=np.linspace(0.0, length, n_grid), evaluations=0
     )
@@ -711,7 +713,7 @@ def test_brent_finds_the_lowest_of_several_minima(place):
     assert f <= wanted.fun + 2.0 + 1e-6
 
 
-def test_brent_keeps_to_the_cells_beside_the_lowest_point_of_the_grid_and_its_ends():
+def test_brent_stays_in_the_cells_beside_the_lowest_grid_point():
     assert brent(work_of(lambda p: abs(p - 37.0)), 1) == (pytest.approx(37.0, abs=1e-5), pytest.approx(1.0, abs=1e-5))
     assert brent(work_of(lambda p: p), 1) == (0.0, 1.0)
     assert brent(work_of(lambda p: -p), 3) == (100.0, -97.0)
@@ -722,7 +724,7 @@ def test_brent_keeps_to_the_cells_beside_the_lowest_point_of_the_grid_and_its_en
     assert abs(brent(rough, 1)[0] - 37.0) > 1e-4
 
 
-def test_whole_samples_are_multiples_of_what_a_wave_passes_in_one(monkeypatch):
+def test_integer_samples_are_multiples_of_the_distance_of_one_sample(monkeypatch):
     from softrig_power.fault_location.method import search
 
     def written(model, both, rate, first, count, out):
@@ -742,7 +744,7 @@ def test_whole_samples_are_multiples_of_what_a_wave_passes_in_one(monkeypatch):
 
 
 def fronts(at_s, at_r, quiet=1.0, front=100.0, n=400):
-    """Ends at rest but for ripples, with a front at a sample each."""
+    """Ends at rest except for ripples, with a front at one sample each."""
     both = np.zeros((4, n))
     both[0, 10], both[2, 20] = quiet, quiet
     both[0, at_s:] += front
@@ -753,12 +755,12 @@ def fronts(at_s, at_r, quiet=1.0, front=100.0, n=400):
 
 
 @pytest.mark.parametrize(("at_s", "at_r"), [(250, 250), (230, 300), (300, 230), (201, 349), (349, 201)])
-def test_a_front_that_comes_first_is_nearer(at_s, at_r):
+def test_the_end_with_the_earlier_front_is_nearer(at_s, at_r):
     x = 0.5 * (100.0 + (at_s - at_r) * 1e-6 / math.sqrt(1e-3 * 1.2e-8))
     assert transient.travelling_wave(fronts(at_s, at_r), 1) == pytest.approx(min(max(x, 0.0), 100.0))
 
 
-def test_what_counts_as_a_front():
+def test_fronts_are_detected_as_expected():
     assert transient._arrival(fronts(250, 300), 1, 0) == 250
     assert transient._arrival(fronts(250, 300), 1, 2) == 300
     quietly = fronts(250, 300, front=40.1)  # second differences of the ripple are 2: twenty times as much and more
@@ -779,8 +781,8 @@ def test_what_counts_as_a_front():
 
 
 @pytest.mark.parametrize("x", [0.0, 20.0, 63.0, 100.0, -30.0, 130.0])
-def test_phasors_of_both_ends_meet_at_the_fault(x):
-    """By the telegraph equations from the fault to both ends; what lies beyond an end is told as the end."""
+def test_phasors_of_both_ends_agree_at_the_fault(x):
+    """By the telegraph equations from the fault to both ends; a place beyond an end is reported as the end."""
     omega, rate = 100.0 * math.pi, 4000.0
     gamma, zc = LINE.propagation(omega), LINE.characteristic_impedance(omega)
     u, i_s, i_r = 3.0 + 1.0j, 0.02 - 0.01j, -0.01 + 0.03j  # at the fault: voltage, currents out of it to S and R
@@ -860,11 +862,11 @@ def test_the_window_is_that_of_the_study_or_what_the_record_has():
 
 
 def quintic(t):
-    """A polynomial that six points tell exactly."""
+    """A polynomial that six points determine."""
     return 3.0 + t * (1.0 + t * (-0.5 + t * (0.03 + t * (1e-3 - 1e-5 * t))))
 
 
-def test_a_clock_that_is_late_takes_older_samples(monkeypatch):
+def test_a_late_clock_reads_older_samples(monkeypatch):
     monkeypatch.setattr(trust, "lagrange", trust.lagrange.py_func)
     t = np.arange(20.0)
     record = Record(0.0, 1000.0, np.tile(quintic(t)[:, None], 12))
@@ -874,8 +876,8 @@ def test_a_clock_that_is_late_takes_older_samples(monkeypatch):
         np.testing.assert_allclose(result[3:-3, 4], quintic(t[3:-3] - 1000.0 * late), rtol=1e-9)
 
 
-def test_each_item_of_the_budget_moves_the_place(monkeypatch):
-    """A locator that weighs what it sees: each shift is what that item alone does to the weights."""
+def test_each_item_of_the_budget_shifts_the_place(monkeypatch):
+    """For a locator that weighs its samples: each shift is the effect of that item alone on the weights."""
     record, p = long_record(200), LocatorParams(algorithm="woa", mode="auto")
     seen = []
 
@@ -915,7 +917,7 @@ def test_each_item_of_the_budget_moves_the_place(monkeypatch):
 
 
 @pytest.mark.parametrize(("x", "length"), [(50.0, 100.0), (1.0, 100.0), (99.5, 100.0)])
-def test_the_scatter_is_that_of_eight_stretches_within_two_km(x, length):
+def test_the_scatter_is_that_of_eight_parts_within_two_km(x, length):
     places, seen = {}, []
 
     def f(at, mode, stretch):
@@ -936,7 +938,7 @@ def test_the_scatter_is_that_of_eight_stretches_within_two_km(x, length):
     assert all(b > 0 for _, b in places)
 
 
-def test_a_location_in_words():
+def test_a_location_is_described_as_expected():
     result = Location(Status.OK, 50.1234, 123.456, 2345.6, 2, 80, "fault at 50.1234 km")
     confidence = Confidence(0.0123, {"clocks 1 us": 0.5, "L1 1 %": 1.25}, 19.0)
     lines = [
@@ -972,8 +974,8 @@ def test_a_location_in_words():
 # How the ends are wired --------------------------------------------------------------------------------------
 
 
-def test_all_ways_of_wiring_the_ends_wrongly():
-    """Each is its name done to the samples by hand."""
+def test_all_wrong_wirings_of_the_ends_are_tried():
+    """Each is applied to the samples independently."""
     record = Record(0.0, 1.0, CHANCE[:4])
     at = {"u_s": 0, "i_s": 3, "u_r": 6, "i_r": 9}
     orders = {
@@ -1010,7 +1012,7 @@ def test_all_ways_of_wiring_the_ends_wrongly():
 
 
 def contradicted(monkeypatch, own, others, least_at=2, limit=0.05, voltage=1000.0, part=None):
-    """What is said of ends that disagree by `own` (V), and by so much where they are wired otherwise."""
+    """The report about ends that disagree by `own` (V), and by given amounts with other wirings."""
     record = types.SimpleNamespace(
         group=lambda name: np.full((4, 3), voltage if name == "u_s" else 0.5 * voltage), by=own, part=own
     )
@@ -1064,11 +1066,11 @@ NOBODY = (
         (200.0, {"x": 99.0}, {"least_at": 1}, NOBODY.format(200, 20)),
     ],
 )
-def test_what_is_said_of_ends_that_disagree(monkeypatch, own, others, more, reported):
+def test_the_report_about_disagreeing_ends_is_as_expected(monkeypatch, own, others, more, reported):
     assert contradicted(monkeypatch, own, others, **more) == reported
 
 
-def test_the_least_along_the_line_is_looked_for_between_the_points_of_the_grid():
+def test_the_minimum_along_the_line_is_searched_between_the_points_of_the_grid():
     work = types.SimpleNamespace(grid=np.linspace(0.0, 10.0, 6))
     for place in (0.0, 0.7, 5.1, 9.0, 10.0):
         least = ends._least(work, lambda x, place=place: (x - place) ** 2)
@@ -1079,7 +1081,7 @@ def test_the_least_along_the_line_is_looked_for_between_the_points_of_the_grid()
     ) == pytest.approx(-3.0, abs=0.02)
 
 
-def test_how_far_the_ends_are_apart_is_the_mean_of_the_modes():
+def test_the_disagreement_of_the_ends_is_the_mean_over_the_modes():
     record = long_record(300, start=0.02)
     p = LocatorParams(n_grid=5, window_start=0.024, window_end=0.026)
     work = Objective(record, p)
@@ -1138,7 +1140,7 @@ def test_the_numbers_of_the_stepped_network():
 
 
 def plain_steps(monkeypatch):
-    """The compiled step as a plain one; what it makes room for holds nothing that could be used by mistake."""
+    """The compiled step as a plain function; its allocated memory is filled with NaN."""
     room = types.SimpleNamespace(**vars(np) | {"empty": lambda shape: np.full(shape, np.nan)})
     monkeypatch.setattr(simulation, "np", room)
     step = simulation.advance.py_func
@@ -1151,7 +1153,9 @@ def plain_steps(monkeypatch):
 
 @pytest.mark.parametrize("phase", [(0, 0, 0), (1, 2, 2), (1, 1, 2), (1, 1, 1)])
 def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, phase):
-    """In phases: sources behind R and L by trapezia, what arrives at the ends, currents that add up to nothing."""
+    """In phases: sources behind R and L by the trapezoidal rule, waves that arrive at the ends, currents that add up to
+    zero.
+    """
     p = build(
         RigParams, {"fault.type": "ABCG", "fault.rf_ohm": 7.0, "fault.x_km": 30.0, "measurement.profile": "raw1m"}
     )
@@ -1213,8 +1217,8 @@ def test_a_step_of_the_network_is_one_system_of_linear_equations(monkeypatch, ph
     np.testing.assert_allclose(state.ring, ring, rtol=1e-8, atol=1e-8)
 
 
-def test_when_phases_close_and_open(monkeypatch):
-    """All close at once; each opens with the first current after the end that has changed its sign."""
+def test_phases_close_and_open_at_the_expected_steps(monkeypatch):
+    """All close together; each opens with the first current after the end that has changed its sign."""
     p = build(RigParams, {"fault.type": "ABG", "fault.rf_ohm": 2.0, "fault.x_km": 30.0})
     line = FaultedLine(p)
     net = line.net._replace(on=100, off=200)
@@ -1250,8 +1254,8 @@ def test_when_phases_close_and_open(monkeypatch):
 
 
 @pytest.mark.parametrize("profile", ["m20k", "raw1m"])
-def test_steps_computed_together_are_those_computed_one_by_one(profile):
-    """Blocks of any length: a fault that closes and opens within one, a ring that begins again, a late clock."""
+def test_steps_computed_in_blocks_equal_single_ones(profile):
+    """Blocks of any length: a fault that closes and opens within one, a ring that wraps around, a late clock."""
     given = {"fault.type": "ABG", "fault.x_km": 12.0, "fault.t_on": 2.13e-4, "fault.t_off": 4.01e-4,
              "measurement.profile": profile, "measurement.shift_us_r": 90.0}  # fmt: skip
     one, several, whole = (FaultedLine(build(RigParams, given)) for _ in range(3))
@@ -1376,7 +1380,7 @@ NEAR = (
         ({"fault.x_km": 118.95}, NEAR.format(118.95)),
     ],
 )
-def test_what_the_simulated_line_cannot_be(given, text):
+def test_impossible_lines_are_refused(given, text):
     with pytest.raises(ParameterError) as refused:
         build(RigParams, given)
     assert text in str(refused.value)
@@ -1469,7 +1473,7 @@ def test_figures_of_a_run_are_those_of_its_last_answer():
 # The nodes -----------------------------------------------------------------------------------------------------
 
 
-def test_what_the_locator_tells_of_an_answer():
+def test_reports_of_the_locator_are_as_expected():
     node = FaultLocator(truth_km=50.0)
     node._report_location(Location(Status.OK, 50.012, text="fault at 50.0120 km"), None)
     text = "fault at 50.0120 km; error 0.0100 % of the line (12.0 m)"
@@ -1487,7 +1491,7 @@ def test_what_the_locator_tells_of_an_answer():
         FaultLocator(line={"length": 13.0})
 
 
-def test_the_locator_answers_a_press_with_what_has_come():
+def test_the_locator_answers_a_press_with_the_samples_so_far():
     node = FaultLocator(samples=3)
     x, given = node.first(), dict.fromkeys(("u_s", "i_s", "u_r", "i_r"), (1.0, 2.0, 3.0))
     asked = []
@@ -1506,7 +1510,7 @@ def test_the_locator_answers_a_press_with_what_has_come():
         assert x.record == wanted
 
 
-def test_a_verdict_and_what_it_stands_on():
+def test_a_verdict_states_its_basis():
     node = FaultLocator(n_grid=5)
     empty, outputs = node._answer(node.first())
     assert outputs == {"verdict": (float(Status.TOO_SHORT), 0.0, 0.0)}
@@ -1576,7 +1580,7 @@ LINE_GIVEN = ["--line", "paper"]
 
 
 def asked(monkeypatch, *arguments, found=None, error=None):
-    """What the tool does with a command line: its status, and what it has called with what."""
+    """The effect of a command line: the status of the tool, and its calls."""
     called, record = {}, long_record(1200)
     found = found or Location(Status.OK, 30.0, 1.0, 9.0, 1, 5, "fault at 30.0000 km")
 
@@ -1599,7 +1603,7 @@ def asked(monkeypatch, *arguments, found=None, error=None):
     return locate_tool._locate(list(arguments)), called
 
 
-def test_what_a_command_line_asks_for(monkeypatch, capsys):
+def test_a_command_line_makes_the_expected_calls(monkeypatch, capsys):
     status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN)
     assert (status, called["read"], called["frequency"]) == (0, (["a.cfg"], [], (0.0, 0.0)), 50.0)
     assert called["p"] == LocatorParams(window_start=0.021, window_end=0.03)
@@ -1643,7 +1647,7 @@ def test_what_a_command_line_asks_for(monkeypatch, capsys):
     assert capsys.readouterr().out.splitlines()[-1] == "  window 0.022 to 0.035 s, as told"
 
 
-def test_how_the_tool_ends(monkeypatch, capsys):
+def test_the_tool_ends_with_the_expected_status(monkeypatch, capsys):
     lost = Location(Status.NO_FAULT, text="no_fault: nothing")
     status, called = asked(monkeypatch, "a.cfg", *LINE_GIVEN, found=lost)
     assert (status, "budget" in called) == (1, False)
@@ -1664,7 +1668,7 @@ def test_how_the_tool_ends(monkeypatch, capsys):
             asked(monkeypatch, *(["a.cfg"] if wrong else []), *LINE_GIVEN, *wrong)
 
 
-def test_pictures_are_drawn_where_they_are_asked_for(monkeypatch, tmp_path):
+def test_pictures_are_drawn_in_the_requested_folder(monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(pictures, "waveforms", lambda record, p, path: drawn.append(path.name))
     monkeypatch.setattr(
@@ -1721,7 +1725,7 @@ def test_the_data_of_a_line_of_a_file_and_of_options(tmp_path, text, given, want
     assert line_data(None, wanted) == wanted
 
 
-def test_what_is_missing_of_a_line_is_reported(tmp_path):
+def test_missing_data_of_a_line_are_reported(tmp_path):
     with pytest.raises(ScenarioError) as refused:
         line_data(None, {"line.r1": 1.0, "line.c1": 1.0})
     text = (

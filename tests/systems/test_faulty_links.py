@@ -1,4 +1,4 @@
-"""Every kind of fault on every topic of the fourteen systems: it starts, and does to each message what it says."""
+"""Every kind of fault on every topic of the fourteen systems: it starts, and changes each message as documented."""
 
 import math
 import random
@@ -42,13 +42,13 @@ NUMBERS = {
 
 
 class TapParams(BlockParams):
-    """What is read."""
+    """The messages to read."""
 
     ports: str = param("[]", "as JSON", max_length=10_000_000)
 
 
 class Tap(Block[TapParams]):
-    """Reads links, so that there is somebody behind a fault."""
+    """Reads links, so that every fault has a subscriber."""
 
     @classmethod
     def ports(cls, params):
@@ -77,13 +77,13 @@ def tapped(name, duration, kinds=KINDS):
 
 
 def said(run, topic):
-    """What a topic said: time, stamp and values of each message."""
+    """The messages of a topic: time, stamp and values of each."""
     layout, record = run.rig.topics[topic].layout(), run.recording.topics[topic]
     return [(t, *layout.decode(bytes(data))) for t, data in zip(record.times, record.data, strict=True)]
 
 
 def expected(kind, sent):
-    """What a fault that is there from the begin makes of messages: (time, stamp, values) of each."""
+    """The output of a fault that is active from the start: (time, stamp, values) of each message."""
     if kind in ("silence", "loss"):
         return []
     rows = {
@@ -112,7 +112,7 @@ HEAVY = ("economic_dispatch", "optimal_control_mvim", "pwa_delay")  # solvers th
     "name",
     few([pytest.param(n, marks=pytest.mark.long) if n in HEAVY else n for n in SYSTEMS], 3),
 )
-def test_each_kind_of_fault_does_on_each_topic_what_it_says(name):
+def test_each_kind_of_fault_changes_each_topic_as_documented(name):
     rig, faults = tapped(name, SYSTEMS[name])
     run = simulate(rig)
     assert not run.error
@@ -160,7 +160,7 @@ def links_of(name):
 
 
 def trials(name):
-    """Each kind of fault on each link of a system, with the readers that it has."""
+    """Each kind of fault on each link of a system, with its readers."""
     topics, rig = links_of(name)
     for topic in topics:
         kinds = [kind for kind in KINDS if (kind, rig.topics[topic].msgtype) != ("invalid", types.BUTTON.name)]
@@ -168,12 +168,12 @@ def trials(name):
 
 
 def numbers_said(run, topic):
-    """All numbers that a topic said."""
+    """All numbers published on a topic."""
     return np.concatenate([np.empty(0), *(np.ravel(row) for _, _, row in said(run, topic))])
 
 
 def suffered(name, duration, topic, kind):
-    """Run a system with a large fault on a link; give what is wrong with how it takes it, empty for nothing."""
+    """Run a system with a large fault on a link; return what is wrong with its reaction, empty for nothing."""
     value = {"scale": [-1e9], "offset": [1e9], "spike": [-1e9], "drift": [1e12], "delay": []}.get(kind)
     numbers = NUMBERS.get(kind, {}) | ({"value": value} if value else {})
     if kind == "delay":
@@ -197,7 +197,7 @@ def suffered(name, duration, topic, kind):
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_each_kind_of_fault_on_each_link_is_borne_by_those_that_read_it(name):
+def test_each_kind_of_fault_on_each_link_is_handled_by_its_readers(name):
     wrong = {each: result for each in trials(name) if (result := suffered(*each))}
     assert wrong == {}
 
@@ -208,6 +208,6 @@ QUICK = [
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_some_faults_of_the_day_are_borne_by_those_that_read_the_link(name):
+def test_some_faults_of_the_day_are_handled_by_the_readers_of_the_link(name):
     drawn = random.Random(f"{date.today()} {name}").sample(list(trials(name)), 6)
     assert {each: result for each in drawn if (result := suffered(*each))} == {}

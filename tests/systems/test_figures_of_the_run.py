@@ -1,4 +1,4 @@
-"""Figures know what their run is about: what they repeat of a node follows the node, whatever the scenario.
+"""Figures are tied to their run: arguments that repeat a number of a node follow the node in every scenario.
 
 A figure is a function of a recording and of its arguments. So four nets hold the whole kind. Every argument of every
 figure function has a word here that says what it is, and no function has a number of its own beside those listed. Every
@@ -83,7 +83,7 @@ NUMBERS = {  # that stand in figure functions; no node has any of them
 
 
 def numbers_of(function, modules, seen):
-    """Give the numbers that stand in a function and in what it calls of the modules of figures."""
+    """Return the numeric constants in a function and in its callees in the modules of figures."""
     if function in seen:
         return
     seen.add(function)
@@ -102,7 +102,7 @@ def numbers_of(function, modules, seen):
                 yield from numbers_of(part, modules, seen)
 
 
-def test_no_figure_function_has_a_number_of_its_own():
+def test_no_figure_function_has_a_numeric_constant_of_a_system():
     functions = [find(name) for name in registered()]
     modules, seen = {f.__module__ for f in functions}, set()
     results = {n for f in functions for n in numbers_of(f, modules, seen)}
@@ -119,14 +119,14 @@ def raw(name):
 
 
 def uses(value, name):
-    """Whether plain data name a shared value."""
+    """Return whether plain data name a shared value."""
     if isinstance(value, dict):
         return any(uses(v, name) for v in value.values())
     return any(uses(v, name) for v in value) if isinstance(value, list) else value == f"${name}"
 
 
 def followed(value, shared):
-    """Follow a shared name to what it stands for, and give the names on the way."""
+    """Follow a shared name to its value, and return the names on the way."""
     names = []
     while isinstance(value, str) and re.fullmatch(r"\$\w+", value):
         names.append(value[1:])
@@ -135,7 +135,7 @@ def followed(value, shared):
 
 
 def own_numbers(name):
-    """Give what figures and formulas of a scenario have from a shared number that nodes have, too, or from none."""
+    """Return the numbers of figures and formulas that come from a shared value that nodes also use, or from none."""
     what = raw(name)
     shared, nodes = what.get("shared") or {}, what["nodes"]
     for figure, entry in (what.get("figures") or {}).items():
@@ -220,7 +220,7 @@ def place_percent(signals, nodes, a):
 
 
 def cycle(signals, nodes, a):
-    """Of the network, s."""
+    """The period of the network, s."""
     return 1.0 / nodes("gupfc_plant")["network.frequency"]
 
 
@@ -245,7 +245,7 @@ def distortion(signals, nodes, a):
 
 
 def first_cycle(signals, nodes):
-    """Give the sampled 48-step voltage over what one command lasts."""
+    """Return the sampled 48-step voltage over the time of one command."""
     p = nodes("pulse_generator")
     n = round(p["command_period"] / p["period"])
     return np.array([complex(*z) for z in zip(*(signals[f"pulses/voltage/{c}"][1][:n] for c in "xy"), strict=True)])
@@ -266,7 +266,7 @@ def pitches(signals, nodes, a):
 
 
 def string(signals, nodes, t):
-    """Give the characteristic of the string at t, of the conditions of the tick before."""
+    """Return the characteristic of the string at t, from the conditions of the tick before."""
     p = nodes("pv_plant")
     module = ModuleParams(**{k.removeprefix("module."): v for k, v in p.items() if k.startswith("module.")})
     n = len(p["irradiance"])
@@ -277,7 +277,7 @@ def string(signals, nodes, t):
 
 
 def best(signals, nodes, start, end):
-    """Give times, power, and the largest power there could be, by the characteristic of each stretch of light."""
+    """Return times, power, and the largest possible power, from the characteristic in each interval of light."""
     t, power = window(signals, "converter/state/p_in/position", start, end)
     g = np.stack([signals[f"pv/environment/{w}{i}/position"][1] for i in range(1, 5) for w in "gt"], 1)
     when = signals["pv/environment/g1/position"][0]
@@ -342,12 +342,12 @@ COMPUTED = {  # what figures take from the rig, once more
 }
 
 
-def test_what_a_function_takes_from_the_rig_is_computed_here():
+def test_each_value_that_a_function_reads_from_the_rig_is_computed_here():
     assert set(COMPUTED) == {n for n in registered() if getattr(find(n), "agreed", None)}
 
 
 def argument(value, nodes, shared):
-    """Give an argument as the file has it, references followed by hand."""
+    """Return an argument as the file has it, with references resolved independently."""
     value, _ = followed(value, shared)
 
     def said(match):
@@ -418,7 +418,7 @@ OWN = {  # parameters of monitors that bear the name of another node's, and are 
 
 
 def wanted(rig):
-    """Give what figures, requirements and monitors are to have of a rig: by the file and by the nodes' parameters."""
+    """Return what figures, requirements and monitors should get from a rig, by the file and the nodes' parameters."""
     what, nodes = raw(rig.scenario.name), Nodes(rig)
     for figure, entry in (what.get("figures") or {}).items():
         arguments = {k: argument(v, nodes, rig.scenario.shared) for k, v in (entry.get("arguments") or {}).items()}
@@ -437,7 +437,7 @@ def wanted(rig):
 
 
 def had(rig):
-    """Give the same as the suite has it."""
+    """Return the same as computed by softrig."""
     for figure in figures_of(rig):
         if figure.name in rig.scenario.figures:
             yield from (((figure.name, k), v) for k, v in figure.arguments.items() if not isinstance(v, str))
@@ -456,7 +456,7 @@ def same(one, other):
 
 
 def nudged(value, share):
-    """Give a value a little beside, or None where there is no such thing."""
+    """Return a value slightly beside, or None if there is none."""
     if isinstance(value, list) and value and all(isinstance(x, float) for x in value):
         return [x * (1.0 + share) for x in value] if any(value) else [x + share for x in value]
     if isinstance(value, float) and math.isfinite(value):
@@ -465,7 +465,7 @@ def nudged(value, share):
 
 
 def spoken_by(member):
-    """Give what of the rig's common quantities follow which parameters of a node: found by changing each."""
+    """Return which common quantities of the rig follow which parameters of a node, found by changing each."""
     model, values = type(member.params), flatten(member.params)
     before = member.block_class.agreed(member.params)
     for name, value in values.items() if before else ():
@@ -481,7 +481,7 @@ def spoken_by(member):
 
 
 def changes(rig):
-    """Give a change for each parameter of each node and each shared value, and what moves which common quantity.
+    """Return a change for each parameter of each node and each shared value, and which common quantity it moves.
 
     Each by a share of its own, so that whoever follows the wrong one is seen. What nodes must agree on is one change.
     """
@@ -506,7 +506,7 @@ def changes(rig):
 
 
 def held_against_the_nodes(scenario):
-    """Change everything at once, and the halves where that is refused; then each thing that figures take, alone.
+    """Change everything together, and halves of it if that is refused; then each value that figures use, alone.
 
     Returns
     -------
@@ -550,7 +550,7 @@ def held_against_the_nodes(scenario):
 
 
 def follows(scenario):
-    """Hold a scenario; what its figures take from nodes must have been seen to move, unless nothing can move it."""
+    """Check a scenario: what its figures read from nodes must have been seen to move, unless nothing can move it."""
     moved, refused, speakers = held_against_the_nodes(scenario)
     shared = raw(scenario).get("shared") or {}
     for figure, entry in (raw(scenario).get("figures") or {}).items():
@@ -565,7 +565,7 @@ def follows(scenario):
 
 
 def times_of(rig):
-    """Give each time (s) that a node has among its parameters, and the parameter's name."""
+    """Return each time (s) among the parameters of a node, and the parameter's name."""
     for member in rig.members:
         units = {d.name: d.unit for d in declarations(type(member.params))}
         for name, value in flatten(member.params).items():
@@ -589,7 +589,9 @@ BESIDE = {  # figures' own times near a node's: system, argument and parameter; 
 
 
 def no_time_beside_a_node_s(scenario):
-    """A window that begins or ends when a node acts takes that from the node; within 2 % is taken for the same."""
+    """Check that a window that begins or ends with an action of a node refers to it; within 2 % counts as the same
+    time.
+    """
     rig = rig_of(scenario)
     times = list(times_of(rig))
     for figure, entry in (raw(scenario).get("figures") or {}).items():
@@ -636,7 +638,7 @@ def test_figures_of_every_scenario_follow_its_nodes(scenario):
 
 
 def measured(rig, signals):
-    """Give all figures of a rig on a recording; an error in the place of one that cannot be."""
+    """Return all figures of a rig on a recording, with an error in place of a figure that cannot be computed."""
     result = {}
     for figure in figures_of(rig):
         if figure.name in rig.scenario.figures:
@@ -648,7 +650,7 @@ def measured(rig, signals):
 
 
 def measured_for_each_change(scenario):
-    """Measure all figures of one recording for every change of what they take; give the functions that moved."""
+    """Measure all figures of one recording for every change of their arguments; return the functions that moved."""
     run = simulate(scenario)
     plain, before, moved = measured(run.rig, run.signals), dict(wanted(run.rig)), set()
     for change in [None, *changes(run.rig)[0]]:
@@ -695,11 +697,11 @@ RECORDED = {  # scenario: functions that must move there with what they take
 @pytest.mark.parametrize(
     "scenario", [pytest.param(s, marks=[pytest.mark.long] * (s != "tcp_aqm_smc_s5_sspd")) for s in RECORDED]
 )
-def test_functions_follow_what_they_take_on_a_recording(scenario):
+def test_functions_follow_their_arguments_on_a_recording(scenario):
     assert measured_for_each_change(scenario) >= RECORDED[scenario]
 
 
-def test_every_function_that_takes_something_is_measured_on_a_recording():
+def test_every_function_with_such_an_argument_is_measured_on_a_recording():
     figures = {s: {e.function or n for n, e in load_scenario(s).figures.items()} for s in RECORDED}
     assert set(COMPUTED) <= set().union(*figures.values())
     assert all(RECORDED[s] <= figures[s] for s in RECORDED)
@@ -745,7 +747,7 @@ def most(light, celsius, module):
     ],
 )
 def test_another_module_has_its_own_maximum(light, celsius, module, wanted):
-    """It was judged against the module of the paper: 116.46 W and 209.9 %, pass; 102.9 W and 340 %."""
+    """It was once judged against the module of the paper: 116.46 W and 209.9 %, pass; 102.9 W and 340 %."""
     changes = {f"pv_plant.module.{k}": v for k, v in module.items()}
     run = simulate("pv_mppt", overrides=changes | {"irradiance": list(light), "temperature": [celsius] * 4})
     assert most(light, celsius, module) == pytest.approx(wanted, abs=0.01)
@@ -761,7 +763,7 @@ def test_figures_of_another_module_than_the_plants_are_refused():
         rig_of(scenario.model_copy(update={"figures": {"gmpp": entry}}))
 
 
-def test_an_axis_that_goes_back_rests_where_it_was_asked_to():
+def test_an_axis_that_goes_back_rests_at_its_reference():
     run = simulate("dc_motor_fsfb", overrides={"step_buttons.forward": [], "step_buttons.reverse": [0.0]})
     assert run.signals["axis/true_state/axis/position"].x[-1] == pytest.approx(-10.0, abs=0.05)
     assert run.figures["rest_error"] <= 0.03
@@ -769,14 +771,14 @@ def test_an_axis_that_goes_back_rests_where_it_was_asked_to():
     assert run.figures["no_overshoot"] >= 0.0
 
 
-def test_converter_errors_are_in_the_steps_of_the_converter():
+def test_converter_errors_are_in_steps_of_the_converter():
     run = simulate("induction_dtc_s2", overrides={"im_plant.bits": 12}, duration=1.0)
     assert run.figures["adc_error_mean"] == pytest.approx(-0.5, abs=0.01)
     assert run.figures["adc_error_std"] == pytest.approx(1.0 / math.sqrt(12.0), abs=0.01)
 
 
 @pytest.mark.long
-def test_the_queue_is_judged_by_what_its_source_asks_for():
+def test_the_queue_is_judged_by_the_reference_of_its_source():
     run = simulate("tcp_aqm_smc", overrides={"queue_reference.values": [140.0]})
     t, q = run.signals["network/state/queue/position"]
     assert run.figures["J_q"] == pytest.approx(np.mean((q - 140.0) ** 2), rel=1e-4)

@@ -1,4 +1,4 @@
-"""All registered figures of signals that are thinned, jittered, held twice, later, or the mirror image.
+"""All registered figures of signals that are thinned, jittered, repeated, shifted, or mirrored.
 
 Source: what a figure's definition says does not depend on how often, or since when, its signals are published. Each is
 measured of continuous functions of time on an even grid; of the same functions on another grid it has to be the same
@@ -46,7 +46,7 @@ def constant(value):
 
 
 class Case:
-    """A figure's signals, arguments, and what may be different.
+    """A figure's signals, arguments, and allowed differences.
 
     even: it needs an even grid and refuses others. own: its samples have meanings of their own (counts, waveforms), so
     repeating or dropping them is another signal. clock: it is a time of the run, not one counted from a begin. sign: of
@@ -217,7 +217,7 @@ def held_twice(signals):
 
 
 def thinned(signals):
-    """Each signal loses a third of its messages, other ones than its neighbours; not the first and last."""
+    """Each signal loses a third of its messages, different ones for each signal; not the first and last."""
     result = {}
     for name, (t, x) in signals.items():
         topic = name.rsplit("/", 1)[0] if name.count("/") == 1 else name.rsplit("/", 2)[0]
@@ -232,7 +232,7 @@ def near(name, result, right):
     assert result == pytest.approx(right, rel=tolerance, abs=tolerance * max(0.1, abs(right))), (result, right)
 
 
-def test_every_registered_figure_is_here():
+def test_every_registered_figure_is_tested():
     assert sorted(CASES) == registered()
     assert LOCATION.index("x_km") == 0
 
@@ -265,8 +265,8 @@ def test_a_figure_of_the_mirror_image_is_the_mirror_image(name):
     assert result == pytest.approx(case.sign * measure(name, sampled(case)), rel=1e-12, abs=1e-12)
 
 
-def test_the_right_numbers_of_some_over_time():
-    """Closed forms: the mean of a ramp held over uneven gaps, the integral of its size, a force over a width."""
+def test_some_figures_over_time_equal_closed_forms():
+    """The mean of a ramp held over uneven gaps, the integral of its size, a force over a width."""
     t = np.array([0.0, 1.0, 1.5, 4.0])
     signals = {"y": (t, np.array([1.0, -3.0, 2.0, 5.0])), "end": (np.array([0.0, 5.0]), np.zeros(2))}
     whole = 1.0 * 1.0 + 3.0 * 0.5 + 2.0 * 2.5 + 5.0 * 1.0
@@ -295,8 +295,8 @@ figures:
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_the_iae_of_what_arrives_is_that_of_what_was_sent_but_for_what_was_lost(seed, tmp_path):
-    """By trapezia over the samples that arrived, which are 10 ms apart: half a sample's gap is the difference."""
+def test_the_iae_of_received_samples_equals_that_of_sent_ones_except_for_lost_ones(seed, tmp_path):
+    """By the trapezoidal rule over the received samples, 10 ms apart: the difference is half a sample."""
     (tmp_path / "iae.yaml").write_text(CASE)
     run = simulate(load_scenario(tmp_path / "iae.yaml"), seed=seed)
     t, x = run.signals["motor/sensors/half/current_a/position"]

@@ -1,4 +1,4 @@
-"""Every law and plant of the systems, and every one of its switches and choices: properties of its first answers."""
+"""Every controller and plant of the systems, with every switch and choice: properties of its first answers."""
 
 import math
 import sys
@@ -51,7 +51,7 @@ LATER = {  # switches and choices that the first ticks do not show: they act at 
 
 
 def choices(model, prefix=""):
-    """Each switch turned and each other choice made, one at a time."""
+    """Each switch changed and each other choice made, one at a time."""
     for name, field in model.model_fields.items():
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, Params):
@@ -63,7 +63,7 @@ def choices(model, prefix=""):
 
 
 def _drawn(unit, k, draw):
-    """A number of the size of its unit: above zero at first, of either sign then, at last a switch where it may be."""
+    """A number of the size of its unit: positive first, then of either sign, at last a switch if it may be one."""
     x = draw.uniform(0.05 if k == 0 else -1.0, 1.0)
     return float(x > 0.0) if k == 2 and unit in ("", "1") else x * SCALES.get(unit, OTHER)
 
@@ -102,8 +102,8 @@ def blocks():
 
 
 @pytest.mark.parametrize(("name", "block"), blocks())
-def test_each_choice_has_an_effect_and_answers_are_finite_and_the_same_again(name, block):
-    """A choice that no answer shows is one of `LATER`; one that cannot be made by itself is refused."""
+def test_each_choice_has_an_effect_and_answers_are_finite_and_repeatable(name, block):
+    """A choice without a visible effect is listed in `LATER`; one that is impossible alone is refused."""
     usual = answered(block, {}, Random(name))
     assert answered(block, {}, Random(name)) == usual
     idle = set()

@@ -1,4 +1,4 @@
-"""FMUs as plants and laws: built here from C, run by every interface, and wrong in every way they can be."""
+"""FMUs as plants and controllers: built here from C, run through every interface, and with every kind of error."""
 
 import dataclasses
 import hashlib
@@ -98,7 +98,7 @@ def distance(a, b):
 
 
 @pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.long)])
-def test_a_motor_in_an_fmu_is_ours(fmus, version):
+def test_a_motor_in_an_fmu_equals_ours(fmus, version):
     assert describe(str(fmus / f"motor{version}.fmu")).version == f"{version}.0"
     values = ("R = 0.5", "J = 0.0005")
     expected = ours(R=0.5, J=0.0005)
@@ -115,7 +115,7 @@ def test_a_motor_in_an_fmu_is_ours(fmus, version):
 
 
 @pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.long), 3])
-def test_a_ball_bounces_when_it_should(fmus, version):
+def test_a_ball_bounces_at_the_right_times(fmus, version):
     """A drop from 1 m takes sqrt(2/g), the flight after the k-th bounce 2 e^k sqrt(2/g)."""
     first = math.sqrt(2.0 / 9.81)
     times = [first]
@@ -145,7 +145,7 @@ def test_a_ball_bounces_when_it_should(fmus, version):
 
 
 @pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.long), 3])
-def test_state_is_kept_and_restored_and_a_reset_begins_anew(fmus, version):
+def test_a_state_is_saved_and_restored_and_a_reset_starts_again(fmus, version):
     plant = motor(fmus, version)
     begun = trace(plant, 20)
     kept = plant.save()
@@ -161,7 +161,7 @@ def test_state_is_kept_and_restored_and_a_reset_begins_anew(fmus, version):
 
 
 def test_steps_inside_a_period_and_the_time_of_the_fmu(fmus):
-    """The fault strikes in the step that begins at 0.5 s."""
+    """The fault begins in the step that begins at 0.5 s."""
     whole, halves = (motor(fmus, period=0.2, steps=n, values=("fault = 5",)) for n in (1, 2))
     for plant, ticks in ((whole, 3), (halves, 2)):
         for _ in range(ticks):
@@ -170,7 +170,7 @@ def test_steps_inside_a_period_and_the_time_of_the_fmu(fmus):
             plant.advance(10**18, motor_command=(1.0,))
 
 
-def test_units_are_converted_where_both_say_theirs(fmus):
+def test_units_are_converted_if_both_sides_declare_them(fmus):
     outputs = ("motor/a/shaft/velocity [rpm] = w", "motor/b/shaft/effort [mN m] = torque", "motor/c/shaft/velocity = w")
     plant = motor(fmus, outputs=outputs, isolated=False)
     assert [p.units for p in FmuPlant.ports(plant.block.p)[1]] == [("rpm",), ("mN m",), ("rad/s",)]
@@ -187,7 +187,7 @@ def test_units_are_converted_where_both_say_theirs(fmus):
     assert volts.outputs(0)["to_motor_state"] == pytest.approx(plain.outputs(0)["to_motor_state"], rel=1e-14)
 
 
-def test_units_with_an_offset_and_names_that_say_nothing():
+def test_units_with_an_offset_and_meaningless_names_are_handled():
     from fmpy.model_description import BaseUnit, Unit as Given
 
     celsius = _unit(Given("degC", BaseUnit(K=1, offset=273.15)), "model.fmu")
@@ -208,7 +208,7 @@ def test_units_with_an_offset_and_names_that_say_nothing():
 
 
 @pytest.mark.parametrize("version", [2, 3])
-def test_a_law_answers_the_tick_with_its_inputs(fmus, version):
+def test_a_controller_answers_the_tick_with_its_inputs(fmus, version):
     law = ByHand(
         FmuLaw(
             fmu=str(fmus / f"law{version}.fmu"),
@@ -298,7 +298,7 @@ def test_the_tolerance_of_its_experiment_is_passed_and_discrete_inputs_jump_at_e
         (2, 7, "crashed: its process closed the pipe by which it is asked"),
     ],
 )
-def test_one_that_asks_to_end_or_closes_descriptors_is_reported(fmus, version, fault, says, capfd):
+def test_an_fmu_that_asks_to_end_or_closes_descriptors_is_reported(fmus, version, fault, says, capfd):
     with pytest.raises(RunError, match=says):
         strict(fmus, version, values=(f"fault = {fault}",)).advance(0, u=(0.0,), n=(0.0,))
     assert "Traceback" not in capfd.readouterr().err
@@ -334,8 +334,8 @@ def test_a_run_whose_fmu_closes_descriptors_ends_with_a_line_and_its_status(page
 
 
 @pytest.mark.long
-def test_one_that_is_not_isolated_takes_the_terminal_with_it_but_not_the_status(page):
-    """`isolated: false` gives it our own descriptors: what was said goes nowhere, and the run ends all the same."""
+def test_an_fmu_that_is_not_isolated_can_close_the_terminal_but_the_status_is_kept(page):
+    """`isolated: false` gives it our own descriptors: output is lost, and the run still ends."""
     (page / "closing.yaml").write_text(CLOSING)
     words = ("run", "closing.yaml", "--mode", "inprocess", "--set", "strict.isolated=false", "--no-plots")
     done = subprocess.run([sys.executable, "-m", "softrig_bringup", *words], capture_output=True, timeout=PATIENCE)
@@ -344,7 +344,7 @@ def test_one_that_is_not_isolated_takes_the_terminal_with_it_but_not_the_status(
 
 
 @pytest.mark.parametrize("ending", few(["kill", "end"], 1))
-def test_what_an_fmu_starts_ends_with_it(fmus, ending, tmp_path):
+def test_processes_started_by_an_fmu_end_with_it(fmus, ending, tmp_path):
     """Also where the node that runs it is killed."""
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe()
@@ -394,7 +394,7 @@ def test_archives_that_would_fill_a_disk_or_a_stack_are_refused(fmus, tmp_path, 
         motor(fmus, **changed("out", lambda archive: archive.writestr("../b", b"")))
 
 
-def test_what_no_interface_of_ours_can_run_is_refused_by_its_name(fmus, tmp_path):
+def test_an_fmu_without_a_usable_interface_is_refused_by_name(fmus, tmp_path):
     def described(text):
         path = tmp_path / "other.fmu"
         with zipfile.ZipFile(fmus / "motor3.fmu") as old, zipfile.ZipFile(path, "w") as new:
@@ -426,7 +426,7 @@ def test_what_no_interface_of_ours_can_run_is_refused_by_its_name(fmus, tmp_path
         2,
     ),
 )
-def test_what_goes_wrong_inside_ends_by_name_and_a_reset_begins_anew(fmus, version, fault, says):
+def test_errors_inside_end_the_run_by_name_and_a_reset_starts_again(fmus, version, fault, says):
     outputs = ("motor/state/shaft/velocity = w",)
     plant = motor(fmus, version, period=0.1, timeout=0.1, values=(f"fault = {fault}",), outputs=outputs)
 
@@ -471,7 +471,7 @@ MIX = {
 
 
 @pytest.mark.parametrize("isolated", few([False, True], 1))
-def test_arrays_by_their_elements(fmus, isolated):
+def test_arrays_are_read_by_their_elements(fmus, isolated):
     def mix(**given):
         return ByHand(FmuLaw(name="mix", **{"fmu": str(fmus / "mix3.fmu"), "isolated": isolated, **MIX} | given))
 
@@ -496,7 +496,7 @@ def test_arrays_by_their_elements(fmus, isolated):
             mix(inputs=(f"mix/in/a/effort = {name}",), values=())
 
 
-def test_an_fmu_is_found_beside_its_scenario_from_any_directory(page, tmp_path_factory, monkeypatch):
+def test_an_fmu_beside_its_scenario_is_found_from_any_directory(page, tmp_path_factory, monkeypatch):
     other = tmp_path_factory.mktemp("other")
     monkeypatch.chdir(other)
     here = {m.name: m for m in rig_of(str(page / "plant.yaml")).members}
@@ -512,7 +512,7 @@ def test_an_fmu_is_found_beside_its_scenario_from_any_directory(page, tmp_path_f
         rig_of(str(page / "plant.yaml"))
 
 
-def test_a_run_says_which_fmu_it_had(page, tmp_path):
+def test_a_run_records_which_fmu_it_had(page, tmp_path):
     from softrig_bringup.cli import main
 
     assert main(["run", "plant.yaml", "--mode", "inprocess", "--duration", "0.1", "--no-plots", "--out", "out"]) == 0
@@ -563,8 +563,8 @@ def test_a_crash_ends_a_run_by_name_and_the_bag_stays(page, tmp_path):
 
 
 @pytest.mark.long
-def test_one_that_cannot_write_its_state_is_reported_again(fmus, monkeypatch):
-    """All of it: its start, its steps, and what was changed in between."""
+def test_an_fmu_that_cannot_save_its_state_is_repeated(fmus, monkeypatch):
+    """All of it: its start, its steps, and changes in between."""
     monkeypatch.setattr(nodes, "describe", lambda file: dataclasses.replace(describe(file), serialises=False))
     plant = motor(fmus, isolated=False)
     trace(plant, 20)
@@ -588,14 +588,14 @@ def test_one_that_cannot_write_its_state_is_reported_again(fmus, monkeypatch):
         plant.save()
 
 
-def test_what_an_fmu_logs_need_not_be_text():
+def test_the_log_of_an_fmu_need_not_be_text():
     log = SimpleNamespace(_log_lines=[])
     for text in (b"torn \xff", b"", None):
         Instance._log(log, 0, "instance", text)
     assert log._log_lines == ["torn \ufffd", "", ""]
 
 
-def test_an_fmu_is_asked_to_log_only_where_the_scenario_says_so(fmus, monkeypatch):
+def test_an_fmu_logs_only_if_the_scenario_says_so(fmus, monkeypatch):
     from fmpy import simulation
 
     made, asked = simulation.instantiate_fmu, []

@@ -1,4 +1,4 @@
-"""Nodes of ours as FMUs: what FMPy makes of them are the numbers of the rig, bit for bit."""
+"""Our nodes as FMUs: simulated by FMPy they give the numbers of the rig, bit for bit."""
 
 import re
 import subprocess
@@ -31,7 +31,7 @@ def exported(tmp_path_factory):
 
 
 def test_fmpy_simulates_the_numbers_of_the_plant_as_the_page_shows(exported, tmp_path):
-    """In a process of its own: PythonFMU's library can be loaded into a Python process once only."""
+    """In a separate process: PythonFMU's library can be loaded only once into a Python process."""
     text = PAGE.read_text()
     command = "export fmu dc_motor_smc dc_motor_plant dc_motor_smc --out fmus"
     assert f"scripts/softrig {command}" in text  # what `exported` has done
@@ -98,9 +98,10 @@ for step in (0.005, 0.01):
 
 
 @pytest.mark.long
-def test_a_source_follows_the_clock_of_the_tool_in_several_instances_and_refuses_loudly(tmp_path):
-    """FMPy, in a process of its own, which has to end well: PythonFMU 0.7 aborted it, found no class a second time, and
-    went on over a refused step with zeros."""
+def test_a_source_follows_the_clock_of_the_tool_in_several_instances_and_refuses_with_an_error(tmp_path):
+    """FMPy runs in a separate process, which must end normally: PythonFMU 0.7 aborted it, did not find a class a second
+    time, and continued after a refused step with zeros.
+    """
     (tmp_path / "source.yaml").write_text(SOURCE)
     for node in ("source", "plant"):
         export(rig_of(str(tmp_path / "source.yaml")), node, tmp_path)
@@ -175,7 +176,7 @@ def motor(exported, **given):
 
 
 @pytest.mark.long
-def test_inputs_that_nobody_feeds_begin_as_in_the_scenario(tmp_path):
+def test_unconnected_inputs_begin_as_in_the_scenario(tmp_path):
     rig = rig_of("rectifier_mpc", duration=0.01)
     run = simulate(rig)
     commands = run.signals["v_drop/command/v_drop/effort"].x.tolist()
@@ -209,7 +210,7 @@ def test_a_longer_step_is_several_periods(exported):
 
 
 @pytest.mark.long
-def test_what_it_cannot_do_is_reported_by_name(exported, tmp_path):
+def test_unsupported_operations_are_reported_by_name(exported, tmp_path):
     with pytest.raises(RunError, match=r"expected a whole number of periods of 0\.0001 s"):
         motor(exported, period=1.5e-4).advance(0, u=(5.0,))
     with pytest.raises(RunError, match=r"motor/command: .*2e\+07"):

@@ -1,4 +1,4 @@
-"""Nodes as FMUs without Python: the numbers of the block, bit for bit, judged by FMPy."""
+"""Nodes as FMUs without Python: the numbers of the block, bit for bit, checked with FMPy."""
 
 import shutil
 
@@ -84,7 +84,7 @@ def by_hand(node):
 
 
 @pytest.mark.long
-def test_fmpy_finds_nothing_wrong_and_simulates_the_bits_of_the_plant(exported):
+def test_fmpy_finds_no_fault_and_simulates_the_bits_of_the_plant(exported):
     folder, _ = exported
     for node in NODES:
         assert validate_fmu(str(folder / f"{node}.fmu")) == []
@@ -101,7 +101,7 @@ def test_fmpy_finds_nothing_wrong_and_simulates_the_bits_of_the_plant(exported):
     assert expected[-1] > 0.001
 
 
-def test_a_loop_of_two_models_and_a_second_instance_of_each(exported):
+def test_a_loop_of_two_models_and_a_second_instance_of_each_run(exported):
     folder, version = exported
     plants = [Opened(folder, version, "dc_motor_plant") for _ in range(2)]
     laws = [Opened(folder, version, "dc_motor_smc") for _ in range(2)]
@@ -127,7 +127,7 @@ def test_a_loop_of_two_models_and_a_second_instance_of_each(exported):
     assert plants[0].get(SPEED) == block.outputs(0)["state"][1]
 
 
-def test_a_state_is_kept_written_and_read_in_another_instance(exported):
+def test_a_state_is_saved_and_restored_in_another_instance(exported):
     folder, version = exported
     one = Opened(folder, version, "dc_motor_plant", **{COMMAND: 3.0})
     one.step(10)
@@ -155,7 +155,7 @@ def test_a_start_time_is_the_time_of_the_first_tick(exported):
         Opened(folder, version, "motor_reference", start=0.3 * late.period)
 
 
-def test_what_it_cannot_do_is_an_error_that_changes_nothing(exported):
+def test_an_unsupported_operation_is_an_error_that_changes_nothing(exported):
     folder, version = exported
     one = Opened(folder, version, "dc_motor_plant", **{COMMAND: 3.0})
     one.step(3)
@@ -178,7 +178,7 @@ def test_what_it_cannot_do_is_an_error_that_changes_nothing(exported):
     one.step()
 
 
-def test_a_parameter_that_is_set_acts_from_the_first_tick(exported):
+def test_a_parameter_takes_effect_from_the_first_tick(exported):
     folder, version = exported
     one, other = (Opened(folder, version, "dc_motor_plant", **{COMMAND: 20.0}, **more) for more in ({}, {"vmax": 5.0}))
     one.step(20)

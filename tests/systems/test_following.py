@@ -1,4 +1,6 @@
-"""What is asked of a machine follows it: no number of a node is repeated, a changed one is judged by its own."""
+"""Requirements follow their machine: no number of a node is repeated, and a changed node is judged by its own
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,7 @@ OTHERS = {
 
 
 def asked(rig: Members, raw: dict) -> Iterator[tuple[str, float, str]]:
-    """Give where a number stands in what is asked of a rig, the number, and its unit."""
+    """Return the place of a number in the requirements of a rig, the number, and its unit."""
     units, figures = signal_units(rig), {f.name: f for f in figures_of(rig)}
     for name, entry in (raw.get("expect") or {}).items():
         for number in NUMBER.findall(str(entry).split("+-")[0]):
@@ -63,7 +65,7 @@ def asked(rig: Members, raw: dict) -> Iterator[tuple[str, float, str]]:
 
 
 def parameters(rig: Members) -> dict[float, list[tuple[str, str | None]]]:
-    """Give the sizes of all numbers of the nodes' parameters, with where they stand and their unit; None: not said."""
+    """Return the sizes of all numbers of the nodes' parameters, with their places and units; None: undeclared."""
     result: dict[float, list[tuple[str, str | None]]] = {}
     for member in rig.members:
         if (member.package, member.executable) == ("softrig_core", "figures"):
@@ -93,7 +95,9 @@ def digits(value: float) -> int:
 
 
 def derived(name: str) -> list[tuple[str, float, str]]:
-    """Give the numbers of three digits and more that are a node's in another unit, squared, or times another one's."""
+    """Return the numbers of three digits and more that are a node's in another unit, squared, or times another
+    one's.
+    """
     draft = read_draft(name)
     rig = rig_of(draft, live=False)
     known = {value: of[0][0] for value, of in parameters(rig).items() if digits(value) > 1}
@@ -132,7 +136,7 @@ ZERO = {"torque_error_mean": "the torque of friction alone"}
 
 
 def absolute(name: str) -> list[str]:
-    """Give what follows a node with a tolerance that does not: it is too narrow or too wide for a larger machine."""
+    """Return values that follow a node with a fixed tolerance, which is too narrow or too wide for a larger machine."""
     draft = read_draft(name)
     rig = rig_of(draft, live=False)
     units = {f.name: f.unit for f in figures_of(rig)}
@@ -149,7 +153,7 @@ DAY = random.Random(date.today().toordinal())
 
 
 @pytest.mark.parametrize("name", sorted(DAY.sample(sorted(list_scenarios()), 12)))
-def test_no_number_of_a_node_is_repeated_in_what_is_asked_of_it(name):
+def test_no_number_of_a_node_is_repeated_in_its_requirements(name):
     assert repeated(name) == []
     assert derived(name) == []
     assert absolute(name) == []
@@ -161,7 +165,7 @@ def test_no_shipped_scenario_repeats_a_number_of_a_node():
 
 
 def judged(name: str, overrides: dict) -> dict[str, bool | None]:
-    """Whether each figure and requirement of a changed run passes; None where it is not judged."""
+    """Return whether each figure and requirement of a changed run passes; None if it is not judged."""
     run = simulate(name, overrides=overrides)
     return {r.name: None if r.published_for else r.passed for r in run.results if r.limited}
 
@@ -206,11 +210,11 @@ def test_bounds_of_a_flux_follow_its_reference():
         2,
     ),
 )  # fmt: skip
-def test_the_torque_of_a_machine_carries_its_own_friction(name, torque, overrides):
+def test_the_torque_of_a_machine_includes_its_own_friction(name, torque, overrides):
     assert judged(name, overrides)[torque] is True
 
 
-def test_a_load_that_comes_after_the_end_has_no_torque():
+def test_a_load_that_begins_after_the_end_has_no_torque():
     run = simulate("pmsm_foc", duration=0.1)
     torque = next(r for r in run.results if r.name == "torque_end")
     assert (torque.value, torque.passed) == (None, False)
@@ -225,7 +229,7 @@ def test_a_plan_ends_at_its_own_horizon():
 
 
 @pytest.mark.long
-def test_a_higher_supply_is_no_violation():
+def test_a_higher_supply_is_not_a_violation():
     run = simulate(
         "rehab_impedance", duration=4.0, overrides={"rehab_plant.v_max": 40.0, "voltage_controller.v_max": 40.0}
     )
@@ -241,7 +245,7 @@ def test_the_peak_of_a_fault_is_that_of_its_phases(kind, least):
     assert run.figures["fault_current_peak"] > least
 
 
-def test_a_scenario_as_it_is_written_is_judged_by_all_that_it_asks():
+def test_an_unchanged_scenario_is_judged_by_all_its_requirements():
     run = simulate("dc_motor_smc_b1")
     assert run.published_for == ""
     assert all(r.judged for r in run.results if r.limited)
@@ -251,7 +255,7 @@ def test_a_scenario_as_it_is_written_is_judged_by_all_that_it_asks():
 
 
 def tenths(name: str) -> Iterator[tuple[str, float | list[float]]]:
-    """Give each number and list of numbers of a scenario's nodes, a tenth more and a tenth less."""
+    """Return each number and list of numbers of a scenario's nodes, increased and decreased by a tenth."""
     rig = rig_of(name, live=False)
     for member in rig.members:
         if (member.package, member.executable) == ("softrig_core", "figures"):
@@ -273,7 +277,7 @@ def _tenth(value: float, factor: float) -> float:
 
 
 def lost(name: str, key: str, value: float) -> list[str] | None:
-    """Give what a scenario with one other parameter is judged by and misses; None where that is refused."""
+    """Return the requirements that a scenario with one changed parameter misses; None if the change is refused."""
     try:
         run = simulate(name, overrides={key: value})
     except (ScenarioError, RunError):
@@ -410,7 +414,7 @@ QUICK = ("dc_motor_fsfb", "dc_motor_smc_b1", "rectifier_mpc_l1", "fault_location
 
 
 def unexplained(name: str, key: str, value: float) -> list[str]:
-    """Give what changes its verdict with a parameter and has no reason for it."""
+    """Return the verdicts that change with a parameter without a stated reason."""
     known = [reasons for names, reasons in CHANGES.items() if re.fullmatch(names, name)]
     reasons = [of for each in known for keys, of in each.items() if re.fullmatch(keys, key)]
     return [each for each in lost(name, key, value) or () if not any(re.fullmatch(of, each) for of, _ in reasons)]
@@ -423,7 +427,7 @@ def test_no_verdict_changes_with_a_tenth_of_a_parameter_without_a_reason(name):
 
 
 def judged_by_itself(name: str) -> bool:
-    """Whether anything that is asked of a scenario follows its machine: nothing else judges a changed one."""
+    """Return whether any requirement of a scenario follows its machine; otherwise nothing judges a changed one."""
     rig = rig_of(name, live=False)
     asked = rig.scenario.expect.keys() | rig.scenario.requirements.keys()
     return any(follows(f, rig.scenario.expect.get(f.name)) for f in figures_of(rig) if f.name in asked)
@@ -437,7 +441,7 @@ SYSTEMS = (
 
 
 @pytest.mark.long
-def test_each_scenario_is_of_a_system_whose_parameters_are_changed():
+def test_each_scenario_belongs_to_a_system_whose_parameters_are_changed():
     assert [name for name in list_scenarios() if not name.startswith(SYSTEMS)] == []
 
 
@@ -456,7 +460,7 @@ def test_no_verdict_of_a_system_changes_with_a_tenth_without_a_reason(system):
 
 
 def by_shared(name: str) -> list[str]:
-    """Give the shared values that nodes have and that is asked by: a node that is changed would not move them."""
+    """Return the shared values that nodes use and requirements refer to: a changed node would not move them."""
     raw = read_draft(name).raw
     nodes, asked = str(raw["nodes"]), str([raw.get(kind) for kind in ("expect", "figures", "requirements")])
     shared = [key for key, value in (raw.get("shared") or {}).items() if isinstance(value, int | float)]
@@ -470,10 +474,10 @@ def by_shared(name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", sorted(DAY.sample(sorted(list_scenarios()), 40)))
-def test_what_is_asked_of_a_node_is_taken_from_it_and_not_from_what_it_shares(name):
+def test_requirements_of_a_node_refer_to_it_and_not_to_a_shared_value(name):
     assert by_shared(name) == []
 
 
 @pytest.mark.long
-def test_no_shipped_scenario_asks_by_a_value_that_its_nodes_share():
+def test_no_shipped_scenario_requires_by_a_value_that_its_nodes_share():
     assert {name: result for name in list_scenarios() if (result := by_shared(name))} == {}

@@ -96,7 +96,7 @@ def test_printed_equations_are_wrong():
     )
 
 
-def test_line_without_the_device():
+def test_the_line_without_the_device():
     """1.5691 - j0.1242 pu a circuit, 1.0190 pu at midpoint; tau 689.79 us, Z_c 270.72 ohm, R 5.092 ohm a half."""
     half, z = NETWORK.half, NETWORK.impedance_base
     assert half.tau == pytest.approx(689.79e-6, abs=5e-9)
@@ -127,7 +127,7 @@ def unloaded():
 
 
 def reachable(rng):
-    """Draw series voltages of at most 0.25 pu and V1; give the flows by Kirchhoff's laws, nothing of the power flow.
+    """Draw series voltages of at most 0.25 pu and V1; return the flows by Kirchhoff's laws, nothing of the power flow.
 
     The shunt current brings V1 to its magnitude, at the two angles at which the powers of the three converters cancel.
     """
@@ -161,7 +161,7 @@ def reachable(rng):
     ("draws", "seed"), [(60, 1), *(pytest.param(1000, seed, marks=pytest.mark.long) for seed in range(1, 12))]
 )
 def test_no_reachable_point_is_missed(draws, seed):
-    """Newton from a flat start alone misses 8 of 100: it diverges, or ends elsewhere without a word."""
+    """Newton from a flat start alone misses 8 of 100: it diverges, or ends elsewhere without an error."""
     rng, solver, seen, flat = random.Random(seed), PowerFlow(NETWORK), 0, 0
     while seen < draws:
         for asked, u, size in reachable(rng):
@@ -179,8 +179,8 @@ def test_no_reachable_point_is_missed(draws, seed):
     assert 0.8 * draws < flat < draws  # what the flat start finds is its own, to the last bit
 
 
-def test_points_that_a_flat_start_misses():
-    """One diverged; the other one ended where V3 is 0 and said that 1.01 pu was needed."""
+def test_points_that_a_flat_start_misses_are_found():
+    """One diverged; the other one ended at V3 = 0 and reported that 1.01 pu was needed."""
     solution = PowerFlow(NETWORK).solve(References(p1=1.3, q1=0.15, p2=0.85, q2=-0.1, v=1.02))
     assert (abs(solution.v12), abs(solution.v34)) == pytest.approx((0.1289, 0.2363), abs=1e-4)
     solution = PowerFlow(NETWORK).solve(References(p1=1.2692, q1=-0.1611, p2=0.8449, q2=-0.2579, v=0.9977))
@@ -191,7 +191,7 @@ def test_points_that_a_flat_start_misses():
 
 
 @pytest.mark.parametrize("flows", [(1.3 + 0.15j, 0.85 - 0.1j), (0.6 - 0.5j, 1.8 + 0.3j), (-1.0 + 0.2j, 0.3 - 1.0j)])
-def test_operating_points_are_all_of_them(flows):
+def test_all_operating_points_are_found(flows):
     """A solver from random starts finds no other voltages beyond the device, with B eliminated from the admittances."""
     network = Network(NETWORK)
     whole = network.admittance[np.ix_((2, 4, 5), (2, 4, 5))] - np.diag([1.0, 1.0, 0.0]) / NETWORK.z_se
@@ -235,7 +235,7 @@ def test_power_flow_without_a_solution():
 
 
 def samples(theta, sigma):
-    """S48 at an array of angles from the definition: bridges, phases, transformers; nothing of the package."""
+    """S48 at an array of angles from the definition: bridges, phases, transformers; independent of the package."""
     total = np.zeros(np.shape(theta), dtype=complex)
     beta = 0.5 * (np.pi - sigma)
     for phi in np.radians([7.5, -7.5, -22.5, -37.5]):
@@ -249,14 +249,16 @@ def samples(theta, sigma):
 
 
 def spectrum(sigma, count=23040):
-    """Amplitude by signed order, by FFT; whole samples in half a degree, so that edges lie between two."""
+    """Amplitude by signed order, by FFT; an integer number of samples in half a degree, so that edges are
+    between two.
+    """
     theta = (np.arange(count) + 0.5) * 2.0 * np.pi / count
     result = np.fft.fft(samples(theta, sigma)) / count
     return {n: abs(result[n]) for n in range(-100, 101)}
 
 
 @pytest.mark.parametrize("sigma", [0.3, 2.0, SIGMA, math.pi])
-def test_vector_is_the_definition(sigma):
+def test_the_vector_equals_its_definition(sigma):
     for theta in np.linspace(-4.0, 11.0, 400):
         assert pulses.vector(theta, sigma) == pytest.approx(complex(samples(theta, sigma)), abs=1e-12)
 
@@ -266,7 +268,7 @@ def amplitudes():
     return spectrum(SIGMA)
 
 
-def test_spectrum_of_the_shunt_voltage(amplitudes):
+def test_the_spectrum_of_the_shunt_voltage(amplitudes):
     """Fundamental 0.63526; 23rd, 25th, 47th, 49th, 95th in % of it; nothing from the 5th to the 19th."""
     first = amplitudes[1]
     assert first == pytest.approx(0.63526, abs=1e-4)

@@ -1,4 +1,6 @@
-"""Each part of the GUPFC by another hand: complex phasors, a system of linear equations a step, differences, tables."""
+"""Each part of the GUPFC against independent code: complex phasors, a linear system for each step, differences,
+tables.
+"""
 
 from __future__ import annotations
 
@@ -316,7 +318,7 @@ def test_the_mean_of_a_converters_voltage_over_a_step(monkeypatch):
 
 @pytest.fixture
 def plain(monkeypatch):
-    """The compiled functions as plain ones: nothing is compiled for a few calls."""
+    """The compiled functions as plain ones: compilation does not pay for a few calls."""
     for name in ("mean_voltage", "_unit", "integral", "histories", "store"):
         monkeypatch.setattr(steps, name, getattr(steps, name).py_func)
     monkeypatch.setattr(pulses, "_area", pulses._area.py_func)
@@ -324,7 +326,7 @@ def plain(monkeypatch):
 
 @pytest.mark.parametrize(("pulse", "tripped"), [(0, False), (1, False), (0, True)])
 def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
-    """Trapezoidal branches, lines by what arrives at their ends, currents that add up to nothing at each bus."""
+    """Trapezoidal branches, lines by the waves that arrive at their ends, currents that add up to zero at each bus."""
     h = PERIOD / 16.0
     c, lines = steps.circuit(NETWORK, h)
     ring = 0.1 * some(4, 2, bergeron.history_length(lines))
@@ -401,7 +403,7 @@ def test_a_step_is_one_system_of_linear_equations(plain, pulse, tripped):
 ENDS = ((0, 1), (0, 3), (2, 5), (4, 5))  # buses of the half lines
 
 
-def test_what_has_been_sampled_is_weighed_by_trapezia_and_turned_to_the_end(monkeypatch):
+def test_samples_are_weighed_by_the_trapezoidal_rule_and_rotated_to_the_end(monkeypatch):
     monkeypatch.setattr(measurement, "weigh", measurement.weigh.py_func)
     omega, h, n = 377.0, 1e-4, 8
     weights = Weights(omega, h, n)
@@ -448,8 +450,8 @@ def test_the_answer_to_one_frequency_by_its_residuals(omega):
 
 
 @pytest.mark.parametrize("waveform", ["average", "pulse"])
-def test_the_start_goes_on_as_it_has_begun(waveform):
-    """The ring of the lines is that of the past, and the next steps are those of a cycle ago, turned on."""
+def test_the_start_continues_periodically(waveform):
+    """The ring of the lines is that of the past, and the next steps are those of a cycle ago, rotated."""
     p = DeviceParams(waveform=waveform)
     point = operating_point(p)
     c, lines = steps.circuit(p.network, p.step)
@@ -478,7 +480,7 @@ def test_the_start_goes_on_as_it_has_begun(waveform):
     assert abs(state.v_dc[0] - point.v_dc) < 5e-3
 
 
-def test_conduction_and_what_a_device_cannot_be():
+def test_conduction_is_computed_and_impossible_devices_are_refused():
     for v, v_dc in ((0.1, 1.0), (0.24, 0.97), (0.0, 1.0)):
         assert 0.25 * v_dc * math.sin(0.5 * conduction(v, v_dc, 0.25)) == pytest.approx(v)
     assert conduction(0.3, 1.0, 0.25) == conduction(0.25, 1.0, 0.25) == math.pi
@@ -500,7 +502,7 @@ def test_conduction_and_what_a_device_cannot_be():
 
 
 def measured(law, k, u, i):
-    """What a law gets at tick k when the steady vectors are these."""
+    """The input of a controller at tick k for given steady vectors."""
     turn = cmath.exp(1j * NETWORK.omega * PERIOD * k)
     names = (
         ("u1", "i_sh")
@@ -514,8 +516,8 @@ def measured(law, k, u, i):
 
 @pytest.mark.parametrize("circuit", [1, 2])
 @pytest.mark.parametrize("kind", ["integral", "printed"])
-def test_the_series_law_in_complex_numbers(kind, circuit):
-    """v = j K_i times the integral, or K_p and K_i axis by axis, in the frame of the loop; no more than its limit."""
+def test_the_series_controller_in_complex_numbers(kind, circuit):
+    """v = j K_i times the integral, or K_p and K_i axis by axis, in the frame of the loop; within its limit."""
     law = ByHand(SeriesController(law=kind, circuit=circuit, kp=0.4, ki=20.0))
     point = law.block._point
     u0, i0, v0 = (point.u2, point.i12, point.v12) if circuit == 1 else (point.u4, point.i34, point.v34)
@@ -557,7 +559,7 @@ def test_the_limit_of_a_series_voltage_in_words():
 
 
 @pytest.mark.parametrize(("kind", "jump"), [("integral", 0.0), ("printed", -0.1)])
-def test_other_gains_bring_no_jump(kind, jump):
+def test_changed_gains_cause_no_jump(kind, jump):
     old = SeriesController(law=kind, kp=0.5)
     new = SeriesController(law=kind, kp=0.6)
     x = old.first()._replace(error=1.0 - 2.0j)
@@ -568,7 +570,7 @@ def test_other_gains_bring_no_jump(kind, jump):
     assert none.go_on(x, old.p) == x  # nothing integrates: nothing takes it up
 
 
-def test_the_shunt_law_is_two_regulators_one_after_the_other():
+def test_the_shunt_controller_is_a_cascade_of_two_regulators():
     law = ByHand(ShuntController(voltage_kp=3.0, voltage_ki=40.0, current_kp=4.0, current_ki=2.0))
     point = law.block._point
     alpha = math.degrees(cmath.phase(point.v_sh / point.u1))
@@ -612,12 +614,12 @@ def test_the_limits_of_the_shunt_law_in_words(sign):
 
 @functools.cache
 def steady_plant():
-    """One plant for many questions."""
+    """One plant for many tests."""
     return GupfcPlant()
 
 
 def taken(command, age=0, k=1, bad=0):
-    """What a plant makes of a command, and what it says."""
+    """The effect of a command on a plant, and its reports."""
     plant = steady_plant()
     plant.events.clear()
     x = plant.first()
@@ -646,7 +648,7 @@ W = NETWORK.omega
         (1, (0.1, 0.3, 1.501 * W), False),
     ],
 )
-def test_which_commands_can_be_meant(k, command, good):
+def test_possible_commands_are_accepted(k, command, good):
     result, reports, v_dc = taken(command, 0, k)
     name = ("shunt", "series_1", "series_2")[k]
     if good:
@@ -668,7 +670,7 @@ def test_which_commands_can_be_meant(k, command, good):
         assert result == Command(0.0, pytest.approx(0.5 + 400.0 * PERIOD), 400.0, 2)
 
 
-def test_commands_that_are_late_or_have_not_come():
+def test_late_and_missing_commands_are_handled():
     result, _, v_dc = taken((0.1, 3.0, 380.0), age=2_000_000)
     sigma = conduction(0.1, v_dc, 0.25)
     assert result == Command(sigma, pytest.approx(math.remainder(3.0 + 380.0 * 0.002, math.tau)), 380.0)
@@ -676,7 +678,7 @@ def test_commands_that_are_late_or_have_not_come():
 
 
 @pytest.mark.parametrize(("v_dc", "trips"), [(0.5005, False), (0.4, True), (1.2995, False), (1.35, True)])
-def test_the_link_trips_beyond_its_limits_for_good(v_dc, trips):
+def test_the_link_trips_permanently_beyond_its_limits(v_dc, trips):
     plant = GupfcPlant()
     x = plant.first()
     network = x.network._replace(v_dc=np.array([v_dc]))
@@ -698,7 +700,7 @@ def test_the_link_trips_beyond_its_limits_for_good(v_dc, trips):
         assert plant.outputs(again, 0)["status"][9:] == (0.0, 0.0)
 
 
-def test_what_the_plant_tells_of_its_steady_start():
+def test_the_plant_reports_its_steady_start():
     plant = GupfcPlant(trace=True)
     x = plant.first()
     outputs, point = plant.outputs(x, 0), plant._point
@@ -720,7 +722,7 @@ def test_what_the_plant_tells_of_its_steady_start():
 # Power flow and pulses on request -----------------------------------------------------------------------------
 
 
-def test_the_node_answers_what_is_new():
+def test_the_node_answers_new_requests():
     node = PowerFlowNode()
     asked = []
     one = PowerFlow(NETWORK).solve(References())
@@ -781,7 +783,7 @@ def test_the_tables_of_an_answer():
     assert tables["device"] == pytest.approx((*v, solution.p12, solution.p34, solution.s_sh.real, solution.s_sh.imag))
 
 
-def test_how_many_points_there_are_in_words():
+def test_the_number_of_points_is_described_as_expected():
     node = PowerFlowNode()
     assert node.health(node.first()) == {}
     text = "; taken: the one with the smallest series voltage, 0.1235 pu"
@@ -790,7 +792,7 @@ def test_how_many_points_there_are_in_words():
     assert node.health(Answered(sizes=(0.12345, 0.5, 0.7))) == more
 
 
-def test_the_gates_of_the_newest_command_turned_on():
+def test_the_gates_of_the_newest_command_are_rotated_on():
     node = ByHand(PulseGenerator(period=1e-4, command_period=3e-4))
     for k, (command, sigma, angle) in enumerate(
         [
@@ -819,7 +821,7 @@ def signal(*values, period=1.0):
     return np.arange(len(values)) * period, np.array(values, float)
 
 
-def test_figures_of_made_up_runs():
+def test_figures_of_artificial_runs():
     run = {
         name: signal(*x)
         for name, x in zip(figures.POWERS, ((1.0, 2.0, -9.0), (0.5, 0.5, 0.5), (0.0, 1.0, 2.0)), strict=True)

@@ -66,7 +66,7 @@ def status(result, name):
         1,
     ),
 )
-def test_scenario(name):
+def test_every_scenario_meets_its_figures_and_verdicts(name):
     """Every figure as expected, every verdict of a claim borne out by the measurement."""
     result = run(name)
     assert [f"{r.name} = {r.value}" for r in result.missed] == []
@@ -88,8 +88,8 @@ TRACE = {  # t: V1, v_dc, P1, P2
 }
 
 
-def test_trace_of_s1():
-    """Asked for: 0.006 pu; with the same order of operations it is 0.001."""
+def test_the_trace_of_s1():
+    """Required: 0.006 pu; with the same order of operations it is 0.001."""
     result = run("gupfc")
     assert len(result.recording.topics["shunt/command"].data) == 4320
     for t, expected in TRACE.items():
@@ -125,7 +125,7 @@ def test_start_in_steady_state(name, tolerance):
 
 
 def test_spectrum_of_the_simulated_shunt_voltage():
-    """The trace holds what the closed form says of the 23rd to 97th harmonic, less the mean over a step."""
+    """The trace contains what the closed form says of the 23rd to 97th harmonic, except for the mean over a step."""
     wave = cycles(run("gupfc_s2").signals, "v_sh", 1.0 / 60.0, 1)
     spectrum = np.fft.fft(wave) / wave.size
     first = abs(spectrum[1])
@@ -262,7 +262,7 @@ def test_line_against_a_pi_ladder(solver):
 
 @pytest.mark.long
 def test_power_flow_against_pandapower():
-    """Fed with the injections as constants and started at our solution, pandapower has nothing to do at 1e-8 MVA.
+    """With the injections as constants and started at our solution, pandapower finds a mismatch below 1e-8 MVA.
 
     Its admittance matrix and its Newton solver, without its tables.
     """
@@ -499,7 +499,7 @@ def test_unreachable_voltage_saturates():
     assert "pu while 1.9 pu is asked of a voltage of 1" in text
 
 
-def test_voltage_that_vanishes():
+def test_a_vanishing_voltage_is_handled():
     """Under 0.1 pu the loop keeps its frequency and nothing is divided by it."""
     for law, inputs in ((SeriesController(), ("u2", "i12")), (ShuntController(), ("u1", "i_sh"))):
         controller = ByHand(law)
@@ -510,7 +510,7 @@ def test_voltage_that_vanishes():
             assert answer[2] == pytest.approx(NETWORK.omega, rel=1e-6)
 
 
-def test_refused_measurement_turns_the_last_voltage_on():
+def test_a_rejected_measurement_rotates_the_last_voltage_on():
     for law in (SeriesController(), SeriesController(circuit=2), ShuntController()):
         controller = ByHand(law)
         before = controller.x.command
@@ -581,7 +581,7 @@ def test_power_flow_node():
 
 
 def test_pulse_generator():
-    """Gates of the angle at hand, turned on with omega between commands; a sigma that is none is refused."""
+    """Gates of the present angle, rotated with omega between commands; an invalid sigma is refused."""
     node = ByHand(PulseGenerator(period=1.0 / 46080.0, command_period=PERIOD))
     for k in range(40):
         command = (2.0, 0.3 + (k // 16) * TURN, NETWORK.omega)
@@ -597,7 +597,7 @@ def test_pulse_generator():
 
 
 def test_a_stale_command_blocks_the_converters():
-    """Real time: a command older than three periods is replaced by the port's safe value, which is no command."""
+    """Real time: a command older than three periods is replaced by the port's safe value, which means no command."""
     assert GupfcPlant.STALE_PERIODS == 3
     plant = ByHand(GupfcPlant())
     for _ in range(3):
@@ -608,8 +608,10 @@ def test_a_stale_command_blocks_the_converters():
     assert all(math.isfinite(x) for values in plant.outputs(0).values() for x in values)
 
 
-def test_in_real_time_a_command_turns_on_until_the_next_one_comes():
-    """Nothing moves while none has come yet, nor by one that is four ticks old; each is the steady one of its tick."""
+def test_in_real_time_a_command_is_rotated_until_the_next_one_arrives():
+    """Nothing moves before the first command, nor with one that is four ticks old; each is the steady one of
+    its tick.
+    """
     plant = ByHand(GupfcPlant())
     steady = plant.outputs(0)["status"]
     plant.block.ages = lambda name: None
@@ -622,7 +624,7 @@ def test_in_real_time_a_command_turns_on_until_the_next_one_comes():
     assert not plant.reports
 
 
-def test_in_real_time_a_law_that_has_missed_ticks_knows_it():
+def test_in_real_time_a_controller_notices_missed_ticks():
     results = []
     for lost in (0, 30):
         law = ByHand(ShuntController())
@@ -693,7 +695,7 @@ rclpy.spin(node)
 @pytest.mark.long
 @pytest.mark.processes
 def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
-    """Nothing of softrig in it: topics, types and stamps are all it knows; the rig comes out as with ours."""
+    """It knows only topics, types and stamps; the rig gives the same as with ours."""
     point = operating_point(DeviceParams())
     theta = cmath.phase(point.u4)
     parts = {"u": point.u4, "i": point.i34, "v": point.v34}
@@ -735,13 +737,13 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
     assert np.ptp(status(ours, "p2")) > 0.08
 
 
-def test_in_process_twice():
+def test_two_runs_in_process_are_equal():
     """The same numbers every time."""
     wired = rig_of("gupfc", duration=0.1)
     assert differences(in_process(wired), in_process(wired)) == []
 
 
-def test_network_is_the_one_of_the_power_flow():
+def test_the_network_equals_that_of_the_power_flow():
     """The discrete steady state is the exact one to 2e-4 pu in every flow."""
     flow = PowerFlow(NETWORK, converter_loss=True).solve(References())
     point = operating_point(DeviceParams())

@@ -1,4 +1,4 @@
-"""Machines of other sources in the shipped rigs: verdicts pass, figures are those of closed forms."""
+"""Machines of other sources in the shipped rigs: verdicts pass, and figures equal closed forms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LOADED = 0.25  # s from the load step to the end of the drives' runs
 
 
 def run(name, nodes, **more):
-    """Run a scenario with parameters by node; what it is judged by holds."""
+    """Run a scenario with parameters by node; its requirements must hold."""
     given = {f"{node}.{key}": value for node, values in nodes.items() for key, value in values.items()} | more
     result = simulate(name, overrides=given)
     assert [(r.name, r.value, r.error) for r in result.missed] == []
@@ -170,7 +170,7 @@ def distributed(r, l, c, length, omega):  # noqa: E741
 
 
 @pytest.mark.parametrize("number", DRAWN)
-def test_a_drawn_line_carries_the_current_of_its_phasors_and_its_waves_arrive_in_time(number):
+def test_a_random_line_carries_the_current_of_its_phasors_and_its_waves_arrive_in_time(number):
     chance = np.random.default_rng([1, number])
     frequency, voltage, angle = chance.choice([50.0, 60.0]), chance.uniform(60e3, 800e3), -chance.uniform(0.02, 0.5)
     names = ("length", "r1", "l1", "c1", "r0", "l0", "c0")
@@ -197,7 +197,7 @@ def test_a_drawn_line_carries_the_current_of_its_phasors_and_its_waves_arrive_in
 
 
 @pytest.mark.parametrize("number", DRAWN)
-def test_a_drawn_string_has_the_maximum_of_the_diode_equation(number):
+def test_a_random_string_has_the_maximum_of_the_diode_equation(number):
     chance = np.random.default_rng([2, number])
     cells = int(chance.integers(36, 97))
     V_oc, I_sc, a = cells * chance.uniform(0.55, 0.72), chance.uniform(2.0, 14.0), chance.uniform(1.0, 1.5)
@@ -231,7 +231,7 @@ def test_a_drawn_string_has_the_maximum_of_the_diode_equation(number):
 
 
 @pytest.mark.parametrize("number", DRAWN)
-def test_a_drawn_fleet_is_dispatched_at_equal_slopes(number):
+def test_a_random_fleet_is_dispatched_at_equal_slopes(number):
     chance = np.random.default_rng([3, number])
     n = int(chance.integers(2, 10))
     least, more = chance.uniform(10.0, 100.0, n), chance.uniform(20.0, 400.0, n)
@@ -251,7 +251,7 @@ def test_a_drawn_fleet_is_dispatched_at_equal_slopes(number):
 
 
 @pytest.mark.parametrize("number", DRAWN)
-def test_the_flow_of_a_drawn_double_line_satisfies_its_equations(number):
+def test_the_flow_of_a_random_double_line_satisfies_its_equations(number):
     chance = np.random.default_rng([4, number])
     frequency, power, voltage = chance.choice([50.0, 60.0]), chance.uniform(100e6, 1e9), chance.uniform(110e3, 500e3)
     base, omega = voltage**2 / power, 2.0 * np.pi * frequency
@@ -302,7 +302,7 @@ TOOL = """<joint name="flange" type="fixed"><parent link="lower"/><child link="t
 
 
 @pytest.mark.parametrize("number", DRAWN)
-def test_a_drawn_arm_of_two_links_moves_by_lagrange_s_equations(number):
+def test_a_random_arm_of_two_links_moves_by_lagrange_s_equations(number):
     """Angles from the horizontal; rotors turn with the joints and the payload is a point at the tool."""
     chance = np.random.default_rng([5, number])
     l1, l2, m1, m2 = chance.uniform((0.1, 0.1, 0.2, 0.1), (1.5, 1.5, 60.0, 40.0))

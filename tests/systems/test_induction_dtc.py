@@ -1,4 +1,4 @@
-"""Induction motor under direct torque control: the acceptance, the model, the laws, bad input."""
+"""Induction motor under direct torque control: the acceptance numbers, the model, the controllers, bad input."""
 
 import math
 from functools import partial
@@ -78,7 +78,7 @@ def test_scenario_meets_its_numbers(name):
 
 
 def end_errors(name, runs):
-    """|e| in Wb at the last control instant of 2 s runs; `runs` gives (seed, load torque)."""
+    """|e| in Wb at the last control instant of 2 s runs; `runs` has (seed, load torque)."""
     scenario = load_scenario(name)
     source = scenario.nodes["load_source"]
     errors = []
@@ -112,7 +112,7 @@ def test_quantisation_is_a_random_walk_and_dither_doubles_it():
 
 @pytest.mark.long  # their entries are held against the field's rules below
 @pytest.mark.parametrize("size", [1.0, 1e-200, 1e200, 1e-320])
-def test_the_largest_magnitude_is_that_of_all(size):
+def test_the_largest_magnitude_is_that_of_all_phases(size):
     rng = np.random.default_rng(1)
     for spread in (1.0, 1e-15):
         psi = size * (1.0 + spread * rng.standard_normal(500)) * np.exp(2j * np.pi * rng.random(500))
@@ -133,7 +133,9 @@ def legs(signals):
 
 
 def independent(x, u, load, h, m):
-    """The equations again, as space vectors, by an adaptive solver over one interval of constant voltage."""
+    """The equations implemented again, as space vectors, by an adaptive solver over one interval of constant
+    voltage.
+    """
 
     def derivative(_, x):
         psi_s, psi_R = complex(x[0], x[1]), complex(x[2], x[3])
@@ -214,7 +216,7 @@ def test_converters_round_and_truncate(x, bits):
     assert Converter(AdcParams(adc_mode="none"))(x) == x
 
 
-def test_converter_clips_to_its_codes_and_tells():
+def test_a_converter_clips_to_its_codes_and_reports_it():
     ideal = Converter(AdcParams(adc_mode="ideal"))
     samples = (15.98, 16.1, 99.0, -15.99, -16.1, 0.0)
     assert [ideal(x) / Q for x in samples] == [511, 511, 511, -512, -512, 0]
@@ -240,7 +242,7 @@ def test_each_channel_has_its_rows_of_dither_bits():
     assert [draw(k, 1) for k in (0, ROW - 1, ROW)] == [ROW, 2 * ROW - 1, 3 * ROW]
 
 
-def test_dither_is_a_matter_of_the_seed():
+def test_dither_depends_on_the_seed():
     runs = []
     for seed in (1, 1, 2):
         plant = ByHand(ImPlant(name="im_plant"))
@@ -293,7 +295,7 @@ def test_tables_are_as_printed():
     assert decrease == ((7, 0, 7, 0, 7, 0), (3, 4, 5, 6, 1, 2), (5, 6, 1, 2, 3, 4))
 
 
-def test_comparators_remember():
+def test_comparators_have_hysteresis():
     errors = (0.0, -0.01, -0.011, 0.005, 0.011, -0.005)
     assert [*accumulate(errors, partial(flux_level, band=0.01), initial=1)][1:] == [1, 1, 0, 0, 1, 1]
     errors = (0.4, 0.6, 0.1, 0.0, -0.4, -0.6, -0.1, 0.6, -0.6, 0.0, 0.5)
@@ -345,7 +347,7 @@ def test_controller_reproduces_its_record():
         assert outputs["flux_estimate"][0] == signals["flux_estimate/x"].x[k]
 
 
-def test_computation_delay_is_known_to_the_estimator():
+def test_the_estimator_accounts_for_the_computation_delay():
     scenario = load_scenario("induction_dtc_short", {"dtc_controller.delay_steps": 2, "im_plant.adc_mode": "none"})
     signals = recorded(scenario)
     assert legs(signals)[:3].tolist() == [[0, 0, 0], [0, 0, 0], [1, 0, 0]]
@@ -444,7 +446,7 @@ def test_switch_that_is_neither_0_nor_1_is_held_once_then_a_fault():
     assert plant.reports == {}
 
 
-def test_overcurrent_trips_for_good():
+def test_overcurrent_trips_permanently():
     plant = ByHand(ImPlant())
     while not plant.x.fault:
         plant.advance(0, switches=VECTORS[1], load_torque=None)
@@ -485,7 +487,7 @@ def test_the_same_bits_over_topics(tmp_path):
     assert differences(in_process(rig_of(scenario), scenario.seed), run.recording) == []
 
 
-def test_a_refused_current_holds_the_switches_and_the_flux_is_integrated_all_the_same():
+def test_a_rejected_current_holds_the_switches_and_the_flux_is_still_integrated():
     block = ByHand(DtcController(magnetising_time=0.0))
     good = {"currents_meas": (3.0, -1.0, -2.0), "dc_link": (540.0,), "torque_ref": (5.0,)}
     for k in range(5):

@@ -53,7 +53,7 @@ def test_impossible_constants_are_named(name, value):
 
 
 def test_bergeron_two_port_tends_to_the_telegraph_equations():
-    """Lumping R three times errs with the square of the losses: a quarter of the length, far less of the error."""
+    """Lumping R three times has an error of the square of the losses: far less at a quarter of the length."""
     errors = []
     for length in (400.0, 200.0, 100.0):
         section = POSITIVE.part(length)
@@ -91,7 +91,7 @@ def test_section_too_short_for_the_step():
 
 @pytest.mark.parametrize("most", [1, 1000])
 @pytest.mark.parametrize("kind", ["phase", "space_vector"])
-def test_steps_hold_the_sinusoidal_steady_state(kind, most):
+def test_steps_reproduce_the_sinusoidal_steady_state(kind, most):
     """Both ends forced with sinusoids: the stepped currents are those of the two-port, from the first step on."""
     step, omega = 1.0 / 46080.0, 2.0 * math.pi * 60.0
     sections = [GUPFC_HALF, GUPFC_HALF.part(150.0)]
@@ -117,7 +117,7 @@ def test_steps_hold_the_sinusoidal_steady_state(kind, most):
 
 
 def test_step_response_of_a_matched_lossless_line():
-    """A wave sent into a line that ends in its surge impedance arrives after tau, whole, and does not come back."""
+    """A wave sent into a line that ends in its surge impedance arrives after tau, unchanged, and is not reflected."""
     section, step = Section(0.0, 1e-3, 1e-8, 100.0), 1e-6
     prepared = lines([section], step)
     ring = np.zeros((1, 2, history_length(prepared)))
@@ -249,8 +249,8 @@ def test_the_numbers_of_prepared_sections():
         lines([PLAIN, edge.part(edge.length * (1.0 - 1e-8))], step)
 
 
-def test_what_arrives_and_what_is_stored_in_loops():
-    """Values of any kind: what is told at a step arrives after the travel time, by the cubic."""
+def test_arriving_and_stored_waves_agree_with_loops():
+    """Random values: the value stored at a step arrives after the travel time, by the cubic."""
     step = 5e-6
     prepared, chance = lines([PLAIN, PLAIN.part(40.0)], step), np.random.default_rng(1)
     size, messages = history_length(prepared), []

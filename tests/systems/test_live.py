@@ -1,4 +1,4 @@
-"""Every parameter that may change while a block runs, changed: at its tick, alike everywhere, without a bump."""
+"""Every live parameter, changed during a run: at its tick, alike in every placement, without a bump."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def variations(member):
 
 
 def answers(rig, recording, member, at, values):
-    """What a member says in open loop under a change; its signals."""
+    """The answers of a node in open loop under a change; its signals."""
     member.changes = (Change(round(at * 1e9), values),) if values else ()
     try:
         return feed(member, rig.scenario.seed, recording)
@@ -113,7 +113,7 @@ def cut(recording, t):
 
 
 @pytest.mark.parametrize("name", few(EVERY, 6))
-def test_a_change_takes_effect_at_its_tick_and_never_before(name):
+def test_a_change_takes_effect_at_its_tick_and_not_before(name):
     """And is recorded with that tick, under its name, with its value."""
     rig, recording = run_of(name)
     at = TIMES[name][1]
@@ -147,7 +147,7 @@ def test_every_live_parameter_may_change_in_some_rig():
 
 @pytest.mark.parametrize("name", few(EVERY, 6))
 def test_a_change_to_the_same_values_changes_no_byte(name):
-    """What a block remembers is kept: its `change` makes nothing anew that holds state."""
+    """The state of a block is kept: its `change` recreates nothing that has state."""
     rig, recording = run_of(name)
     same = {
         f"{m.name}.{k}": v
@@ -162,7 +162,7 @@ def test_a_change_to_the_same_values_changes_no_byte(name):
 
 
 @pytest.mark.parametrize("name", few(EVERY, 2))
-def test_many_changes_at_once_give_the_same_bytes_in_every_placement(name):
+def test_many_simultaneous_changes_give_the_same_bytes_in_every_placement(name):
     rig, recording = run_of(name)
     entries = {}
     for member in rig.members:
@@ -230,8 +230,8 @@ def test_the_command_is_continuous_when_integral_action_changes(name, node, valu
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_does_not_fit_is_refused_whole(name):
-    """One good value beside one that nobody takes."""
+def test_a_set_with_one_wrong_value_is_refused_completely(name):
+    """One good value beside one that is refused."""
     for member in run_of(name)[0].members:
         good = variations(member)
         for bad in good:

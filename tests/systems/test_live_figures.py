@@ -1,4 +1,4 @@
-"""The node `figures`: what it says of a rig while it runs is what is measured of the recording."""
+"""The node `figures`: its results during a run equal those of the recording."""
 
 from collections import deque
 
@@ -23,7 +23,7 @@ NODE = {"package": "softrig_core", "executable": "figures"}
 
 
 def with_figures(name, duration):
-    """The scenario with a node `figures`, whatever its own nodes are called."""
+    """The scenario with a node `figures`, whatever the names of its nodes."""
     scenario = load_scenario(name).changed(duration=duration)
     others = {n: e.model_dump() for n, e in scenario.nodes.items()}
     own = [others.pop(n) for n, e in scenario.nodes.items() if e.executable == "figures"]
@@ -53,7 +53,7 @@ def live(run):
         2,
     ),
 )
-def test_figures_while_running_equal_those_of_the_recording(name, duration, least):
+def test_figures_during_a_run_equal_those_of_the_recording(name, duration, least):
     run = simulate(with_figures(name, duration))
     measured = {r.name: (r.value, r.unit) for r in run.results if r.value is not None}
     known = {n: x for n, x in measured.items() if n in run.rig.scenario.figures}
@@ -62,7 +62,7 @@ def test_figures_while_running_equal_those_of_the_recording(name, duration, leas
 
 
 def of_a_study(name, duration):
-    """Give the results of a run of many, and how many topics it recorded nothing of."""
+    """Return the results of a run of many, and the number of topics that it did not record."""
     run = simulate(name, duration=duration, runs=2, signals=())
     return run.results, sum(not topic.times for topic in run.recording.topics.values())
 
@@ -79,7 +79,7 @@ def of_a_study(name, duration):
         ("rehab_impedance", 0.02, 2),
     ],
 )
-def test_a_run_of_many_records_what_its_figures_read_and_measures_what_a_whole_one_does(
+def test_a_run_of_many_records_what_its_figures_read_and_measures_the_same_as_a_whole_one(
     name, duration, silent, monkeypatch
 ):
     monkeypatch.setenv("SOFTRIG_JIT", "0")
@@ -89,7 +89,7 @@ def test_a_run_of_many_records_what_its_figures_read_and_measures_what_a_whole_o
 
 
 def read_alike(scenario):
-    """Give what decides which topics a run of many records: scenarios that differ in numbers only share it."""
+    """Return what decides which topics a run of many records: scenarios that differ only in numbers share it."""
     texts = [
         (name, f.function, {k: v for k, v in f.arguments.items() if isinstance(v, str)}, f.since)
         for name, f in scenario.figures.items()
@@ -103,8 +103,8 @@ KINDS = {read_alike(s): s.name for s in map(load_scenario, reversed(list_scenari
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(KINDS))
-def test_so_does_one_of_each_kind(name, monkeypatch):
-    """Over twenty of the clock's ticks and five of whoever ticks most rarely."""
+def test_one_run_of_each_kind_measures_the_same(name, monkeypatch):
+    """Over twenty of the clock's ticks and five of the slowest node."""
     monkeypatch.setenv("SOFTRIG_JIT", "0")
     rig = rig_of(name)
     if any(entry.external for entry in rig.scenario.nodes.values()):
@@ -116,7 +116,7 @@ def test_so_does_one_of_each_kind(name, monkeypatch):
 
 
 def told(results):
-    """Give what comes of it: a planner whose horizon is that short may break, in both the same way."""
+    """Return the result: a planner with such a short horizon may break, in both runs in the same way."""
     try:
         return repr(results())
     except RunError as error:
@@ -139,7 +139,7 @@ def test_figures_are_those_of_the_newest_step_of_their_reference():
     assert run.blocks["dc_motor_metrics"].status()["rise_time"] == (run.figures["rise_time"], "s")
 
 
-def test_a_step_that_the_window_has_left_behind_has_no_figures():
+def test_a_step_before_the_window_has_no_figures():
     overrides = STEPS | {"dc_motor_metrics.window": 2.0}
     assert (
         "rise_time"
@@ -161,7 +161,7 @@ SOME = (0, 57, WIDE - 1)
 
 @pytest.mark.parametrize("window", few([5, 700, pytest.param(5000, marks=pytest.mark.long)], 1))
 def test_a_window_is_a_queue(window):
-    """Over many blocks, with messages that are repeated and pauses that empty it."""
+    """Over many blocks, with repeated messages and pauses that empty it."""
     kept, queue, forgot = Kept(), deque(), False
     at_once, new, row = Kept(), [], row_of(WIDE)
     for t in range(2000):
@@ -185,7 +185,7 @@ def test_a_window_is_a_queue(window):
     assert (rows(stale), stale.forgot) == ([], True)
 
 
-def test_what_is_kept_takes_the_room_of_its_numbers_in_the_window():
+def test_stored_messages_take_the_memory_of_their_numbers_in_the_window():
     kept, row = Kept(), row_of(2)
     for t in range(20_000):
         kept = kept.with_message(row, t, Sample(0, (1.0, 2.0)), t, 6_000)
@@ -196,7 +196,7 @@ def test_what_is_kept_takes_the_room_of_its_numbers_in_the_window():
     assert longer.stamps(2)[0] == 13_999
 
 
-def test_by_hand_it_reads_the_topics_of_a_scenario_alone():
+def test_a_node_started_alone_reads_only_the_topics_of_a_scenario():
     node = Figures(scenario="dc_motor_smc_b1")
     topics = {p.topic for p in node.ports(node.p)[0]}
     assert topics == {"motor/true_state", "motor/applied", "motor/sensors", "motor/reference"}
@@ -233,7 +233,7 @@ def test_it_follows_a_parameter_that_its_figures_refer_to():
         ),
     ],
 )
-def test_what_cannot_be_counted_from_a_step_is_refused_before_the_run(changes, text):
+def test_figures_that_cannot_count_from_a_step_are_refused_before_the_run(changes, text):
     scenario = load_scenario("dc_motor_smc_b1")
     entry = scenario.figures["rise_time"].model_copy(update=changes)
     with pytest.raises(ScenarioError, match=text):

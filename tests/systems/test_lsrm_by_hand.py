@@ -1,4 +1,4 @@
-"""The linear motor's laws, profiles and figures over random inputs.
+"""The linear motor's controllers, profiles and figures over random inputs, against independent code.
 
 Sources: the equations on the page lsrm_fuzzy, in loops; quadrature of the slope for the inductance, integrals of the
 acceleration for the profiles. Figures stand here on even grids; on others in test_figures_over_time.py.
@@ -41,7 +41,7 @@ def slope_of(xi, g=GIVEN):
 
 
 def nearest(x, phase, g=GIVEN):
-    """Way to the nearest aligned position of a phase, found among many."""
+    """Distance to the nearest aligned position of a phase, found among many."""
     return min((x - phase * g.shift - n * g.tau for n in range(-30, 30)), key=abs)
 
 
@@ -54,7 +54,7 @@ def test_inductance_is_the_integral_of_its_slope_from_the_unaligned_position_on(
 
 
 @pytest.mark.parametrize("options", [{}, {"feed_forward": True, "K_pc": 0.2}, {"threshold": 0.4, "resolution": 1e-3}])
-def test_the_current_loops_are_their_formulas(options):
+def test_the_current_loops_equal_their_formulas(options):
     law = ByHand(CurrentController(U_dc=100.0, I_max=8.0, K_ic=3.0, **options))
     p, draw = law.block.p, Random(9)
     z = [0.0] * 4
@@ -78,7 +78,7 @@ def test_the_current_loops_are_their_formulas(options):
             assert (law.x.integral[phase], outputs["phase_voltage"][phase]) == (near(z[phase]), near(u))
 
 
-def test_what_the_integrals_of_the_currents_give_stays_under_another_gain():
+def test_the_output_of_the_current_integrals_is_kept_under_another_gain():
     def after(now, before):
         law = CurrentController(K_ic=now)
         return law.go_on(law.first()._replace(integral=(1.0, 2.0, 0.0, -1.0)), CurrentControllerParams(K_ic=before))
@@ -88,8 +88,8 @@ def test_what_the_integrals_of_the_currents_give_stays_under_another_gain():
     assert after(0.0, 2.0).integral == (0.0,) * 4
 
 
-def test_the_speed_controllers_are_their_formulas():
-    """PI with conditional anti-windup, the adaptive law within its bounds, the fuzzy one where no rule is clipped."""
+def test_the_speed_controllers_equal_their_formulas():
+    """PI with conditional anti-windup, the adaptive one within its bounds, the fuzzy one while no rule is clipped."""
     pi = ByHand(LsrmPi(K_F=10.0, K_p=2.0, K_i=5.0, F_max=9.0, period=0.01))
     mrac = ByHand(
         LsrmMrac(
@@ -144,8 +144,8 @@ def test_a_load_is_its_mass_and_the_friction_of_its_weight():
 
 @pytest.mark.parametrize("kind", ["jerk", "trapezoid", "step"])
 @pytest.mark.parametrize("v_d", [0.5, -0.3])
-def test_a_profile_accelerates_cruises_and_brakes_as_it_is_said(kind, v_d):
-    """Acceleration from its shape, speed and way by its integral; braking takes v_d t_db/2."""
+def test_a_profile_accelerates_cruises_and_brakes_as_specified(kind, v_d):
+    """Acceleration from its shape, speed and distance by its integral; braking takes v_d t_db/2."""
     p = Profile(kind, v_d, 0.4, None, 1.0, 0.2)
     dt = 1e-4
     way = speed = 0.0
@@ -174,8 +174,8 @@ def test_a_profile_accelerates_cruises_and_brakes_as_it_is_said(kind, v_d):
             way += dt * speed
 
 
-def test_a_profile_on_its_edges():
-    """At t_d it cruises; at t_b it does not brake yet; at the end of the braking it stands."""
+def test_a_profile_is_exact_at_its_edges():
+    """At t_d it cruises; at t_b it does not brake yet; at the end of the braking it is at rest."""
     p = Profile("trapezoid", 1.0, 0.5, None, 2.0, 0.25)
     assert [p.at(t)[1:] for t in (0.0, 0.5, 2.0, 2.25, 3.0)] == [
         (0.0, 2.0),
@@ -214,7 +214,7 @@ def test_the_range_of_a_speed_is_that_of_its_samples():
         ({"x_d": 0.2, "profile": "trapezoid"}, ""),
     ],
 )
-def test_a_profile_that_nobody_can_follow_is_reported(values, reported):
+def test_an_impossible_profile_is_reported(values, reported):
     source = ByHand(ProfileGenerator(**{"F_max": 1e4, **values}))
     messages = [text for _, text, *_ in source.reports.values()]
     assert bool(messages) is bool(reported)
@@ -234,8 +234,8 @@ def test_the_largest_force_is_that_of_both_ramps():
 # the plant -------------------------------------------------------------------------------------------------------
 
 
-def test_the_plant_at_the_edges_of_what_it_takes():
-    """The whole supply is not beyond it; a load of nothing is one; a current at the trip is no fault yet."""
+def test_the_plant_is_exact_at_its_limits():
+    """The full supply is allowed; a load of zero is allowed; a current at the trip level is not a fault."""
     plant = ByHand(LsrmPlant(U_dc=150.0))
     plant.advance(0, phase_voltage=(150.0, -150.0, 0.0, 0.0), load=(0.0, 0.0))
     assert plant.reports == {}

@@ -53,7 +53,7 @@ def measured(name):
 
 
 def value(name, figure):
-    """Measured value; infinity for what never happens."""
+    """Measured value; infinity for an event that never happens."""
     result = measured(name)[figure].value
     return math.inf if result is None else result
 
@@ -127,7 +127,7 @@ def test_locked_translator():
 
 
 def independent(state, u, duration):
-    """The equations again, by an adaptive solver, over one period of constant voltages."""
+    """The equations implemented again, by an adaptive solver, over one period of constant voltages."""
 
     def profile(xi):
         d = abs(abs(xi) - 0.0105)
@@ -189,7 +189,7 @@ def test_flux_ends_at_zero():
 
 
 @pytest.mark.long
-def test_without_numba_the_same_bits():
+def test_without_numba_the_bits_are_the_same():
     code = (
         "from softrig_core.run.simulate import simulate\n"
         "plant = simulate('lsrm_fuzzy', duration=0.02).blocks['lsrm_plant']\n"
@@ -381,8 +381,8 @@ def test_surface_of_any_size():
             TakagiSugeno(peaks, rules)
 
 
-def test_fuzzy_controller_is_a_pi_controller():
-    """Kp = K_u/K_de = 200 N s/m, Ki = K_u/(K_e Ts) = 2000 N/m; this integral has the newest error already."""
+def test_a_fuzzy_controller_is_a_pi_controller():
+    """Kp = K_u/K_de = 200 N s/m, Ki = K_u/(K_e Ts) = 2000 N/m; the integral includes the newest error."""
     fuzzy = shared("lsrm_fuzzy").signals
     gains = {"speed_controller.K_F": 1.0, "speed_controller.K_p": 202.0, "speed_controller.K_i": 2000.0}
     linear = recorded("lsrm_fuzzy_pi", overrides=gains)
@@ -469,7 +469,7 @@ def test_position_is_quantised():
 
 @pytest.mark.parametrize("name", few(SHARED, 1))
 def test_a_motion_backwards_has_the_figures_of_its_mirror_image(name):
-    """Old: overshoot -100 %, dip -0.3 %, peak force 0."""
+    """Before a fix: overshoot -100 %, dip -0.3 %, peak force 0."""
     forwards, backwards = shared(name), simulate(name, overrides={"v_d": -0.5})
     turned = {"peak_force", "mean_force", "profile_end"}
     for key, value in forwards.figures.items():
@@ -477,7 +477,7 @@ def test_a_motion_backwards_has_the_figures_of_its_mirror_image(name):
 
 
 def there_and_back(*overshoots):
-    """Legs of 2 s to 0.5 m/s, forwards and backwards in turn, a while beyond it."""
+    """Sections of 2 s to 0.5 m/s, forwards and backwards in turn, for a while beyond it."""
     t = np.arange(0, 2000 * len(overshoots)) * 1e-3
     way = np.where((t // 2.0) % 2.0 == 0.0, 1.0, -1.0)
     beyond = np.array(overshoots)[(t // 2.0).astype(int)]
@@ -543,7 +543,7 @@ def test_malformed_message_never_reaches_the_block(port, names, values, text):
         Decoder(port)(data)
 
 
-def test_refused_measurement_holds_the_force_and_frees_the_phases():
+def test_a_rejected_measurement_holds_the_force_and_releases_the_phases():
     for controller in (LsrmFuzzy(), LsrmPi(), LsrmMrac(), CurrentController()):
         x = controller.first()
         assert controller.refused(x, MS) == (x, None)  # what was said last is held
@@ -573,15 +573,15 @@ def test_negative_load_is_refused(load):
 
 
 @given(st.floats(-0.1, 0.1), st.floats(0.06, 0.11), st.booleans())
-def test_it_trips_where_a_current_is_beyond_the_bound_and_nowhere_else(x, flux, steep):
-    """Currents are looked at from some flux on: below it none may be beyond the bound."""
+def test_it_trips_exactly_when_a_current_is_beyond_the_bound(x, flux, steep):
+    """Currents are computed only from some flux on: below it none may be beyond the bound."""
     plant = LsrmPlant(LsrmPlantParams(substeps=1, locked=True, G=8.0 if steep else 0.8), 0)
     before = plant.first()._replace(psi_a=flux, x=x)
     after = plant.advance(before, 0, phase_voltage=OFF, load=None)
     assert after.fault == (sense(after[:6], plant._geometry)[3] > plant.p.trip_current)
 
 
-def test_overcurrent_trips_for_good():
+def test_overcurrent_trips_permanently():
     plant = ByHand(LsrmPlant(locked=True))
     on = (150.0, 150.0, 0.0, 0.0)
     k = 0

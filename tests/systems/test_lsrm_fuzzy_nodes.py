@@ -1,4 +1,4 @@
-"""Linear switched reluctance motor as nodes: equality to in-process, over-current trip, bad input by hand."""
+"""Linear switched reluctance motor as nodes: equality to in-process, over-current trip, bad input from a person."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ node.create_timer(0.005, send)
 
 
 class Hand:
-    """A clamped motor started by hand, and a person who commands it."""
+    """A clamped motor started alone, and a person who commands it."""
 
     def __init__(self, bench):
         self.bench = bench
@@ -67,7 +67,7 @@ class Hand:
         bench.wait(lambda: bench.status("plant")["ticks"] > 3)
 
     def sends(self, topic, names, effort, until):
-        """Command until something holds."""
+        """Publish a command until a condition holds."""
         outside(self.bench, "person", PERSON, topic, names, effort)
         self.bench.wait(until)
         go(self.bench, "person")
@@ -83,7 +83,7 @@ class Hand:
 
 
 @pytest.mark.long
-def test_nodes_started_by_hand_move_the_translator_in_real_time(bench):
+def test_nodes_started_one_by_one_move_the_translator_in_real_time(bench):
     slow = {"period": 0.005}  # what a busy machine can do against the wall clock
     nodes = {
         "lsrm_plant": ("lsrm_plant", slow | {"substeps": 500}),
@@ -102,7 +102,7 @@ def test_nodes_started_by_hand_move_the_translator_in_real_time(bench):
 
 
 @pytest.mark.long
-def test_bad_commands_by_hand_are_refused_clipped_and_outlived(bench):
+def test_bad_commands_of_a_person_are_rejected_or_clipped_and_the_nodes_continue(bench):
     hand = Hand(bench)
     hand.sends("phase_voltage", "a b c d", "15 0 0 0", lambda: hand.current() > 5.9)
     bench.wait(lambda: hand.told("stale phase_voltage"))  # the person is gone: 0 V

@@ -1,4 +1,4 @@
-"""Three-phase machines, inverter, field orientation: by closed forms, scipy in coordinates of phases, brute force."""
+"""Three-phase machines, inverter, field orientation: against closed forms, scipy in phase coordinates, brute force."""
 
 import math
 import typing
@@ -57,7 +57,7 @@ def in_phases(p, duty, x, t_end):
     return solve_ivp(slope, (0.0, t_end), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
 
 
-def test_the_plant_is_the_machine_in_phases():
+def test_the_plant_equals_the_machine_in_phase_coordinates():
     """Another form of the equations, another solver: 20 periods of other duty ratios, within 1e-8."""
     p = PmsmPlantParams(
         delay=0, trip_current=1e3, substeps=8, C_dc=2e-4, R_dc=0.5, J=0.005, J_load=0.01, K_shaft=700.0, C_shaft=0.5,
@@ -81,8 +81,8 @@ def test_the_plant_is_the_machine_in_phases():
 
 @pytest.mark.parametrize("inverter", ["averaged", "switched"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_dead_time_costs_the_voltage_of_the_text_books(inverter, sign):
-    """T_d f_c U_dc sign(i) a leg: at standstill the current is that of the voltage that is left."""
+def test_dead_time_reduces_the_voltage_as_in_textbooks(inverter, sign):
+    """T_d f_c U_dc sign(i) for each leg: at standstill the current is that of the remaining voltage."""
     dead, U_dc, R = 4e-6, 540.0, 3.6
     block = plant(inverter=inverter, dead_time=dead, J=1e6, R_s=R, psi_f=0.0, L_d=0.03, L_q=0.03)
     share = 0.1 * sign
@@ -93,7 +93,7 @@ def test_dead_time_costs_the_voltage_of_the_text_books(inverter, sign):
     assert i_a == pytest.approx(u / R, rel=2e-3)
 
 
-def test_devices_drop_their_voltages():
+def test_devices_have_their_voltage_drops():
     block = plant(v_switch=2.0, v_diode=1.0, r_on=0.4, J=1e6, psi_f=0.0, L_d=0.03, L_q=0.03)
     for k in range(3000):
         block.advance(k * 100_000, duty=(0.6, 0.45, 0.45), load_torque=None)
@@ -160,7 +160,7 @@ def test_power_in_is_power_out():
     assert given > 1.0
 
 
-def test_flux_tables_of_constants_are_the_constants():
+def test_flux_tables_of_constant_inductances_equal_the_constants():
     i_d, i_q = tuple(float(x) for x in range(-20, 21, 4)), tuple(float(x) for x in range(0, 21, 4))
     psi_d = tuple(0.545 + 0.036 * a for a in i_d for _ in i_q)
     psi_q = tuple(0.051 * b for _ in i_d for b in i_q)
@@ -170,7 +170,7 @@ def test_flux_tables_of_constants_are_the_constants():
         assert linkage(*at, table) == pytest.approx(linkage(*at, plain), abs=1e-13)
 
 
-def test_the_saturated_machine_is_its_published_formula():
+def test_the_saturated_machine_equals_its_published_formula():
     """i_d and i_q of the flux linkages at the corners of the tables, and the slopes between them by differences."""
     values = load_scenario("pmsm_foc_synrm").nodes["pmsm_plant"].parameters
     p = SynchronousConstants(**{k: v for k, v in values.items() if k in SynchronousConstants.model_fields})
@@ -216,7 +216,7 @@ def test_currents_beyond_the_flux_tables_are_reported():
         ({"U_dc": 2000.0}, "more than U_dc"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused(values, text):
+def test_impossible_machines_are_refused(values, text):
     with pytest.raises(ValueError, match=text):
         PmsmPlantParams(**values)
 
@@ -254,7 +254,7 @@ def test_a_load_step_within_a_period_and_trips():
         (0.0062, 0.0415, 0.0, 32.0),
     ],
 )
-def test_currents_are_the_least_of_all_that_make_the_torque(L_d, L_q, psi_f, i_max):
+def test_currents_are_the_smallest_that_make_the_torque(L_d, L_q, psi_f, i_max):
     """Against brute force over 300 magnitudes and 721 angles, over speeds from rest to the deepest field weakening."""
     k = 4.5
     size, angle = np.meshgrid(np.linspace(0.0, i_max, 300), np.linspace(-math.pi, math.pi, 721))
@@ -287,7 +287,7 @@ def test_mtpa_without_a_magnet_is_45_degrees_and_without_saliency_all_q():
 
 
 @pytest.mark.parametrize("modulation", typing.get_args(Modulation))
-def test_duty_ratios_are_the_voltage_up_to_the_range_of_the_modulation(modulation):
+def test_duty_ratios_give_the_voltage_up_to_the_range_of_the_modulation(modulation):
     most = linear_range(modulation) * 540.0
     for angle in np.linspace(0.0, 2.0 * math.pi, 97):
         u = 0.999999 * most * np.array([math.cos(angle), math.sin(angle)])
@@ -300,8 +300,8 @@ def test_duty_ratios_are_the_voltage_up_to_the_range_of_the_modulation(modulatio
 
 
 @pytest.mark.parametrize("axis", ["d", "q"])
-def test_a_current_step_is_followed_as_the_bandwidth_says(axis):
-    """1 - exp(-alpha t), at standstill and without computing delay; the rest is of the order of the period."""
+def test_a_current_step_is_followed_with_the_specified_bandwidth(axis):
+    """1 - exp(-alpha t), at standstill and without computing delay; the difference is of the order of the period."""
     alpha, errors = 500.0, []
     for period in (1e-4, 5e-5):
         machine = plant(period=period, J=1e6)
@@ -333,8 +333,8 @@ def loop(alpha_s, alpha_c, J):
     ("name", "alpha_s", "J"),
     [("pmsm_foc", 25.0, 0.015), pytest.param("pmsm_foc_servo", 100.0, 7.061552e-6, marks=pytest.mark.long)],
 )
-def test_the_drive_is_its_linear_loop(name, alpha_s, J):
-    """Rise and dip of the closed form in scipy; what is left are sampling and delay."""
+def test_the_drive_equals_its_linear_loop(name, alpha_s, J):
+    """Rise and dip of the closed form in scipy; the difference is due to sampling and delay."""
     from scipy.signal import lti
 
     p = load_scenario(name).nodes["foc_controller"].parameters
@@ -362,7 +362,7 @@ def test_field_weakening_keeps_the_voltage():
     assert run.figures["i_d_idle"] == pytest.approx((0.9 * 540.0 / 3**0.5 / 900.0 - 0.545) / 0.036, rel=0.01)
 
 
-def test_a_refused_measurement_leaves_zero_voltage():
+def test_a_rejected_measurement_leaves_zero_voltage():
     law = ByHand(FocController(FocControllerParams()))
     before = law.x
     assert law.refused(0)["duty"] == (0.5, 0.5, 0.5)
@@ -373,5 +373,5 @@ LATER = [pytest.param(f"pmsm_foc_{n}", marks=pytest.mark.long) for n in ("two_ma
 
 
 @pytest.mark.parametrize("name", ["pmsm_foc_switched", *LATER])
-def test_scenarios_meet_what_they_expect(name):
+def test_scenarios_meet_their_expectations(name):
     assert not simulate(name).missed

@@ -1,4 +1,6 @@
-"""Machines, converters and laws at the parameters of each shipped scenario and at drawn ones, by closed forms."""
+"""Machines, converters and controllers at the parameters of each shipped scenario and at random ones, against closed
+forms.
+"""
 
 import math
 
@@ -44,17 +46,19 @@ BRUSHLESS = sets("bldc_plant", BldcPlantParams)
 
 
 def drawn(kinds, most, draws):
-    """Give each of some machines with several draws, of which `most` are for each day."""
+    """Return each machine with several random parameter sets, of which `most` are tested daily."""
     return few([(name, seed) for seed in range(draws) for name in kinds], most)
 
 
-def test_all_shipped_machines_are_here():
+def test_all_shipped_machines_are_tested():
     assert (len(SYNCHRONOUS), len(INDUCTION), len(BRUSHLESS)) == (7, 4, 4)
 
 
 @pytest.mark.parametrize(("name", "seed"), drawn(SYNCHRONOUS, 3, 6))
 def test_a_current_step_is_followed_at_any_bandwidth_and_speed(name, seed):
-    """1 - exp(-alpha t) on one axis, nothing on the other, while the machine turns; the rest falls with the period."""
+    """1 - exp(-alpha t) on one axis, nothing on the other, while the machine turns; the difference falls with the
+    period.
+    """
     draw = np.random.default_rng([seed, 1])
     given = SYNCHRONOUS[name]
     m = SynchronousConstants(**{k: v for k, v in given.items() if k != "U_dc"})
@@ -123,7 +127,7 @@ def test_currents_of_a_fast_machine_are_exponentials_whatever_the_substeps(pairs
 
 @pytest.mark.parametrize(("name", "seed"), drawn(INDUCTION, 2, 6))
 def test_a_torque_step_of_an_induction_machine_too(name, seed):
-    """With its flux there, the torque is that of i_q, which follows as 1 - exp(-alpha t); the flux stays."""
+    """At constant flux the torque is that of i_q, which follows as 1 - exp(-alpha t)."""
     draw = np.random.default_rng([seed, 2])
     given = INDUCTION[name]
     remaining = {k: v for k, v in given.items() if k != "U_dc"}
@@ -208,8 +212,8 @@ def test_power_in_is_power_out_of_each_machine(name, seed):
 
 
 @pytest.mark.parametrize("seed", few(range(20), 3))
-def test_dead_time_costs_t_d_f_s_u_dc_of_each_leg(seed):
-    """At standstill the current is that of the voltage that is left, averaged and switched, either sign."""
+def test_dead_time_reduces_the_voltage_of_each_leg_by_t_d_f_s_u_dc(seed):
+    """At standstill the current is that of the remaining voltage, averaged and switched, of either sign."""
     draw = np.random.default_rng([seed, 4])
     inverter, sign = ("averaged", "switched")[seed % 2], float(draw.choice([-1.0, 1.0]))
     period, U, R = 10.0 ** draw.uniform(-4.7, -3.5), 10.0 ** draw.uniform(1.3, 2.9), 10.0 ** draw.uniform(-2.0, 1.0)
@@ -246,7 +250,7 @@ def test_harmonics_of_any_carrier_and_modulation_are_bessel_functions(seed):
 
 
 def rivals(torque, k, L_d, L_q, psi_f):
-    """Return the least current of a torque by trial: of each angle the current from a quadratic equation."""
+    """Return the least current of a torque by search: for each angle the current from a quadratic equation."""
     angle = np.linspace(1e-9, math.pi - 1e-9, 200_001)
     a, b = k * (L_d - L_q) * np.sin(angle) * np.cos(angle), k * psi_f * np.sin(angle)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -303,8 +307,8 @@ def test_conduction_is_discontinuous_beyond_k_crit(topology, seed):
 
 
 @pytest.mark.parametrize(("name", "seed"), drawn(BRUSHLESS, 1, 4))
-def test_six_steps_carry_load_and_losses(name, seed):
-    """With two phases on their flat tops T = 2 k_e i; what comes in at the terminals is heat, field and motion."""
+def test_six_step_commutation_carries_load_and_losses(name, seed):
+    """With two phases on their flat tops T = 2 k_e i; the electrical input is heat, field and motion."""
     draw = np.random.default_rng([seed, 8])
     given = {k: v for k, v in BRUSHLESS[name].items() if k not in ("load_times", "load_torques", "B")}
     given |= {"U_dc": load_scenario(name).nodes["bldc_plant"].parameters.get("U_dc", 24.0), "trip_current": 1e4}

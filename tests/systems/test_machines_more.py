@@ -1,4 +1,6 @@
-"""Induction and brushless machines, sensors, observer: by closed forms, and by scipy in another form of the model."""
+"""Induction and brushless machines, sensors, observer: against closed forms, and scipy with another form of the
+model.
+"""
 
 import math
 
@@ -22,7 +24,7 @@ from softrig_drives.stator import inverse_gamma
 THIRD = 2.0 * math.pi / 3.0
 
 
-def test_the_induction_machine_is_its_t_circuit():
+def test_the_induction_machine_equals_its_t_circuit():
     """Currents of stator and rotor as states, mutual inductances: within 1e-8 after 20 periods of other voltages."""
     R_s, R_r, L_ls, L_lr, L_m, p, J = 1.405, 1.395, 0.005839, 0.004, 0.1722, 2, 0.0131
     R_R, L_sigma, L_M = inverse_gamma(R_r, L_ls, L_lr, L_m)
@@ -54,7 +56,7 @@ def test_the_induction_machine_is_its_t_circuit():
 
 
 @pytest.mark.long
-def test_voltage_over_frequency_slips_as_the_circuit_says():
+def test_voltage_over_frequency_has_the_slip_of_the_circuit():
     """The steady state of the T circuit without rotor leakage: the slip at which the torque is the load."""
     R_s, R_R, L_sigma, L_M, p = 3.7, 2.1, 0.021, 0.224, 2
     w_s = 300.0
@@ -91,7 +93,7 @@ def loop(alpha_s, alpha_c, J, sensor=None):
         pytest.param("pmsm_foc_sensorless", 250.0, 0.02, marks=pytest.mark.long),
     ],
 )
-def test_drives_are_their_linear_loops(name, sensor, within):
+def test_drives_equal_their_linear_loops(name, sensor, within):
     run = simulate(name)
     assert not run.missed
     t = np.linspace(0.0, 0.4, 20001)
@@ -104,7 +106,7 @@ def test_drives_are_their_linear_loops(name, sensor, within):
         assert np.abs(true.x[4000:6400] - seen.x[4000:6400]).max() < 0.03
 
 
-def test_the_flux_of_the_law_is_that_of_the_machine():
+def test_the_flux_of_the_controller_is_that_of_the_machine():
     machine = ByHand(InductionPlant(InductionPlantParams(delay=0, trip_current=1e3)))
     law = ByHand(ImFocController(ImFocParams(mode="torque", delay=0)))
     for k in range(1500):
@@ -131,7 +133,7 @@ def test_flux_falls_with_speed():
 # brushless --------------------------------------------------------------------------------------------------------
 
 
-def test_the_trapezoid():
+def test_the_trapezoid_of_the_emf():
     for angle, value in (
         (0.0, 0.0),
         (30, 1.0),
@@ -172,8 +174,8 @@ def test_commutation_at_standstill_is_the_matrix_exponential():
     assert block.x.i_b == 0.0
 
 
-def test_a_speed_beyond_all_others_ends_a_period_as_well():
-    """Currents that the cut of a step cannot bring to zero: each period has a bound of cuts."""
+def test_an_absurd_speed_ends_a_period_as_well():
+    """The cut of a step cannot bring its currents to zero: the number of cuts in a period is limited."""
     block = ByHand(BldcPlant(BldcPlantParams()))
     for k in range(3):
         block.advance(k * 50_000, gates=(1.0, 0.0, -1.0), load_torque=None)
@@ -212,7 +214,7 @@ def test_each_sector_drives_the_flat_tops():
 
 
 @pytest.mark.parametrize("name", ["bldc_six_step", pytest.param("bldc_six_step_1kw", marks=pytest.mark.long)])
-def test_the_brushless_drive_meets_what_it_expects(name):
+def test_the_brushless_drive_meets_its_expectations(name):
     assert not simulate(name).missed
 
 
@@ -268,7 +270,7 @@ def test_currents_are_converted():
         ("im_foc_krause", (0.816, 0.754, 0.754, 26.13), 120 * math.pi),  # reactances at 60 Hz
     ],
 )
-def test_a_machine_published_as_a_t_circuit(name, circuit, w):
+def test_a_machine_published_as_a_t_circuit_is_reproduced(name, circuit, w):
     p = load_scenario(name).nodes["induction_plant"].parameters
     R_r, *inductances = circuit
     wanted = inverse_gamma(R_r, *(x / w for x in inductances))
@@ -276,7 +278,7 @@ def test_a_machine_published_as_a_t_circuit(name, circuit, w):
 
 
 def test_a_reluctance_machine_published_by_its_reactances():
-    """The torque of its two reactances over the load angle, as text books have it; enough for its example's load."""
+    """The torque of its two reactances over the load angle, as in textbooks; enough for its example's load."""
     given = load_scenario("pmsm_foc_synrm_msl").nodes["pmsm_plant"].parameters
     m = SynchronousConstants(**{k: v for k, v in given.items() if k in SynchronousConstants.model_fields}).numbers(0.0)
     U, w, X_d, X_q = 100.0 * 2.0**0.5, 100.0 * math.pi, 3.0, 1.0
@@ -291,7 +293,7 @@ def test_a_reluctance_machine_published_by_its_reactances():
 @pytest.mark.parametrize(
     "name", ["im_foc_4kw", "im_foc_krause", "bldc_six_step_anaheim", "pmsm_foc_servo", "pmsm_foc_synrm_msl"]
 )
-def test_other_machines_meet_what_they_expect(name):
+def test_other_machines_meet_their_expectations(name):
     assert not simulate(name).missed
 
 
@@ -300,8 +302,10 @@ def test_other_machines_meet_what_they_expect(name):
 SHEET = {"speed": 1500.0, "current": 4.3, "pole_pairs": 3, "torque": 14.0, "R_s": 3.6, "L_d": 0.036, "L_q": 0.051}
 
 
-def test_what_a_data_sheet_says_is_what_the_machine_has():
-    """Three ways to say the same magnet; its voltage at 1000 1/min and its torque over rms current by definition."""
+def test_the_machine_has_the_values_of_its_data_sheet():
+    """Three ways to specify the same magnet; its voltage at 1000 1/min and its torque over rms current by
+    definition.
+    """
     psi = 0.545
     volts = psi * 3 * (1000 * math.pi / 30) * math.sqrt(1.5)
     ways = ({"psi_f": psi}, {"K_e": volts}, {"K_t": 1.5 * 3 * psi * math.sqrt(2.0)})
@@ -314,8 +318,8 @@ def test_what_a_data_sheet_says_is_what_the_machine_has():
     assert (drive.plant["R_s"], drive.plant["L_d"], drive.plant["L_q"]) == pytest.approx((3.6, 0.035, 0.035))
 
 
-def test_what_is_assumed_is_consistent_with_the_rated_point():
-    """Rated current makes the rated torque, at the rated voltage and speed; the losses are the share that is named."""
+def test_assumptions_are_consistent_with_the_rated_point():
+    """Rated current makes the rated torque, at the rated voltage and speed; the losses are the stated share."""
     given = {"speed": 1500.0, "current": 4.3, "pole_pairs": 3, "power": 2200.0, "voltage": 370.0}
     p = pmsm(given).plant
     peak, w = 4.3 * math.sqrt(2.0), 1500 * math.pi / 30
@@ -329,7 +333,7 @@ SERVO = {"speed": 6000.0, "current": 7.1, "pole_pairs": 4, "torque": 0.27, "R_tt
 
 
 @pytest.mark.parametrize("given", few([{**SHEET, "psi_f": 0.545, "J": 0.015}, SERVO], 1))
-def test_the_rig_of_a_data_sheet_does_what_it_expects(given, tmp_path):
+def test_the_rig_of_a_data_sheet_meets_its_expectations(given, tmp_path):
     text, assumed = scenario("mine", given)
     path = tmp_path / "mine.yaml"
     path.write_text(text)
@@ -352,7 +356,7 @@ def test_the_rig_of_a_data_sheet_does_what_it_expects(given, tmp_path):
         ({**{k: v for k, v in SHEET.items() if k[0] != "L"}, "voltage": 100.0}, "less than back-EMF"),
     ],
 )
-def test_a_data_sheet_that_cannot_be_is_refused(given, text):
+def test_an_impossible_data_sheet_is_refused(given, text):
     with pytest.raises(ValueError, match=text):
         pmsm(given)
 

@@ -1,4 +1,4 @@
-"""3-link manipulator: dynamics against independent routes, the acceptance numbers, bad input."""
+"""3-link manipulator: dynamics against independent methods, the acceptance numbers, bad input."""
 
 import functools
 import math
@@ -107,7 +107,7 @@ def test_dynamics_node_gives_the_reference_values():
     )
 
 
-def test_the_dynamics_of_the_arm_are_asked_for_at_each_of_its_samples():
+def test_the_dynamics_of_the_arm_are_requested_at_each_of_its_samples():
     assert RobotDynamics().p.period == ManipulatorPlant().p.period == VcsController().p.period
 
 
@@ -147,8 +147,8 @@ def test_armature_adds_to_the_diagonal():
     np.testing.assert_allclose(result["mass_matrix"] @ result["forward_dynamics"], V - result["bias"], atol=1e-11)
 
 
-def test_a_refused_query_is_not_answered():
-    """Nothing goes out under its stamp: a reader would take it for the answer."""
+def test_a_rejected_query_is_not_answered():
+    """Nothing is published with its stamp: a subscriber would take it for the answer."""
     rig, world = rig_of("manipulator_adsmc_two_link"), World()
     others = [m.name for m in rig.members if m.name != "robot_dynamics"]
     run = SimulatedRig(rig, world, "realtime", without=others)
@@ -325,7 +325,7 @@ def test_coefficients_are_those_of_the_derivative_of_sigma():
 
 
 @pytest.mark.parametrize("law", ["adsmc", "dsmc"])
-def test_printed_mu1_reaches_the_law(law):
+def test_the_printed_mu1_reaches_the_controller(law):
     def second_voltage(**options):
         block = ByHand(VcsController(law=law, **options))
         for t in (0, 1):
@@ -405,7 +405,7 @@ def test_control_period_hardly_matters(period, substeps):
 
 
 @pytest.mark.long
-def test_order_of_the_laws():
+def test_the_laws_rank_as_published():
     adsmc, dsmc, smc = (run(f"manipulator_adsmc{s}") for s in ("", "_s4", "_s5"))
     for e, v in zip(E_SIGNAL, V_SIGNAL, strict=True):
         assert measures.rms(adsmc, e) < measures.rms(dsmc, e) / 10

@@ -1,4 +1,4 @@
-"""Laws and plants under mirrored signs, with gains of the other sign, and begun at another time than 0.
+"""Controllers and plants under mirrored signs, with gains of the other sign, and started at another time than 0.
 
 Source: the equations. Of a law or plant that is odd in its inputs, the mirror image of what goes in gives the mirror
 image of what comes out, to the last bit: changing a sign rounds nothing.
@@ -56,7 +56,7 @@ def pairs(*tables):
 
 
 def driven(package, executable, sign=1.0, begin=0):
-    """What a block publishes in 25 periods under inputs that are drawn anew every fifth, from a period on."""
+    """The output of a block in 25 periods under inputs that are drawn again every fifth, from a period on."""
     cls = block_of(load_main(package, executable))
     block = cls()
     block.reset(1)
@@ -78,7 +78,7 @@ def driven(package, executable, sign=1.0, begin=0):
     return rows
 
 
-def test_every_executable_is_here():
+def test_every_executable_is_tested():
     results = {
         (d.metadata["Name"], name)
         for d in importlib.metadata.distributions()
@@ -90,20 +90,20 @@ def test_every_executable_is_here():
 
 
 @pytest.mark.parametrize(("package", "executable"), pairs(ODD))
-def test_the_mirror_image_of_its_inputs_gives_that_of_its_outputs(package, executable):
+def test_mirrored_inputs_give_mirrored_outputs(package, executable):
     right = [[tuple(-v for v in row) for row in rows] for rows in driven(package, executable)]
     assert any(v for rows in right for row in rows for v in row)
     assert driven(package, executable, -1.0) == right
 
 
 @pytest.mark.parametrize(("package", "executable"), pairs(ODD, LATER))
-def test_a_block_that_begins_later_does_the_same(package, executable):
+def test_a_block_that_begins_later_gives_the_same(package, executable):
     assert driven(package, executable, begin=4000) == driven(package, executable)
 
 
 @pytest.mark.parametrize("kd", [0.0, 0.3])
 def test_a_reverse_acting_pid_is_the_mirror_image_of_a_direct_one(kd):
-    """Through saturation and back: the integral is stopped for gains of either sign."""
+    """Into saturation and back: the integral is stopped for gains of either sign."""
     rng = random.Random(8)
     direct, reverse = (
         Pid(PidParams(kp=s * 4.0, ki=s * 4.0, kd=s * kd, n_filter=20.0, u_max=12.0), 0.01) for s in (1.0, -1.0)
@@ -131,7 +131,7 @@ def test_a_feedback_whose_plant_has_a_negative_gain_stops_its_integral_too():
 
 
 def acting(gain):
-    """Set point 20 that cannot be reached for 20 s, then 3, of a first-order plant with a saturated amplifier."""
+    """Set point 20 that is out of reach for 20 s, then 3, for a first-order plant with a saturated amplifier."""
     nodes = {
         "plant": {
             "package": "softrig_control",

@@ -1,4 +1,4 @@
-"""Native code on every scenario: which go, why the others do not, and that what goes is what Python computes."""
+"""Native code on every scenario: which run natively, why the others do not, and that the results equal Python's."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def typed(made: Any) -> Any:
 
 
 def short(rig: Rig) -> float:
-    """Give a duration in which each member but those that watch answers some ticks, s."""
+    """Return a duration in which each node except observers answers some ticks, s."""
     periods = [m.schedule.period for m in rig.members if not issubclass(m.block_class, Observer)]
     wanted = float(max(TICKS * rig.clock.schedule.clock, SLOWEST * max(periods)))
     return min(wanted, rig.scenario.duration or wanted)
 
 
 def ran(rig: Rig, make: Make | None) -> tuple[Recording, Mapping[str, Any], str, Native]:
-    """Run a rig in Python, tick by tick, or by a text as `make` makes it."""
+    """Run a rig in Python, tick by tick, or with the text that `make` returns."""
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps = wired(rig, {m.name: m.block(rig.scenario.seed) for m in rig.members})
     record(rig, steps, recording)
@@ -50,7 +50,7 @@ def ran(rig: Rig, make: Make | None) -> tuple[Recording, Mapping[str, Any], str,
 
 
 def held(scenario: Any, make: Make = plain) -> Native:
-    """Hold both against each other: messages, reports, errors, states, times."""
+    """Compare both: messages, reports, errors, states, times."""
     result, others, other_error, native = ran(rig_of(scenario), make)
     if not native.ticks:
         return native
@@ -71,7 +71,7 @@ def held(scenario: Any, make: Make = plain) -> Native:
 
 
 def scenario(name: str, **more: Any) -> Scenario:
-    """Give a scenario of a short duration."""
+    """Return a scenario with a short duration."""
     result = load_scenario(name)
     return result.having(duration=short(rig_of(name)), **more)
 
@@ -109,13 +109,13 @@ REASONS = {name: reason for reason, names in STAYS.items() for name in names.spl
 
 
 def cause(reason: str) -> str:
-    """Give a reason without module, line and values."""
+    """Return a reason without module, line and values."""
     where, _, what = reason.rpartition(", line ")
     return f"{'.'.join(where.split('.')[-2:])}: {what.partition(': ')[2]}" if where else reason
 
 
 def why_not(rig: Rig) -> str:
-    """Say what keeps a rig in Python that is known without a tick, which may take a minute of a solver."""
+    """Return the reason, known without a tick, why a rig stays in Python; a tick may take a minute of a solver."""
     if any(m.external for m in rig.members):
         return "external"
     often = min(m.schedule.every for m in rig.members)
@@ -125,13 +125,13 @@ def why_not(rig: Rig) -> str:
 
 @pytest.fixture(autouse=True)
 def _each_its_own_text(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have no text of one scenario stand in the way of another's."""
+    """Make sure that no text of one scenario is used for another."""
     monkeypatch.setattr(fitted, "RUNS_A_TEXT", 0)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted({*list_scenarios(), *REASONS} - {*UNO}))
-def test_a_scenario_is_what_it_is_in_python(name: str) -> None:
+def test_a_scenario_gives_the_same_as_in_python(name: str) -> None:
     """By the text that numba gets and by the one that Python runs, on 150 ticks each."""
     reason = why_not(rig_of(name))
     if not reason:
@@ -175,7 +175,7 @@ FAULTS: tuple[dict[str, Any], ...] = (
 
 @st.composite
 def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
-    """Draw a scenario with parameters that change while it runs, and with a fault on a link."""
+    """Draw a scenario with parameters that change during the run, and with a fault on a link."""
     name = draw(st.sampled_from(names))
     rig, changes = rig_of(name), []
     live = {
@@ -214,25 +214,27 @@ def changed(draw: st.DrawFn, names: tuple[str, ...]) -> Scenario:
     return result
 
 
-def test_a_text_made_elsewhere_is_in_the_report() -> None:
-    """A reason that a method is handed, and puts into what it reports: the tick is Python's."""
+def test_a_text_made_elsewhere_appears_in_the_report() -> None:
+    """A reason is passed to a method, which puts it into its report: the tick stays in Python."""
     held(scenario("rectifier_mpc_l1", changes=[{"at": 0.0015625, "set": {"gpc_controller.set_point": 600.0}}]))
 
 
-def test_an_array_that_has_grown_joins_the_one_before() -> None:
+def test_an_array_that_has_grown_is_appended_to_the_previous_one() -> None:
     fault = {"link": "axis/state", "from": 0.5, "kind": "delay", "delay": 0.03}
     held(scenario("dc_motor_fsfb_s1", faults={"fault": fault}), typed)
 
 
-def test_what_is_refused_between_two_ticks_counts_at_the_next() -> None:
-    """The plant speaks twenty times as often as the speed law, which holds at its next tick what it said."""
+def test_a_rejection_between_two_ticks_counts_at_the_next() -> None:
+    """The plant publishes twenty times as often as the speed controller, which has the message held at its next
+    tick.
+    """
     fault = {"link": "joint_states", "from": 0.0025, "kind": "invalid", "probability": 0.02}
     held(scenario("lsrm_fuzzy", faults={"fault": fault}))
 
 
 @given(changed(SOME))
 @settings(max_examples=6, deadline=None, derandomize=True)
-def test_what_changes_while_it_runs(case: Scenario) -> None:
+def test_changes_during_a_run_are_the_same(case: Scenario) -> None:
     held(case)
 
 
@@ -240,18 +242,18 @@ def test_what_changes_while_it_runs(case: Scenario) -> None:
 @pytest.mark.parametrize("make", [typed, plain])
 @given(data=st.data())
 @settings(max_examples=150, deadline=None)
-def test_what_changes_while_it_runs_at_length(make: Make, data: st.DataObject) -> None:
+def test_changes_during_a_long_run_are_the_same(make: Make, data: st.DataObject) -> None:
     held(data.draw(changed(SOME)), make)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", SOME)
-def test_numba_computes_what_python_does(name: str) -> None:
+def test_numba_computes_the_same_as_python(name: str) -> None:
     native = held(scenario(name), compiled)
     assert native.ticks > native.given_up
 
 
-def test_a_text_is_for_rigs_that_are_wired_alike() -> None:
+def test_a_text_belongs_to_rigs_with_equal_wiring() -> None:
     """Two rigs of the same nodes, in which an event reaches another channel and a port has another bound."""
     event = {"channels": ["grid_amplitude"], "units": ["V"], "times": [0.0, 0.02], "values": [180.0, 150.0]}
     others = {f"event_source.{key}": value for key, value in event.items()}

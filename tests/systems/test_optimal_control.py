@@ -74,7 +74,7 @@ def test_a_series_without_constant_term_divides_nothing():
 
 
 def everything(x):
-    """Each operation that has a series."""
+    """Each operation that has a series expansion."""
     return ca.vertcat(
         x[0] * x[1] - 2.0 / (x[0] + 3.0),
         ca.sin(x[0]) + ca.cos(x[1]) * 2,
@@ -145,7 +145,7 @@ def test_example_1():
     assert solution.ratio[8] == pytest.approx(5.5e-5, abs=1e-6)
 
 
-def test_the_papers_rule_misfires_and_the_sound_one_does_not():
+def test_the_papers_rule_fails_and_the_corrected_one_does_not():
     solution = solve(SCALAR, 1, 20, eps_res=1e-2)
     assert solution.seed_order == 2  # even orders change nothing
     assert (solution.converged, solution.order) == (True, 9)
@@ -184,7 +184,7 @@ def test_example_2():
     assert solution.state_residual[3] == pytest.approx(9.66e-8, abs=1e-10)
 
 
-def test_example_2_tables_are_of_a_frozen_alpha():
+def test_tables_of_example_2_use_a_frozen_alpha():
     solution = solve(SPACECRAFT, 4, alpha_mode="frozen", frozen_alpha=PRINTED)
     assert solution.J[:3] == pytest.approx([0.00468052, 0.00467797, 0.00467903], abs=5e-9)
     assert solution.J[3] == pytest.approx(0.0046788970, abs=1e-10)  # printed 0.00467886
@@ -232,7 +232,7 @@ def test_example_3():
     assert wrong == pytest.approx(0.308, abs=1e-3)
 
 
-def test_example_3_tables_are_of_a_frozen_alpha():
+def test_tables_of_example_3_use_a_frozen_alpha():
     solution = solve(TWO_STATE, 4, alpha_mode="frozen", frozen_order=2)
     assert solution.J[:3] == pytest.approx([0.417241, 0.410274, 0.427145], abs=1e-6)
     assert solution.J[3] == pytest.approx(0.4346129, abs=1e-6)  # printed 0.431156
@@ -248,7 +248,7 @@ def test_example_3_tables_are_of_a_frozen_alpha():
         ((-0.8, 0.0), 1.0, 0.41027, 3),
     ],
 )
-def test_of_several_roots_the_one_that_the_plant_pays_least_for(x0, T, J, roots):
+def test_of_several_roots_the_cheapest_for_the_plant_is_used(x0, T, J, roots):
     """The nearest root gave 1.172, 1.41, 0.61 and 0.59 in the first four, up to 90 times as much in the plant."""
     problem = TWO_STATE.changed(x0=x0, horizon=T)
     solution = mvim.solve(problem, 2)
@@ -265,13 +265,13 @@ def test_of_several_roots_the_one_that_the_plant_pays_least_for(x0, T, J, roots)
     )
 
 
-def test_the_plant_of_a_root_pays_what_the_evaluators_pays():
+def test_the_cost_of_a_root_is_that_of_the_evaluator():
     """Sheet: order 2 of example 3 costs 0.44495 in the plant."""
     assert mvim.solve(TWO_STATE, 2).roots[2][0].paid == pytest.approx(0.4449505, abs=1e-6)
 
 
 @pytest.mark.long
-def test_stages_that_reach_where_one_series_does_not():
+def test_stages_reach_where_one_series_does_not():
     far = find("reactor")
     assert not mvim.solve(far, 12).converged
     stages = mvim.enough_stages(far, 12, 1e-4)
@@ -344,7 +344,9 @@ def test_stages_reach_beyond_the_radius_of_convergence(times):
 
 
 def true_end_error(times, order, stages):
-    """Rate left at the end under the planned control, without any hold, in parts of the rate at the start."""
+    """The rate that remains at the end under the planned control, without any hold, relative to the rate at the
+    start.
+    """
     from scipy.integrate import solve_ivp
 
     problem = SPACECRAFT.changed(x0=tuple(times * w for w in SPACECRAFT.x0))
@@ -392,7 +394,7 @@ def test_one_stage_is_beyond_the_reactors_radius_of_convergence():
     assert not solve(REACTOR, 12).converged
 
 
-def test_a_problem_of_ones_own_needs_dynamics_and_cost_alone():
+def test_a_users_problem_needs_only_dynamics_and_cost():
     """A double integrator moved by 1 in 2 s: u = 1.5 (1 - t), J = 1/2 int u^2 = 6/T^3 = 0.75."""
     own = Problem(
         "integrator",
@@ -418,7 +420,7 @@ def test_a_problem_of_ones_own_needs_dynamics_and_cost_alone():
         (lambda x, u: [u[0], u[0]], lambda x, u: u[0] ** 2, "ode: expected 1"),
     ],
 )
-def test_problems_that_cannot_be_stated_are_refused(ode, cost, why):
+def test_impossible_problems_are_refused(ode, cost, why):
     with pytest.raises(ProblemError, match=why):
         _ = Problem("bad", {"x": ""}, {"u": ""}, ode, cost, x0=(0.0,), horizon=1.0).extremal
 

@@ -1,4 +1,4 @@
-"""Series, roots, planners, player and evaluator over small cases.
+"""Series, roots, planners, player and evaluator over small cases, against independent code.
 
 Sources: closed forms of the linear quadratic problems, casadi and scipy as other libraries, and loops.
 """
@@ -77,8 +77,8 @@ def test_the_series_of_every_operation_is_the_solution_of_its_equation():
     assert more.sum(axis=1) == pytest.approx(g(exactly).full().ravel(), abs=1e-9)
 
 
-def test_whole_powers_are_products_others_are_not():
-    """(x - 1)^n about 1, where a power by its own recursion would divide by nothing."""
+def test_whole_powers_are_products_and_others_are_not():
+    """(x - 1)^n about 1, where the recursion of a general power would divide by zero."""
     x = ca.SX.sym("x")
     for exponent in (1, 2, 3, 16):
         table = np.zeros((1, 4))
@@ -91,7 +91,7 @@ def test_whole_powers_are_products_others_are_not():
         Tape.of(ca.Function("f", [x], [x**x]))
 
 
-def test_a_plan_is_read_in_its_stages():
+def test_a_plan_is_read_by_its_stages():
     coefficients = np.arange(18.0).reshape(3, 2, 3)
     for s in (-0.1, 0.0, 0.2, 1.0 / 3.0, 0.5, 0.99, 1.0, 1.1):
         stage = 0 if s < 1 / 3 else 1 if s < 2 / 3 else 2
@@ -105,7 +105,7 @@ def test_a_plan_is_read_in_its_stages():
 # problems --------------------------------------------------------------------------------------------------------
 
 
-def test_the_problems_are_their_equations():
+def test_the_problems_equal_their_equations():
     draw = Random(3)
     for name, equations in (
         ("scalar", lambda x, u: [x[0] ** 2 * math.sin(x[0]) / 2 + u[0], u[0] ** 2]),
@@ -201,7 +201,7 @@ def test_a_problem_changed_is_checked():
                 spacecraft(inertia)
 
 
-def test_what_nodes_of_a_problem_agree_on():
+def test_quantities_that_nodes_of_a_problem_agree_on():
     p = ProblemParams(problem="spacecraft", x0=(0.1, 0.2, 0.3), horizon=5.0, inertia=(2.0, 2.0, 2.0))
     assert p.plant_agreed() == {"ocp/problem": "spacecraft", "ocp/x0": (0.1, 0.2, 0.3), "ocp/inertia": (2.0, 2.0, 2.0)}
     assert p.task_agreed() == {"ocp/problem": "spacecraft", "ocp/horizon": 5.0, "ocp/x_end": (0.0,) * 3, "ocp/R": ()}
@@ -220,7 +220,7 @@ def test_ports_of_a_problem():
 
 
 @pytest.mark.parametrize(("x0", "x_end", "T"), [(0.0, 0.5, 1.0), (0.9, 0.2, 2.0), (-0.3, 0.6, 0.5)])
-def test_the_scalar_problem_by_quadrature_ends_where_it_shall_at_its_cost(x0, x_end, T):
+def test_the_scalar_problem_by_quadrature_ends_at_its_state_and_cost(x0, x_end, T):
     """Its costate at the start, integrated with the state and the cost."""
     result = exact.scalar(x_end, T, x0)
 
@@ -235,7 +235,7 @@ def test_the_scalar_problem_by_quadrature_ends_where_it_shall_at_its_cost(x0, x_
     assert exact.least_cost(problem) == result.cost
 
 
-def test_the_boundary_value_solver_from_a_start_of_ones_own():
+def test_the_boundary_value_solver_with_a_given_start():
     problem = find("scalar").changed(x0=(0.1,), x_end=(0.3,), horizon=2.0)
     result = exact.tpbvp(problem, 1e-5, np.array([0.2, -0.2]))
     assert result.cost == pytest.approx(exact.scalar(0.3, 2.0, 0.1).cost, rel=1e-5)
@@ -248,7 +248,7 @@ def test_the_boundary_value_solver_from_a_start_of_ones_own():
 
 
 def ends_of(f, slope, asked=None):
-    """In the place of the end conditions: a function of one alpha and its slope."""
+    """A function of one alpha and its slope, in place of the end conditions."""
 
     def ends(problem, alpha, order, stages, T):
         if asked is not None:
@@ -258,7 +258,7 @@ def ends_of(f, slope, asked=None):
     return ends
 
 
-def test_newton_halves_its_steps_where_it_may_and_keeps_the_best(monkeypatch):
+def test_newton_halves_its_steps_if_allowed_and_keeps_the_best(monkeypatch):
     asked = []
     monkeypatch.setattr(mvim, "_ends", ends_of(math.atan, lambda a: 1.0 / (1.0 + a * a), asked))
     alpha, error = newton(None, np.array([3.0]), 1, 1, 1.0, 1e-12, 12)
@@ -330,7 +330,7 @@ def test_the_end_conditions_and_their_jacobian_are_differences():
     ],
 )
 def test_a_costate_follows_its_branch(monkeypatch, order, reached, answer):
-    """Newton's method replaced: it reaches what is given, from 1 + 1 the 2, and nothing else."""
+    """Newton's method is replaced by one that reaches the given root, from 1 + 1 the 2, and nothing else."""
 
     def replaced(problem, alpha, order, stages, T, accurate, halvings=0, steps=40):
         start = round(float(alpha[0]), 9)
@@ -345,7 +345,7 @@ def test_a_costate_follows_its_branch(monkeypatch, order, reached, answer):
 
 
 def test_a_costate_of_a_low_order_is_the_best_of_all(monkeypatch):
-    """Beyond a tenth all roots are asked for; of one alone nothing is judged; without any the branch is followed."""
+    """Beyond a tenth all roots are computed; a single alpha is not judged; without any the branch is followed."""
     problem = SimpleNamespace(horizon=1.0)
     monkeypatch.setattr(mvim, "newton", lambda *args: (np.array([1.2]), 1e-9))
     monkeypatch.setattr(mvim, "best", lambda problem, roots, z_of, cost: [Root(r, 0.0, 0.0) for r in roots[::-1]])
@@ -358,8 +358,8 @@ def test_a_costate_of_a_low_order_is_the_best_of_all(monkeypatch):
 
 
 @pytest.mark.parametrize(("limit", "answer"), [(99.0, 0.1), (2.0, -4.7)])
-def test_a_costate_that_nothing_reaches_grows_with_the_horizon(monkeypatch, limit, answer):
-    """From 0 on over tenths of the horizon; where one of them has no root, what Newton's method came to stays."""
+def test_an_unreachable_costate_is_continued_with_the_horizon(monkeypatch, limit, answer):
+    """From 0 on over tenths of the horizon; if one of them has no root, the last result of Newton's method is kept."""
     asked = []
 
     def replaced(problem, alpha, order, stages, T, accurate, halvings=0, steps=40):
@@ -374,12 +374,12 @@ def test_a_costate_that_nothing_reaches_grows_with_the_horizon(monkeypatch, limi
     assert asked == [(near(0.4 * k), near(0.01 * (k - 1))) for k in range(1, 11) if 0.4 * k < limit - 1e-9]
 
 
-def test_how_far_a_costate_moved():
+def test_the_distance_of_a_moved_costate():
     assert mvim._moved(np.array([3.0, 4.0]), np.array([0.0, 4.0])) == 0.75
     assert mvim._moved(np.array([3.0, 4.0]), np.zeros(2)) == 0.0
 
 
-def test_newton_begins_in_all_directions_of_nothing():
+def test_newton_begins_in_all_directions_from_zero():
     for alpha, scale in ((np.array([3.0, -0.1]), (3.0, 0.1 * math.hypot(3.0, 0.1))), (np.zeros(2), (1e-4, 1e-4))):
         expected = [(0.0, 0.0)]
         for size in (0.5, 1.5, 5.0):
@@ -389,7 +389,7 @@ def test_newton_begins_in_all_directions_of_nothing():
         np.testing.assert_allclose(starts(alpha), expected, rtol=1e-12)
 
 
-def test_roots_that_are_one_are_counted_once():
+def test_equal_roots_are_counted_once():
     """Newton's method ends at the nearest of -2, 1 and 1 + 1e-7, or beside all of them."""
     ends = np.array([-2.0, 1.0, 1.0 + 5e-7, 40.0])
 
@@ -405,8 +405,8 @@ def test_roots_that_are_one_are_counted_once():
     assert len(apart) == 2
 
 
-def test_roots_are_ordered_by_what_the_plant_pays():
-    """The mover under u = a constant: it pays T u^2/2 and, for what is missed, the costates at the end."""
+def test_roots_are_ordered_by_the_cost_in_the_plant():
+    """The mover under u = a constant: it costs T u^2/2 and, for the missed end, the costates at the end."""
 
     def z_of(alpha):
         z = np.zeros((1, 4, 2))
@@ -430,7 +430,7 @@ def test_roots_are_ordered_by_what_the_plant_pays():
     assert x.tolist() == pytest.approx([0.5 + 1.0 + 1.0 / 3.0, 2.0, 0.5 + 2.0 / 3.0])
 
 
-def test_reasons_and_roots_in_words():
+def test_reasons_and_roots_are_described_as_expected():
     base = {"coefficients": np.zeros((1, 1, 1)), "horizon": 1.0, "order": 4, "alpha": np.zeros(1)}
 
     def reason(**more):
@@ -449,7 +449,7 @@ def test_reasons_and_roots_in_words():
     )
 
 
-def test_stages_are_doubled_until_the_order_reaches(monkeypatch):
+def test_stages_are_doubled_until_the_order_suffices(monkeypatch):
     asked = []
 
     def replaced(problem, order, *, eps_res, stages):
@@ -465,8 +465,10 @@ def test_stages_are_doubled_until_the_order_reaches(monkeypatch):
     assert mvim.enough_stages(None, 8, 0.1 / 15) == 16
 
 
-def test_the_judgement_of_a_series_is_its_integral_and_its_slopes():
-    """Of polynomials that are no solution: cost by Gauss, residual by differences, relative to states and costates."""
+def test_the_evaluation_of_a_series_is_its_integral_and_its_slopes():
+    """For polynomials that are not a solution: cost by Gauss, residual by differences, relative to states and
+    costates.
+    """
     rng = np.random.default_rng(2)
     problem = find("two_state").changed(horizon=1.6)
     z, u = 0.3 * rng.normal(size=(2, 4, 4)), 0.3 * rng.normal(size=(2, 1, 4))
@@ -492,8 +494,8 @@ def test_the_judgement_of_a_series_is_its_integral_and_its_slopes():
 # collocation -----------------------------------------------------------------------------------------------------
 
 
-def test_collocation_of_a_mass_is_its_closed_form_at_any_sampling():
-    """The exact answer is a cubic, which three points an interval hold."""
+def test_collocation_of_a_mass_equals_its_closed_form_at_any_sampling():
+    """The exact answer is a cubic, which three points an interval represent."""
     solution = collocation.solve(MOVER, intervals=2, samples=9)
     t = np.linspace(0.0, 2.0, 9)
     rows = [0.75 * t**2 - 0.25 * t**3, 1.5 * t - 0.75 * t**2, -1.5 + 0 * t, -1.5 * (1.0 - t), 1.5 * (1.0 - t)]
@@ -504,7 +506,7 @@ def test_collocation_of_a_mass_is_its_closed_form_at_any_sampling():
 
 
 def test_the_residual_of_a_coarse_collocation_is_that_of_its_polynomial():
-    """One interval of two points: x a parabola, u a line, read off their samples; between the points of Legendre."""
+    """One interval of two points: x a parabola, u a line, read from their samples; between the Legendre points."""
     problem = find("scalar").changed(horizon=2.0, x_end=(1.2,))
     solution = collocation.solve(problem, intervals=1, degree=2, samples=41)
     t = np.linspace(0.0, 2.0, 41)
@@ -516,7 +518,7 @@ def test_the_residual_of_a_coarse_collocation_is_that_of_its_polynomial():
     assert solution.residual == pytest.approx(2.0 * off / max(abs(x(s)) for s in points), rel=1e-6)
 
 
-def test_what_is_left_of_a_plan_is_its_end():
+def test_the_remaining_plan_has_the_end_of_the_plan():
     rows = np.array([np.linspace(0.0, 1.0, 11) ** k for k in (3, 2, 5, 1)])  # a state, two costates... and a control
     guess = collocation.sampled(rows[[0, 1, 2]], 10.0, 4.0, 1)
     s = np.array([0.0, 0.5, 1.0])
@@ -527,8 +529,8 @@ def test_what_is_left_of_a_plan_is_its_end():
 # nodes -----------------------------------------------------------------------------------------------------------
 
 
-def test_when_a_planner_asks_and_for_what():
-    """Every third period from the first state on; with two periods left still, with less the old plan stays."""
+def test_a_planner_requests_at_the_expected_ticks():
+    """Every third period from the first state on; also with two periods left, with fewer the old plan stays."""
     planner = MvimPlanner(problem="two_state", period=0.1, k_replan=3)
     x, asked = planner.first(), {}
     x = x._replace(last=Planned((), 0, 0.0, 0.0, 0.0, True, True, "", {}, "remembered"))
@@ -542,7 +544,7 @@ def test_when_a_planner_asks_and_for_what():
     assert MvimPlanner(problem="two_state").request(MvimPlanner().first(), 0, state=(1.0, 2.0))[1].before is None
 
 
-def test_what_a_planner_says_of_an_answer():
+def test_reports_of_a_planner_about_an_answer_are_as_expected():
     planner = MvimPlanner(problem="two_state", order=1, eps_res=0.1)
     request = SimpleNamespace(horizon=0.7)
 
@@ -575,8 +577,8 @@ def test_what_a_planner_says_of_an_answer():
     assert "a" not in planner.health(planner.first())
 
 
-def test_planners_solve_what_they_are_asked():
-    """Of the mass nobody knows; the two-state problem by both, and a frozen alpha that misses its end."""
+def test_planners_solve_their_requests():
+    """The unregistered mass; the two-state problem by both methods, and a frozen alpha that misses its end."""
     series = MvimPlanner(problem="two_state", order=4, order_max=6, eps=1e-9)
     request = series.request(series.first(), 0, state=(-0.4, 0.1))[1]
     solution, own = (
@@ -685,7 +687,7 @@ def test_the_player_reads_the_newest_plan(form, sampling):
         (0.0, {"trusted": 0.0}, 0.0, {"allow_unconverged": True}, ""),
     ],
 )
-def test_the_player_says_why_it_refuses_a_plan(t, summary, off, options, message):
+def test_the_player_reports_why_it_refuses_a_plan(t, summary, off, options, message):
     player = ByHand(OcpPlayer(order=2, **options))
     player.block.ages = lambda name: 0
     table = power_plan(np.random.default_rng(4))
@@ -696,7 +698,7 @@ def test_the_player_says_why_it_refuses_a_plan(t, summary, off, options, message
     assert [text[: len(message)] for _, text, *_ in player.reports.values()] == ([message] if message else [])
 
 
-def test_the_player_of_a_small_state_is_not_finer_than_a_billionth():
+def test_the_player_of_a_small_state_has_a_resolution_of_a_billionth():
     for off, refused in ((0.9e-9, False), (1.1e-9, True)):
         player = ByHand(OcpPlayer(order=2))
         player.block.ages = lambda name: 0
@@ -706,7 +708,7 @@ def test_the_player_of_a_small_state_is_not_finer_than_a_billionth():
         assert bool(player.reports) is refused
 
 
-def test_the_feedback_of_the_momentum_is_its_formula():
+def test_the_feedback_of_the_momentum_equals_its_formula():
     law = ByHand(MomentumFeedback(horizon=10.0, period=1.0, inertia=(2.0, 3.0, 4.0)))
     for t, left in ((5.0, 10.0), (9.0, 6.0), (14.0, 1.0), (14.5, 1.0), (15.0 - 2e-9, 1.0)):
         outputs = law.update(to_ns(t), state=(0.1, -0.2, 0.3, 9.0, 9.0, 9.0))["command"]
@@ -715,8 +717,8 @@ def test_the_feedback_of_the_momentum_is_its_formula():
 
 
 @pytest.mark.parametrize("form", ["power", "time"])
-def test_the_evaluator_is_a_loop_over_what_it_sees(form):
-    """A spacecraft that is told where it is: cost by the commands alone, distance from the newest plan, end errors."""
+def test_the_evaluator_is_a_loop_over_its_inputs(form):
+    """A spacecraft with given states: cost by the commands alone, distance from the newest plan, end errors."""
     rng = np.random.default_rng(5)
     made = {"horizon": 3.0, "x_end": (0.1, 0.0, -0.2), "period": 0.5, "form": form, "order": 2, "samples": 7}
     evaluator = ByHand(OcpEvaluator(**made))
@@ -763,7 +765,7 @@ def test_the_evaluator_is_a_loop_over_what_it_sees(form):
         ({"J_series": 0.5, "horizon": 2.9}, 0.0),  # of what is left after a late start
     ],
 )
-def test_the_evaluator_flags_what_no_optimum_can_be(summary, flag):
+def test_the_evaluator_flags_impossible_optima(summary, flag):
     """The least cost is 1: |I w|^2 = 6 over 3 s."""
     w = math.sqrt(6.0) / INERTIA[0]
     evaluator = ByHand(OcpEvaluator(horizon=3.0, x0=(w, 0.0, 0.0), order=2))
@@ -779,7 +781,7 @@ def test_the_evaluator_flags_what_no_optimum_can_be(summary, flag):
     assert evaluator.status()["residual"][0] == 0.5
 
 
-def test_plants_limit_and_bias_what_they_are_reported():
+def test_plants_limit_and_bias_their_commands():
     plant = ByHand(SpacecraftPlant(torque_limit=0.5, bias=(0.1, 0.0, 0.0), x0=(0.0, 0.0, 0.0), period=2.0))
     plant.advance(0, command=(0.5, -0.5, 0.0))
     assert plant.reports == {}

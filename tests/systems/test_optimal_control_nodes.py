@@ -1,4 +1,4 @@
-"""Optimal control in a rig: what the scenario files expect and claim, the nodes on bad input, processes, speed."""
+"""Optimal control in a rig: expectations and claims of the scenario files, the nodes on bad input, processes, speed."""
 
 import functools
 
@@ -68,7 +68,7 @@ def test_the_exact_feedback_beats_the_plan_made_again():
 
 
 @pytest.mark.parametrize("kind", [ScalarPlant, TwoStatePlant])
-def test_a_state_that_escapes_may_not_be_said(kind):
+def test_a_diverging_state_may_not_be_published(kind):
     plant = ByHand(kind())
     (port,) = plant.block.ports(plant.block.p)[1]
     while max(map(abs, plant.x)) <= 1e3:
@@ -119,7 +119,7 @@ def taken(planner, result):
     return values
 
 
-def test_when_a_planner_plans():
+def test_a_planner_plans_at_the_expected_ticks():
     planner = ByHand(MvimPlanner(k_replan=5))
     plans = [k for k in range(101) if asked(planner, k * S) is not None]
     assert plans == list(range(0, 100, 5))
@@ -219,7 +219,7 @@ def test_only_problems_that_are_registered_are_imported(name, why, tmp_path, mon
 
 
 @pytest.mark.long
-def test_a_problem_of_ones_own_gets_plant_planner_and_evaluator(tmp_path, monkeypatch):
+def test_a_users_problem_gets_plant_planner_and_evaluator(tmp_path, monkeypatch):
     """The page's example; one power series does not reach its end and is not played, eight stages do."""
     (tmp_path / "sleds.py").write_text(SLED)
     register(tmp_path, "sled = sleds:SLED")
@@ -257,7 +257,7 @@ def planned(horizon=100.0, start=0.0, x=W0):
 
 
 def fed(player, t, plan=None, summary=None, state=STATE):
-    """Without a plan: nothing new has come."""
+    """A row without a plan: nothing new has arrived."""
     player.block.ages = (lambda name: 0) if plan is not None else (lambda name: None)
     return player.update(t, state=state, plan=plan or (0.0,) * 81, summary=summary or (0.0,) * 8)
 
@@ -275,7 +275,7 @@ def test_the_player_holds_the_middle_of_each_period_and_zero_after_the_horizon()
     assert fed(player, 0, *planned())["command"] == pytest.approx(solution(0.0)[6:], rel=1e-12)
 
 
-def test_a_plan_that_comes_ticks_after_its_stamp_is_played():
+def test_a_plan_that_arrives_ticks_after_its_stamp_is_played():
     solution = solve(find("spacecraft"), 8)
     plan, summary = planned()
     player = ByHand(OcpPlayer())
@@ -295,7 +295,7 @@ def test_markers_show_the_momentum():
     assert ball == Marker("body", "tip", "sphere_list", (tip,), 0.05, (0.9, 0.4, 0.1, 1.0))
 
 
-def test_a_plan_that_is_over_or_another_problems_is_refused():
+def test_an_expired_plan_or_one_of_another_problem_is_refused():
     other = (W0[0] + 1e-6, *W0[1:])
     cases = (0, -100.0, W0, "over"), (0, 0.0, other, "another problem"), (5, 5.0, other, "another problem")
     for t, start, x, why in cases:
@@ -327,7 +327,7 @@ def test_the_feedback_is_zero_after_the_horizon_and_bounded_in_the_last_period()
 
 
 def evaluated(problem, order, **mode):
-    """What the evaluator says of a plan of a given order."""
+    """The evaluator's reports about a plan of a given order."""
     solution = solve(find(problem), order, **mode)
     about = (0.0, solution.horizon, float(order), solution.J[-1], solution.residual[-1], solution.end_error, 0.0, 0.0)
     evaluator = ByHand(OcpEvaluator(problem=problem, order=order))
@@ -365,7 +365,7 @@ def test_a_cost_below_the_least_is_flagged_whatever_the_residual():
     assert evaluator.status()["infeasible"] == (1.0, "")
 
 
-def test_a_plan_for_the_rest_of_the_way_starts_warm():
+def test_a_plan_for_the_remaining_time_starts_warm():
     problem = find("spacecraft")
     cold = collocation.solve(problem)
     guess = collocation.sampled(cold.rows, 100.0, 90.0, 3)

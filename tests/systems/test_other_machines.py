@@ -1,4 +1,6 @@
-"""Machines, networks and problems that the papers did not have: their figures by closed form, scipy or another hand."""
+"""Machines, networks and problems that the papers did not have: their figures against closed forms, scipy or
+independent code.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ GRAVITY = 9.81
 
 
 def parameters(name, node):
-    """What a scenario gives a node."""
+    """The parameters of a node in a scenario."""
     return load_scenario(name).nodes[node].parameters
 
 
@@ -55,7 +57,7 @@ def test_a_motor_of_a_data_sheet_runs_at_its_no_load_point():
     assert result["rise_time"] == pytest.approx(times[1] - times[0], rel=2e-4)
 
 
-def test_the_law_of_a_motor_computes_its_model():
+def test_the_controller_of_a_motor_computes_its_model():
     assert SurfaceParams().coefficients() == (13.89, 5.648, 1.509)
     assert SurfaceParams(model="motor").coefficients() == pytest.approx((13.8889, 5.64815, 1.509259), rel=1e-5)
     law = parameters("dc_motor_smc_re40_law", "dc_motor_smc")
@@ -75,7 +77,7 @@ def test_the_law_of_a_motor_computes_its_model():
     assert abs(printed["rise_time"] - result["rise_time"]) > 0.1 * result["rise_time"]  # the paper's model misses it
 
 
-def test_an_axis_has_the_poles_that_were_asked_for():
+def test_an_axis_has_the_requested_poles():
     J, b, K, R, lead = 3.2284e-6, 3.5077e-6, 0.0274, 4.0, 10.0
     law = parameters("dc_motor_fsfb_ctms", "fsfb_controller")
     assert law["pole"] == pytest.approx(b / J + K * K / (R * J), rel=1e-6)
@@ -312,7 +314,7 @@ def test_another_rectifier_answers_its_commands_as_its_equations():
 
 
 def voltages(q, qd, qdd, links, motors, friction, upright):
-    """Inverse dynamics of two links by hand, and the drives of both; angles (n, 2).
+    """Inverse dynamics of two links and their drives, implemented independently; angles (n, 2).
 
     Lagrange's equations with l1, centres d and inertias I; gravity acts with sin q of hanging links, cos q of
     lying ones.
@@ -337,7 +339,7 @@ def voltages(q, qd, qdd, links, motors, friction, upright):
     return R * current + K_b / gear * qd
 
 
-def test_the_arm_of_the_textbook_takes_the_voltages_of_its_equations():
+def test_the_arm_of_the_textbook_has_the_voltages_of_its_equations():
     run = simulate("manipulator_adsmc_siciliano")
     joints = ("shoulder", "elbow")
     t = run.signals["joint_states/shoulder/position"][0]
@@ -366,7 +368,7 @@ def test_a_step_beyond_the_armature_s_time_constant_is_refused():
 
 
 @pytest.mark.parametrize("name", ["position", "velocity", "disturbance.amplitude"])
-def test_values_of_an_arm_are_one_or_one_a_joint(name):
+def test_parameters_of_an_arm_are_one_value_or_one_for_each_joint(name):
     def arm(*values):
         group, _, field = name.rpartition(".")
         return ManipulatorParams(**({group: {field: values}} if group else {field: values}))
@@ -380,7 +382,7 @@ def test_values_of_an_arm_are_one_or_one_a_joint(name):
 
 
 @pytest.mark.long
-def test_another_leg_gives_way_by_its_impedance():
+def test_another_leg_is_displaced_by_its_impedance():
     run = simulate("rehab_impedance_winter")
     joints = ("hip", "knee")
     H, M = 1.60, 60.0
@@ -446,7 +448,7 @@ def test_the_queue_of_another_router_follows_the_delay_equations():
 
 
 @pytest.mark.long
-def test_another_spacecraft_pays_what_scipy_finds():
+def test_another_spacecraft_has_the_cost_that_scipy_finds():
     I = np.array([10000.0, 9000.0, 12000.0])  # noqa: E741
     w0 = np.radians([0.53, 0.53, 0.053])
     result = simulate("optimal_control_mvim_wie").figures
@@ -467,5 +469,5 @@ def test_another_spacecraft_pays_what_scipy_finds():
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "delay"), [("pwa_delay_hayes", 1.5), ("pwa_delay_hayes_beyond", 1.65)])
-def test_swings_of_the_scalar_delay_equation_grow_as_lambert_s_function_says(name, delay):
+def test_oscillations_of_the_scalar_delay_equation_grow_as_lambert_s_function_says(name, delay):
     assert simulate(name).figures["growth"] == pytest.approx(float(lambertw(-delay).real) / delay, abs=2e-5)

@@ -20,7 +20,7 @@ from softrig_power.rectifier.circuit import Circuit, Period
 
 
 def bridge(function, chance):
-    """The diodes from currents of all signs and none."""
+    """The diodes for currents of all signs and zero."""
     both = Circuit.of(377.0, 2e-3, 0.3, 1e-3, 1.2), Period(0.0, 1e-3, 180.0, 20.0, 16.0, 1.0, 0.0, False, 0.0, 0.0)
     for k in range(60):
         x = np.array([*chance.uniform(-3.0, 3.0, 3), chance.uniform(150.0, 330.0)])
@@ -31,14 +31,14 @@ def bridge(function, chance):
 
 
 def string(function, chance):
-    """The converter on a characteristic of ten lines, with both limits met."""
+    """The converter on a characteristic of ten lines, with both limits active."""
     a, b = np.sort(chance.uniform(1.0, 9.0, 10)), -np.sort(chance.uniform(0.1, 1.0, 10))
     for v, i in ((0.5, 0.0), (4.0, 3.0), (-0.9, 6.0)):
         yield np.array(function(v, i, 2.0, 1e-4, 9, (a, b, -1.0, 1.0, 1e3, 400.0, 200.0, 300.0, 50.0, 800.0, 500.0)))
 
 
 def waves(function, chance):
-    """What arrives along lines at the ends of two sections."""
+    """The waves that arrive along lines at the ends of two sections."""
     prepared = bergeron.lines([Section(0.03, 1e-3, 1.2e-8, length) for length in (40.0, 60.0)], 5e-6)
     ring = chance.normal(size=(2, 2, bergeron.history_length(prepared)))
     for k in (1, 7, 90):
@@ -48,7 +48,7 @@ def waves(function, chance):
 
 
 def stored(function, chance):
-    """What leaves the ends of two sections."""
+    """The waves that leave the ends of two sections."""
     prepared = bergeron.lines([Section(0.03, 1e-3, 1.2e-8, length) for length in (40.0, 60.0)], 5e-6)
     ring, current = np.zeros((2, 2, bergeron.history_length(prepared))), np.empty((2, 2, 3))
     for k in (1, 7, 90):

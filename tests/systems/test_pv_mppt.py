@@ -124,7 +124,7 @@ def test_currents_too_large_for_the_fine_tolerance_are_found():
 
 
 def exact_voltage(i, irradiance, temperature):
-    """String voltage by the Lambert W function, nothing shared with the package but the parameters' values."""
+    """String voltage by the Lambert W function, independent of the package except for the parameters' values."""
     total = 0.0
     for g, t in zip(irradiance, temperature, strict=True):
         dT, nVt = t - 25.0, 1.30 * 36 * 1.380649e-23 * (t + 273.15) / 1.602176634e-19
@@ -163,7 +163,7 @@ def test_string_against_lambert_w(irradiance, temperature):
 )
 @settings(max_examples=15, deadline=None, derandomize=True)
 def test_current_never_rises_with_voltage(irradiance, temperature):
-    """What makes a certified search possible; and the power is zero at open circuit whatever the shading."""
+    """This makes a certified search possible; and the power is zero at open circuit with any shading."""
     source = string(tuple(irradiance), tuple(temperature))
     assert np.all(np.diff(source.i) <= 1e-9)
     assert source.current(source.open_circuit) == pytest.approx(0.0, abs=1e-6)
@@ -180,7 +180,7 @@ def test_dark_and_bypassed_modules():
 
 
 def test_load_line_meets_the_characteristic():
-    """(v, i) under a resistance lies on the exact curve, from short to open circuit."""
+    """(v, i) under a resistance is on the exact curve, from short to open circuit."""
     source = string(PATTERN2)
     R = np.geomspace(0.5, 5e4, 60)
     v, i = source.under_load(R)
@@ -407,7 +407,7 @@ def test_irradiance_steps(name):
 
 
 @pytest.mark.long
-def test_hidden_change():
+def test_a_hidden_change_is_found():
     """Acceptance 6: found within 1.2 s of the timer, and never without it."""
     signals, _ = result("pv_mppt_s6")
     assert pv_figures.tracking_time(signals, start=4.0, end=7.99, stay=0.5, **STRING) <= 1.2
@@ -434,13 +434,13 @@ OTHERS = [  # a sweep sees each voltage once
 
 @pytest.mark.long
 @pytest.mark.parametrize("algorithm", [*DAILY, *(pytest.param(a, marks=pytest.mark.long) for a in OTHERS)])
-def test_light_that_comes_back_during_a_search_starts_another(algorithm):
-    """What was found is right again at the end of the search, but what was measured in the shade is not."""
+def test_light_that_returns_during_a_search_starts_another(algorithm):
+    """The result holds again at the end of the search, but the samples measured in the shade do not."""
 
     best = string(PATTERN1).gmpp.p
 
     def searches(light, **changes):
-        """Searches after the first, and whether one of them all ended lower than a scan sees."""
+        """The number of searches after the first, and whether one of them all ended lower than a scan finds."""
         overrides = {"mppt_optimizer.algorithm": algorithm, "shading_source.times": (0.0, 0.1, 0.3)}
         overrides["shading_source.irradiance"] = PATTERN1 + light + PATTERN1
         run = simulate("pv_mppt_s5", duration=7.0, overrides=overrides | changes)
@@ -489,8 +489,8 @@ def after_a_cloud(algorithm, light, begin, end, seconds, seed=0):
 
 @pytest.mark.parametrize("cloud", few([pytest.param(cloud) for cloud in CLOUDS], 2))
 @pytest.mark.parametrize("algorithm", ["certified", "certified_transients", "ramp"])
-def test_a_cloud_in_mid_search_is_seen(algorithm, cloud):
-    """The maximum after it, and no bound below what is there."""
+def test_a_cloud_during_a_search_is_noticed(algorithm, cloud):
+    """The maximum after it, and no proven bound below the actual power."""
     powers, states = after_a_cloud(algorithm, *cloud, 2.5)
     best = string(PATTERN1).gmpp.p
     assert 0.997 * best < np.median(powers[-300:]) <= powers.max() <= best * (1.0 + 1e-9)  # it may look again
@@ -505,7 +505,9 @@ def test_a_cloud_in_mid_search_is_seen(algorithm, cloud):
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(("algorithm", "good"), [("certified", 200), ("certified_transients", 199), ("ramp", 199)])
 def test_two_hundred_clouds(algorithm, good):
-    """95 % of the energy of the 10 s after a cloud of 50 to 1000 W/m^2; what does not show where it holds is missed."""
+    """95 % of the energy of the 10 s after a cloud of 50 to 1000 W/m^2; a change invisible at the held point is
+    missed.
+    """
     rng, best, shares, false = np.random.default_rng(46), string(PATTERN1).gmpp.p, [], 0
     for seed in range(200):
         light = tuple(rng.uniform(50.0, 1000.0, 4).round(0).tolist())
@@ -519,8 +521,10 @@ def test_two_hundred_clouds(algorithm, good):
     assert false <= 4
 
 
-def test_a_light_that_never_rests_does_not_make_it_search_for_ever():
-    """Three searches broken off, then each is held for twice as long as it took, and twice that the next time."""
+def test_permanently_changing_light_does_not_make_it_search_forever():
+    """Three searches are interrupted, then the result is held for twice as long as they took, and twice that the next
+    time.
+    """
     light = [tuple(g * f for g in PATTERN1) for f in (1.0, 0.8)]
     _, states, tracker = in_changing_light(lambda s: light[int(s / 0.13) % 2], 12.0, algorithm="certified")
     phases = np.array(states)[:, 0]
@@ -529,7 +533,7 @@ def test_a_light_that_never_rests_does_not_make_it_search_for_ever():
 
 
 @pytest.mark.long
-def test_same_seed_same_bits():
+def test_the_same_seed_gives_the_same_bits():
     """Acceptance 7, in process: every message of every topic; another seed draws other conditions."""
     rig = rig_of("pv_mppt_s4_issa")
     first, again, other = (in_process(rig, seed) for seed in (5, 5, 6))
@@ -547,7 +551,7 @@ def short(name, **changes):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["pv_mppt_draws", "pv_mppt_draws_random"])
-def test_stretch(name):
+def test_the_stretch_target(name):
     """Short form of the target beyond the paper: 3 of the 60 draws of conditions and unknown load."""
     draws = load_study(name).draws.model_dump() | {"count": 3, "seed": 5}
     actual = short(name, draws=draws)
@@ -566,7 +570,7 @@ def test_noise_costs_a_percent():
 # the other nodes ------------------------------------------------------------------------------------------------
 
 
-def test_tracker_knows_nothing_of_the_plant():
+def test_the_tracker_does_not_use_the_plant():
     """Its only measurement is the port of the string."""
     inputs, outputs = MpptOptimiser.ports(MpptOptimiser.Params())
     assert [p.topic for p in inputs] == ["pv/port", "mppt/start", "mppt/stop", "mppt/restart"]
@@ -612,8 +616,8 @@ def test_fluctuation_is_drawn_once_a_run():
 
 
 @pytest.mark.parametrize("name", ["pv_mppt", "pv_mppt_certified_transients", "pv_mppt_s5_cloud"])
-def test_going_back_in_mid_search_repeats_it(name):
-    """Three times from the same tick: a search that is asked of an older state is told again what it knew then."""
+def test_going_back_during_a_search_repeats_it(name):
+    """Three times from the same tick: a search with an older state gets its earlier results again."""
     rig = rig_of(load_scenario(name).changed(duration=0.4))
     steps = wired(rig, {m.name: m.block(1) for m in rig.members})
     ticks = Loop(list(steps.values())).run()
@@ -725,8 +729,10 @@ SHIPPED = next(m.params for m in rig_of("pv_mppt").members if m.name == "mppt_op
 
 @pytest.mark.parametrize("dark", [(0.0, 0.5), (0.3, 0.9), (1.7, 1.9), (0.5, 1.6)])
 @pytest.mark.parametrize("algorithm", ["issa", "certified", "ramp"])
-def test_a_search_that_meets_darkness_begins_anew_in_the_light(algorithm, dark):
-    """With the settings of the shipped scenario; before, what the dark had told stayed: 18 to 90 % of the power."""
+def test_a_search_interrupted_by_darkness_starts_again_in_the_light(algorithm, dark):
+    """With the settings of the shipped scenario; before a fix, samples of the dark were kept: 18 to 90 % of the
+    power.
+    """
     values = SHIPPED.model_dump() | {"algorithm": algorithm}
     assert values["restart_threshold"] == 0.0
     begin, end = dark
@@ -739,7 +745,7 @@ def test_a_search_that_meets_darkness_begins_anew_in_the_light(algorithm, dark):
         assert actual[-1][2] == 44.0  # all of them in the light
 
 
-def test_a_search_in_the_dark_stands_still_at_open_circuit():
+def test_a_search_in_the_dark_pauses_at_open_circuit():
     power, states, tracker = in_changing_light(lambda s: (0.0,) * 4 if s >= 0.3 else PATTERN1, 1.5, algorithm="issa")
     dark = np.array(states)[500:]
     assert power < 1e-3
@@ -748,7 +754,7 @@ def test_a_search_in_the_dark_stands_still_at_open_circuit():
     assert set(tracked(tracker, 1_500_000_000, (0.0, 0.0, 25.0))["command"]) == {0.1}
 
 
-def test_a_short_gap_has_the_candidate_measured_again():
+def test_after_a_short_gap_the_candidate_is_measured_again():
     whole, states, _ = in_changing_light(lambda s: PATTERN1, 3.0, algorithm="issa", restart_threshold=0.0)
     gap, others, _ = in_changing_light(
         lambda s: (0.0,) * 4 if 0.3 <= s < 0.32 else PATTERN1, 3.0, algorithm="issa", restart_threshold=0.0
@@ -759,7 +765,7 @@ def test_a_short_gap_has_the_candidate_measured_again():
 
 
 def test_dim_light_is_not_darkness():
-    """At a duty of 0.9 it brings milliwatts, but current; no search is given up."""
+    """At a duty of 0.9 it gives milliwatts, but current; no search is interrupted."""
     _, states, tracker = in_changing_light(lambda s: (20.0, 15.0, 10.0, 5.0), 2.5, algorithm="certified", initial=0.5)
     assert states[-1][0] == 2.0
     assert states[-1][3] == 0.0
@@ -767,8 +773,8 @@ def test_dim_light_is_not_darkness():
 
 
 @pytest.mark.parametrize("algorithm", ["certified", "certified_transients"])
-def test_the_proven_bound_goes_when_the_light_changes(algorithm):
-    """While a search runs its samples contradict each other; after it, the power held is not what was found."""
+def test_the_proven_bound_is_withdrawn_when_the_light_changes(algorithm):
+    """During a search its samples contradict each other; after it, the held power is not the found one."""
     values = {"algorithm": algorithm, "restart_threshold": 0.0, "rescan_period": 0.0}
     true = string(PATTERN1).gmpp.p
     for change in (0.25, 1.6):
@@ -784,8 +790,8 @@ def test_the_proven_bound_goes_when_the_light_changes(algorithm):
 
 
 @pytest.mark.parametrize("algorithm", ["certified", "ramp"])
-def test_refused_measurements_leave_a_gap_and_no_trace(algorithm):
-    """The node refuses NaN: the tracker stays with its duty, measures it again, and finds what it finds without."""
+def test_rejected_measurements_leave_a_gap_and_no_other_effect(algorithm):
+    """The node rejects NaN: the tracker holds its duty, measures it again, and finds the same as without."""
     plant, tracker, gathered = ByHand(PvPlant()), ByHand(MpptOptimiser(algorithm=algorithm)), []
     for tick in range(1500):
         t, duty = tick * 1_000_000, gathered[-1] if gathered else None
@@ -814,7 +820,7 @@ def test_metric_outside_the_record():
         mean(signals, POWER, start=5.0)
 
 
-def test_cell_is_the_printed_equation():
+def test_the_cell_equals_the_printed_equation():
     """Photocurrent rises and voltage falls with temperature: the sign of eq. (2) as in (3)."""
     warm, cold = cell(MODULE, 1000.0, 55.0), cell(MODULE, 1000.0, 25.0)
     assert warm.I_ph - cold.I_ph == pytest.approx(30.0 * 2.47e-3)

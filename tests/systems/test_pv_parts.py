@@ -1,4 +1,6 @@
-"""Each part of the photovoltaic rig by another hand: scipy's roots, loops over the formulas, tables of edges."""
+"""Each part of the photovoltaic rig against independent code: scipy's roots, loops over the formulas, tables of
+limits.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ def current(c, v):
 
 
 @pytest.mark.parametrize("c", CELLS)
-def test_a_module_is_its_equation_from_reverse_to_beyond_open_circuit(c):
+def test_a_module_equals_its_equation_from_reverse_to_beyond_open_circuit(c):
     for v in (-20.0, -0.8, 0.0, 5.0, 15.0, 20.0, 24.0):
         assert c.current(v) == pytest.approx(current(c, v), abs=1e-9)
 
@@ -144,7 +146,7 @@ def test_the_string_is_the_sum_of_its_modules_or_their_diodes():
 # The converter -------------------------------------------------------------------------------------------
 
 
-def test_what_the_source_sees_and_the_ideal_law():
+def test_the_resistance_seen_by_the_source_and_the_ideal_converter():
     p = ConverterParams(R_L=20.0, r=0.5)
     assert seen_resistance(p, np.array([0.25, 0.5])).tolist() == pytest.approx([(20.0 * 0.5625 + 0.5) / 0.0625, 22.0])
     law = BuckBoostMatching()
@@ -155,7 +157,7 @@ def test_what_the_source_sees_and_the_ideal_law():
 
 
 @pytest.mark.parametrize("d", [0.3, 0.7])
-def test_the_steady_state_is_one(d):
+def test_the_steady_state_is_steady(d):
     p = ConverterParams(R_L=1.5, r=0.1)
     v, i, o = steady_state(p, STEPS, d)
     assert STEPS.current(v) == pytest.approx(d * i)
@@ -212,7 +214,7 @@ def test_the_averaged_equations_with_limits_at_each_stage(monkeypatch, x, d):
         ((1.0, math.nan), (1.0, 2.0), "irradiance of module 2 is nan W/m^2, expected 0 to 1500"),
     ],
 )
-def test_conditions_that_can_be(irradiance, temperature, text):
+def test_possible_conditions_are_accepted(irradiance, temperature, text):
     assert array.refuse(irradiance, temperature) == text
     block = PvCurves()
     assert (
@@ -258,18 +260,18 @@ def test_conditions_that_can_be(irradiance, temperature, text):
         ),
     ],
 )
-def test_parameters_that_cannot_be(model, given, text):
+def test_impossible_parameters_are_refused(model, given, text):
     with pytest.raises(ParameterError) as refused:
         build(model, given)
     assert text in str(refused.value)
 
 
-def test_parameters_that_just_can_be():
+def test_parameters_at_the_limits_are_accepted():
     assert build(PvPlantParams, {"period": 1e-3, "step": 1e-3}).step == 1e-3
     assert build(PvPlantParams, {"model": "switched", "period": 1e-3, "converter.f_sw": 5e4, "step": 0.7}).step == 0.7
 
 
-def test_patterns_one_after_the_other_and_what_is_drawn_on_them():
+def test_patterns_follow_one_another_with_random_fluctuation():
     p = build(
         ShadingSourceParams,
         {"modules": 2, "times": (0.0, 1.0), "irradiance": (1.0, 2.0, 3.0, 4.0), "temperature": (5.0, 6.0)},
@@ -287,7 +289,7 @@ def test_patterns_one_after_the_other_and_what_is_drawn_on_them():
 # The nodes -------------------------------------------------------------------------------------------------
 
 
-def test_the_curve_that_is_shown():
+def test_the_published_curve_is_as_expected():
     node = ByHand(PvCurves(n_points=5))
     light, other = (1000.0, 800.0, 600.0, 400.0, *(25.0,) * 4), (900.0,) * 4 + (30.0,) * 4
 
@@ -313,7 +315,7 @@ def test_the_curve_that_is_shown():
     assert node.reports["environment"][2] == 1
 
 
-def test_the_plant_tells_what_it_is_and_what_its_sensors_say():
+def test_the_plant_reports_itself_and_its_sensors():
     block = PvPlant(noise=0.1, temperature=(20.0, 30.0, 40.0, 70.0))
     x = block.first()
     source = characteristic(ModuleParams(), x.conditions[:4], x.conditions[4:])
@@ -356,7 +358,7 @@ def test_a_switched_period_is_one_circuit_after_the_other():
     assert block.advance(x, 0, duty=(0.3,), environment=(-1.0,) * 8).conditions == x.conditions
 
 
-def test_the_tracker_makes_the_search_that_is_asked_for():
+def test_the_tracker_makes_the_requested_search():
     rng = np.random.default_rng(0)
     certified = MpptParams(algorithm="certified", eps=0.02, d_min=0.2, d_max=0.7).search(rng)
     assert isinstance(certified, CertifiedSearch)
@@ -381,7 +383,7 @@ def test_the_tracker_makes_the_search_that_is_asked_for():
         (None, (0.0, 0.0), False),
     ],
 )
-def test_darkness_is_no_power_and_no_current(floor, sample, dark):
+def test_darkness_means_no_power_and_no_current(floor, sample, dark):
     tracker = MpptOptimiser(floor=floor)
     assert tracker.no_signal(sample, sample[0] * sample[1]) == dark
 
@@ -424,7 +426,7 @@ def string_of(monkeypatch):
     return {"module": {}, "first": FIRST}
 
 
-def test_figures_against_what_the_light_gives_at_each_sample(string_of):
+def test_figures_are_compared_with_the_power_of_the_light_at_each_sample(string_of):
     run = signals([50.0, 100.0, 90.0, 150.0, 200.0, 190.0, 100.0, 99.0, 98.9, 100.0])
     true = [100.0] * 3 + [200.0] * 3 + [100.0] * 4  # W: what was published before a sample holds at it
     assert [figures.gmpp(run, at=0.1 * k, **string_of) for k in range(10)] == true
@@ -434,7 +436,7 @@ def test_figures_against_what_the_light_gives_at_each_sample(string_of):
     assert figures.efficiency(run, start=0.3, end=0.6, **string_of) == pytest.approx(part)
 
 
-def test_whether_the_voltage_is_in_the_right_basin(string_of):
+def test_the_voltage_is_in_the_right_basin_or_not(string_of):
     run = signals([1.0] * 4, [6.0, 4.0, 6.0, 4.0])
     assert [figures.in_global_basin(run, at=0.1 * k, **string_of) for k in range(4)] == [1.0, 0.0, 1.0, 0.0]
     assert figures.in_global_basin(run, **string_of) == 0.0
@@ -459,7 +461,7 @@ def test_whether_the_voltage_is_in_the_right_basin(string_of):
         ("0011001111", {"start": 0.2, "end": 0.3}, 0.0),
     ],
 )
-def test_when_the_power_has_come_to_stay(string_of, good, more, wanted):
+def test_the_time_at_which_the_power_has_settled(string_of, good, more, wanted):
     still = ((-1.0, 100.0, 1.0),)
     run = signals([99.0 if c == "1" else 98.9 for c in good], changes=still)
     assert figures.tracking_time(run, **string_of, **more) == pytest.approx(wanted)

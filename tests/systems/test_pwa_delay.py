@@ -164,8 +164,8 @@ def test_constant_delay_criterion_approaches_the_exact_margin_from_below():
     assert result < EXACT + 1e-5
 
 
-def test_exact_margin_of_the_benchmark():
-    """s = i w: the second state alone, -0.9 - exp(-s h) = s, decides."""
+def test_the_exact_margin_of_the_benchmark():
+    """s = i w: only the second state, -0.9 - exp(-s h) = s, decides."""
     w = math.sqrt(1.0 - 0.81)
     assert (math.pi - math.atan2(w, 0.9)) / w == pytest.approx(EXACT, abs=2e-5)
 
@@ -180,7 +180,7 @@ OSCILLATOR = linear([[0.0, 1.0], [-4.0, -0.8]], [[0.0, 0.0], [-1.5, -0.6]])  # u
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_no_constant_delay_is_certified_of_a_system_that_grows(order):
+def test_no_constant_delay_is_certified_for_a_growing_system(order):
     criterion = Criterion("constant", order=order)
     for A, Ad in ((0.5, 0.2), (1.0, 0.0), (-1.0, 2.0), (0.1, 0.1), (0.0, 0.5), (-0.2, 0.3)):
         assert not certify(linear(A, Ad), 0.1, criterion).valid
@@ -199,7 +199,9 @@ def test_constant_delay_of_a_pendulum_with_a_weaker_gain(k, cell_terms, valid, n
 
 
 def test_windows_of_the_oscillator():
-    """s = i w on s^2 + 0.8 s + 4 + (0.6 s + 1.5) exp(-s h): from 0.81677 s to 1.735 s a pair is on the right."""
+    """s = i w on s^2 + 0.8 s + 4 + (0.6 s + 1.5) exp(-s h): from 0.81677 s to 1.735 s a pair is in the right half-
+    plane.
+    """
     delays = []
     for w in np.sqrt(np.roots([1.0, -8.0 + 0.64 - 0.36, 16.0 - 2.25])).tolist():
         turned = -(0.6j * w + 1.5) / (4.0 - w * w + 0.8j * w)
@@ -250,7 +252,7 @@ def test_a_delay_of_microseconds_is_certified_as_one_of_seconds():
             certify(linear(0.0, -1.0), h)
 
 
-def test_the_node_says_which_delays_its_certificate_covers():
+def test_the_node_reports_which_delays_its_certificate_covers():
     own = {"system": "user", "n": 1, "A": [0.0], "Ad": [-1.0], "method": "constant"}
     for asked, text in (
         ({"h": 1.5}, "a constant delay of 1.5 s alone, no shorter one"),
@@ -278,7 +280,7 @@ def test_a_damaged_certificate_fails_its_check():
 
 
 @pytest.mark.parametrize(("least", "reported"), [(0.0, []), (-1e-12, ["entries of X"])])
-def test_an_entry_of_nothing_is_no_negative_one(least, reported):
+def test_an_entry_of_zero_is_not_a_negative_one(least, reported):
     problem = Problem()
     problem.symmetric("X", 2, positive=True)
     assert [e.name for e in problem.eigenvalues({"X": np.array([[1.0, least], [least, 1.0]])})] == reported
@@ -307,7 +309,7 @@ def test_level_of_the_tank():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_delay_empties_the_tank_below_its_certified_level(seed):
-    """Adversarial: the delay jumps between nothing and all of it, in the tank's own loop, from the highest level."""
+    """Adversarial: the delay jumps between zero and its maximum, in the tank's own loop, from the highest level."""
     h = 5.97
     bound = level_bound(h)
     plant = ByHand(
@@ -352,7 +354,7 @@ FREE_OF_THE_LEVEL = {  # it holds for any delay up to h; the rest is how a run i
 }
 
 
-def test_every_parameter_of_the_tank_is_held_against_its_certificate():
+def test_every_parameter_of_the_tank_is_compared_with_its_certificate():
     nodes = {"tank_plant": TankPlant, "tank_controller": TankController}
     fields = {f"{node}.{name}" for node, block in nodes.items() for name in block.Params.model_fields}
     assert fields == {*TANKS, *REFUSED_OF_THE_LEVEL, *FREE_OF_THE_LEVEL}
@@ -363,7 +365,7 @@ def test_every_parameter_of_the_tank_is_held_against_its_certificate():
     ("parameter", "value"),
     [pytest.param(*row, marks=[pytest.mark.long] * (row[0] != "tank_controller.k_high")) for row in TANKS.items()],
 )
-def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, value):
+def test_a_level_certificate_belongs_to_the_tank_and_the_controller_of_the_rig(parameter, value):
     """With each other value the certified delay keeps the tank from running empty, however it jumps below it."""
     rig = rig_of(load_scenario("pwa_delay_p2", {parameter: value}))
     asked = next(m.params for m in rig.members if m.name == "certificate")
@@ -377,8 +379,8 @@ def test_level_certificate_is_of_the_tank_and_law_that_the_rig_has(parameter, va
         assert result.figures["lowest_level"] >= level_bound(h, **asked.tank).lowest - 1e-6
 
 
-def test_certificate_does_not_cover_a_tank_that_runs_dry():
-    """Today's: valid, h = 5.9716 beside a dry tank."""
+def test_a_certificate_does_not_cover_a_tank_that_runs_dry():
+    """The shipped one: valid, h = 5.9716 beside a dry tank."""
     result = simulate("pwa_delay_p2", overrides={"tank_plant.delay": 5.9, "tank_controller.k_high": 0.15}).figures
     assert result["lowest_level"] == 0.0
     assert result["h"] == pytest.approx(4.2645, abs=1e-4)
@@ -391,7 +393,7 @@ def test_certificate_of_another_tank_is_refused_by_name(parameter, value):
         rig_of(load_scenario("pwa_delay_p2", {parameter: value}))
 
 
-def test_no_level_is_certified_where_the_drain_outweighs_the_inflow():
+def test_no_level_is_certified_if_the_drain_outweighs_the_inflow():
     for tank_of in ({"c": 0.2}, {"kL": 0.0}, {"s": 0.0}):
         assert level_margin(**tank_of) == 0.0
         assert not level_bound(1e3, **tank_of).certified
@@ -414,8 +416,8 @@ def test_certificate_of_another_system_is_refused_by_name(scenario, changes, qua
         rig_of(load_scenario(scenario, changes))
 
 
-def test_certificate_of_the_pendulum_is_of_its_gains():
-    """With a weaker gain on the right the margin is another one, and the simulated motion says the same."""
+def test_a_certificate_of_the_pendulum_belongs_to_its_gains():
+    """With a weaker gain on the right the margin differs, and the simulated motion agrees."""
     weak = CriterionParams(system="pendulum", k_positive=2.0, cell_terms=True).build()
     certificate = certify(weak, 0.45, Criterion("constant", order=2, cell_terms=True))
     assert certificate.valid
@@ -449,7 +451,7 @@ def test_growth_of_the_switched_system(h, rate):
 
 
 def test_the_margin_by_simulation_is_the_first():
-    """Stable again at 1.8 s, and unstable from 3.47 s on: a bracket of 0.3 to 4 s holds both ends."""
+    """Stable again at 1.8 s, and unstable from 3.47 s on: a bracket of 0.3 to 4 s contains both ends."""
     result = pwa_margin(OSCILLATOR, 0.3, 4.0, (1.0, 0.0), 150.0, steps=40, width=1e-3)
     assert result.h == pytest.approx(0.81677, abs=2e-3)
     assert result.low <= result.h <= result.high < 1.3
@@ -634,7 +636,7 @@ def test_sliding_is_found_and_crossing_is_not():
     require_no_sliding(along, 0.1)  # nothing goes across
 
 
-def test_an_offset_that_a_shift_removes_is_no_obstacle():
+def test_an_offset_that_a_shift_removes_is_accepted():
     shifted = PwaSystem(
         (np.array([[-2.0]]),),
         (np.array([[-1.0]]),),
@@ -705,8 +707,8 @@ def test_bad_systems_are_refused(changes, reason):
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
-def test_faces_of_cells_are_the_same_however_their_inequalities_are_scaled(scale):
-    """Three strips, the middle one 0.5 wide: a face is that of two neighbours, and no look across it leaps over one."""
+def test_faces_of_cells_do_not_depend_on_the_scaling_of_inequalities(scale):
+    """Three strips, the middle one 0.5 wide: a face is between two neighbours, and no check skips a strip."""
     three = tuple(np.eye(2) for _ in range(3))
     E = ([[-1.0, 0.0]], [[1.0, 0.0], [-1.0, 0.0]], [[1.0, 0.0]])
     strips = cells(
@@ -738,7 +740,7 @@ def test_rates_from_1_on_are_allowed_but_never_certified():
     assert certify(linear(-2.0, -0.5), 0.5, Criterion(mu=0.95)).valid
 
 
-def test_an_empty_tank_stays_empty_and_says_so():
+def test_an_empty_tank_stays_empty_and_reports_it():
     plant = ByHand(TankPlant(x0=0.001, delay=1.0))
     for k in range(400):
         plant.advance(k, inflow=(-1000.0,))
@@ -750,7 +752,7 @@ def test_an_empty_tank_stays_empty_and_says_so():
 
 
 @pytest.mark.parametrize(("start", "a"), [(0.3, 0.4875), (-0.3, 0.825)])
-def test_a_pendulum_that_nobody_commands_swings_as_its_slope_says(start, a):
+def test_a_pendulum_without_commands_swings_by_its_slope(start, a):
     plant, w = ByHand(PendulumPlant(x0=(start, 0.0))), math.sqrt(a)
     seconds = 0.9 * math.pi / 2.0 / w  # in one cell
     for k in range(round(seconds / plant.params.period)):
@@ -760,7 +762,7 @@ def test_a_pendulum_that_nobody_commands_swings_as_its_slope_says(start, a):
         assert plant.outputs(k)["state"] == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_state_beyond_reach_ends_the_run():
+def test_a_state_out_of_range_ends_the_run():
     plant = SwitchedDelayPlant(system="user", n=1, A=[50.0], Ad=[0.0], x0=(1.0,))
     with pytest.raises(RunError, match=r"plant: state x1/position became 1.\d+e\+06 1, expected at most 1e\+06"):
         simulate(Rig.from_blocks({"plant": plant}, 0.4))
@@ -772,8 +774,8 @@ def test_a_delay_beyond_its_limit_is_clamped():
     assert ByHand(SwitchedDelayPlant(delay=0.1, max_delay=0.05)).outputs(0)["mode"][1] == 0.05
 
 
-def test_a_delay_changes_while_the_loop_runs_and_reads_what_was():
-    """Beside the lines of the two delays; beyond twice the first delay nothing is remembered."""
+def test_a_delay_that_changes_during_a_run_reads_the_stored_past():
+    """Beside the lines of the two delays; beyond twice the first delay nothing is stored."""
     line = ByHand(DelayLine(delay=0.002))
     ramp = [line.update(k * 10**6, state=(float(k), 0.0))["delayed"][0] for k in range(10)]
     for delay, result in ((0.004, 6.0), (0.0, 11.0), (0.1, 8.0)):
@@ -788,7 +790,7 @@ def test_a_delay_changes_while_the_loop_runs_and_reads_what_was():
 
 @pytest.mark.long
 def test_a_change_of_the_delay_moves_the_margin():
-    """x' = -x(t - d): from 1.5 s, just stable, to 1.65 s, where its swings grow at the rate Re W_0(-d)/d."""
+    """x' = -x(t - d): from 1.5 s, just stable, to 1.65 s, where its oscillations grow at the rate Re W_0(-d)/d."""
     scenario = load_scenario("pwa_delay_hayes").changed(duration=120.0)
     run = simulate(scenario.having(changes=({"at": 5.0, "set": {"switched_delay_plant.delay": 1.65}},)))
     t, x = run.signals["pwa/state/x1/position"]
@@ -820,7 +822,7 @@ def test_laws_of_tank_and_pendulum():
     assert ByHand(PendulumController()).update(0, state=(0.1, 0.3))["torque"] == pytest.approx((-2.0,))
 
 
-def test_a_monitor_that_is_too_coarse_says_so():
+def test_a_monitor_that_is_too_coarse_reports_it():
     monitor = ByHand(LyapunovMonitor(period=1e-3))
     size = int(np.prod(monitor.block.p.padded()))
     verdict = (0.0192, 1.0, 1e-4, 1e-6, 20.0)
@@ -828,8 +830,8 @@ def test_a_monitor_that_is_too_coarse_says_so():
     assert monitor.reports["coarse"][0] is Level.ERROR
 
 
-def test_a_delay_below_zero_is_no_index_into_the_record():
-    """One sample below 0 is the oldest sample, a hundred are none at all: the record begins again."""
+def test_a_negative_delay_does_not_index_into_the_record():
+    """One sample below 0 is the oldest sample, a hundred are none: the record starts again."""
     monitor = ByHand(LyapunovMonitor(period=1e-4))
     size = int(np.prod(monitor.block.p.padded()))
     given = {"state": (1.0, 0.0), "matrices": (1.0,) * size, "verdict": (0.0192, 1.0, 1e-4, 1e-6, 20.0)}
@@ -849,7 +851,7 @@ def test_a_delay_below_zero_is_no_index_into_the_record():
     )
 
 
-def test_matrices_survive_their_topic():
+def test_matrices_are_transferred_by_their_topic():
     p = CriterionParams()
     certificate = certify(switched(), 0.018)
     back = p.unpad(p.pad(certificate.matrices))

@@ -1,4 +1,4 @@
-"""Criteria, searches, bounds and plants with delay.
+"""Criteria, searches, bounds and plants with delay, against independent code.
 
 Sources: quadrature and roots by scipy, loops. The inequalities are held by what they are made from: along a
 polynomial that meets the equation now, the derivative of the functional is worked out by integrals and differences,
@@ -47,19 +47,19 @@ def near(expected):
 
 
 def two_cells(rng):
-    """Two states, a switching line on each instant: four cells with matrices of their own."""
+    """Two states, a switching line on each instant: four cells with different matrices."""
     A, Ad = ([rng.normal(size=(2, 2)) for _ in range(4)] for _ in range(2))
     return from_lines(A, Ad, [[1.0, 0.3]], [[-0.2, 1.0]])
 
 
 def unknowns(problem, rng):
-    """Random matrices in the place of a certificate's."""
+    """Random matrices in place of a certificate's."""
     results = {name: rng.normal(size=u.shape) for name, u in problem.unknowns.items()}
     return {name: m + m.T if problem.unknowns[name].symmetric else m for name, m in results.items()}
 
 
 def held(problem, name, matrices, y):
-    """Give y' M y of an inequality."""
+    """Return y' M y of an inequality."""
     inequality = next(i for i in problem.inequalities if i.name == name)
     return sum(2.0 * (y @ left) @ matrices[x] @ (right.T @ y) for x, left, right in inequality.terms)
 
@@ -109,7 +109,9 @@ def both(c, v, t):
     ("order", "shortest", "d"), [(1, 1.0, 1.0), (3, 0.4, 0.4), (3, 0.4, 1.0), (2, 0.0, 0.0), (2, 0.0, 1.0)]
 )
 def test_the_criterion_of_constant_delays_is_the_derivative_of_its_functional(order, shortest, d):
-    """In the time in which the delay is 1 (from no delay at all on in that of the system), V' by differences of V."""
+    """In time scaled so that the delay is 1 (with a zero lower delay: in that of the system), V' by differences
+    of V.
+    """
     rng = np.random.default_rng(order)
     system = two_cells(rng)
     problem = bessel_legendre(system, order, shortest=shortest, cell_terms=True)
@@ -137,7 +139,9 @@ def test_the_criterion_of_constant_delays_is_the_derivative_of_its_functional(or
         return y, (V(1e-5) - V(-1e-5)) / 2e-5 + form(system.E[i] @ now, matrices[f"U{i}"])
 
     def least(i):
-        """V of a curve of which Bessel's inequality is exact, without what R adds; from no delay on: without Q."""
+        """V of a curve for which Bessel's inequality is exact, without the terms of R; with a zero lower delay also
+        without Q.
+        """
         c = rng.normal(size=(order, 2))
         now = np.concatenate([at(c, 0.0), at(c, -1.0)])
         omega = [over(lambda s, k=k: shifted(k, s) * at(c, s - 1.0), 0.0, 1.0) for k in range(order)]
@@ -217,8 +221,8 @@ def test_theorem_1_is_the_derivative_of_its_functional_and_its_integral_inequali
     assert len(theorem1(system, 0.0).inequalities) == 6 + 4 * 3  # a constant delay has two corners
 
 
-def test_the_functional_on_samples_is_its_integrals():
-    """Of a smooth curve, by trapezoids of 1/200, for delays from none to all of the record."""
+def test_the_functional_on_samples_equals_its_integrals():
+    """Of a smooth curve, by trapezoids of 1/200, for delays from zero to all of the record."""
     rng = np.random.default_rng(1)
     system = two_cells(rng)
     m = unknowns(theorem1(system, 0.0), rng)
@@ -289,7 +293,7 @@ def made(h, valid, shortest=0.0):
     return Certificate(h, valid, 0.0, {}, [], "Solved", 0.0, shortest)
 
 
-def test_the_largest_delay_is_doubled_to_and_bisected_for():
+def test_the_largest_delay_is_found_by_doubling_and_bisection():
     asked = []
 
     def ask(h, shortest=None):
@@ -305,8 +309,8 @@ def test_the_largest_delay_is_doubled_to_and_bisected_for():
     assert _bisect(lambda h, shortest=None: made(h, h < 1.5), made(1.0, True), 1.0, 0.5, 9.0).h == 1.0  # wide enough
 
 
-def test_the_walk_of_constant_delays_leaves_out_none():
-    """A step is certified from where the one before ended, up to a half of what is left, as is said of it."""
+def test_the_search_over_constant_delays_leaves_no_gap():
+    """Each step is certified from the end of the previous one, up to half of the rest, as documented."""
     steps = []
 
     def ask(h, shortest):
@@ -326,8 +330,8 @@ def test_the_walk_of_constant_delays_leaves_out_none():
     assert _walk(lambda h, s: made(h, True, s), made(1.0, True), 1.0, 1e-2, 50.0).h == 64.0
 
 
-def test_a_margin_is_looked_for_from_what_is_certified(monkeypatch):
-    """The criterion replaced by one that holds up to 0.3 s; where it is asked first, and what is told."""
+def test_a_margin_is_searched_from_the_certified_delay(monkeypatch):
+    """The criterion is replaced by one that holds up to 0.3 s; where it is evaluated first, and what is reported."""
     sliding, asked = [], []
     monkeypatch.setattr(certifying, "require_no_sliding", lambda system, h: sliding.append(h))
 
@@ -380,7 +384,7 @@ def test_delays_that_cannot_be_certified_are_refused(h, options, text):
         certify(linear(-1.0, 0.5), h, **options)
 
 
-def test_what_a_certificate_covers():
+def test_the_coverage_of_a_certificate():
     system = linear(-1.0, 0.5)
     assert certify(system, 1.0, shortest=0.5)[7] == 0.0  # Theorem 1: from no delay on
     constant = Criterion("constant", order=1)
@@ -389,7 +393,9 @@ def test_what_a_certificate_covers():
 
 
 def illinois(f, low, high):
-    """Regula falsi as Dowell and Jarratt (1971) mend it: an end that stays twice counts half. Gives where it asks."""
+    """Regula falsi with the correction of Dowell and Jarratt (1971): an end that stays twice counts half. Returns its
+    points.
+    """
     at_low, at_high, last = f(low), f(high), None
     while True:
         x = (low * at_high - high * at_low) / (at_high - at_low)
@@ -412,7 +418,7 @@ def illinois(f, low, high):
         (lambda h: 1.0 - math.exp(-30.0 * (h - 0.77)), 0.77),
     ],
 )
-def test_a_margin_by_growth_is_where_it_changes_its_sign_first(growth, first):
+def test_a_margin_by_growth_is_at_the_first_change_of_sign(growth, first):
     result = find_margin(growth, 0.0, 1.0, width=1e-6)
     asked, n = list(result.growth), math.ceil(first * 8) + 1
     assert result.growth == {h: growth(h) for h in asked}
@@ -457,7 +463,7 @@ def test_the_growth_of_a_run_is_the_slope_of_its_maxima():
 
 @pytest.mark.parametrize("start", [None, 0.05, 0.9])
 def test_the_bound_of_the_level_is_its_integral(start):
-    """The level falls by the drain and by what is taken away, of a level that rises with the steepest slope to X."""
+    """The level falls by the drain and by the withdrawal, from a level that rises with the steepest slope to X."""
     s, kL, kR, c = 0.6, 0.3, 0.15, 0.01
 
     def lowest(h):
@@ -476,7 +482,7 @@ def test_the_bound_of_the_level_is_its_integral(start):
     assert level_margin(s=s, kL=kL, kR=kR, c=c, start=start) == pytest.approx(margin, rel=1e-7)
 
 
-def test_no_level_is_bounded_where_the_drain_is_as_much_as_the_inflow():
+def test_no_level_is_bounded_if_the_drain_is_as_large_as_the_inflow():
     for c, bounded in ((0.1, False), (0.0999, True)):  # 0.2 * 0.25 against c * 0.5
         result = level_bound(0.0, s=0.25, kL=0.2, c=c)
         assert result[:2] == ((0.25, 0.25) if bounded else (0.0, 0.25))
@@ -503,7 +509,7 @@ def test_delays_over_time():
 
 
 @pytest.mark.parametrize("kind", ["constant", "sine", "telegraph"])
-def test_a_delay_line_reads_its_record_at_the_age_that_its_delay_is(kind):
+def test_a_delay_line_reads_its_record_at_the_age_of_its_delay(kind):
     line = ByHand(DelayLine(delay=0.05, profile=kind, mu=0.4, period=0.01, channels=("a", "b"), fields=("velocity",)))
     line.reset(3)
     draw, record = Random(4), []
@@ -525,7 +531,7 @@ def test_a_delay_line_reads_its_record_at_the_age_that_its_delay_is(kind):
     assert given.units == gives.units == ("rad/s", "rad/s")
 
 
-def test_gains_change_on_their_edges():
+def test_gains_change_at_their_edges():
     tank, swing = ByHand(TankController(A=2.0, phi=10.0)), ByHand(PendulumController(k_negative=2.0, k_positive=3.0))
     assert [tank.update(0, level=(x,))["inflow"][0] for x in (0.499, 0.5)] == near([20 * 0.499 * 0.2, -20 * 0.5 * 0.1])
     assert [swing.update(0, state=(x, 0.5))["torque"][0] for x in (0.0, 1e-12)] == near([-1.0, -1.5])
@@ -538,7 +544,7 @@ def test_gains_change_on_their_edges():
 
 
 def test_cells_are_the_signs_of_their_lines():
-    """Each combination once, the first line slowest, negative first; hinges where they are active."""
+    """Each combination once, the first line slowest, negative first; hinges if they are active."""
     A = [[[float(k), 0.0], [0.0, 0.0]] for k in range(4)]
     system = from_lines(A, A, [[1.0, 0.5]], [[1.0, 1.0]], a=[[k, -k] for k in range(4)])
     rng = np.random.default_rng(2)
@@ -559,7 +565,7 @@ def test_cells_are_the_signs_of_their_lines():
 
 
 def test_a_plant_moves_by_the_cell_of_its_state_and_of_its_past():
-    """A line on x, one on x_d, four cells with matrices and offsets of their own; the past is the start."""
+    """A line on x, one on x_d, four cells with different matrices and offsets; the past is the start."""
     rng = np.random.default_rng(6)
     A, Ad, a = rng.normal(size=(4, 2, 2)), rng.normal(size=(4, 2, 2)), rng.normal(size=(4, 2))
     lines, late = [[1.0, 0.4]], [[0.7, -1.0]]
@@ -582,7 +588,7 @@ def test_a_plant_moves_by_the_cell_of_its_state_and_of_its_past():
     assert len(cells) == 4
 
 
-def test_systems_that_are_none_are_refused():
+def test_invalid_systems_are_refused():
     one, none = (np.array([[-1.0]]),), np.zeros((0, 1))
     given = {
         "A": one,
@@ -619,7 +625,7 @@ def test_systems_that_are_none_are_refused():
         require_equilibrium(away)
 
 
-def test_what_keeps_a_system_from_its_criterion_is_named():
+def test_the_reason_why_a_system_has_no_criterion_is_named():
     across = [[1.0, 0.0]]
     for sign, kind in ((-1.0, "repelling"), (1.0, "sliding")):
         system = from_lines(
@@ -652,7 +658,7 @@ def test_what_keeps_a_system_from_its_criterion_is_named():
         require_equilibrium(from_lines([A] * 2, [Ad] * 2, across, a=[[0.0, 3.0], [0.0, 4.0]]))
 
 
-def test_systems_by_name_and_by_their_numbers():
+def test_systems_are_given_by_name_and_by_their_numbers():
     for name, n, cells in (
         ("switched", 2, 4),
         ("tank", 1, 2),
@@ -708,7 +714,7 @@ def test_systems_by_name_and_by_their_numbers():
 
 @pytest.mark.parametrize(("block", "button"), [(CertificateNode, "certify"), (MarginSearch, "search")])
 @pytest.mark.parametrize("at_start", [True, False])
-def test_work_is_asked_for_at_the_start_and_when_the_button_goes_down(block, button, at_start):
+def test_work_is_requested_at_the_start_and_when_the_button_is_pressed(block, button, at_start):
     node = block(at_start=at_start)
     x, asked = node.first(), []
     for pressed in (None, (0.0,), (1.0,), (1.0,), (0.0,), (1.0,)):
@@ -717,7 +723,7 @@ def test_work_is_asked_for_at_the_start_and_when_the_button_goes_down(block, but
     assert asked == [at_start, False, True, False, False, True]
 
 
-def test_what_a_certificate_node_says():
+def test_reports_of_a_certificate_node_are_as_expected():
     node = CertificateNode(system="scalar", method="constant", order=1)
     p, eigenvalues = node.p, [Eigenvalues("a", 2.0, 4.0), Eigenvalues("b", -0.3, 0.0), Eigenvalues("c", 3.0, -0.5)]
     shapes = p.shapes()
@@ -756,7 +762,7 @@ def test_what_a_certificate_node_says():
     assert CriterionParams(system="tank").shapes() == {}
 
 
-def test_what_a_margin_search_says():
+def test_reports_of_a_margin_search_are_as_expected():
     node = MarginSearch(low=0.01, high=0.03)
     margin = Margin(0.02, 0.019, 0.021, {0.02: -0.5, 0.01: -3.0})
     x = node.first()
@@ -767,8 +773,8 @@ def test_what_a_margin_search_says():
     assert node.reports["no_margin"][:2] == (Level.WARN, "none")
 
 
-def test_a_monitor_speaks_once_its_record_is_whole():
-    """64 samples a delay bound, a plant whose delay is half of it: slopes by its own record of states."""
+def test_a_monitor_publishes_once_its_record_is_complete():
+    """64 samples for the largest delay, a plant whose delay is half of it: slopes by its own record of states."""
     monitor = ByHand(LyapunovMonitor(system="scalar", period=0.01, rise=0.5))
     p = monitor.block.p
     rng = np.random.default_rng(3)
@@ -812,7 +818,7 @@ def test_a_monitor_speaks_once_its_record_is_whole():
     assert other.reports["coarse"][1] == "period 0.01 s: expected at most h/64 = 0.00984 s"
 
 
-def test_figures_of_the_functional_and_of_what_a_level_covers():
+def test_figures_of_the_functional_and_of_a_levels_coverage():
     t, v = np.arange(8) * 0.5, np.array([8.0, 6.0, 4.0, 3.3, 2.0, 1.5, 1.0, 0.9])
     signals = {"lyapunov/V/position": (t, v)}
     over_two = [b / a - 1.0 for a, b in zip(v, v[2:], strict=False)]

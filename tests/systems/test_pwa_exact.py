@@ -1,4 +1,4 @@
-"""Certificates for constant delays in rational arithmetic: the criterion, written again, holds by exact pivots."""
+"""Certificates for constant delays in rational arithmetic: the criterion, implemented again, holds by exact pivots."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def exact(rows):
 
 
 def positive(matrix):
-    """Whether a symmetric matrix is positive definite, exactly: all pivots of the elimination are positive."""
+    """Return whether a symmetric matrix is positive definite, exactly: all pivots of the elimination are positive."""
     m = matrix.copy()
     for k in range(len(m)):
         if m[k, k] <= 0:
@@ -36,7 +36,7 @@ def positive(matrix):
 
 
 def cells(both):
-    """Give the rows of each cell's conditions, its hinges, and its matrix of the delayed state, of P1."""
+    """Return the rows of each cell's conditions, its hinges, and its matrix of the delayed state, of P1."""
     zero = [[0, 0]] * 2
     rows = [[*now, *late] for now, late in zip(LINES, zero, strict=True)]
     if both:  # cells by the signs of the delayed state, too
@@ -48,7 +48,7 @@ def cells(both):
 
 
 def failures(result, h, order, both):
-    """Give the inequalities of the criterion that do not hold exactly at the delay h, a Fraction.
+    """Return the inequalities of the criterion that do not hold exactly at the delay h, a Fraction.
 
     V = eta' L eta + int (x, x')' Q (x, x') + int int x'' R x', eta = (features, Omega_0 ... ), after Seuret and
     Gouaisbaut 2015, theorem 5, with cells: over a cell, V less [x; x_d]' E' H E [x; x_d] is positive, and its

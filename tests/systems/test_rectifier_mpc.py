@@ -1,4 +1,6 @@
-"""Rectifier under generalised predictive control: the law, its certificate, the plants, the scenarios, bad input."""
+"""Rectifier under generalised predictive control: the controller, its certificate, the plants, the scenarios, bad
+input.
+"""
 
 import json
 import math
@@ -56,7 +58,7 @@ SCENARIOS = sorted(n for n in list_scenarios() if n.startswith("rectifier_mpc"))
 
 @cache
 def run_of(name):
-    """A whole run, kept: several tests look at it."""
+    """A whole run, cached: several tests use it."""
     return simulate(name)
 
 
@@ -110,7 +112,7 @@ def test_verdicts_on_the_papers_claims_hold():
 
 
 def test_poles_are_those_of_the_simulated_loop():
-    """The slowest mode that the loop shows from its start is the largest pole."""
+    """The slowest mode in the start of the loop is the largest pole."""
     law, plant = Gpc(seed19(1e-4), Tuning(weight=17.873)), ByHand(LinearPlant(period=1e-4))
     y, x = [], law.first(0.0, 0.0)
     for k in range(1500):
@@ -141,7 +143,7 @@ def test_diophantine_identity(m):
 
 
 @given(models, st.lists(st.floats(-3, 3), min_size=20, max_size=20))
-def test_prediction_is_what_the_model_does(m, moves):
+def test_a_prediction_equals_the_response_of_the_model(m, moves):
     """From any past, free response and step matrix give the model's own future."""
     model = Carima(tuple(np.real(np.poly(m[0])).tolist()), tuple(m[1]))
     u = np.cumsum(moves)
@@ -245,7 +247,7 @@ def test_certificate():
     ("gain", "moduli"),
     [((1.833, 1.077), (3.73, 0.066)), ((-1.833, -1.077), (1.381, 1.381)), ((-1.833, 1.077), (0.498, 0.495))],
 )
-def test_the_papers_equation_33_is_no_certificate(gain, moduli):
+def test_the_papers_equation_33_is_not_a_certificate(gain, moduli):
     c = np.array([[0.2383, 0.218]])
     result = assess([[1.83, -0.83], [1, 0]], [[1], [0]], [gain], [[5.34, 1.83], [1.83, 1]], c.T @ c, 1.0)
     assert result.moduli == pytest.approx(moduli, abs=2e-3)
@@ -317,7 +319,7 @@ def test_infeasible_programme_is_reported_and_solved_again_afterwards():
     assert solver.solve([10.0, 20.0], -5.0, 5.0).moves == pytest.approx(before.moves, abs=1e-12)
 
 
-def test_bounds_that_hold_are_counted_over_all_moves():
+def test_active_bounds_are_counted_over_all_moves():
     law = GpcController(solver="daqp", u_min=-1.0, u_max=1.0, du_max=2.0, u_start=0.0)
     assert law._active(0.0, (1.0, -2.0, 0.5)) == 3  # the upper one; the move and the lower one; none
     assert GpcController()._active(0.0, (1.0, -2.0, 0.5)) == 0
@@ -360,7 +362,7 @@ def test_anti_windup(solver):
     assert back[0][0] < 3.0
 
 
-def test_bad_samples_hold_then_trip_for_good():
+def test_bad_samples_hold_then_trip_permanently():
     law = ByHand(GpcController(set_point=400.0, u_safe=-1.5))
     last = law.update(0, measured=(10.0,), reference=None)["command"]
     for k in (1, 2):
@@ -400,7 +402,7 @@ def moving(plant):
 
 
 def held(plant, periods, command=CONSTANTS.drop, events=NOMINAL):
-    """Run a plant with a constant command; its power-quality figures by name."""
+    """Run a plant with a constant command; return its power-quality figures by name."""
     for k in range(periods):
         plant.advance(k * NS, command=(command,), events=events)
     result = plant.outputs(periods * NS)["power_quality"]
@@ -408,7 +410,7 @@ def held(plant, periods, command=CONSTANTS.drop, events=NOMINAL):
 
 
 def test_models_agree_on_every_event():
-    """The two averaged implementations under the same commands; the switched one but for its ripple."""
+    """The two averaged implementations under the same commands; the switched one except for its ripple."""
     commands = simulate("rectifier_mpc", duration=0.2).signals["v_drop/command/v_drop/effort"].x.tolist()
     events = [(16.0, 180.0, 0.0), (8.0, 180.0, 0.0), (16.0, 234.0, 0.0), (16.0, 180.0, 36.0)]
     traces = {}
@@ -443,13 +445,13 @@ def test_averaged_model_agrees_with_an_adaptive_solver():
     np.testing.assert_allclose(moving(plant), exact, atol=1e-6)
 
 
-def test_equilibrium_is_one():
+def test_the_equilibrium_is_at_rest():
     plant = ByHand(RectifierPlant())
     held(plant, 200)
     assert moving(plant) == pytest.approx((CONSTANTS.current, 0.0, 400.0), abs=1e-9)
 
 
-def test_a_voltage_that_collapses_gives_the_converter_up():
+def test_a_collapsing_voltage_stops_the_converter():
     plant = ByHand(RectifierPlant(v_least=401.0))
     plant.advance(0, command=(CONSTANTS.drop,), events=None)
     assert plant.reports == {"collapse": (Level.ERROR, "DC voltage 400 V, below 401 V: converter given up", 1)}
@@ -484,7 +486,7 @@ def test_decoupled_current_follows_its_ramp_exactly():
 
 @pytest.mark.parametrize(("carrier_hz", "thd"), [(5e3, 3.768), (1e4, 1.883), (2e4, 0.941)])
 def test_switching_harmonics_are_those_of_the_double_fourier_series(carrier_hz, thd):
-    """Open loop, so that nothing but the carrier is there."""
+    """Open loop, so that only the carrier is present."""
     result = held(ByHand(RectifierPlant(model="switched", carrier_hz=carrier_hz)), 245)
     assert result["windows"] == 2.0
     assert result["thd"] == pytest.approx(thd, abs=0.003)
@@ -558,7 +560,7 @@ def test_power_quality_of_known_signals():
     assert results["current_5"] == pytest.approx(36 / abs(0.1 + 5j * CONSTANTS.omega * CONSTANTS.L), rel=0.12)
 
 
-def test_grid_is_what_it_says():
+def test_the_grid_has_its_stated_values():
     c = CONSTANTS
     period = Period(0.0, T, 180.0, 36.0, 16.0, SPWM, 0.0, False, 0.0, 0.0)
     for t in (0.0, 0.0013, 0.0071):
@@ -643,7 +645,7 @@ def test_a_trip_in_the_rig_leaves_the_link_to_the_diodes():
     assert "off" in run.blocks["rectifier_plant"].reports
 
 
-def test_own_constants_begin_at_their_own_operating_point():
+def test_changed_constants_begin_at_their_own_operating_point():
     plant = ByHand(RectifierPlant(R_L=32.0, V_g=200.0))
     assert plant.x.i_d == plant.block.p.current == pytest.approx(16.808, abs=0.001)
     assert RectifierPlant().first().i_d == 37.83218957482916
@@ -655,7 +657,7 @@ def test_own_constants_begin_at_their_own_operating_point():
 
 
 def test_a_limit_cycle_is_reported():
-    """Too light a weight lets the loop collapse into a cycle at 250 V; those that settle are not accused."""
+    """A weight that is too small lets the loop collapse into a cycle at 250 V; loops that settle are not reported."""
     law = simulate("rectifier_mpc", overrides={"gpc_controller.lam": 5.0}).blocks["gpc_controller"]
     assert law.reports["limit_cycle"][0] == Level.WARN
     assert "the loop does not settle: voltage swings by 16.2 V about 400 V" in law.reports["limit_cycle"][1]
@@ -669,7 +671,7 @@ def test_a_limit_cycle_is_reported():
         assert "limit_cycle" not in run_of(name).blocks["gpc_controller"].reports
 
 
-def test_what_counts_as_a_limit_cycle():
+def test_limit_cycles_are_recognised_as_expected():
     def swing(signal):
         x, result = Swinging(), []
         for y in signal:
@@ -689,7 +691,7 @@ def test_what_counts_as_a_limit_cycle():
 
 @pytest.mark.parametrize("command", [1e6, -1e6])
 @pytest.mark.parametrize("model", ["averaged_dq", "averaged_abc", "switched"])
-def test_absurd_commands_end_in_a_report_not_in_nan(model, command):
+def test_absurd_commands_end_in_a_report_and_not_in_nan(model, command):
     plant = ByHand(RectifierPlant(model=model))
     for k in range(300):
         plant.advance(k * NS, command=(command,), events=(1.0, 180.0, 0.0))
@@ -814,7 +816,7 @@ def test_lines_of_the_spectrum_are_the_carriers_sidebands():
 
 
 def test_time_may_jump():
-    """Realtime skips a pause of the host: the open power-quality window is dropped, the next whole one counts."""
+    """Realtime skips a pause of the host: the open power-quality window is dropped, the next complete one counts."""
     plant = ByHand(RectifierPlant(model="switched"))
     held(plant, 60)
     for k in range(60, 301):

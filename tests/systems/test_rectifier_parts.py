@@ -1,4 +1,6 @@
-"""Each part of the rectifier by another hand: complex vectors, loops over legs, numpy's transforms, tables of edges."""
+"""Each part of the rectifier against independent code: complex vectors, loops over legs, numpy's transforms, tables of
+limits.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,7 @@ MORE = ("phases_of", "grid_of", "amplitude", "squares_of", "measure")
 
 
 def ode(t, x, p, dx):
-    """The switched equations as a solver takes them."""
+    """The switched equations in the form of a solver."""
     dx[:] = switched.slopes(*x, circuit.grid(t, p[0], p[1]), p)
 
 
@@ -72,7 +74,7 @@ def rk4(ode):
 
 
 def asked(t, period):
-    """The converter voltage in the frame of the grid, d + jq: what is left of the grid's behind the drop."""
+    """The required converter voltage in the frame of the grid, d + jq: the grid's voltage minus the drop."""
     fifth = -period.forward * period.fifth * np.exp(-6j * OMEGA * t)
     if not period.decoupled:
         return period.amplitude - period.command * np.exp(1j * PHI) + fifth
@@ -89,7 +91,7 @@ def phases_of(vector, t):
 @pytest.mark.parametrize(
     "period", [SENSORLESS, DECOUPLED, SENSORLESS._replace(forward=0.0), DECOUPLED._replace(fifth=0.0)]
 )
-def test_what_the_modulator_is_to_form(plain, period):
+def test_the_modulator_gets_the_expected_voltage(plain, period):
     for t in TIMES:
         v = asked(t, period)
         assert complex(*circuit.wanted(t, CIRCUIT, period)) == pytest.approx(v)
@@ -127,12 +129,12 @@ def test_the_averaged_equations_with_complex_vectors(plain, period):
 
 
 def linear(t, stop, x, p):
-    """A state that falls evenly: what the walk is made of does not matter to it."""
+    """A state that falls evenly, for which the composition of the walk does not matter."""
     x -= (stop - t) * np.array([1000.0, 500.0, 2000.0])
 
 
 @pytest.mark.parametrize("traced", [False, True])
-def test_a_walk_over_a_period_sums_by_trapezia_and_turns_over_at_windows(plain, traced):
+def test_a_walk_over_a_period_sums_by_trapezoids_and_closes_windows(plain, traced):
     x, sums, complete = np.array([10.0, 5.0, 400.0]), quality.empty(), np.full((ROWS, HARMONICS + 1), np.nan)
     sums[quality.PLAIN, quality.WINDOWS] = 2.0  # the third window ends at 0.0105 s
     trace = np.empty((4 if traced else 0, 5))
@@ -193,8 +195,8 @@ def test_the_modulation_and_its_carrier(plain, injection):
 
 
 @pytest.mark.parametrize(("half", "command"), [(80.0, 30.0), (81.0, 30.0), (82.0, -60.0), (83.0, 80.0)])
-def test_edges_where_a_fine_comparison_has_them(plain, half, command):
-    """Within a half period of the carrier each leg switches where its modulation passes the carrier, one by one."""
+def test_edges_are_where_a_fine_comparison_has_them(plain, half, command):
+    """Within a half period of the carrier each leg switches where its modulation crosses the carrier, one by one."""
     period, f = SENSORLESS._replace(command=command), 4e3
     t, end = half / (2.0 * f), (half + 1.0) / (2.0 * f)
     x, legs = np.array([20.0, -5.0, -15.0, 400.0]), np.empty(3)
@@ -226,7 +228,7 @@ def test_edges_where_a_fine_comparison_has_them(plain, half, command):
     assert sums[quality.PLAIN, quality.TIME] == pytest.approx(end - half / (2.0 * f))
 
 
-def test_what_a_piece_adds_to_the_sums_is_simpsons_rule(plain):
+def test_the_sums_of_a_piece_follow_simpsons_rule(plain):
     x, sums = np.array([20.0, -5.0, -15.0, 400.0]), quality.empty()
     p = (CIRCUIT, SENSORLESS, 1.0, 0.0, 0.0)
     begin, g = x.copy(), circuit.grid(0.01, CIRCUIT, SENSORLESS)
@@ -310,7 +312,7 @@ def bridge(t, h, x, period):
 
 
 def test_a_step_of_the_diodes_in_every_situation(plain):
-    """Currents of all signs and none, links below and above the grid: by the rules leg by leg."""
+    """Currents of all signs and zero, links below and above the grid: by the rules leg by leg."""
     chance, met = np.random.default_rng(7), set()
     period = SENSORLESS._replace(amplitude=180.0)
     for k in range(400):
@@ -336,7 +338,7 @@ def test_a_diode_carries_nothing_backwards():
     assert carried(1.0, 0.0, 1.0, 1.0) == 0.0
 
 
-def test_the_bridge_goes_in_even_steps_of_a_microsecond_at_most(monkeypatch):
+def test_the_bridge_uses_even_steps_of_at_most_a_microsecond(monkeypatch):
     steps = []
     monkeypatch.setattr(diodes, "conduct", lambda t, h, x, p: steps.append((t, h)))
     for length, count in ((1e-6, 1), (1.0000001e-6, 2), (3.5e-6, 4), (0.4e-6, 1)):
@@ -469,7 +471,7 @@ def test_the_decoupled_model_by_the_matrix_exponential():
     assert model.b == pytest.approx((slope, held - slope))
 
 
-def test_the_first_command_of_the_law():
+def test_the_first_command_of_the_controller():
     p = RectifierConstants()
     for model, values, wanted in [
         ("n3", {}, p.drop),
@@ -488,11 +490,11 @@ def test_the_first_command_of_the_law():
     ("period", "substep", "steps"),
     [(1e-3, 1e-4, 10), (1e-3, 0.99e-4, 11), (1e-3, 1.01e-4, 10), (1e-3, 1e-3, 1), (5e-4, 1e-3, 1), (3e-4, 1e-4, 3)],
 )
-def test_a_period_has_so_many_steps(period, substep, steps):
+def test_a_period_has_the_expected_number_of_steps(period, substep, steps):
     assert build(RectifierPlantParams, {"period": period, "substep": substep}).steps == steps
 
 
-def test_what_the_plant_cannot_be():
+def test_impossible_plants_are_refused():
     assert build(RectifierPlantParams, {"carrier_hz": 600.0}).carrier_hz == 600.0
     with pytest.raises(ParameterError, match=r"carrier_hz = 599 Hz: expected at least ten times f = 60 Hz"):
         build(RectifierPlantParams, {"carrier_hz": 599.0})
@@ -503,7 +505,7 @@ def test_what_the_plant_cannot_be():
 
 @pytest.mark.parametrize("structure", ["sensorless", "decoupled"])
 @pytest.mark.parametrize("model", ["averaged_dq", "averaged_abc", "switched"])
-def test_how_the_plant_begins(model, structure):
+def test_the_plant_begins_as_expected(model, structure):
     plant = RectifierPlant(
         model=model,
         structure=structure,
@@ -529,7 +531,7 @@ def test_how_the_plant_begins(model, structure):
     assert "waveform" not in RectifierPlant().outputs(RectifierPlant().first(), 0)
 
 
-def test_what_the_plant_reports():
+def test_reports_of_the_plant_are_as_expected():
     plant = ByHand(RectifierPlant(period=1e-3))
     plant.advance(0, command=(30.0,), events=(16.0, 0.0, 5.0))
     text = "load 16 ohm, grid 0 V: expected both positive; the last good ones hold"
@@ -555,7 +557,7 @@ def test_a_command_older_than_five_periods_is_reported(age, late):
 
 
 @pytest.mark.parametrize(("jump", "kept"), [(0, True), (500_000, True), (500_001, False), (-500_001, False)])
-def test_the_sums_of_a_window_begin_anew_where_time_has_jumped(jump, kept):
+def test_the_sums_of_a_window_start_again_after_a_jump_of_time(jump, kept):
     plant = RectifierPlant(period=1e-3)
     x = plant.advance(plant.first(), 0, command=(30.0,), events=None)
     again = plant.advance(x, 1_000_000 + jump, command=(30.0,), events=None)
@@ -566,7 +568,7 @@ def test_the_sums_of_a_window_begin_anew_where_time_has_jumped(jump, kept):
     assert later.record.figures == (0.0,) * 13
 
 
-def test_figures_are_those_of_whole_windows_only():
+def test_figures_belong_to_complete_windows_only():
     plant = RectifierPlant(period=1e-2, substep=1e-3)
     x = plant.first()
     for k in range(11):  # the first six cycles are over at 0.1 s

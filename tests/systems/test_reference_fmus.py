@@ -1,4 +1,4 @@
-"""The Reference FMUs of the Modelica Association, or any others, beside FMPy's own simulation of them.
+"""The Reference FMUs of the Modelica Association, or any others, against FMPy's own simulation of them.
 
 None is committed: SOFTRIG_REFERENCE_FMUS names the folder where a build has unpacked them, with folders of versions.
 """
@@ -29,20 +29,22 @@ pytestmark = [
 
 
 def of(unit, causality):
-    """Variables that channels can carry; of an array one for each element."""
+    """Variables that channels can carry, one for each element of an array."""
     return [
         v for v in unit.variables.values() if v.causality == causality and v.kind not in ("", "String") and v.count > 0
     ]
 
 
 def cells(variables):
-    """Names of scalars, and of all elements of arrays, as a scenario has them."""
+    """Names of scalars, and of all elements of arrays, as in a scenario."""
     indices = {v.name: [",".join(str(i + 1) for i in at) for at in np.ndindex(*v.dims)] for v in variables}
     return [f"{v.name}[{at}]" if v.dims else v.name for v in variables for at in indices[v.name]]
 
 
 def stepped(path, names, period, ticks, driven=None, **given):
-    """Say what our plant says at each tick; `driven` gives input cells and their values at each tick, held between."""
+    """Return the output of our plant at each tick; `driven` has input cells and their values at each tick, held in
+    between.
+    """
     inputs, values = driven or ([], np.empty((ticks + 1, 0)))
     topics = {
         "outputs": tuple(f"y{k}/x/position = {name}" for k, name in enumerate(names)),
@@ -71,7 +73,7 @@ def timed(path, unit):
 
 
 @pytest.mark.parametrize("path", UNITS, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_its_values_are_those_of_fmpy(path):
+def test_its_values_equal_those_of_fmpy(path):
     unit = describe(str(path))
     outputs = of(unit, "output")
     if not outputs or not {"co_simulation", "model_exchange"} & set(unit.interfaces):
@@ -97,7 +99,7 @@ DRIVEN = [p for p in UNITS if of(describe(str(p)), "input") and set(INTERFACES) 
 
 
 def drawn(variables, ticks):
-    """Values for each cell at each tick, and the same as FMPy's table; eighths, which a Float32 holds."""
+    """Values for each cell at each tick, and the same as FMPy's table; eighths, which a Float32 represents."""
     rng = np.random.default_rng(7)
     kinds = {"Boolean": np.bool_} | dict.fromkeys(FLOATS, np.float64)
     columns = {}
@@ -114,7 +116,7 @@ def drawn(variables, ticks):
 
 
 @pytest.mark.parametrize("path", DRIVEN, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_its_answers_to_what_it_is_reported_are_those_of_fmpy(path):
+def test_its_answers_to_inputs_equal_those_of_fmpy(path):
     """Inputs change at each tick, every element of an array and every kind of number; held from tick to tick."""
     unit = describe(str(path))
     inputs, outputs = of(unit, "input"), of(unit, "output")

@@ -194,7 +194,7 @@ def test_gear_torque_balances_the_leg():
     assert geared.outputs(0)["joint_states"][4:] == pytest.approx(motor - 0.0512 * a)
 
 
-def test_motors_drift_to_the_values_asked_for():
+def test_motors_drift_to_the_requested_values():
     drift = {"resistance": 0.3, "constants": -0.09, "duration": 60.0}
     quiet = {"start_outside": True, "rom_margin": 10.0, "disturbance": {"torque": 0.0}}
     drifting = ByHand(RehabPlant(drift=drift, **quiet))
@@ -261,7 +261,7 @@ def test_only_the_ratio_of_alpha_hat_and_period_matters():
     np.testing.assert_allclose(rms(coarse), rms(nominal), rtol=0.03)
 
 
-def test_seconds_at_the_voltage_limit_are_said():
+def test_seconds_at_the_voltage_limit_are_reported():
     rig = rig_of(load_scenario("rehab_impedance").model_copy(update={"duration": 1.0}))
     level, text, _ = run_inprocess(rig, 0)["rehab_plant"].reports["saturation"]
     assert level == Level.WARN
@@ -276,7 +276,7 @@ def test_seconds_at_the_voltage_limit_are_said():
         *(pytest.param(n, k, marks=pytest.mark.long) for n, k in (("r3", 50), ("r2_strong", 8), ("r3_strong", 20))),
     ],
 )
-def test_order_of_the_laws(other, times):
+def test_the_laws_rank_as_published(other, times):
     assert (rms(run("rehab_impedance")) < rms(run(f"rehab_impedance_{other}")) / times).all()
 
 
@@ -293,7 +293,7 @@ def test_order_of_the_laws(other, times):
         pytest.param(8.0, DRIFT, id="8.0-drift"),
     ],
 )
-def test_law_is_an_integrator_whatever_the_resistance(resistance, drift):
+def test_the_controller_is_an_integrator_whatever_the_resistance(resistance, drift):
     signals = run("rehab_impedance", 8.0, voltage_controller__emvc__resistance=resistance, **drift)
     nominal = run("rehab_impedance", 8.0, **drift)
     for joint in JOINTS:
@@ -310,7 +310,7 @@ def test_law_is_an_integrator_whatever_the_resistance(resistance, drift):
 
 
 @pytest.mark.long
-def test_law_goes_on_from_the_voltage_that_the_plant_applied():
+def test_the_controller_continues_from_the_voltage_that_the_plant_applied():
     tight = {"rehab_plant__v_max": 6.0, "rehab_plant__disturbance__torque": 0.0}
     fed = run("rehab_impedance", 6.0, **tight)
     blind = run("rehab_impedance", 6.0, voltage_controller__use_applied=False, **tight)
@@ -397,13 +397,13 @@ def limit_in(rig):
     return alpha_hat_limit(p.period, p.emvc.lam[0], p.loop_delay, p.use_applied, p.robot), ByHand(law.block(0)).reports
 
 
-def test_every_parameter_of_the_robot_is_held_against_the_stability_limit():
+def test_every_parameter_of_the_robot_is_compared_with_the_stability_limit():
     assert set(flatten(RehabPlant.Params())) == {*ROBOTS, *FREE_OF_THE_LIMIT}
 
 
 @pytest.mark.parametrize("name", few(ROBOTS, 2))
-def test_stability_limit_is_of_the_robot_in_the_rig(name):
-    """Old: the published robot's, 5.11, whatever the plant was."""
+def test_the_stability_limit_is_that_of_the_robot_in_the_rig(name):
+    """Before a fix: the published robot's, 5.11, whatever the plant was."""
     change = {f"rehab_plant.{name}": ROBOTS[name][0]}
     limit, _ = limit_in(rig_of(load_scenario("rehab_impedance_b9", change)))
     assert limit != pytest.approx(5.1073, abs=2e-4)
@@ -447,7 +447,7 @@ def test_stability_limit_of_another_robot_is_refused_by_name():
 
 @pytest.mark.long
 def test_each_joint_has_the_limit_of_its_own_motor():
-    """A slow motor at the hip limits the hip alone."""
+    """A slow motor at the hip limits only the hip."""
     values = {"robot.motors.inductance": [6e-3, 2.5e-3]}
     block = ByHand(VoltageController(build(VoltageController.Params, values | {"emvc.alpha_hat": [1.9, 4.5]})))
     assert block.reports == {}
@@ -486,7 +486,7 @@ def test_exercise_of_the_tuner_is_the_scenario():
         (6.4, 1.02e-5),
     ],
 )
-def test_cost_falls_up_to_the_edge(alpha_hat, mse):
+def test_the_cost_falls_up_to_the_edge(alpha_hat, mse):
     assert cost((alpha_hat,), guarded=False) == pytest.approx(mse, rel=0.02)
 
 
@@ -510,14 +510,14 @@ def test_guarded_cost_keeps_a_margin():
     assert exercise(result.x[0]).mse <= 1.8e-5
 
 
-def test_a_guarded_search_has_room_below_its_limit():
+def test_a_guarded_search_has_a_range_below_its_limit():
     limit = guarded_limit()
     with pytest.raises(ValueError, match=f"expected less than {limit:.3g}"):
         build(Tuner.Params, {"lower": limit})
     assert build(Tuner.Params, {"lower": limit, "guarded": False}).lower == limit
 
 
-def test_a_search_by_hand_is_that_of_the_node():
+def test_a_search_called_directly_equals_that_of_the_node():
     """Between the bounds of the node's parameters, a guarded one up to its limit where that is less."""
     params = Tuner.Params()
     assert guarded_limit() < params.upper
@@ -600,7 +600,7 @@ def test_stiffness_changes_without_a_jump():
     assert block.reports["damping"][0] == Level.ERROR
 
 
-def test_lost_patient_freezes_the_reference_and_is_taken_up_again():
+def test_a_lost_patient_freezes_the_reference_and_it_resumes():
     block, _ = impedance_run((12.0, 0.0, 0.0), 200)
     last = Sample(199_000_000, (12.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     still = [
@@ -620,8 +620,8 @@ def test_lost_patient_freezes_the_reference_and_is_taken_up_again():
 
 @pytest.mark.long
 @pytest.mark.parametrize("answer", ["safe", pytest.param("hold", marks=pytest.mark.long)])
-def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
-    """At 7 s the hip moves at 6.4 degrees a second; the source ends there, all others go on."""
+def test_a_reference_lost_in_real_time_gives_0_volt_or_a_stop(answer):
+    """At 7 s the hip moves at 6.4 degrees a second; the source ends there, all others continue."""
     scenario = load_scenario("rehab_impedance", {"voltage_controller.reference_lost": answer})
     world = World()
     rig = rig_of(scenario.changed(duration=9.0))
@@ -649,7 +649,7 @@ def test_reference_lost_in_real_time_brings_0_volt_or_stands_still(answer):
     assert abs(q[-1] - q[7000]) < np.radians(4.0)  # 13 degrees further with its speed held
 
 
-def test_reference_lost_behind_an_impedance_law_stands_still():
+def test_a_reference_lost_behind_an_impedance_controller_stops_the_robot():
     block, _ = impedance_run((0.0, 0.0, 0.0), 200)
     block.block.ages = {"reference": 21_000_000}.get
     kept = [
@@ -664,8 +664,8 @@ def test_reference_lost_behind_an_impedance_law_stands_still():
 
 
 @pytest.mark.parametrize("law", [VoltageController, Impedance])
-def test_references_refused_for_good_bring_0_volt_or_stand_still(law):
-    """In lockstep a tick of which something was refused sees nothing else; the last answer is held for 20 of them."""
+def test_references_rejected_permanently_give_0_volt_or_a_stop(law):
+    """In lockstep a tick with a rejected input has no other input; the last answer is held for 20 of them."""
     inputs = {"joint_states": (0.2, -0.5, 0.0, 0.0), "motor_states": (0.5, 0.2), "applied_voltage": (2.0, 1.0)}
     block = ByHand(law())
     if law is Impedance:
@@ -686,7 +686,7 @@ def test_references_refused_for_good_bring_0_volt_or_stand_still(law):
 
 
 @pytest.mark.parametrize("lost", ["joint_states", "motor_states"])
-def test_lost_states_bring_0_volt_whatever_the_reference(lost):
+def test_lost_states_give_0_volt_whatever_the_reference(lost):
     block = ByHand(VoltageController(reference_lost="hold"))
     block.block.ages = {lost: 21_000_000}.get
     outputs = block.update(
@@ -700,7 +700,7 @@ def test_lost_states_bring_0_volt_whatever_the_reference(lost):
     assert block.reports["SAFE"][1] == f"SAFE: no new {lost} for more than 20 periods: 0 V"
 
 
-def test_large_force_is_cut_down_with_a_warning():
+def test_a_large_force_is_limited_with_a_warning():
     for limited, same in (((500.0, 0.0, 0.0), (200.0, 0.0, 0.0)), ((300.0, 0.0, -400.0), (120.0, 0.0, -160.0))):
         block, result = impedance_run(limited, 20)
         np.testing.assert_allclose(result, impedance_run(same, 20)[1], atol=1e-15)
@@ -752,7 +752,7 @@ def test_fast_joint_stops_the_robot_after_the_start():
 
 
 @pytest.mark.parametrize("alone", few([0, 4, 10], 1))
-def test_leg_that_stood_alone_is_taken_over(alone):
+def test_a_leg_that_ran_alone_is_taken_over(alone):
     plant, source, controller = ByHand(RehabPlant()), ByHand(PromReference()), ByHand(VoltageController())
     begin = alone * 1000
     for k in range(begin):
@@ -777,7 +777,7 @@ def test_leg_that_stood_alone_is_taken_over(alone):
 
 
 @pytest.mark.parametrize(("side", "warns"), [("motor", True), ("joint", False)])
-def test_inconsistent_motor_table_is_said_at_the_start(side, warns):
+def test_an_inconsistent_motor_table_is_reported_at_the_start(side, warns):
     plant = ByHand(RehabPlant(torque_constant_side=side))
     assert plant.block.torque_per_ampere == ((69.12,) * 2 if side == "motor" else (4.32,) * 2)
     assert ("torque_constant" in plant.reports) == warns
@@ -797,7 +797,7 @@ def test_start_outside_the_range_can_be_allowed():
     assert "hip at " in plant.reports["safe"][1]
 
 
-def test_emvc_by_hand():
+def test_emvc_equals_an_independent_implementation():
     law = Emvc(EmvcGains(alpha_hat=2.0, lam=3.0, resistance=5.0).of_joint("emvc", 0, 1), T=1e-3, v_max=24.0)
     # psi = (1 - 5*0.1)/2 - 0.4 = -0.15, V = 0.5 + 2*(0.6 + 3*0.2 - 0.15)
     x, V = law(law.first(), q=0.3, qd=0.4, current=0.1, ref=0.5, ref_d=0.6, ref_dd=0.0, V=1.0)

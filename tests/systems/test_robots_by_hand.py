@@ -1,4 +1,4 @@
-"""Laws and plants of the robots over random inputs.
+"""Controllers and plants of the robots over random inputs, against independent code.
 
 Sources: the equations on the pages manipulator_adsmc and rehab_impedance, in loops, with products of polynomials for
 the surfaces and sums over all errors for their integrals; the work over a small turn of each joint for the impedance;
@@ -51,7 +51,7 @@ GAINS = {"a1": 3.0, "a2": 0.5, "b1": 4.0, "b2": 0.7}
 
 
 class Surfaces:
-    """Both surfaces of one joint, each integral summed anew from all errors so far; mu by multiplying polynomials."""
+    """Both surfaces of one joint, each integral summed again from all errors so far; mu by multiplying polynomials."""
 
     def __init__(self, printed):
         _, *self.mu = np.polymul([1.0, 3.0, 0.5], [1.0, 4.0, 0.7]).tolist()
@@ -73,7 +73,7 @@ class Surfaces:
 
 @pytest.mark.parametrize("law", ["adsmc", "dsmc", "smc"])
 @pytest.mark.parametrize("option", ["", "use_printed_mu1", "adapt_at_limit"])
-def test_the_voltage_laws_of_the_arm_are_their_formulas(law, option):
+def test_the_voltage_controllers_of_the_arm_equal_their_formulas(law, option):
     """Two joints with gains of their own: that of the second switching and adapting gain is twice that of the first."""
     own = {"adsmc": {"gamma": (50.0, 100.0), "k": 2.0}, "dsmc": {"rho": (30.0, 60.0)}, "smc": {"rho": (2.0, 4.0)}}[law]
     surface = {k: v for k, v in GAINS.items() if law != "smc" or k[0] == "a"}
@@ -122,8 +122,8 @@ def test_the_voltage_laws_of_the_arm_are_their_formulas(law, option):
     assert limited > 5 or law != "adsmc"
 
 
-def test_other_gains_of_the_adaptive_law_bring_no_jump():
-    """Under an error that stays, the voltage creeps; a Sigma of the old gains would make it jump by k times theirs."""
+def test_changed_gains_of_the_adaptive_law_cause_no_jump():
+    """Under a constant error the voltage creeps; a Sigma of the old gains would make it jump by k times theirs."""
     made = {"joints": ("x",), "period": 1e-6, "v_max": 1e3}
     before = VcsController(**made, adsmc={"a1": 10.0, "k": 10.0})
     after = VcsController(**made, adsmc={"a1": 20.0, "a2": 3.0, "b1": 5.0, "k": 10.0})
@@ -153,7 +153,7 @@ def test_the_reference_of_the_arm_swings_up_and_back():
 
 @pytest.mark.parametrize("law", ["emvc", "tsarc", "arsc"])
 @pytest.mark.parametrize("use_applied", [True, False])
-def test_the_voltage_laws_of_the_rehabilitation_robot_are_their_formulas(law, use_applied):
+def test_the_voltage_controllers_of_the_rehabilitation_robot_equal_their_formulas(law, use_applied):
     gains = {
         "emvc": {"alpha_hat": (3.0, 2.0), "lam": 5.0, "resistance": 3.0},
         "tsarc": {
@@ -220,7 +220,7 @@ TICK = {
 
 @pytest.mark.parametrize("name", ["reference", "joint_states", "motor_states"])
 @pytest.mark.parametrize("answer", ["safe", "hold"])
-def test_what_is_as_old_as_is_allowed_is_not_lost_yet(name, answer):
+def test_an_input_of_the_largest_allowed_age_is_not_lost(name, answer):
     robot = ByHand(VoltageController(stale_after=5, reference_lost=answer))
     robot.block.ages = {name: 5 * MS}.get
     fresh = robot.update(0, **TICK)
@@ -244,7 +244,7 @@ def test_what_is_as_old_as_is_allowed_is_not_lost_yet(name, answer):
         assert robot.reports["SAFE"][1] == f"SAFE: no new {name} for more than 5 periods: 0 V"
 
 
-def test_ticks_that_are_refused_before_the_first_good_one_are_not_answered():
+def test_ticks_that_are_rejected_before_the_first_good_one_are_not_answered():
     robot = ByHand(VoltageController(stale_after=2))
     assert [robot.refused(k) for k in range(4)] == [None] * 4
     assert robot.reports["SAFE"][:2] == (Level.ERROR, "SAFE: 2 ticks of which something was refused: 0 V")
@@ -259,8 +259,8 @@ def foot(q1, q2):
     return (0.5 * math.sin(q1) + 0.45 * math.sin(q1 + q2), -0.5 * math.cos(q1) - 0.45 * math.cos(q1 + q2))
 
 
-def test_the_impedance_law_is_its_formula():
-    """The torque of a force at the foot is by its work over a small turn of each joint."""
+def test_the_impedance_controller_equals_its_formula():
+    """The torque of a force at the foot is computed from its work over a small rotation of each joint."""
     law = ByHand(Impedance(period=T, inertia=(2.0, 0.5), damping=(8.0, 3.0), stiffness=(50.0, 30.0), force_limit=15.0))
     draw, q, v = Random(3), None, None
     K, B = [50.0, 30.0], [8.0, 3.0]
@@ -297,8 +297,8 @@ def test_the_impedance_law_is_its_formula():
         q = [x + T * y for x, y in zip(q, v, strict=True)]
 
 
-def test_the_impedance_law_waits_as_long_as_it_is_allowed():
-    """A force or reference as old as 20 periods is taken; the parameter counts where the topic never did."""
+def test_the_impedance_controller_waits_for_its_time_limit():
+    """A force or reference as old as 20 periods is accepted; without any message the parameter counts."""
     inputs = {"reference": (0.5, -0.5, 0.1, 0.2, 0.3, 0.4), "joint_states": (0.5, -0.5)}
     for late, stands in ((20 * MS, False), (20 * MS + 1, True)):
         law = ByHand(Impedance())
@@ -314,7 +314,7 @@ def test_the_impedance_law_waits_as_long_as_it_is_allowed():
     assert before.go_on(x, Impedance(damping=5.0, stiffness=7.0).p)[:2] == ((4.0, 4.0), (2.0, 2.0))
 
 
-def test_the_force_at_the_foot_is_cut_down_beyond_its_limit_alone():
+def test_the_force_at_the_foot_is_limited_only_beyond_its_limit():
     for size, text in ((10.0, []), (10.001, ["force"])):
         plant = ByHand(RehabPlant(force_limit=10.0))
         force = (0.6 * size, 0.48 * size, -0.64 * size)
@@ -323,7 +323,7 @@ def test_the_force_at_the_foot_is_cut_down_beyond_its_limit_alone():
         assert plant.x.force == near((6.0, 4.8, -6.4))
 
 
-def test_the_patient_pushes_from_its_begin_on_for_its_duration():
+def test_the_patient_pushes_from_its_start_for_its_duration():
     patient = ByHand(Patient(force_x=10.0, force_z=-4.0, begin=1.0, duration=0.5, cycle=3.0))
     for t in (0.0, 0.999, 1.0, 1.1, 1.25, 1.499, 1.5, 4.25, 7.1):
         since = t % 3.0 - 1.0
@@ -353,7 +353,7 @@ def test_the_exercise_goes_up_and_back_on_sigmoids():
 
 
 @pytest.mark.parametrize("volts", [4.0, -4.0])
-def test_a_voltage_at_its_limit_is_saturation_below_it_none(volts):
+def test_a_voltage_at_its_limit_is_saturation_and_below_it_is_not(volts):
     arm = ByHand(ManipulatorPlant(v_max=4.0, period=0.002, substeps=3))
     arm.advance(0, motor_command=(0.999 * volts, 0.0, 0.0))
     assert (arm.x.saturated, arm.reports) == ((0, 0, 0), {})
@@ -368,7 +368,7 @@ def test_a_voltage_at_its_limit_is_saturation_below_it_none(volts):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_joint_at_the_speed_limit_goes_on_one_beyond_it_ends_the_run(way):
+def test_a_joint_at_the_speed_limit_continues_and_one_beyond_it_ends_the_run(way):
     block = ManipulatorPlant(speed_limit=2.0, period=1e-9, substeps=1, motors={"inductance": 1.0})
     for speed, ends in ((2.0, False), (2.0001, True)):
         x = block.first()
@@ -387,7 +387,7 @@ def test_the_disturbance_of_the_arm_begins_at_its_time():
     assert block.loads(to_ns(0.5)) == ((1.0, 2.0, 3.0), (0.0,) * 3)
 
 
-def test_what_disturbs_the_leg_and_drifts_in_its_motors():
+def test_disturbances_of_the_leg_and_drifts_of_its_motors():
     block = RehabPlant(
         disturbance={"torque": (1.0, 2.0), "begin": 1.0, "end": 2.0},
         drift={"resistance": 0.5, "constants": -0.25, "duration": 10.0},
@@ -402,8 +402,8 @@ def test_what_disturbs_the_leg_and_drifts_in_its_motors():
         )
 
 
-def test_the_watch_of_the_leg_on_its_edges():
-    """Range with its margin, speed after the start: at each limit nothing, beyond it a stop for good."""
+def test_the_watch_of_the_leg_is_exact_at_its_limits():
+    """Range with its margin, speed after the start: at each limit nothing, beyond it a permanent stop."""
     block = RehabPlant(startup=0.5, lower=(-0.5, -1.5), upper=(2.0, 0.0), rom_margin=0.25, rom_speed=1.0)
     x = block.first()._replace(entered=(True, True))
     half = 500 * MS
@@ -439,8 +439,10 @@ def test_motors_whose_constants_differ_by_a_fifth_are_reported(constant, warns):
     assert ("torque_constant" in plant.reports) is warns
 
 
-def test_the_sampled_leg_is_the_plant_near_a_pose():
-    """One period of the plant itself, each state and voltage moved by a little around currents that carry the leg."""
+def test_the_sampled_leg_equals_the_plant_near_a_pose():
+    """One period of the plant itself, with each state and voltage changed slightly around currents that carry
+    the leg.
+    """
     motors = {"inertia": (3e-4, 2e-4), "damping": (2e-3, 1e-3), "inductance": (2.5e-3, 5e-3), "gear": (0.1, 0.05)}
     robot = build(LinearRobot, {"motors": motors, "payload": 1.5, "viscous": (1.3, 0.6)})
     plant = RehabPlant(
@@ -477,7 +479,7 @@ def test_the_sampled_leg_is_the_plant_near_a_pose():
 
 
 @pytest.mark.parametrize(("delayed", "applied"), few([(False, False), (True, False), (True, True)], 1))
-def test_below_its_limit_the_sampled_loop_dies_away_above_it_grows(delayed, applied):
+def test_below_its_limit_the_sampled_loop_decays_and_above_it_grows(delayed, applied):
     """The law written as what it does in a tick."""
     limit = alpha_hat_limit(1e-3, 4.0, delayed, applied)
 
@@ -487,7 +489,7 @@ def test_below_its_limit_the_sampled_loop_dies_away_above_it_grows(delayed, appl
         return np.concatenate([A @ x + B @ now, now, volts])
 
     def radius(alpha):
-        """Of the map that a tick is, column by column, over all poses."""
+        """Spectral radius of the map of one tick, column by column, over all poses."""
         result = 0.0
         for q1 in np.radians((-30, 20, 70, 120)):
             for q2 in np.radians((-90, -60, -30, 0)):
@@ -519,7 +521,7 @@ def test_the_limit_of_motors_that_drift_is_that_of_the_worse_end(drift):
 # small things ----------------------------------------------------------------------------------------------------
 
 
-def test_values_a_joint():
+def test_a_value_is_given_for_each_joint():
     assert spread("x", (2,), 3) == (2.0, 2.0, 2.0)
     assert spread("x", (1, 2), 2) == (1.0, 2.0)
     assert motor_names(("hip", "knee")) == ("motor1", "motor2")
@@ -583,8 +585,8 @@ def test_repeatability_is_the_change_of_an_error_over_its_square():
     assert repeatability(first, second, "e") == pytest.approx((1.0 + 4.0 + 0.0) / 14.0)
 
 
-def test_the_time_of_a_law_is_that_of_an_update_over_states_that_change(monkeypatch, capsys):
-    """The clock replaced by one of 3 ms a reading, the laws by one that keeps what it is given."""
+def test_the_computing_time_of_a_law_is_that_of_an_update_over_changing_states(monkeypatch, capsys):
+    """The clock is replaced by one of 3 ms a reading, the laws by one that records its inputs."""
     seen = []
 
     class Law:
@@ -635,8 +637,8 @@ def test_the_cost_of_an_exercise_is_its_error_and_in_the_guarded_search_its_chat
     assert tuner.guarded_limit() == near(0.9 * alpha_hat_limit(0.001, 4.0, False))
 
 
-def test_an_exercise_by_hand_has_the_figures_of_its_definition():
-    """40 ticks, each joint's error and voltage collected by a controller that watches itself."""
+def test_an_exercise_in_a_plain_loop_has_the_figures_of_its_definition():
+    """40 ticks, with each joint's error and voltage collected by the controller itself."""
     seen = []
     update = VoltageController.update
 
@@ -654,7 +656,7 @@ def test_an_exercise_by_hand_has_the_figures_of_its_definition():
     assert result == near((sum(squares) / 80, sum(steps) / (2 * 39 * 0.001)))
 
 
-def test_the_tuner_asks_when_its_button_goes_down_and_tells_the_best():
+def test_the_tuner_requests_when_its_button_is_pressed_and_reports_the_best():
     block = Tuner(n_pop=3, n_iter=1, guarded=False, duration=2.0)
     x = block.first()
     assert block.answer(x, 0, None, False)[1] == {"result": (0.0, 0.0, 0.0)}
@@ -685,7 +687,7 @@ def test_the_tuner_asks_when_its_button_goes_down_and_tells_the_best():
 
 
 class Reply:
-    """A result as a solver's process brings it."""
+    """A result as a solver's process returns it."""
 
     stamp = 0
 

@@ -57,7 +57,7 @@ def test_leg_started_by_hand_long_before_its_controller(bench):
 
 
 @pytest.mark.long
-def test_leg_outside_its_range_is_stopped_and_said(tmp_path):
+def test_a_leg_outside_its_range_is_stopped_and_reported(tmp_path):
     wired = rig("rehab_impedance", 0.6, {"rehab_plant.lower": [0.0, -1.5], "rehab_plant.position": [0.1, -1.0]})
     outcome = run_processes(wired, 0, tmp_path)
     assert outcome.error == ""

@@ -1,4 +1,4 @@
-"""All random numbers of a run come from the rig's seed: another seed, other numbers; the same, the same."""
+"""All random numbers of a run come from the rig's seed: another seed gives other numbers, the same seed the same."""
 
 import hashlib
 import re

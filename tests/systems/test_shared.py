@@ -1,4 +1,4 @@
-"""Values that several nodes of a rig have: one place to change them, and nodes that must agree."""
+"""Values shared by several nodes of a rig: one place to change them, and nodes that must agree."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_nodes_that_must_agree_are_refused_by_name(scenario, change, quantity):
         rig_of(load_scenario(scenario, change))
 
 
-def test_what_a_law_assumes_of_its_plant_may_be_wrong():
+def test_an_assumption_of_a_controller_about_its_plant_may_be_wrong():
     for scenario, change in (
         ("tcp_aqm_smc", {"tcp_fluid.N": 54}),
         ("optimal_control_mvim_s4", {}),
@@ -72,7 +72,7 @@ def test_what_a_law_assumes_of_its_plant_may_be_wrong():
 
 
 def test_figures_of_the_queue_follow_the_set_point_and_the_network():
-    """Old: 120 packets, 14.5 packets and 3750 packet/s, whatever the scenario was."""
+    """Before a fix: 120 packets, 14.5 packets and 3750 packet/s, whatever the scenario was."""
     run = simulate("tcp_aqm_smc", overrides={"set_point": 90.0, "N": 50, "C": 3000.0}, duration=8.0)
     q, w = (run.signals[f"network/state/{name}/position"].x for name in ("queue", "window"))
     served = run.signals["network/truth/served/position"].x
@@ -86,8 +86,8 @@ def test_figures_of_the_queue_follow_the_set_point_and_the_network():
 
 
 @pytest.mark.long
-def test_evaluator_judges_the_plant_that_there_is():
-    """A tenth more inertia than the planner knows: what it promises cannot be had, and the evaluator says so."""
+def test_the_evaluator_judges_the_actual_plant():
+    """With a tenth more inertia than the planner assumes its promise cannot be met, and the evaluator reports it."""
     run = simulate("optimal_control_mvim_s4")
     inertia, w = np.array([94.864, 93.577, 124.949]), np.array([0.01, 0.005, 0.001])
     assert run.figures["J_exact"] == pytest.approx(np.sum((inertia * w) ** 2) / 200.0)
@@ -105,7 +105,7 @@ def test_an_operating_point_that_a_flat_start_misses_is_held_by_the_rig():
         assert np.abs(result - value).max() < 1e-3
 
 
-def test_power_flow_says_how_many_operating_points_there_are():
+def test_the_power_flow_reports_the_number_of_operating_points():
     node = ByHand(PowerFlowNode())
     node.update(0, request=None, series_1=(1.3, 0.15), series_2=(0.85, -0.1), shunt=(1.02,))
     text = node.health()["operating points"]

@@ -95,7 +95,7 @@ def test_verdicts_on_the_paper_hold(later):
 @pytest.mark.long
 @pytest.mark.parametrize("law", [pytest.param("sspd", marks=pytest.mark.long), "sspid"])
 @pytest.mark.parametrize("flows", [pytest.param(n, marks=[pytest.mark.long] * (n != 66)) for n in (54, 66, 72, 80)])
-def test_a_wrong_number_of_flows_moves_the_queue_to_where_the_law_rests(flows, law):
+def test_a_wrong_number_of_flows_moves_the_queue_to_the_rest_of_the_controller(flows, law):
     """At rest w = R C/N and p = 2/w^2, so Phi + Psi p = C (m - m^2)/R with m = 60/N, and q' seems to be C (m - 1)."""
     result = figures("tcp_aqm_smc_s3", tcp_fluid__N=flows, aqm_controller__law=law)
     q, m = result["queue_end"].value, 60.0 / flows
@@ -218,7 +218,7 @@ def test_the_window_stops_at_its_floor():
 
 
 def dde_solution(equations, start, times, folder, monkeypatch):
-    """Adaptive solution by jitcdde; the first delay blindly, as its state-dependent delays need."""
+    """Adaptive solution by jitcdde; the first delay with blind steps, as its state-dependent delays need."""
     monkeypatch.chdir(folder)  # where it compiles
     module = pytest.importorskip("jitcdde")
     solver = module.jitcdde(equations(module), max_delay=0.3, verbose=False)
@@ -321,7 +321,7 @@ def test_packets_are_conserved_and_events_bounded():
     assert mean_window(sources) == pytest.approx(own.mean(), rel=1e-12)
 
 
-def test_packets_that_find_no_room_are_lost_and_halve_windows():
+def test_packets_without_room_are_lost_and_halve_windows():
     plant = ByHand(TcpPackets(q_max=50.0))
     for k in range(600):
         plant.advance(k * 10**7, command=(0.0,))
@@ -371,7 +371,7 @@ def test_impossible_events_are_ignored(events):
         assert plant.reports["impossible_event"][0] is Level.ERROR
 
 
-def test_packet_flows_come_and_go():
+def test_packet_flows_start_and_stop():
     plant = ByHand(TcpPackets(N=10))
     for k in range(300):
         plant.advance(k * 10**7, command=(0.0,), events=(20.0 if k < 200 else 5.0, 3750.0, 0.2, 0.0))
@@ -478,7 +478,7 @@ def test_round_trips_beyond_the_record_read_the_oldest_value():
 
 
 @pytest.mark.long
-def test_the_boundary_layer_takes_the_chatter_away():
+def test_the_boundary_layer_removes_the_chatter():
     def chatter(width):
         _, _, p = loop(ByHand(TcpFluid()), AqmController(boundary=width), 8.0)
         return np.abs(np.diff(p[6000:8000])).max()

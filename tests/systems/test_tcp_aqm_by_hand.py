@@ -1,4 +1,4 @@
-"""The queue's laws, controller, network and packets over random inputs.
+"""The queue's controllers, network and packets over random inputs, against independent code.
 
 Sources: the second derivative of the queue by differences along the fluid equations on the page tcp_aqm; for packets
 the rules that `run_until` begins with, played on lists.
@@ -47,7 +47,7 @@ def sign(s, width):
 
 
 def wanted(name, m, g, width):
-    """Command and surface of a law: of those that linearise, what q'' is to be."""
+    """Command and surface of a controller; for those that linearise, the wanted q''."""
     if name == "pi":
         return 0.1 + 1e-3 * m.e + 2e-3 * m.integral, 0.0
     if name == "pid":
@@ -64,7 +64,7 @@ def wanted(name, m, g, width):
 
 @pytest.mark.parametrize("width", [0.0, 60.0])
 @pytest.mark.parametrize("name", LAWS)
-def test_each_law_bends_the_queue_as_its_formula_says(name, width):
+def test_each_law_bends_the_queue_by_its_formula(name, width):
     g, draw = build(Gains, {**GAINS, "boundary": width}), Random(name)
     for _ in range(30):
         m = Measured(
@@ -80,7 +80,7 @@ def test_each_law_bends_the_queue_as_its_formula_says(name, width):
     assert share == near(part.get(name, moved[1].u - moved[0].u))
 
 
-def test_phi_and_psi_are_what_the_equations_make_of_the_queue():
+def test_phi_and_psi_follow_from_the_equations_of_the_queue():
     """The second derivative of q by differences along the equations of the fluid."""
     draw = Random(2)
     for _ in range(10):
@@ -97,8 +97,8 @@ def test_phi_and_psi_are_what_the_equations_make_of_the_queue():
 
 @pytest.mark.parametrize("options", [{}, {"phi_form": "printed"}, {"anti_windup": True}])
 @pytest.mark.parametrize("law", LAWS)
-def test_the_controller_is_its_law_on_its_own_record(law, options):
-    """Random states, references and refusals; the record is a list, read by linear interpolation."""
+def test_the_controller_equals_its_law_on_an_independent_record(law, options):
+    """Random states, references and rejections; the record is a list, read by linear interpolation."""
     made = {"N": 40, "C": 2000.0, "tau_p": 0.05, "q_max": 100.0, "history": 0.1, "period": 0.01, "set_point": 60.0}
     block = ByHand(AqmController(law=law, **made, **GAINS, **options))
     draw, integral, q_d, last, record, text = Random(law), 0.0, 60.0, None, [], ((0.0,), (0.0, 0.0, 0.0))
@@ -146,8 +146,8 @@ def test_the_controller_is_its_law_on_its_own_record(law, options):
         text = answer["command"], answer["health"]
 
 
-def test_the_controller_at_the_edges_of_what_it_takes():
-    """A command of just 0 or 1 is not clipped; a state without a window is none, one without a queue is."""
+def test_the_controller_is_exact_at_its_limits():
+    """A command of exactly 0 or 1 is not clipped; a state without a window is invalid, one without a queue is valid."""
     for bias, queue, way in ((1.0, 130.0, 10.0), (0.0, 110.0, -10.0)):
         block = ByHand(AqmController(law="pi", kp=0.0, ki=0.0, bias=bias, anti_windup=True))
         outputs = block.update(0, state=(9.0, queue, 0.2), reference=None)
@@ -171,7 +171,7 @@ def test_the_controller_at_the_edges_of_what_it_takes():
     )
 
 
-def test_after_fifty_ticks_without_a_state_nothing_is_dropped_and_what_was_known_is_still_reported():
+def test_after_fifty_ticks_without_a_state_nothing_is_dropped_and_the_last_state_is_still_reported():
     block = ByHand(AqmController(law="pi"))
     last = block.update(0, state=(9.0, 130.0, 0.2), reference=None)
     messages = [block.refused(k) for k in range(60)]
@@ -180,7 +180,7 @@ def test_after_fifty_ticks_without_a_state_nothing_is_dropped_and_what_was_known
     assert last["command"] != (0.0,)
 
 
-def test_what_the_integral_gives_stays_under_other_gains():
+def test_the_output_of_the_integral_is_kept_under_other_gains():
     for law, before, after, share in (
         ("sspid", {"l2": 4.0}, {"l2": 8.0}, 0.5),
         ("pi", {"ki": 2e-5}, {"ki": 1e-5}, 2.0),
@@ -209,7 +209,7 @@ def test_a_disturbance_acts_at_the_internal_step_nearest_to_its_time(time):
 
 
 def test_the_fluid_looks_back_one_round_trip():
-    """What it shows of late, on its own record of what it showed before."""
+    """The recent output, computed from an independent record of its earlier output."""
     plant, shown = ByHand(TcpFluid(w0=14.0, q0=100.0)), []
     for k in range(500):
         shown.append(plant.outputs(k)["truth"])
@@ -224,7 +224,7 @@ def test_the_fluid_looks_back_one_round_trip():
     assert shown[0] == near((14.0, 100.0, 0.2 + 100.0 / 3750.0, 14.0, 0.2 + 100.0 / 3750.0, 0.0))
 
 
-def test_events_that_just_fit_are_taken():
+def test_events_at_the_limits_are_accepted():
     for events, fits in (
         ((1.0, 3750.0, 0.2, 0.0), True),
         ((2000.0, 3750.0, 0.2, 0.0), True),
@@ -311,8 +311,8 @@ class Naive:
 
 
 @pytest.mark.parametrize("drop", [False, True])
-def test_packets_go_by_their_rules(drop):
-    """Four flows on a short queue, with traffic of nobody for a while; every count after every period."""
+def test_packets_follow_their_rules(drop):
+    """Four flows on a short queue, with unowned traffic for a while; every count after every period."""
     n, room = 4, 12
     rng = np.random.default_rng(3)
     windows, propagation, starts = [1.0, 3.0, 9.0, 2.0], (0.05 + 0.03 * rng.random(n)).tolist(), rng.random(n) * 0.05
@@ -362,7 +362,7 @@ def test_marks_halve_windows_from_the_start_on():
 
 
 def test_traffic_is_a_value():
-    """Who goes on from it changes a copy; equal where all that is under way is."""
+    """Continuing from it changes a copy; two are equal if all packets in flight are."""
     plant = TcpPackets(N=3, q0=4.0, w0=2.0)
     plant.reset(1)
     x = plant.first()

@@ -1,4 +1,6 @@
-"""URDF of users: each tag and attribute of the table acts, is noted, or is refused; joints against pinocchio."""
+"""URDF of users: each tag and attribute of the table has its effect, is reported, or is refused; joints against
+pinocchio.
+"""
 
 import math
 
@@ -88,7 +90,7 @@ FOR_VIEWERS = {
 
 
 def reading(text):
-    """All that a robot's numbers come from, or the refusal."""
+    """All numbers that are read from a robot, or the refusal."""
     try:
         robot, model = read_robot(text), load_model(text)
     except ValueError as error:
@@ -100,13 +102,13 @@ def reading(text):
     return dict(robot.joints), names, [p.homogeneous.tolist() for p in places], bodies, axes
 
 
-def test_the_table_is_whole():
+def test_the_table_is_complete():
     used = {name for name, (use, _) in URDF.table.items() if use == "used"}
     assert used == set(CHANGES) | FOR_VIEWERS
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_what_is_used_changes_the_robot(name):
+def test_used_items_change_the_robot(name):
     old, new = CHANGES[name]
     assert FULL.count(old) >= 1
     assert reading(FULL.replace(old, new, 1)) != reading(FULL)
@@ -128,7 +130,7 @@ def placed(name, body="<x y='1'/>"):
 
 
 @pytest.mark.parametrize("name", [name for name, (use, _) in URDF.table.items() if use == "ignored"])
-def test_what_is_ignored_is_noted_once_and_changes_nothing(name):
+def test_ignored_items_are_reported_once_and_change_nothing(name):
     text = placed(name)
     assert reading(text) == reading(FULL)
     shown = name.removesuffix("/**")
@@ -165,14 +167,14 @@ def test_what_is_ignored_is_noted_once_and_changes_nothing(name):
         ("<sdf/>", "first tag is <sdf>"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_right_is_refused(text, message):
+def test_impossible_items_are_refused(text, message):
     with pytest.raises(ValueError, match=message):
         read_robot(text)
 
 
 @pytest.mark.parametrize("number", [" 2", "2 ", "+2", "+2.0e0 ", "&#10;2\t", "0.2E+1"])
 def test_a_number_is_the_same_in_every_form(number):
-    """urdfdom drops the whole inertial of a link where its mass has a space behind it."""
+    """urdfdom drops the whole inertial of a link if its mass is followed by a space."""
     assert reading(FULL.replace('<mass value="2"/>', f'<mass value="{number}"/>')) == reading(FULL)
 
 
@@ -219,7 +221,7 @@ UNIVERSAL = (
 )  # fmt: skip
 
 
-def test_a_massless_link_between_two_joints_moves_as_pinocchio_says(tmp_path):
+def test_a_massless_link_between_two_joints_moves_as_in_pinocchio(tmp_path):
     q, v, tau = [0.3, -0.2, 0.1], [0.4, -1.0, 0.2], [1.0, 2.0, 3.0]
     got = ask(tmp_path, UNIVERSAL.replace('damping="0.5" friction="0.2"', 'damping="0"'), JOINTS, q, v, tau)
     model = pin.buildModelFromXML(UNIVERSAL)
@@ -245,7 +247,7 @@ def tied(urdf=FULL):
 
 
 def test_a_mimic_joint_is_a_constraint_in_mass_matrix_and_bias(tmp_path):
-    """S'MS and S'h, with M and h of pinocchio's model without any constraint; damping and friction on top."""
+    """S'MS and S'h, with M and h of pinocchio's model without the constraint; damping and friction added."""
     model, S, q0 = tied()
     data = model.createData()
     q, v, tau, edge = np.array([0.3, 0.1]), np.array([0.7, -0.2]), np.array([2.0, 3.0]), 0.1
@@ -329,12 +331,12 @@ def test_friction_of_the_file_slows_a_wheel_down_evenly(tmp_path):
     assert p.x.v[0] == pytest.approx(0.9 - 0.1 / 0.5, rel=1e-7)
 
 
-def test_friction_too_steep_for_the_step_is_refused_with_the_substeps_that_it_takes(tmp_path):
+def test_friction_too_steep_for_the_step_is_refused_with_the_needed_substeps(tmp_path):
     with pytest.raises(ValueError, match=r"substeps = 2: expected at least 4 for damping and friction"):
         pendulum(tmp_path, '<dynamics friction="50"/>', edge_speed=0.01)  # 50/0.01/0.5 = 10,000 1/s
 
 
-def test_one_joint_answers_as_a_pendulum(tmp_path):
+def test_one_joint_behaves_as_a_pendulum(tmp_path):
     """I = 0.5 kg m^2 about its axis: the centre of mass is on it, so there is no gravity; I a + d v = tau."""
     got = ask(tmp_path, PENDULUM.format('<dynamics damping="0.4"/>', 1.0), ("hinge",), [0.3], [2.0], [1.0])
     assert got["mass_matrix"] == (0.5,)
@@ -343,7 +345,7 @@ def test_one_joint_answers_as_a_pendulum(tmp_path):
     assert got["jacobian"] == pytest.approx((0, 0, 0, 0, 1, 0))
 
 
-def test_limits_are_reported_or_act(tmp_path):
+def test_limits_are_reported_or_enforced(tmp_path):
     p = pendulum(tmp_path, effort=1.5)
     for k in range(1000):
         p.advance(k * 10**6, motor_command=(2.6,))

@@ -1,4 +1,4 @@
-"""Plugin of pytest: one line of JSON a test, in the file that SOFTRIG_TRACED_TESTS names."""
+"""Plugin of pytest: one line of JSON for each test, in the file that SOFTRIG_TRACED_TESTS names."""
 
 import json
 import os
@@ -18,7 +18,7 @@ def pytest_sessionstart(session):
 
 
 def _tell_native():
-    """Keep the lines of functions that run as native code, of which no interpreter reports a line."""
+    """Record the lines of functions that run as native code, for which no interpreter reports a line."""
     from softrig_core.kit.jit import Jit
     from softrig_core.native.fitted import Fitted
 
@@ -79,7 +79,7 @@ def pytest_runtest_protocol(item):
 
 
 def _of_processes(nodeid):
-    """Lines that processes of this test have run, from their files, which are removed."""
+    """Lines that processes of this test have executed, read from their files, which are then removed."""
     for file in Path(lines.FOLDER).iterdir():
         with suppress(FileNotFoundError):  # another worker has read its own
             head, *reported = file.read_text().splitlines() or [""]

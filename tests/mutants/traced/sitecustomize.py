@@ -1,4 +1,4 @@
-"""Which lines of the suite a test runs, also in processes that it starts: what they write is named by the test.
+"""Which lines of the suite a test executes, also in processes that it starts: their files have the name of the test.
 
 Python imports it at its start where this folder is on PYTHONPATH. A line is told once a process, so that loops keep
 their speed. Needs Python 3.12.
@@ -28,7 +28,7 @@ def place(name):
 
 
 def told(code, line):
-    """Keep a line, once."""
+    """Record a line, once."""
     file = place(code.co_filename)
     if file:
         if _out[0] < 0:
@@ -40,7 +40,7 @@ def told(code, line):
 
 
 def begin():
-    """Tell lines from here on."""
+    """Record lines from here on."""
     events.use_tool_id(events.COVERAGE_ID, "mutants")
     events.register_callback(events.COVERAGE_ID, events.events.LINE, told)
     events.set_events(events.COVERAGE_ID, events.events.LINE)
@@ -48,7 +48,7 @@ def begin():
 
 
 def here():
-    """Keep the lines of this process from here on, also in a fork that runs tests."""
+    """Record the lines of this process from here on, also in a fork that runs tests."""
     _out[0] = -1
     found.clear()
     events.restart_events()

@@ -103,7 +103,7 @@ class WatcherParams(BlockParams):
 
 
 class Watcher(Observer[WatcherParams]):
-    """Counts what it sees."""
+    """Counts its messages."""
 
     INPUTS = (STATE, COMMAND)
 
@@ -156,7 +156,7 @@ class LinkParams(BlockParams):
 
 
 class DelayedLink(Block[LinkParams]):
-    """The state some samples late, with its acquisition stamp; remembers those samples."""
+    """Publishes the state some samples late, with its acquisition stamp; stores those samples."""
 
     INPUTS = (STATE,)
     OUTPUTS = (joint_state("late", "lag/late_state", ["x"], position="m", velocity="m/s", delayed=True),)
@@ -180,7 +180,7 @@ class BurstParams(BlockParams):
 
 
 class Burst(Block[BurstParams]):
-    """Speaks at some ticks only, of one of two channels."""
+    """Publishes at some ticks only, one of two channels."""
 
     OUTPUTS = (command("burst", "lag/burst", ["b"], "V", sporadic=True),)
 
@@ -190,7 +190,7 @@ class Burst(Block[BurstParams]):
 
 
 class BurstGain(Block):
-    """Adds what events say, for 30 ms."""
+    """Adds the values of events, for 30 ms."""
 
     INPUTS = (
         STATE,
@@ -206,7 +206,7 @@ class BurstGain(Block):
 
 
 class Record(Block):
-    """Gathers the state, speaks once at the end."""
+    """Collects the state, publishes once at the end."""
 
     INPUTS = (STATE,)
     OUTPUTS = (array("record", "lag/record", {"k": 3}, "m", sporadic=True),)
@@ -220,7 +220,7 @@ class Record(Block):
 
 
 class Analyst(Block):
-    """Reads the record when it is there."""
+    """Reads the record when it arrives."""
 
     INPUTS = (array("record", "lag/record", {"k": 3}, "m", held=True, sporadic=True),)
     OUTPUTS = (joint_state("result", "lag/result", ["x"], position="m", sporadic=True),)
@@ -323,7 +323,7 @@ class Planner(Solver[PlannerParams]):
 
 
 class Unreadable:
-    """Cannot be made anew in another process."""
+    """Cannot be recreated in another process."""
 
     def __reduce__(self):
         return int, ("no number",)
@@ -334,7 +334,7 @@ def unreadable(request, work):
 
 
 def deaf(seconds, work):
-    """Hold Python's lock for so long."""
+    """Hold Python's lock for a time."""
     work.best(None)
     ctypes.PyDLL(None).sleep(seconds)
 
