@@ -279,45 +279,34 @@ class Calls(Expressions):
         return given, words
 
     def _reported(self, own: Static, node: ast.Call) -> Value:
-        """Count a report, and keep the numbers of its text."""
-        reports, parts = self.program.reports, wording(node.args[2]) if len(node.args) == 3 else None
-        if reports is not None and not reports.worded:
-            return self._counted(own, node)
-        if reports is None or parts is None or node.keywords:
+        """Count a report, and keep the numbers of its text if that is needed."""
+        reports, numbers = self.program.reports, list[str]()
+        parts = wording(node.args[2]) if len(node.args) == 3 and not node.keywords else None
+        if reports is None or (reports.worded and parts is None):
             raise GivesUp("a report whose text is not written out")
         head = [self.value(a) for a in node.args[:2]]
-        if any(is_made_text(v) or not isinstance(v, Static) for v in head):
+        level, key = (v if isinstance(v, Static) and not is_made_text(v) else None for v in head)
+        if level is None or (reports.worded and key is None):
             raise GivesUp("a report whose level or key is made in the tick")
-        level, key = (self.program.guard(v) for v in head if isinstance(v, Static))
-        numbers: list[str] = []
-        made_of = [p if isinstance(p, str) else (self._shown(self.value(p.value), numbers, node), p) for p in parts]
-
-        def text(row: Sequence[float]) -> str:
-            return "".join(
-                p if isinstance(p, str) else format(CONVERSIONS[p[1].conversion](p[0](row)), spec_of(p[1]))
-                for p in made_of
-            )
-
+        name = self.function.__name__.strip("_") if key is None else str(key.value)
+        if reports.worded and key is not None:
+            self.program.guard(key)
+        text = self._worded(parts or [], numbers, node) if reports.worded else _nothing
         numbers = numbers or ["0.0"]
-        at = reports.add(self.program.number(own.value), level, key, text, len(numbers))
+        at = reports.add(self.program.number(own.value), self.program.guard(level), name, text, len(numbers))
         self.program.words.add("reported_")
         self.arrays.add("reports")
         self.emit(f"reported_(reports, {at}, ({''.join(f'{x}, ' for x in numbers)}))")
         return NONE
 
-    def _counted(self, own: Static, node: ast.Call) -> Value:
-        """Count a report without its text."""
-        reports = self.program.reports
-        assert reports is not None
-        level, key = (self.value(a) for a in node.args[:2])
-        if not isinstance(level, Static) or is_made_text(level):
-            raise GivesUp("a report whose level is made in the tick")
-        known = key.value if isinstance(key, Static) and not is_made_text(key) else self.function.__name__.strip("_")
-        at = reports.add(self.program.number(own.value), self.program.guard(level), str(known), lambda row: "", 1)
-        self.program.words.add("reported_")
-        self.arrays.add("reports")
-        self.emit(f"reported_(reports, {at}, (0.0, ))")
-        return NONE
+    def _worded(
+        self, parts: Sequence[str | ast.FormattedValue], numbers: list[str], node: ast.Call
+    ) -> Callable[[Sequence[float]], str]:
+        """Return what writes the text of a report; the numbers that it needs are added."""
+        made_of = [p if isinstance(p, str) else (self._shown(self.value(p.value), numbers, node), p) for p in parts]
+        return lambda row: "".join(
+            p if isinstance(p, str) else format(CONVERSIONS[p[1].conversion](p[0](row)), spec_of(p[1])) for p in made_of
+        )
 
     def _shown(self, value: Value, numbers: list[str], node: ast.AST) -> Callable[[Sequence[float]], Any]:
         """Return what makes a value of the numbers that are kept of it."""
@@ -357,9 +346,8 @@ class Calls(Expressions):
         if not isinstance(own, Static):
             raise self.unknown("super() of something that is computed", node)
         result = getattr(super(owner, own.value), node.func.attr)
-        given = [own, *(self.value(a) for a in node.args)]
-        words = {str(k.arg): self.value(k.value) for k in node.keywords}
-        return made(self.program, result.__func__, given, words, self.arrays)
+        given, words = self._arguments(node)
+        return made(self.program, result.__func__, [own, *given], words, self.arrays)
 
     def _method(self, base: Value, node: ast.Call) -> Value:
         assert isinstance(node.func, ast.Attribute)
@@ -390,8 +378,8 @@ class Calls(Expressions):
         own = class_of(sample)
         method = getattr(own, name, None) if own is not None else None
         if isinstance(method, types.FunctionType):
-            words = {str(k.arg): self.value(k.value) for k in node.keywords}
-            return made(self.program, method, [base, *(self.value(a) for a in node.args)], words, self.arrays)
+            by_place, words = self._arguments(node)
+            return made(self.program, method, [base, *by_place], words, self.arrays)
         raise self.unknown(f".{name}() of {kind_of(base)}", node)
 
     def _replaced(
@@ -667,6 +655,10 @@ class Calls(Expressions):
             code = f"({one.code} if {one.code} {sign} {best.code} else {best.code})"
             best = self.simple(Dynamic(code, sample)) if one is not values[-1] else Dynamic(code, sample)
         return best
+
+
+def _nothing(row: Sequence[float]) -> str:
+    return ""
 
 
 def _is_super(node: ast.expr) -> bool:

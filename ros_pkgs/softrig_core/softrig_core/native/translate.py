@@ -16,7 +16,7 @@ import operator
 import textwrap
 import types
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
 
@@ -26,7 +26,7 @@ from ..block.port import LONGEST
 from ..kit.compiled import Compiled
 from ..kit.jit import Jit
 from .reports import Reports
-from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value, is_made_text
+from .value import UNKNOWN, Dynamic, GivesUp, Group, NotNative, Path, Record, Static, Value, is_made_text, mapped
 
 TURNS = 16  # of a loop that is written out
 SMALL = 4096  # smaller whole numbers (counts, places) choose the text; larger ones (times in ns) are slots
@@ -340,12 +340,9 @@ def made(
             outer.append(value.code)
             parameters.append(f"v_{name}")
             key.append((name, shape(value.sample) if value.sample is not UNKNOWN else None, value.sure, value.keys))
-            return Dynamic(f"v_{name}", value.sample, value.sure, value.keys, value.parts)
-        if isinstance(value, Group):
-            key.append((name, "group", len(value.items)))
-            return Group(tuple(handed(v, f"{name}__{k}") for k, v in enumerate(value.items)))
-        key.append((name, "record", tuple(value.items)))
-        return Record({k: handed(v, f"{name}__{k}") for k, v in value.items.items()})
+            return replace(value, code=f"v_{name}")
+        key.append((name, len(value.items) if isinstance(value, Group) else tuple(value.items)))
+        return mapped(value, lambda k, v: handed(v, f"{name}__{k}"))
 
     for name, value in _arguments(function, given, words).items():
         inner[name] = handed(value, name)
@@ -368,7 +365,7 @@ def made(
         return done.result
     arrays.update(done.arrays)
     code = f"{done.name}({', '.join(['c', 'n', *done.arrays, *outer])})"
-    return Dynamic(code, done.result.sample, done.result.sure, done.result.keys, done.result.parts)
+    return replace(done.result, code=code)
 
 
 def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value]) -> dict[str, Value]:

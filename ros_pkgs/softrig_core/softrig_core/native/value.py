@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -70,14 +70,25 @@ NONE = Static(None)
 MADE_TEXT = Static("a text that is made in a tick")  # any of them: native code has no texts
 
 
+def inside(value: Group | Record) -> Iterable[Any]:
+    """Return the parts of a tuple or mapping that is written out."""
+    return value.items.values() if isinstance(value, Record) else value.items
+
+
+def mapped(value: Group | Record, function: Callable[[Any, Any], Any]) -> Group | Record:
+    """Return a tuple or mapping with other parts: the results of a function of the place or key of each, and of it."""
+    if isinstance(value, Record):
+        return Record({k: function(k, v) for k, v in value.items.items()})
+    return Group(tuple(function(k, v) for k, v in enumerate(value.items)))
+
+
 def sample_of(value: Value) -> Any:
     """Return the sample of a value, of a group as a tuple."""
     if isinstance(value, Static):
         return value.value
     if isinstance(value, Dynamic):
         return value.sample
-    parts = value.items.values() if isinstance(value, Record) else value.items
-    return tuple(sample_of(v) for v in parts)
+    return tuple(sample_of(v) for v in inside(value))
 
 
 def is_sure(value: Value) -> bool:
@@ -86,8 +97,7 @@ def is_sure(value: Value) -> bool:
         return True
     if isinstance(value, Dynamic):
         return value.sure and value.sample is not UNKNOWN
-    parts = value.items.values() if isinstance(value, Record) else value.items
-    return all(is_sure(v) for v in parts)
+    return all(is_sure(v) for v in inside(value))
 
 
 def computed(function: Callable[..., Any], *values: Any) -> Any:

@@ -7,6 +7,8 @@ import builtins
 import math
 import types
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,7 @@ from .value import (
     Value,
     forms,
     is_sure,
+    mapped,
 )
 
 
@@ -93,9 +96,6 @@ class Ways:
 
     def dynamic(self, value: Value) -> Dynamic:
         """Return a value as one that is computed."""
-        return value if isinstance(value, Dynamic) else self._described(value)
-
-    def _described(self, value: Value) -> Dynamic:
         if isinstance(value, Dynamic):
             return value
         if isinstance(value, Static):
@@ -107,9 +107,9 @@ class Ways:
             return Dynamic(code, np.array(value.value) if code in self.arrays else _plain(value.value))
         if isinstance(value, Record):
             keys = tuple(sorted(value.items))
-            parts = tuple(self._described(value.items[k]) for k in keys)
+            parts = tuple(self.dynamic(value.items[k]) for k in keys)
         else:
-            keys, parts = None, tuple(self._described(v) for v in value.items)
+            keys, parts = None, tuple(self.dynamic(v) for v in value.items)
         nested = keys is not None or any(p.keys or p.parts for p in parts)
         sample = tuple(p.sample for p in parts)
         return Dynamic(self.code(value), sample, is_sure(value), keys, parts if nested else None)
@@ -164,8 +164,7 @@ class Ways:
         """Return a value by a name, so that it is computed once."""
         if value.code.replace("_", "").replace(".", "").replace("[", "").replace("]", "").isalnum():
             return value
-        name = self.temporary(value.code)
-        return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
+        return replace(value, code=self.temporary(value.code))
 
     def outer(self, name: str, node: ast.AST | None = None) -> Any:
         """Return what the function finds under a name outside of itself."""
@@ -189,8 +188,8 @@ class Ways:
     def _part(self, base: Dynamic, k: int) -> Dynamic:
         code = f"{base.code}[{k}]"
         if base.parts is not None:
-            part = base.parts[k]
-            return Dynamic(code, part.sample, part.sure and base.sure, part.keys, part.parts)
+            part: Dynamic = base.parts[k]
+            return replace(part, code=code, sure=part.sure and base.sure)
         sample = base.sample[k] if base.sample is not UNKNOWN else UNKNOWN
         return Dynamic(code, sample, base.sure)
 
@@ -252,32 +251,21 @@ class Ways:
     def _held(self, value: Value) -> Value:
         """Return a value that stays unchanged while names are bound again."""
         if isinstance(value, Dynamic):
-            name = self.temporary(value.code)
-            return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
-        if isinstance(value, Group):
-            return Group(tuple(self._held(v) for v in value.items))
-        if isinstance(value, Record):
-            return Record({k: self._held(v) for k, v in value.items.items()})
-        return value
+            return replace(value, code=self.temporary(value.code))
+        return value if isinstance(value, Static) else mapped(value, lambda k, v: self._held(v))
 
     def _bound(self, name: str, value: Value) -> Value:
         if isinstance(value, Static):
             return value
-        if isinstance(value, Record):
-            return Record({k: self._bound(f"{name}__{k}", v) for k, v in self._each(value).items()})
+        result = value if isinstance(value, Dynamic) else None
         if isinstance(value, Group):
-            try:
-                result = self._described(value)
-            except NotNative:
-                return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
-            if result.parts:
-                return Group(tuple(self._bound(f"{name}__{k}", v) for k, v in enumerate(value.items)))
-            value = result
-        self.emit(f"{name} = {value.code}")
-        return Dynamic(name, value.sample, value.sure, value.keys, value.parts)
-
-    def _each(self, value: Record) -> dict[str, Value]:
-        return {k: self._held(v) for k, v in value.items.items()}
+            with suppress(NotNative):
+                result = self.dynamic(value)
+        if result is None or (result.parts and isinstance(value, Group)):
+            held = self._held(value) if isinstance(value, Record) else value
+            return mapped(held, lambda k, v: self._bound(f"{name}__{k}", v))  # type: ignore[arg-type]
+        self.emit(f"{name} = {result.code}")
+        return replace(result, code=name)
 
     def has_one_name(self, name: str) -> bool:
         """Return whether no other name of this function refers to the same object, as far as can be read."""
@@ -362,7 +350,7 @@ class Ways:
                 assert result is not None
                 if isinstance(result, Dynamic):
                     # A name bound on one branch alone may have no value, so its type is not certain.
-                    env[name] = Dynamic(result.code, result.sample, False, result.keys, result.parts)
+                    env[name] = replace(result, sure=False)
                 continue
             joined = self._join(f"v_{name}", a, b, then, orelse, used)
             if joined is not None:
@@ -391,20 +379,16 @@ class Ways:
             if result.code != name:
                 lines.append(f"{name} = {result.code}")
             values.append(result)
-        x, y = values
-        if (x.keys, forms(x)) != (y.keys, forms(y)):
-            return None
-        first = y if used is False else x
-        sample = first.sample if first.sample is not UNKNOWN else (x if first is y else y).sample
-        sure = is_sure(x) and is_sure(y) and alike(x.sample, y.sample)
-        return Dynamic(name, sample, sure, x.keys, x.parts)
+        with suppress(NotNative):
+            return self._one_of(name, values[0], values[1], used)
+        return None
 
-    def _one_of(self, code: str, x: Dynamic, y: Dynamic, used: Any, node: ast.AST) -> Dynamic:
+    def _one_of(self, code: str, x: Dynamic, y: Dynamic, used: Any, node: ast.AST | None = None) -> Dynamic:
         if (x.keys, forms(x)) != (y.keys, forms(y)):
             raise self.unknown("answers of several forms", node)
         first, second = (y, x) if used is False else (x, y)
         sample = second.sample if first.sample is UNKNOWN else first.sample
-        return Dynamic(code, sample, is_sure(x) and is_sure(y) and alike(x.sample, y.sample), first.keys, first.parts)
+        return replace(first, code=code, sample=sample, sure=is_sure(x) and is_sure(y) and alike(x.sample, y.sample))
 
     def _chosen(
         self, test: str, used: Any, one: Callable[[], Value], other: Callable[[], Value], node: ast.AST
@@ -438,7 +422,7 @@ class Ways:
         x_, y_ = self._fork(test, used, lambda: way(one), lambda: way(other))
         if x_ is None or y_ is None:
             done = x_ or y_
-            return NONE if done is None else Dynamic(name, done.sample, done.sure, done.keys, done.parts)
+            return NONE if done is None else replace(done, code=name)
         return self._one_of(name, x_, y_, used, node)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from ..block.port import Sample
@@ -44,7 +45,7 @@ class Writer(Calls):
         result = self.returned
         if len(self.lines) == 1 and len(result) == 1 and isinstance(result[0], Static):
             return result[0]
-        values = [self._described(v) for v in result]
+        values = [self.dynamic(v) for v in result]
         first = values[0]
         for other in values[1:]:
             if (other.keys, forms(other)) != (first.keys, forms(first)):
@@ -274,13 +275,13 @@ class Writer(Calls):
                 except NotNative:
                     continue
                 self.emit(f"v_{name} = {result.code}")
-                known = Dynamic(f"v_{name}", result.sample, False, result.keys, result.parts)
+                known = replace(result, code=f"v_{name}", sure=False)
             if isinstance(known, Dynamic):
                 held = isinstance(known.sample, tuple) and was_sure and not leaves
                 if held:
                     assumed[name] = known.sample
                 numbers = isinstance(known.sample, NUMBERS)
-                self.env[name] = Dynamic(known.code, known.sample, numbers or held, known.keys, known.parts)
+                self.env[name] = replace(known, sure=numbers or held)
         before, lines = dict(self.env), self.lines
         self.lines, self._inside = [], self._inside + 1
         if test is not None:
@@ -300,17 +301,15 @@ class Writer(Calls):
                 if name in assumed and not (is_sure(value) and alike(sample_of(value), assumed[name])):
                     raise self.unknown(f"{name} changes what it is in a loop", node)
             elif isinstance(value, Dynamic):
-                self.env[name] = Dynamic(value.code, value.sample, False, value.keys, value.parts)
+                self.env[name] = replace(value, sure=False)
         self.emit(head)
         self.lines += [f"    {line}" for line in inner or ["pass"]]
 
-    def _break(self, node: ast.Break) -> None:
-        self.emit("break")
+    def _break(self, node: ast.Break | ast.Continue) -> None:
+        self.emit(type(node).__name__.lower())
         self.ended = True
 
-    def _continue(self, node: ast.Continue) -> None:
-        self.emit("continue")
-        self.ended = True
+    _continue = _break
 
 
 def _reports(node: ast.stmt) -> bool:
