@@ -438,8 +438,10 @@ class Watched:
     def says(self, name, **what):
         return lambda: self.states.update({name: self.states[name] | what})
 
-    def ends(self, name, code=0):
+    def ends(self, name, code=0, state="done"):
         def end():
+            if code == 0:
+                self.says(name, state=state)()
             next(c for c in self.children if c.member.name == name).process.returncode = code
 
         return end
@@ -496,6 +498,15 @@ def test_a_run_that_ends_in_order_reports_the_progress_of_its_plant(watched):
     assert all_end(run, 50.0).run() == ("", 50.0)  # as long as all run and none is held nobody is late
     assert run.told == [0, 5, 9]
     assert run.looks[0] == {name: {"t": 0, "state": "running"} for name in ("plant", "law", "source")}
+
+
+def test_a_node_whose_code_ends_its_process_with_0_before_its_last_tick_is_named(watched):
+    run = watched()
+    run.at(1.0, run.says("law", t=500_000_000)).at(2.0, run.ends("law", state="running"))
+    assert run.run() == ("code of node law after t = 0.5 s has ended its process with status 0", 2.0)
+    run = watched()
+    run.at(1.0, run.says("law", left_early=True)).at(2.0, run.ends("law", state="running"))
+    assert run.run() == (LOST.format("plant, source"), 12.0)  # by a signal, which is reported at the end
 
 
 def test_in_lockstep_remaining_nodes_have_the_timeout_from_the_last_progress(watched):

@@ -6,6 +6,7 @@ import mmap
 import os
 import re
 import runpy
+import select
 import signal
 import struct
 import subprocess
@@ -15,6 +16,7 @@ import time
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import PATIENCE, differences, in_process, make_scenario, no_process_left, processes_of, until
@@ -22,7 +24,7 @@ from softrig_bags.read import read_bag
 from softrig_core import Signals, rig_of, run_inprocess
 from softrig_nodes import run_processes
 from softrig_nodes.processes import processes, shared_memory, spawning, stopping
-from softrig_nodes.processes.children import read_status
+from softrig_nodes.processes.children import end_left, read_status
 from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.processes.executables import LOOPBACK, environment, find_executable
 from softrig_nodes.processes.fork_server import start_node
@@ -312,6 +314,16 @@ def test_a_signal_during_the_fork_of_a_node_stops_the_run_without_a_traceback(fo
     outcome = run_processes(rig_of(make_scenario(BASIC, 1e4)), 0, tmp_path)
     assert (outcome.error, outcome.stopped) == ("", signal.SIGINT)
     assert no_process_left(tmp_path)
+
+
+def test_what_code_of_a_node_has_started_and_left_ends_with_the_run():
+    process = subprocess.Popen(["sh", "-c", "sleep 1000 & echo $!"], stdout=subprocess.PIPE, text=True, process_group=0)
+    left = os.pidfd_open(int(process.stdout.readline()))
+    process.wait(PATIENCE)
+    end_left([SimpleNamespace(process=process)])
+    assert select.select([left], [], [], PATIENCE)[0] == [left]
+    os.close(left)
+    process.stdout.close()
 
 
 @pytest.mark.processes

@@ -214,6 +214,7 @@ def fault(how, **keys):
         pytest.param(
             "hang", ["plant: nothing stamped t = 0.2 s within", "lag/command from gain"], marks=pytest.mark.long
         ),
+        pytest.param("end", ["code of node gain after t = ", "has ended its process"], marks=pytest.mark.long),
         ("nan", ["gain: command u/effort became nan at t = 0.2 s"]),
         pytest.param("raise", ["gain: failed at t = 0.2 s: ArithmeticError: deliberate"], marks=pytest.mark.long),
     ],
@@ -227,7 +228,7 @@ def test_a_failing_controller_ends_the_run_with_its_name_and_a_readable_recordin
     assert outcome.recording.topics["lag/state"].data == good.topics["lag/state"].data
     commands = outcome.recording.topics["lag/command"].data  # a node killed by force may lose its last 0.25 s
     assert commands == good.topics["lag/command"].data[: len(commands)]
-    assert len(commands) == 20 or how in ("kill", "stop", "hang")
+    assert len(commands) == 20 or how in ("kill", "stop", "hang", "end")
     assert no_process_left(tmp_path)
 
 

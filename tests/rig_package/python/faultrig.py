@@ -135,7 +135,7 @@ class FaultParams(BlockParams):
 
 class Killed(Gain):
     class Params(FaultParams):
-        how: str = param("kill", "kill, stop, nan, raise or hang")
+        how: str = param("kill", "kill, stop, nan, raise, hang or end")
 
     def update(self, x, t, state, reference):
         if t >= self.p.at * 1e9:
@@ -145,6 +145,8 @@ class Killed(Gain):
                 os.kill(os.getpid(), signal.SIGSTOP)
             if self.p.how == "nan":
                 return x, {"command": (float("nan"),)}
+            if self.p.how == "end":
+                os._exit(0)
             if self.p.how == "hang":
                 time.sleep(3600)
             raise ArithmeticError("deliberate")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import time
@@ -53,6 +54,27 @@ def stop(children: list[Child]) -> None:
         for child in running:
             with suppress(subprocess.TimeoutExpired):
                 child.process.wait(max(0.0, deadline - time.monotonic()))
+
+
+def end_left(children: list[Child]) -> None:
+    """End what code of nodes has started and left, such as a fork: nobody else would, and it holds a node's files.
+
+    Each node leads a process group of its own. Its members are killed one by one: a signal to a group whose number were
+    wrong would reach other programs.
+    """
+    left = {child.process.pid for child in children if child.process.poll() is not None and _has_members(child)}
+    for entry in Path("/proc").iterdir() if left else ():
+        with suppress(OSError, IndexError):  # it has ended meanwhile
+            if entry.name.isdigit() and int((entry / "stat").read_text().rpartition(")")[2].split()[2]) in left:
+                os.kill(int(entry.name), signal.SIGKILL)
+
+
+def _has_members(child: Child) -> bool:
+    try:
+        os.killpg(child.process.pid, 0)
+    except ProcessLookupError:
+        return False
+    return child.process.pid > 1
 
 
 def read_status(path: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from softrig_core.guard import need_ros
 from softrig_core.rig.rig import Rig
 from softrig_core.wire.recording import Recording
 
-from .children import Child, last_line, read_status, stop
+from .children import Child, end_left, last_line, read_status, stop
 from .domain import DOMAINS, free_domain, holders, require_loopback
 from .executables import NO_MEMORY, environment
 from .guests import Guests
@@ -148,6 +148,7 @@ def run_processes(
                 finally:
                     with undisturbed() as late:
                         stop(children)
+                        end_left(children)
         finally:
             for child in children:
                 os.close(child.end)

@@ -58,6 +58,8 @@ def supervise(
             return _reason(children, failed, restarts)
         if restarts.counts != started:
             comes_up = time.monotonic() + rig.scenario.start_timeout
+        if ended := _ended(children):
+            return ended
         if all(c.process.poll() == 0 for c in children):
             return ""
         states = {c.member.name: read_status(c.status) for c in children}
@@ -148,6 +150,17 @@ def left_early(states: Mapping[str, Mapping[str, Any]]) -> str:
         f"{name} at t = {state.get('t', 0) / 1e9:.9g} s" for name, state in states.items() if state.get("left_early")
     ]
     return f"somebody has stopped node {', '.join(results)}" if results else ""
+
+
+def _ended(children: Sequence[Child]) -> str:
+    """Name the nodes whose code has ended their process with status 0, as `os._exit(0)` does; empty if none has."""
+    results = []
+    for child in children:
+        if child.process.poll() == 0:
+            state = read_status(child.status)  # the last that it has written
+            if state.get("state") not in ("done", "failed") and not state.get("left_early"):
+                results.append(f"{child.member.name} after t = {state.get('t', 0) / 1e9:.9g} s")
+    return f"code of node {', '.join(results)} has ended its process with status 0" if results else ""
 
 
 def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
