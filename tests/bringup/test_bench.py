@@ -54,7 +54,7 @@ def test_a_broken_run_in_real_time_does_not_affect_other_rows(capsys, monkeypatc
     figures = {"ticks": 980, "missed_deadlines": 20, "late_ticks": 30, **dict.fromkeys(realtime.TIMES.values(), 0.01)}
     recording = SimpleNamespace(topics={"joint_states": SimpleNamespace(data=[b""] * 980)})
 
-    def drive(rate, topic, duration):
+    def drive(rate, topic, duration, way):
         if (rate, topic) == (10_000, "torque_ref"):
             raise ScenarioError("it did not reach the end")
         return SimpleNamespace(status={"im_plant": figures}, recording=recording)
@@ -63,9 +63,10 @@ def test_a_broken_run_in_real_time_does_not_affect_other_rows(capsys, monkeypatc
     with pytest.raises(SystemExit, match="10,000 Hz, 10 s, torque_ref read: it did not reach the end"):
         main(["realtime"])
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if ",000" in line]
-    assert len(rows) == 15
+    assert len(rows) == 19
     assert rows[0] == ["2,000", "10", "nothing", "2.00%", "3.00%", "10", "10", "10", "10", "100.00%"]
-    assert rows[7] == ["10,000", "10", "torque_ref", "broke"]
+    assert rows[7] == ["10,000", "10", "torque_ref", "thread", "broke"]
+    assert [row[3] for row in rows[10:14]] == ["thread", "bursts", "thread", "bursts"]
 
 
 def test_tables_of_the_rectifier(capsys):

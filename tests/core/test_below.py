@@ -1,6 +1,8 @@
 """Uses of rclpy below its public interface: each self-test can fail, and the public way then gives the same."""
 
 import ast
+import ctypes
+import struct
 from pathlib import Path
 
 import pytest
@@ -8,11 +10,12 @@ import rclpy
 from conftest import differences, in_process, make_scenario
 from pages.statements import imported
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity
 from rclpy.parameter import Parameter
 from softrig_core import rig_of
 from softrig_nodes import run_processes
-from softrig_nodes.below import arrival, uses
+from softrig_nodes.below import arrival, carrier, uses
 from softrig_nodes.processes.placement import Placement
 from softrig_nodes.ros.ros import ServingNode
 from std_msgs.msg import Float64
@@ -131,6 +134,73 @@ def test_an_empty_list_has_a_type_if_rclpy_allows_it(node, public):
     public("parameters")
     uses.make_empty(node, "empty", Parameter.Type.STRING_ARRAY)  # it stays what it is
     assert uses.parameters(node)["empty"].type_ == Parameter.Type.DOUBLE_ARRAY
+
+
+@pytest.fixture
+def carried():
+    """A carrier whose thread runs, and what it has passed to a function in the place of rcl's, by publisher."""
+    seen, codes = {7: [], 8: []}, iter(())
+
+    def publish(publisher, message, allocation):
+        given = message.contents
+        seen[publisher].append(ctypes.string_at(given.buffer, given.length))
+        return next(codes, 0)
+
+    made = carrier.Carrier(carrier._PUBLISH(publish))
+    made.start()
+    yield made, seen
+    made.put(0, b"")  # ends the thread
+
+
+def test_a_native_thread_publishes_everything_in_order_whatever_its_size(carried):
+    made, seen = carried
+    expected = {7: [], 8: []}
+    for k in range(3 * carrier.SLOTS):
+        expected[7 + k % 2].append(data := f"{k} ".encode() * (k % 90))
+        made.put(7 + k % 2, bytes(bytearray(data)))  # an object that nothing else holds
+    made.drain()
+    assert seen == expected
+    made.drain()  # nothing is left
+
+
+def test_a_message_that_rcl_does_not_publish_is_an_error_of_the_next(carried, monkeypatch):
+    made, seen = carried
+    made._failed[0] = 300
+    monkeypatch.setattr(carrier.rclpy, "ok", lambda: False)  # after a signal nothing is owed to anybody
+    made.put(7, b"a")
+    made.drain()
+    monkeypatch.setattr(carrier.rclpy, "ok", lambda: True)
+    with pytest.raises(uses.RCLError, match="rcl reports 300"):
+        made.drain()
+    made.put(7, b"b")
+    made.drain()
+    assert seen[7] == [b"a", b"b"]
+
+
+def test_what_is_not_published_in_time_is_an_error(monkeypatch):
+    made = carrier.Carrier()  # without a thread
+    monkeypatch.setattr(carrier, "PATIENCE", 0.01)
+    made.put(7, b"a")
+    with pytest.raises(uses.RCLError, match=r"1 messages are not published within 0\.01 s"):
+        made.drain()
+
+
+def test_real_readers_get_what_the_native_thread_publishes(node):
+    publisher, received = node.create_publisher(Float64, "/carried", 100), []
+    reader = node.create_subscription(Float64, "/carried", lambda message: received.append(message.data), 100)
+    made = carrier.carrier()
+    send = made.sender(publisher)
+    for k in range(50):
+        send(b"\0\1\0\0" + struct.pack("<d", k))
+    made.drain()
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    while len(received) < 50:
+        executor.spin_once(5.0)
+    executor.remove_node(node)
+    assert received == [float(k) for k in range(50)]
+    node.destroy_subscription(reader)
+    node.destroy_publisher(publisher)
 
 
 @pytest.mark.long

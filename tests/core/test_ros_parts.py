@@ -729,6 +729,24 @@ def test_in_a_container_messages_pass_through_its_queue_and_are_sent_only_to_ext
     assert log[-1] == 4
 
 
+def test_in_a_container_in_real_time_a_native_thread_publishes_and_is_waited_for():
+    node, said, drained = Rcl(), [], []
+    carrier = SimpleNamespace(
+        sender=lambda publisher: lambda data: said.append((publisher.topic_name, data)),
+        drain=lambda: drained.append(len(said)),
+    )
+    middleware = ContainedMiddleware(node, Exchange(), carrier)
+    publish = middleware.publisher("t", "std_msgs/msg/Float64", lambda count: None)
+    publish(b"nobody reads it")
+    node.made[0].event_callbacks.matched(SimpleNamespace(current_count=1))
+    publish(b"a")
+    assert said == [(node.made[0].topic_name, b"a")]
+    assert node.said == []
+    node.publishers = []
+    middleware.drain()
+    assert drained == [1]
+
+
 class Turns:
     """A container in a time that the test moves; each turn of the executor takes its full limit."""
 

@@ -297,9 +297,36 @@ def test_a_second_publisher_ends_the_run_naming_both(tmp_path):
     assert "2 publishers on lag/command (/gain, /intruder), expected exactly one" in outcome.error
 
 
+READER = """
+import sys
+import rclpy
+from rclpy.node import Node
+
+from sensor_msgs.msg import JointState
+
+rclpy.init()
+node = Node("reader")
+file = open(sys.argv[1], "wb", buffering=0)
+node.create_subscription(JointState, "lag/state", file.write, 1000, raw=True)
+file.write(b"up")
+rclpy.spin(node)
+"""
+
+
 def test_a_rig_runs_in_real_time_in_a_container(tmp_path):
-    outcome = run(rig(BASIC), tmp_path, clock="realtime")
-    assert outcome.error == ""
+    with free_domain() as domain:
+        reader = script(READER, environment(domain, tmp_path), str(tmp_path / "read"))
+        until(lambda: (tmp_path / "read").exists() and (tmp_path / "read").stat().st_size)
+        outcome = run(rig(BASIC), tmp_path, domain=domain, clock="realtime")
+        assert outcome.error == ""
+        # What the native thread has published to another process is what was recorded, up to the last message.
+        recorded = b"".join(outcome.recording.topics["lag/state"].data)
+        until(lambda: (tmp_path / "read").read_bytes().endswith(recorded[-100:]))
+        reader.kill()
+        reader.wait()
+    received = (tmp_path / "read").read_bytes().removeprefix(b"up")
+    assert recorded.endswith(received)
+    assert len(received) > len(recorded) / 10
     status = outcome.status["plant"]
     times = outcome.recording.topics["lag/state"].times  # on a busy machine it may begin late
     assert len(times) + status["missed_deadlines"] == (times[-1] - times[0]) // 10_000_000 + 1

@@ -28,6 +28,7 @@ from softrig_core.timebase import SECOND
 from .adapter.adapter import Adapter
 from .adapter.spin import conclude, failure
 from .below import uses
+from .below.carrier import carrier
 from .below.leave import leave
 from .group import Group
 from .main import make_adapter
@@ -59,7 +60,10 @@ class Container:
         with plain_errors():
             node = ServingNode(executable, cli_args=arguments, use_global_arguments=False)
         self.nodes.append(node)
-        middleware = ContainedMiddleware(node, self.exchange)
+        mode = uses.overrides(node).get("run.mode")
+        # Only in real time do ticks have a time that publishing takes from them.
+        carried = mode is None or mode.value != "lockstep"
+        middleware = ContainedMiddleware(node, self.exchange, carrier() if carried else None)
         with interrupt.leaving(partial(leave, self.nodes, 0)):  # to compile takes seconds
             self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
 

@@ -35,7 +35,7 @@ class _Allocator(ctypes.Structure):
     _fields_ = tuple((f"function_{k}", ctypes.c_void_p) for k in range(5))  # the last is a state
 
 
-class _Bytes(ctypes.Structure):
+class Bytes(ctypes.Structure):
     """rcl_serialized_message_t."""
 
     _fields_ = (
@@ -94,7 +94,7 @@ class Arrival:
         self._rcl = rcl
         self.subscription = subscription  # lives as long as this
         self._reader = ctypes.c_void_p(subscription.handle.pointer)
-        self._bytes = _Bytes()
+        self._bytes = Bytes()
         self._where = ctypes.byref(self._bytes)
         allocator = rcl.rcutils_get_default_allocator()
         if rcl.rcutils_uint8_array_init(self._where, ctypes.c_size_t(SIZE), ctypes.byref(allocator)):

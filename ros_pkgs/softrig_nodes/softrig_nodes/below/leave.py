@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 PATIENCE = 2  # s: time to leave the graph; it takes some ms
+
+before_leaving: list[Callable[[], object]] = []  # called before the nodes are removed
 
 
 def leave(nodes: Sequence[Node], status: int) -> NoReturn:
@@ -40,6 +42,9 @@ def leave(nodes: Sequence[Node], status: int) -> NoReturn:
         broken = ctypes.CFUNCTYPE(None, ctypes.c_int)(lambda number: os._exit(status))
         for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT):  # Python's own handlers wait for its next line
             ctypes.CDLL(None).signal(number, broken)
+    for call in before_leaving:
+        with suppress(RuntimeError):  # what is left cannot be published any more
+            call()
     for node in nodes:
         if node.executor is not None:
             node.executor.shutdown()  # it holds what the node consists of, and with that the node in the graph

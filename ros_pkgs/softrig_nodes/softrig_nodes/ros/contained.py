@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
+from ..below.carrier import Carrier
 from ..seam.exchange import Exchange, ExchangeTimer
 from ..seam.middleware import Matched, Place, Reader, Receive
 from .ros import RosMiddleware, ServingNode
@@ -18,22 +21,35 @@ class ContainedMiddleware(RosMiddleware):
         Node of a participant that does not match its own endpoints with each other (`profile.exclusive`).
     exchange : Exchange
         Exchange of the container.
+    carrier : Carrier, optional
+        Publishes for other processes; without it, the loop of the exchange does.
     """
 
-    def __init__(self, node: ServingNode, exchange: Exchange) -> None:
-        self._exchange = exchange
+    def __init__(self, node: ServingNode, exchange: Exchange, carrier: Carrier | None = None) -> None:
+        self._exchange, self._carrier = exchange, carrier
         super().__init__(node)
 
     def publisher(self, topic: str, msgtype: str, matched: Matched) -> Receive:
         """Offer a topic; it is published by DDS while it has subscribers in another process."""
-        carry, readers, note = self._exchange.carry, [0], _noting(matched)
-        to_others = super().publisher(topic, msgtype, lambda count: note(readers, count))
+        readers, note = [0], _noting(matched)
+        carry = super().publisher(topic, msgtype, lambda count: note(readers, count))
 
         def publish(data: bytes) -> None:
             if readers[0]:
-                carry(to_others, data)
+                carry(data)
 
         return publish
+
+    def _sending(self, publisher: Any) -> Callable[[bytes], None]:
+        if self._carrier is not None:
+            return self._carrier.sender(publisher)
+        return partial(self._exchange.carry, super()._sending(publisher))
+
+    def drain(self) -> None:
+        """Wait, in bounded time, until every reader has what was sent."""
+        if self._carrier is not None:
+            self._carrier.drain()
+        super().drain()
 
     def subscribe(self, topic: str, msgtype: str, reader: Reader) -> None:
         """Subscribe to a topic of other processes."""

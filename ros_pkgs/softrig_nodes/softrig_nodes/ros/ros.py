@@ -417,7 +417,10 @@ class RosMiddleware(Middleware):
                 event_callbacks=events,
                 qos_overriding_options=self._overrides(topic),
             )
-        return sending(made)
+        return self._sending(made)
+
+    def _sending(self, publisher: Any) -> Callable[[bytes], None]:
+        return sending(publisher)
 
     def sender(self, topic: str, layout: Layout, matched: Matched) -> Send:
         """Offer a topic; its messages are serialized only while it has subscribers in another process."""

@@ -1,0 +1,174 @@
+"""Publish from a native thread, so that a tick in real time does not wait for the middleware.
+
+A call that publishes takes 3 to 20 us and holds Python's lock, so a thread of Python would not help. Here a tick only
+writes the place of a message into a ring. The thread empties the ring in one native loop, without Python's lock.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import os
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import rclpy
+
+from .arrival import SIZE, Bytes
+from .leave import before_leaving
+from .uses import RCLError, works
+
+SLOTS = 1024  # messages that may wait; a tick that finds no free slot waits for one
+TAKEN = 32  # free slots that are counted together
+PAUSE, NAPS = 50, 4  # us, and how many naps of that length the thread takes before it has to be woken
+NICER = 5  # by which the thread leaves a processor to the ticks
+PATIENCE = 10.0  # s: for all messages at the end
+OFFSET = bytes.__basicsize__ - 1  # from an object of bytes to its content, behind which it has a 0
+SEMAPHORE = 8  # words; the C libraries of Linux need four
+SLOT = struct.Struct("qqq")  # publisher, address, length
+
+_PUBLISH = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(Bytes), ctypes.c_void_p)
+
+
+class Carrier:
+    """A ring of messages, and what publishes them; one thread of Python may use it.
+
+    Parameters
+    ----------
+    publish : callable of ctypes, optional
+        Takes the place of rcl's function.
+    """
+
+    def __init__(self, publish: Any = None) -> None:
+        rcl = ctypes.CDLL(importlib.import_module("rclpy._rclpy_pybind11").__file__)
+        # Functions of the second one keep Python's lock, because they return immediately.
+        self._c, quick = ctypes.CDLL(None), ctypes.PyDLL(None)
+        self._slots, self._semaphores = np.zeros((SLOTS, 3), np.int64), np.zeros((2, SEMAPHORE), np.int64)
+        self._message, self._failed = np.zeros(ctypes.sizeof(Bytes) // 8, np.int64), np.zeros(1, np.int64)
+        self._full, self._free = (ctypes.c_void_p(row.ctypes.data) for row in self._semaphores)
+        self._c.sem_init(self._full, 0, 0)
+        self._c.sem_init(self._free, 0, SLOTS)
+        self._named = [getattr(self._c, name) for name in ("sem_wait", "sem_trywait", "sem_post", "usleep")]
+        self._named += [publish or rcl.rcl_publish_serialized_message, rcl.rcutils_reset_error]
+        data = [array.ctypes.data for array in (self._message, *self._semaphores)]
+        self._places = (*data, *(ctypes.cast(f, ctypes.c_void_p).value for f in self._named), PAUSE, NAPS)
+        self._post, self._try_to_wait = quick.sem_post, quick.sem_trywait
+        self._ring = memoryview(self._slots).cast("B")
+        self._held = [b""] * SLOTS  # the thread reads the objects themselves, until their slots are used again
+        self._next = self._room = 0
+
+    def run(self) -> None:
+        """Publish what is put, until a message for publisher 0."""
+        loop = importlib.import_module("._carry", __package__).compiled
+        loop(self._slots, self._message, self._places, self._failed)
+
+    def start(self) -> None:
+        """Publish in a thread from now on."""
+
+        def work() -> None:
+            number = threading.get_native_id()
+            os.sched_setscheduler(number, os.SCHED_OTHER, os.sched_param(0))
+            os.setpriority(os.PRIO_PROCESS, number, os.getpriority(os.PRIO_PROCESS, 0) + NICER)
+            self.run()
+
+        threading.Thread(target=work, daemon=True).start()
+
+    def sender(self, publisher: Any) -> Callable[[bytes], None]:
+        """Return a callable that publishes the bytes of a message soon."""
+        handle, put = publisher.handle.pointer, self.put
+        return lambda data: put(handle, data)
+
+    def put(self, handle: int, data: bytes) -> None:
+        """Publish a message soon; wait while the ring is full.
+
+        Raises
+        ------
+        RCLError
+            An earlier message could not be published.
+        """
+        if not self._room:
+            self._count_room()
+        k = self._next
+        self._held[k] = data = bytes(data)
+        SLOT.pack_into(self._ring, SLOT.size * k, handle, id(data) + OFFSET, len(data))
+        self._next, self._room = (k + 1) % SLOTS, self._room - 1
+        self._post(self._full)
+
+    def _count_room(self) -> None:
+        self._check()
+        while self._room < TAKEN and not self._try_to_wait(self._free):
+            self._room += 1
+        while not self._room:
+            # A signal may end the wait early.
+            self._room = int(not self._c.sem_wait(self._free))
+
+    def drain(self) -> None:
+        """Wait, in bounded time, until all that was put is published.
+
+        Raises
+        ------
+        RCLError
+            A message could not be published, or not in time.
+        """
+        limit = time.time() + PATIENCE
+        until = (ctypes.c_long * 2)(int(limit))
+        while self._room < SLOTS:
+            if not self._c.sem_timedwait(self._free, until):
+                self._room += 1
+            elif time.time() > limit:  # else a signal has ended the wait
+                raise RCLError(f"{SLOTS - self._room} messages are not published within {PATIENCE:g} s")
+        self._check()
+
+    def _check(self) -> None:
+        # After a signal has shut the context down, nothing can be published, and nothing needs to be.
+        if (code := int(self._failed[0])) and rclpy.ok():
+            self._failed[0] = 0
+            raise RCLError(f"a message cannot be published (rcl reports {code})")
+
+
+def tested() -> bool:
+    """Return whether messages reach rcl as it expects them: the loop is run once, with a function that looks at one."""
+    if sys.platform != "linux" or os.environ.get("SOFTRIG_JIT", "1") == "0" or len(os.sched_getaffinity(0)) < 2:
+        return False
+    seen = []
+
+    def publish(publisher: int, message: Any, allocation: Any) -> int:
+        given = message.contents
+        seen.append((publisher, ctypes.string_at(given.buffer, given.length), given.capacity, allocation))
+        return len(seen) - 1
+
+    carrier, content = Carrier(_PUBLISH(publish)), b"content"
+    for handle in (7, 8, 0):
+        carrier.put(handle, content)
+    carrier.run()
+    expected = [(7, content, len(content), None), (8, content, len(content), None)]
+    return seen == expected and carrier._failed[0] == 1 and _sized()
+
+
+def _sized() -> bool:
+    """Return whether rcl fills its structure as `Bytes` describes it."""
+    rcl, made = ctypes.CDLL(importlib.import_module("rclpy._rclpy_pybind11").__file__), Bytes()
+    rcl.rcutils_get_default_allocator.restype = type(made.allocator)
+    allocator = rcl.rcutils_get_default_allocator()
+    if rcl.rcutils_uint8_array_init(ctypes.byref(made), ctypes.c_size_t(SIZE), ctypes.byref(allocator)):
+        return False
+    result = bool(made.buffer) and (made.length, made.capacity) == (0, SIZE)
+    rcl.rcutils_uint8_array_fini(ctypes.byref(made))
+    return result
+
+
+@cache
+def carrier() -> Carrier | None:
+    """Return the carrier of this process; None where messages are published by calls."""
+    if not works("carrier"):
+        return None
+    result = Carrier()
+    result.start()
+    before_leaving.append(result.drain)
+    return result
