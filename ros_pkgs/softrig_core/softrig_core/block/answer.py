@@ -169,12 +169,3 @@ class ReceivedMessages(Messages):
 
     def __iter__(self) -> Iterator[tuple[int, tuple[float, ...]]]:
         return zip(self.stamps.tolist(), map(tuple, self.values.tolist()), strict=True)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, tuple | ReceivedMessages) and tuple(self) == tuple(other)
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        """Show what they are equal to."""
-        return repr(tuple(self))

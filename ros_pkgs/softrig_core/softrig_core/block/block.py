@@ -8,7 +8,18 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cached_property
 from types import FrameType
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NoReturn, Protocol, Self, final, get_args, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Generic,
+    NoReturn,
+    Protocol,
+    Self,
+    TypeGuard,
+    final,
+    get_args,
+)
 
 from typing_extensions import TypeVar
 
@@ -355,7 +366,6 @@ class Block(Generic[P]):
         return x_t[0], None
 
 
-@runtime_checkable
 class Finishing(Protocol):
     """A block whose last tick has an answer of its own, such as a result over the whole record."""
 
@@ -366,7 +376,7 @@ class Finishing(Protocol):
         """
 
 
-def finishes(block: type[Block]) -> bool:
+def finishes(block: type[Block]) -> TypeGuard[type[Finishing]]:
     """Return whether a block is `Finishing`; a protocol that is asked at each start of a run would be slow."""
     return hasattr(block, "finish")
 

@@ -150,8 +150,6 @@ class Schedule:
         import numpy as np
 
         # numpy's integers overflow without an error, so long runs are computed with Python's.
-        if self._d == 1 and last * self._n < 1 << 62:
-            return np.arange(first * self._n, last * self._n, self._n, dtype=np.int64)
         if 2 * last * self._n + self._d < 1 << 62:
             return (2 * np.arange(first, last, dtype=np.int64) * self._n + self._d) // (2 * self._d)
         return np.array([self.time(k) for k in range(first, last)], np.int64)

@@ -52,7 +52,7 @@ class Kept:
     kinds: tuple[Any, ...]
     text: RigText
     function: Callable[..., Any] = field(repr=False)
-    go: int = SHORTEST
+    go: int
     made: bool = False
 
 
@@ -118,7 +118,7 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
             # Without reports in the text a tick in which something is reported is discarded, which is better than no
             # text.
             text = rig_text(core.steps, recorded, typed, reports=False)
-        result = Kept(kinds, text, make(text))
+        result = Kept(kinds, text, make(text), SHORTEST)
         _texts.insert(0, result)
         del _texts[KEPT:]
     return result

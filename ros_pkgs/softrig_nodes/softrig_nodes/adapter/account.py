@@ -104,8 +104,6 @@ class Account:
         }
         if node.left_early:
             status["left_early"] = True
-        if node.state != "running":
-            status |= node.drive.native()
         status |= node.drive.counts()
         # When the node is done ROS may have been shut down, and the graph cannot be read.
         if node.lacking and node.state != "done":

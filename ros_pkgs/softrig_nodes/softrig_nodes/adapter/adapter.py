@@ -72,9 +72,6 @@ class Drive(Protocol):
     def counts(self) -> dict[str, int]:
         """Return what is counted while it runs: cheap enough for every status file."""
 
-    def native(self) -> dict[str, Any]:
-        """Return what native code answers of its ticks; nothing where it cannot."""
-
     def statistics(self) -> dict[str, Any]:
         """Figures of the run for the last status file."""
 

@@ -298,18 +298,20 @@ class Lockstep(Link):
         """Return no counts: nothing is late in lockstep."""
         return {}
 
-    def native(self) -> dict[str, Any]:
-        """Return what native code answers of its ticks, where it may."""
-        if self._turns.report_native is None:
-            return {}
-        self._turns.report_native()
-        return {"native": self.step.native}
-
     def statistics(self) -> dict[str, Any]:
-        """Return the wall-clock time of a plant's ticks: all in s, each in ms; only after the run (sorting is slow)."""
+        """Return the wall-clock time of a plant's ticks (all in s, each in ms), and which ticks ran natively.
+
+        Only after the run, because sorting is slow.
+        """
         if self.node.state == "running":
             return {}
-        return {"running_s": (self._sent - self._first) / 1e9} | percentiles("tick", self._durations, self._longest)
+        result: dict[str, Any] = {"running_s": (self._sent - self._first) / 1e9} | percentiles(
+            "tick", self._durations, self._longest
+        )
+        if self._turns.report_native is not None:
+            self._turns.report_native()
+            result |= {"native": self.step.native}
+        return result
 
     def progress(self) -> None:
         """End the run when a peer is gone, stalls or never came; publish again what may have been lost with one."""

@@ -421,10 +421,6 @@ class Realtime(Link):
                 figures[key] = number
         return figures
 
-    def native(self) -> dict[str, Any]:
-        """Return an empty status: no tick runs natively in real time."""
-        return {}
-
     def statistics(self) -> dict[str, Any]:
         """Return the counts, ticks begun when the next was due, lateness and round trip from output to command in ms.
 
