@@ -16,7 +16,7 @@ from ..block.loop import Loop
 from ..block.step import Step
 from ..block.tables import Tables
 from ..errors import RunError
-from .audience import Answers, Audience, numbers_of, stamps_of
+from .audience import Audience, numbers_of, stamps_of
 from .compile import compiled, plain
 from .fitted import DEFECT, SHORTEST, Core, Fitted, kinds_of, refuse, text_for
 from .rig_text import RigText
@@ -305,15 +305,15 @@ class Engine:
         """Run ticks of the clock natively from `first` up to `last`, or as far as possible; return the tick reached."""
         fit = self._fit
         assert fit is not None
-        rows = fit.places(first, last)
-        reached, after = fit.call(first, first, last, rows)
+        fit.begin(first, last)
+        reached, after = fit.call(first, last)
         if after is None:
             return first
         if self._smooth and self._decided(reached):
-            return self._on(first, reached, last, after, rows)
+            return self._on(first, reached, last, after)
         # An observer may fail at a tick at which the members have long been further. Nothing of the members is put into
         # their steps before all observers have seen it, so it is enough to take the observers back.
-        answers = fit.answers_of(rows, first, reached)
+        answers = fit.answers(reached)
         begun = self._watching.keep()
         published = [s.published_at for s in self._core.steps]
         try:
@@ -325,9 +325,9 @@ class Engine:
             for s, before in zip(self._core.steps, published, strict=True):
                 s.published_at = before
             if reached > first:
-                rows = fit.places(first, reached)
-                _, after = fit.call(first, first, reached, rows)
-                answers = fit.answers_of(rows, first, reached)
+                fit.begin(first, reached)
+                _, after = fit.call(first, reached)
+                answers = fit.answers(reached)
                 self._audience.watch(fit.recorded, first, reached, answers)
         if reached > first:
             self._apply(fit, first, reached, after)
@@ -336,13 +336,13 @@ class Engine:
             self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
         return reached
 
-    def _on(self, first: int, reached: int, last: int, after: Any, rows: dict[int, Answers]) -> int:
+    def _on(self, first: int, reached: int, last: int, after: Any) -> int:
         """Continue at ticks that a node requires in Python; everything is published at the end in one batch."""
         at, fit, core = first, self._fit, self._core
         assert fit is not None
 
         def hand_out() -> None:
-            whole = fit.answers_of(rows, first, reached)
+            whole = fit.answers(reached)
             try:
                 self._audience.watch(fit.recorded, first, reached, whole)
             finally:
@@ -370,11 +370,11 @@ class Engine:
             for s in fit.recorded:
                 if self._plan.due(s.schedule, reached):
                     row = len(self._plan.own(s.schedule, first, reached))
-                    rows[id(s)].put(row, numbers_of(s), stamps_of(s))
+                    fit.rows[id(s)].put(row, numbers_of(s), stamps_of(s))
             reached = at = reached + 1
             if reached == last or self._others() or any(s.bad for s in core.steps):
                 break
-            reached, after = fit.call(first, at, last, rows)
+            reached, after = fit.call(at, last)
             if after is None:
                 break
         hand_out()

@@ -169,6 +169,8 @@ class Fitted:
         Whether the last call has discarded a tick.
     odd : str
         The TypeError that caused it; empty if a discarded tick had another cause.
+    rows : dict of int to Answers
+        Buffers for the answers of each recorded step, by its identity.
 
     Raises
     ------
@@ -196,6 +198,7 @@ class Fitted:
         self._when = self._zeros(1 + len(core.holdings) + len(core.speakers), int)
         self._reported = self._zeros(program.reports.size if program.reports else 0, float)
         self._arrays: tuple[Any, ...] = ()  # what the function gets after its state, as `RigText.arrays`
+        self._begin, self.rows = 0, dict[int, Answers]()
 
     @property
     def remade(self) -> bool:
@@ -215,7 +218,7 @@ class Fitted:
 
     def drop(self) -> None:
         """Release the arrays of answers and of random numbers, which are large; the recording has its own copy."""
-        self._arrays = ()
+        self._arrays, self.rows = (), {}
         for draws in self._sources.values():
             draws.at_hand = None
 
@@ -231,40 +234,40 @@ class Fitted:
     def _guess(self) -> int:
         return min(1 << 20, 2 * (self._plan.ticks or 0) + (1 << 13))
 
-    def places(self, first: int, last: int) -> dict[int, Answers]:
-        """Return buffers for native answers of the ticks `first` to `last`, and pass them to native code."""
-        rows = {
+    def begin(self, first: int, last: int) -> None:
+        """Make buffers for the native answers of the ticks from `first` up to `last`."""
+        self._begin = first
+        self.rows = {
             # The memory holds column after column, because the tables are read by columns.
             key: Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
             if self._typed
             else Answers([], [])
-            for key, count, size, stamps in self._tables_of(first, last)
+            for key, count, size, stamps in self._tables_of(last)
         }
-        self._name(rows)
-        return rows
+        self._name()
 
-    def _tables_of(self, first: int, last: int) -> Iterator[tuple[int, int, int, int]]:
+    def _tables_of(self, last: int) -> Iterator[tuple[int, int, int, int]]:
         """Yield of each recorded step: its identity, and how many ticks, numbers and stamps its tables have."""
         for _, s, numbers, stamps in self._written:
-            yield id(s), len(self._plan.own(s.schedule, first, last)), numbers, stamps
+            yield id(s), len(self._plan.own(s.schedule, self._begin, last)), numbers, stamps
 
-    def _name(self, rows: dict[int, Answers]) -> None:
+    def _name(self) -> None:
         """Order the arguments of native code."""
         named = self._tables | {WHEN: self._when, "reports": self._reported}
         for k, s, _, _ in self._written:
-            named[f"o{k}"], named[f"p{k}"] = rows[id(s)]
+            named[f"o{k}"], named[f"p{k}"] = self.rows[id(s)]
         self._arrays = tuple(named[name] for name in self.kept.text.arrays)
 
-    def answers_of(self, rows: dict[int, Answers], first: int, last: int) -> dict[int, Answers]:
-        """Return the answers of ticks from `first`, where their places begin, up to `last`, as arrays."""
+    def answers(self, last: int) -> dict[int, Answers]:
+        """Return the answers up to the tick `last`, as arrays."""
         result = {}
-        for key, count, *sizes in self._tables_of(first, last):
-            tables = zip(rows[key], sizes, (np.float64, np.int64), strict=True)
+        for key, count, *sizes in self._tables_of(last):
+            tables = zip(self.rows[key], sizes, (np.float64, np.int64), strict=True)
             result[key] = Answers(*(np.asarray(table[:count], kind).reshape(count, n) for table, n, kind in tables))
         return result
 
-    def _handed(self, begin: int) -> tuple[Any, ...]:
-        """Return the arguments of the function after its ticks; the places of answers begin at a tick."""
+    def _handed(self) -> tuple[Any, ...]:
+        """Return the arguments of the function after its ticks."""
         kept = self.kept
         before = (
             *(applied(way, s.x) for way, s in zip(self._pack, self._steps, strict=True)),
@@ -273,7 +276,7 @@ class Fitted:
             *(packed(one.value) for one in self._core.holdings),
         )
         published = [self._steps[k].published_at[j] for k, j in self._core.speakers]
-        self._n[:] = 0, 0, begin
+        self._n[:] = 0, 0, self._begin
         self._when[:] = [
             0,
             *(one.stamp for one in self._core.holdings),
@@ -282,8 +285,8 @@ class Fitted:
         self._reported[:] = [0.0] * len(self._reported)
         return self._n, self._constants, before, *self._arrays
 
-    def call(self, begin: int, first: int, last: int, rows: dict[int, Answers]) -> tuple[int, Any]:
-        """Run ticks from `first` up to `last`, or as far as native code can, into arrays that begin at a tick.
+    def call(self, first: int, last: int) -> tuple[int, Any]:
+        """Run ticks from `first` up to `last`, or as far as native code can.
 
         Returns
         -------
@@ -294,7 +297,7 @@ class Fitted:
         kept = self.kept
         self.discarded, self.odd, kept.made = False, "", True
         while True:
-            handed = self._handed(begin)
+            handed = self._handed()
             n = self._n
             try:
                 after = kept.function(first, last, *handed)
@@ -302,14 +305,14 @@ class Fitted:
                 self.odd = _with_line(error) if isinstance(error, TypeError) else ""
                 # The text stops at its tick: tables of numpy have no row of it, lists have grown by those of the ticks
                 # before. All is computed again up to that tick, as states are handed back at the end only.
-                for key, count, *_ in self._tables_of(begin, first) if not self._typed else ():
-                    for table in rows[key]:
+                for key, count, *_ in self._tables_of(first) if not self._typed else ():
+                    for table in self.rows[key]:
                         del table[count:]
                 # The random numbers that were drawn in advance have run out.
                 if n[1]:
                     for name, draws in self._sources.items():
                         self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
-                    self._name(rows)
+                    self._name()
                     continue
                 self.discarded = True
                 if n[0] <= first:
@@ -330,8 +333,8 @@ class Fitted:
     def compilation(self, k: int) -> Callable[[], None]:
         """Return what compiles the text: a call that answers no tick, with the arguments of tick k."""
         self.kept.made = True
-        self.places(k, k)
-        arguments = k, k, *self._handed(k)
+        self.begin(k, k)
+        arguments = k, k, *self._handed()
 
         def compile_() -> None:
             with suppress(Exception):  # an error is reported when the function is called for ticks
