@@ -532,6 +532,16 @@ class Rcl:
         self.waitables.remove(what)
 
 
+def reported(given, port):
+    """What is logged of QoS parameters by a node that publishes one topic."""
+    node, lines = Rcl(**given), []
+    middleware = RosMiddleware(node)
+    middleware.log = lambda level, text: lines.append(text)
+    middleware.sender("t", port.layout(), lines.append)
+    middleware.report_ignored()
+    return lines
+
+
 def test_bytes_are_sent_only_while_there_is_a_subscriber_except_to_latched_topics():
     port = number("a", "t", "V")
     for options, always in (({}, False), ({"qos_overrides____rig__t__publisher__depth": 5}, True)):
@@ -550,6 +560,14 @@ def test_bytes_are_sent_only_while_there_is_a_subscriber_except_to_latched_topic
         assert node.said == [port.layout().encode(0, (2.5,))]
         made.event_callbacks.matched(SimpleNamespace(current_count=0))
         assert seen == [2, 0]
+    (line,) = reported({"qos_overrides./rig/t.publisher.depth": 5, "qos_overrides./rig/u.publisher.depth": 5}, port)
+    assert line == (
+        "parameter qos_overrides./rig/u.publisher.depth is ignored: it fits no topic and policy of this node "
+        "(did you mean 'qos_overrides./rig/t.publisher.depth'?)"
+    )
+    (line,) = reported({"qos_overrides./x": 5}, port)
+    assert line.endswith("of this node; this node has qos_overrides./rig/t.publisher.")
+    assert reported({"qos": 5}, port) == []
     lockstep = Rcl(run__mode="lockstep")
     RosMiddleware(lockstep).publisher("t", port.msgtype, seen.append)
     assert lockstep.made[0].profile.depth == 200

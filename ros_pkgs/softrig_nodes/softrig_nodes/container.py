@@ -51,6 +51,7 @@ class Container:
         self.exchange = Exchange()
         self.nodes: list[Node] = []
         self.adapters: list[Adapter] = []
+        self._middlewares: list[ContainedMiddleware] = []
 
     def add(self, group: Sequence[str]) -> None:
         """Create one node; `group` is its package, executable and ROS arguments."""
@@ -65,6 +66,7 @@ class Container:
         carried = mode is None or mode.value != "lockstep"
         middleware = ContainedMiddleware(node, self.exchange, carrier() if carried else None)
         with interrupt.leaving(partial(leave, self.nodes, 0)):  # to compile takes seconds
+            self._middlewares.append(middleware)
             self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
 
     def connect(self) -> None:
@@ -72,6 +74,8 @@ class Container:
         for mode in ("lockstep", "realtime"):
             if alike := [a for a in self.adapters if a.options.mode == mode]:
                 Group(alike)
+        for middleware in self._middlewares:
+            middleware.report_ignored()
 
     @watched()
     def run(self) -> int:

@@ -36,7 +36,7 @@ from .rehearsal import rehearse
 from .ros.arguments import non_ros_arguments, plain_errors
 from .ros.messages import range_descriptor
 from .ros.profile import joining
-from .ros.ros import RosMiddleware, ServingNode
+from .ros.ros import OF_QOS, RosMiddleware, ServingNode
 from .seam.middleware import Middleware
 
 # read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
@@ -69,8 +69,9 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             interrupt.early = False
             node = ServingNode(name)
         with interrupt.leaving(partial(leave, [node], 0)), watched():  # to compile takes seconds
-            adapter = make_adapter(node, block_class, RosMiddleware(node))
+            adapter = make_adapter(node, block_class, middleware := RosMiddleware(node))
         Group([adapter])
+        middleware.report_ignored()
         if not adapter.options.links:
             reach = HERE if given_profile() == LOOPBACK else ""
             node.get_logger().info(introduction(adapter.block, adapter.options) + reach)
@@ -155,7 +156,7 @@ def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     given = {name: value for name, value in given.items() if not (name in absent and value in ([], "null"))}
     for name in ("use_sim_time", "start_type_description_service"):
         given.pop(name, None)
-    given = {k: v for k, v in given.items() if not k.startswith("qos_overrides.")}
+    given = {k: v for k, v in given.items() if not k.startswith(OF_QOS)}
     run = {k: v for k, v in given.items() if k.startswith("run.")}
     own = {k: v for k, v in given.items() if not k.startswith("run.")}
     params: Any = build(block_class.Params, own)

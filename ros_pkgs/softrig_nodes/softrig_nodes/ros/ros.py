@@ -66,6 +66,7 @@ QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # it asks every 50 ms, in which a lockstep loop sends some hundred: a seventh of the processor time of a tick.
 WRITTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
+OF_QOS = "qos_overrides."  # how the names of parameters of the QoS begin
 POLICIES = (
     QoSPolicyKind.HISTORY,
     QoSPolicyKind.DEPTH,
@@ -384,7 +385,8 @@ class RosMiddleware(Middleware):
     def __init__(self, node: ServingNode) -> None:
         self.node = node
         # else a late reader may be owed what was published before
-        self.mute = not any(name.startswith("qos_overrides.") for name in overrides(node))
+        self.mute = not any(name.startswith(OF_QOS) for name in overrides(node))
+        self._overridable: list[str] = []  # topics with the kind of endpoint, as names of parameters begin
         self.monitor = node.monitor
         mode = overrides(node).get("run.mode")
         self._written = WRITTEN if mode is not None and mode.value == "lockstep" else QOS
@@ -415,7 +417,7 @@ class RosMiddleware(Middleware):
                 topic,
                 copy(self._written),
                 event_callbacks=events,
-                qos_overriding_options=self._overrides(topic),
+                qos_overriding_options=self._overrides(topic, "publisher"),
             )
         return self._sending(made)
 
@@ -454,7 +456,7 @@ class RosMiddleware(Middleware):
                 copy(QOS),
                 raw=True,
                 event_callbacks=events,
-                qos_overriding_options=self._overrides(topic),
+                qos_overriding_options=self._overrides(topic, "subscription"),
             )
         self._read.append((made, reader))
 
@@ -525,14 +527,22 @@ class RosMiddleware(Middleware):
                 self.node.add_waitable(handler)
         self.monitor.serve()
 
-    def _overrides(self, topic: str) -> QoSOverridingOptions | None:
+    def _overrides(self, topic: str, kind: str) -> QoSOverridingOptions | None:
         """Let rclpy read overrides of a topic's QoS profile into the given profile, since a copy is made for each.
 
         Without anything given there are no six parameters for each.
         """
-        prefix = f"qos_overrides.{self.resolve(topic)}."
+        prefix = f"{OF_QOS}{self.resolve(topic)}.{kind}."
+        self._overridable.append(prefix)
         given = any(name.startswith(prefix) for name in overrides(self.node))
         return QoSOverridingOptions(POLICIES) if given else None
+
+    def report_ignored(self) -> None:
+        """Log the QoS parameters that fit none of the topics offered and read so far; rclpy ignores them silently."""
+        known = {f"{prefix}{policy.name.lower()}" for prefix in self._overridable for policy in POLICIES}
+        for name in sorted(n for n in overrides(self.node) if n.startswith(OF_QOS) and n not in known):
+            meant = closest(name, known) or f"; this node has {', '.join(sorted(self._overridable))}"
+            self.log(Level.WARN, f"parameter {name} is ignored: it fits no topic and policy of this node{meant}")
 
     def post(self, call: Callable[[], object]) -> None:
         """Call a function when whatever is under way has returned: a node by itself has that only of a person's."""
