@@ -22,7 +22,8 @@ from std_msgs.msg import Float64
 
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 BELOW = ("rclpy._rclpy_pybind11", "rclpy.impl", "rclpy.experimental")
-C = {f"softrig_nodes/{name}.py" for name in ("seam/health", "processes/fork_server", "processes/dead_locks")}  # of the C library, nothing of ROS
+# Of the C library, nothing of ROS.
+C = {f"softrig_nodes/{name}.py" for name in ("seam/health", "processes/fork_server", "processes/dead_locks")}
 
 
 @pytest.fixture
