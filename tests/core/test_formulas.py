@@ -10,9 +10,11 @@ import random
 import numpy as np
 import pytest
 from softrig_core import SECOND
-from softrig_core.judge.formula import read
+from softrig_core.judge import one_pass
+from softrig_core.judge.formula import outline, read
 from softrig_core.judge.live import Live
 from softrig_core.judge.robustness import NotJudged, Record, truth
+from softrig_core.kit.jit import Jit
 
 PERIOD = 0.1
 DAILY, ALL = 150, 2000
@@ -330,3 +332,86 @@ def test_random_formulas_are_measured_as_defined():
 def test_all_random_formulas_are_measured_as_defined(share):
     for seed in range(share, ALL, 10):
         hold(seed)
+
+
+ONE_PASS = [
+    "always abs(x) <= 2",
+    "always[0.1, inf] abs(x - y) <= 0.01 * abs(y) + level",
+    "always (x*x + y*y <= (level + 1)^2 and x*x + y*y >= (level - 2)^2)",
+    "eventually[0.1, 0.6] x >= level",
+    "always (fault -> y < 2)",
+    "always not (x == y)",
+    "always max(abs(x), abs(y)) <= level",
+    "eventually min(x, y) / x > 2",
+    "always (sqrt(x) < level or y != x)",
+    "always[0.4, 0.6] x < level",
+    "always 1 <= level",
+]
+
+
+@pytest.fixture(scope="module")
+def interpreted():
+    """Read the instructions in Python, in blocks of seven samples."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(one_pass, "BLOCK", 7)
+        patch.setattr(one_pass, "SPANS", 3)
+        plain = Jit(one_pass.extreme.py_func).straight()
+        plain.pays = lambda *given: True
+        patch.setattr(one_pass, "extreme", plain)
+        yield
+
+
+def both(formula, rng, size):
+    """Return what one pass and what the reference say of a random record: a margin, or why there is none."""
+    times, y = np.arange(size) * PERIOD * SECOND, rng.normal(size=size)
+    x = rng.normal(size=size) * rng.choice([0.1, 1.0, 3.0])
+    kind = rng.integers(5)
+    if kind == 0:
+        x[rng.integers(size)] = rng.choice([math.nan, math.inf, 0.0])
+    elif kind == 1:
+        x, y = np.round(x), np.round(y)
+    known = {**KNOWN, "level": float(rng.choice([0.5, 2.0, 5.0]))}
+    tree = outline(formula, known).tree
+    truths = {"_true__fault": np.where(rng.random(size) > 0.5, math.inf, -math.inf)}
+    record = Record(times, {**known, "x": x, "y": y}, truths=truths, after=size * PERIOD * SECOND)
+    results = []
+    for native in (one_pass.OnePass(tree), None):
+        try:
+            with np.errstate(all="ignore"):
+                results.append(repr(record.margin(tree, native)))
+        except NotJudged as reason:
+            results.append(str(reason))
+    return results
+
+
+@pytest.mark.parametrize("formula", ONE_PASS)
+@pytest.mark.usefixtures("interpreted")
+def test_one_pass_is_the_reference_in_value_instant_and_spans(formula):
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        one, other = both(formula, rng, int(rng.integers(1, 30)))
+        assert one == other
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("formula", ONE_PASS)
+def test_one_pass_natively_is_the_reference(formula, monkeypatch):
+    monkeypatch.setattr(one_pass.extreme, "pays", lambda *given: True)
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        one, other = both(formula, rng, int(rng.integers(1, 3000)))
+        assert one == other
+
+
+def test_one_pass_decides_and_does_not_leave_all_to_the_reference(interpreted):
+    x = np.array([3.0, -1.0, -2.0, 4.0, -5.0])
+    result = one_pass.OnePass(outline("always x >= 0", KNOWN).tree)({"x": x}, {}, 0, 4)
+    assert result == (-5.0, 4, [(1, 2), (4, 4)])
+    result = one_pass.OnePass(outline("eventually[0, 1] x >= level", KNOWN).tree)({"x": x}, {"level": 0.5}, 1, 3)
+    assert result[:2] == (3.5, 3)
+
+
+@pytest.mark.parametrize("formula", ["always (x > 0 -> eventually[0, 1] y > 0)", "always x^2 < 1", "x < 1 until y > 0"])
+def test_other_forms_have_no_instructions(formula):
+    with pytest.raises(LookupError):
+        one_pass.OnePass(outline(formula, KNOWN).tree)

@@ -195,16 +195,23 @@ class Counted:
         return self.own.random(count)
 
 
-def test_random_draws_are_the_stream_and_the_newest_rows_are_cached():
+def test_random_draws_are_the_stream_and_the_newest_rows_are_cached(monkeypatch):
+    monkeypatch.setattr(draws, "_begun", {})
     wanted = np.random.default_rng(5).random(7 * SIZE)
     counted = []
     stream = Draws(lambda: counted.append(Counted()) or counted[-1], "random")
-    for row, drawn in ((0, 1), (1, 2), (2, 3), (3, 4), (0, 4), (4, 5), (1, 5), (2, 5), (0, 6), (6, 8), (4, 8), (5, 9)):
+    for row, drawn in ((0, 1), (1, 2), (2, 3), (3, 4), (0, 4), (4, 5), (1, 5), (2, 5), (0, 5), (6, 7), (4, 7), (5, 8)):
         for k in (row * SIZE, row * SIZE + 17, (row + 1) * SIZE - 1):
             assert stream(k) == wanted[k]
         assert counted[0].rows == drawn, row
     assert stream.first(10).tolist() == wanted[:10].tolist()
     assert (SIZE, KEPT, len(counted)) == (4096, 4, 2)
+    # The next run with this seed gets its first numbers without drawing them.
+    again = Draws(lambda: counted.append(Counted()) or counted[-1], "random")
+    assert [again(3), again.first(10).tolist()] == [wanted[3], wanted[:10].tolist()]
+    assert again(SIZE) == wanted[SIZE]
+    assert (len(counted), counted[2].rows) == (3, 1)
+    assert Draws(lambda: np.random.default_rng(6), "random")(3) == np.random.default_rng(6).random(4)[3]
 
 
 def test_a_stream_continues_at_the_stated_position():

@@ -10,7 +10,7 @@ import pytest
 from softrig_core import Recording, Signals, array, button, joint_state, number
 from softrig_core.wire import recording as module, signals as signals_module
 from softrig_core.wire.cdr import Layout, parse
-from softrig_core.wire.columns import Columns, Stored
+from softrig_core.wire.columns import Columns, Stored, spacious
 from softrig_core.wire.parameter_event import TOPIC as EVENTS, TYPE as EVENT
 from softrig_core.wire.recording import ShardTail, ShardWriter, Topic, read_shards, relative, shard_topics
 from softrig_core.wire.shards import Shards
@@ -214,6 +214,41 @@ def test_numbers_stay_numbers_until_bytes_are_needed():
     assert topic.parts() == ()
     assert topic.columns() is None
     assert topic.ticks().tolist() == topic.times
+
+
+def around(recording, last):
+    """Record a row, three rows of native code, which leave room around them, and one or two rows more."""
+    layouts = {list(PORTS).index("rig/state"): LAYOUTS[0]}
+    row, rows = recording.row(layouts), recording.rows(layouts)
+    row(0, (0.0, 0.5))
+    table = spacious(3, 2)
+    table[:] = np.arange(6.0).reshape(3, 2) + 1.0
+    rows(np.array([10, 20, 30]), table)
+    for k, values in enumerate(last):
+        row(40 + 10 * k, values)
+    return table
+
+
+@pytest.mark.parametrize("last", [[], [(7.0, 7.5)], [(7.0, 7.5), (8.0, 8.5)]])
+def test_ticks_around_native_ones_are_joined_without_a_copy_where_there_is_room(last):
+    recording = Recording((name, port.msgtype) for name, port in PORTS.items())
+    table = around(recording, last)
+    found = Signals(recording)
+    for k, name in enumerate(("x", "y")):
+        column = found[f"rig/state/{name}/position"].x
+        assert column.tolist() == [0.5 * k, *(1.0 + k + 2.0 * np.arange(3)), *(values[k] for values in last)]
+        assert np.shares_memory(column, table) is (len(last) < 2)
+    assert found["rig/state/x/position"].t.tolist() == (np.arange(4 + len(last)) / 1e8).tolist()
+
+
+def test_a_recording_that_goes_on_after_another_leaves_its_numbers_alone():
+    recording = Recording((name, port.msgtype) for name, port in PORTS.items())
+    around(recording, [(7.0, 7.5)])
+    name, other = "rig/state/x/position", recording.before(40)
+    other.row({list(PORTS).index("rig/state"): LAYOUTS[0]})(40, (9.0, 9.5))
+    column = Signals(recording)[name].x
+    assert Signals(other)[name].x[-1] == 9.0
+    assert column[-1] == 7.0
 
 
 def test_blocks_that_are_excluded_are_left_out():

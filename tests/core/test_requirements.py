@@ -10,7 +10,7 @@ import pytest
 from conftest import make_scenario
 from softrig_core import ByHand, RunError, ScenarioError, evaluate, figures_of, rig_of, simulate
 from softrig_core.judge.expectation import Expectation
-from softrig_core.judge.formula import bounded_by_numbers, margin_unit, read, variables
+from softrig_core.judge.formula import margin_unit, outline, read, variables
 from softrig_core.judge.requirement_entry import Requirement, check_lengths
 from softrig_core.judge.robustness import Record
 from softrig_core.verdict.requirements import _ticker
@@ -482,4 +482,4 @@ def test_a_figure_without_a_value_leaves_its_requirement_not_judged():
 )
 def test_numbers_with_a_unit_and_times_do_not_scale_with_the_machine(formula, own):
     known = {"v": None, "ref": None, "share": None, "limit": 3.0, "wait": 0.5}
-    assert bounded_by_numbers(formula, known, {"v": "V", "ref": "V", "share": ""}) is own
+    assert outline(formula, known).has_bounds({"v": "V", "ref": "V", "share": ""}) is own

@@ -123,8 +123,8 @@ class Step(RunningBlock):
     def link(self, link: Link | None) -> None:
         self._link = link
         self._asking, self.waits = self.overriding("respond"), self.overriding("lacks")
-        # The text of a turn names what is wired, and more may be wired up to the first tick; that tick goes through the
-        # loop's own functions (`loop.answer`), so that each run holds both forms against each other once.
+        # The text of a turn names what is wired, and more may be wired up to the first tick. Two ticks go through the
+        # loop's own functions (`loop.answer`): native runs leave only the first and the last one to Python.
         self.answer, self.advance = self._first_answer, self._first_advance
 
     def overriding(self, method: str) -> Link | None:
@@ -178,9 +178,17 @@ class Step(RunningBlock):
 
     def _first_answer(self, t: int) -> None:
         answer(self, t)
+        self.answer = self._second_answer
+
+    def _second_answer(self, t: int) -> None:
+        answer(self, t)
         self.answer = answerer(self)
 
     def _first_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
+        move(self, t, values)
+        self.advance = self._second_advance
+
+    def _second_advance(self, t: int, values: Mapping[str, Any] | None = None) -> None:
         move(self, t, values)
         self.advance = mover(self)
 

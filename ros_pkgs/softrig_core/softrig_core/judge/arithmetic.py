@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Tree = Any  # what sentil writes as JSON: {"Always": [{"lower", "upper"}, tree]}, {"Predicate": {"lhs", "op", "rhs"}}
+# What sentil writes as JSON: {"Always": [{"lower", "upper"}, tree]}, {"Predicate": {"lhs", "op", "rhs"}}.
+# A literal is a number, or the name of one among the samples, so that variants of a rig share the tree of a formula.
+Tree = Any
 Samples = Mapping[str, Array]
 SEVERAL = ("min", "max")  # functions of two numbers or more; the others take one
 
@@ -48,7 +50,7 @@ _CARRY = frozenset({"Add", "Sub", "Mul", "abs", "sqrt", "floor", "ceil"})
 def arithmetic(tree: Tree, samples: Samples) -> Any:
     """Return an expression's values; NaN where it, or a part of it, is undefined or beyond all numbers."""
     with np.errstate(all="ignore"):
-        if _carries(tree) and np.isfinite(result := _calculated(tree, samples, lambda values: values)).all():
+        if carries(tree) and np.isfinite(result := _calculated(tree, samples, lambda values: values)).all():
             return result
         return _calculated(tree, samples, sure)
 
@@ -56,24 +58,25 @@ def arithmetic(tree: Tree, samples: Samples) -> Any:
 def _calculated(tree: Tree, samples: Samples, check: Callable[[Any], Any]) -> Any:
     ((kind, body),) = tree.items()
     if kind == "Literal":
-        return np.float64(body)
+        return np.float64(samples[body] if isinstance(body, str) else body)
     if kind == "Variable":
         return samples[body]
-    name, given = _called(kind, body)
+    name, given = called(kind, body)
     return check(ARITHMETIC[name](*(_calculated(part, samples, check) for part in given)))
 
 
-def _called(kind: str, body: Any) -> tuple[str, Any]:
+def called(kind: str, body: Any) -> tuple[str, Any]:
     """Return the name and the operands of an operation."""
     return (body[0], body[1]) if kind == "Call" else (body[0], body[1:])
 
 
-def _carries(tree: Tree) -> bool:
+def carries(tree: Tree) -> bool:
+    """Return whether what is no number in an expression stays visible in its result."""
     ((kind, body),) = tree.items()
     if kind in ("Literal", "Variable"):
         return True
-    name, given = _called(kind, body)
-    return name in _CARRY and all(map(_carries, given))
+    name, given = called(kind, body)
+    return name in _CARRY and all(map(carries, given))
 
 
 def sure(values: Any) -> Any:

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import ScenarioError, closest
 from ..extras import need
 from ..timebase import SECOND
-from .arithmetic import SEVERAL, Tree, arithmetic
+from .arithmetic import ARITHMETIC, SEVERAL, Tree, arithmetic, called, sure
 from .expression import REFERENCE, number
 from .units import powers, text
 
@@ -62,30 +62,14 @@ def with_names(given: str) -> str:
     return REFERENCE.sub(lambda match: named(match[1]), given)
 
 
-def timing(given: str) -> set[str]:
+@lru_cache(maxsize=256)
+def timing(given: str) -> frozenset[str]:
     """Return the names in a formula's intervals."""
-    return {name for result in _INTERVAL.finditer(given) for name in _NAME.findall(result[0])} - _CALLS - {"inf"}
-
-
-def bounded_by_numbers(given: str, known: Mapping[str, float | None], units: Mapping[str, str]) -> bool:
-    """Return whether a formula has bounds of its own, which do not follow the machine.
-
-    These are times other than 0 that are written as numbers, and numbers with a unit: a comparison of something that
-    has a unit with a number alone, or a sum of the two. Shares of what is named, and zero, follow.
-
-    Parameters
-    ----------
-    given : str
-    known : mapping
-        As in `read`.
-    units : mapping
-        Of the names that are no numbers.
-    """
-    plain = [part.strip() for result in _INTERVAL.finditer(given) for part in result.groups() if _PLAIN.fullmatch(part)]
-    if any(part != "inf" and float(part) for part in plain):
-        return True
-    tree = _parsed(given, known)[0]
-    return any(_compares_number(kind, body, units) for kind, body in nodes(tree))
+    return (
+        frozenset({name for result in _INTERVAL.finditer(given) for name in _NAME.findall(result[0])})
+        - _CALLS
+        - {"inf"}
+    )
 
 
 def _compares_number(kind: str, body: Any, units: Mapping[str, str]) -> bool:
@@ -131,11 +115,134 @@ def read(given: str, known: Mapping[str, float | None]) -> tuple[Tree, dict[str,
 
 @lru_cache(maxsize=256)
 def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree, Mapping[str, Condition]]:
-    known = dict(items)
-    tree, conditions = _parsed(given, known)
-    if not any(kind in ("Always", "Eventually", "Until") for kind, _ in nodes(tree)):
+    result = outline(given, known := dict(items))
+    numbers = {name: value for name, value in known.items() if value is not None}
+    tree = _map(result.tree, lambda k, body: (k, numbers.get(body, body) if k == "Literal" else body))
+    return tree, result.conditions
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A formula with the names of its numbers: variants of a rig, which have other numbers, share it.
+
+    Parameters
+    ----------
+    given : str
+        The formula as it was written.
+    parsed, tree : plain data
+        As sentil reads it; and with intervals in ns, and a literal with a name for the number of this name.
+    conditions : mapping
+        By variable.
+    """
+
+    given: str
+    parsed: Tree
+    tree: Tree
+    conditions: Mapping[str, Condition]
+
+    @cached_property
+    def variables(self) -> list[str]:
+        """Return the names of its signals and conditions."""
+        return variables(self.tree)
+
+    @cached_property
+    def numbers(self) -> list[str]:
+        """Return the names of its numbers."""
+        return [body for kind, body in nodes(self.tree) if kind == "Literal" and isinstance(body, str)]
+
+    @cached_property
+    def intervals(self) -> list[tuple[float, float | None]]:
+        """Return the interval of every temporal operator, ns."""
+        return list(intervals(self.tree))
+
+    @cached_property
+    def _constants(self) -> list[tuple[Tree, bool]]:
+        """Return the largest parts without a signal, and whether something is divided by each."""
+        result = []
+        for kind, body in nodes(self.tree):
+            parts = [*body.values()] if kind == "Predicate" else called(kind, body)[1] if kind in _OPERATIONS else []
+            divides = kind == "Binary" and body[0] in ("Div", "Mod")
+            if kind == "Predicate" or (kind in _OPERATIONS and variables(body)):
+                result += [
+                    (part, divides and k == 1)
+                    for k, part in enumerate(parts)
+                    if isinstance(part, dict) and not variables(part)
+                ]
+        return result
+
+    def has_bounds(self, units: Mapping[str, str]) -> bool:
+        """Return whether it has bounds of its own, which do not follow the machine.
+
+        These are times other than 0 that are written as numbers, and numbers with a unit: a comparison of something
+        that has a unit with a number alone, or a sum of the two. Shares of what is named, and zero, follow.
+
+        Parameters
+        ----------
+        units : mapping
+            Of the names that are no numbers.
+        """
+        times = [part.strip() for result in _INTERVAL.finditer(self.given) for part in result.groups()]
+        if any(part != "inf" and float(part) for part in times if _PLAIN.fullmatch(part)):
+            return True
+        return any(_compares_number(kind, body, units) for kind, body in nodes(self.parsed))
+
+    def check(self, numbers: Mapping[str, Any]) -> None:
+        """Refuse constants that are not finite for any signals; a ScenarioError says what is undefined."""
+        with np.errstate(all="ignore"):
+            for tree, divides in self._constants:
+                if not _constant(tree, numbers) and divides:
+                    raise ScenarioError("a division by zero")
+
+
+_OPERATIONS = ("Call", "Binary")
+
+
+def _constant(tree: Tree, numbers: Mapping[str, Any]) -> Any:
+    """Return the value of an expression without signals; refuse it where one of its parts is undefined."""
+    ((kind, body),) = tree.items()
+    if kind == "Literal":
+        return arithmetic(tree, numbers)
+    name, given = called(kind, body)
+    values = [_constant(part, numbers) for part in given]
+    if name in ("Div", "Mod") and not values[1]:
+        raise ScenarioError("a division by zero")
+    result = sure(ARITHMETIC[name](*values))
+    if math.isnan(result):
+        raise ScenarioError(f"{body[0].lower()} of numbers for which it is undefined")
+    return result
+
+
+def outline(given: str, known: Mapping[str, float | None]) -> Outline:
+    """Read a formula as `read` does, but keep the names of its numbers; raise the same errors."""
+    for name in sorted(_LETTERS & known.keys()):
+        raise ScenarioError(f"formula {given!r}: {name} is the letter of an operator; rename the signal or figure")
+    names = tuple([(name, value is not None) for name, value in known.items()])
+    timed = _timed(given, known)
+    # Whether an exponent is a whole number decides which unit its power has.
+    exponents = {name: known[name] for name in _exponents(given, timed, names)}
+    result = _outline(given, timed, names, tuple(exponents.items()))
+    try:
+        result.check({name: value for name in result.numbers if (value := known[name]) is not None})
+    except ScenarioError as error:
+        raise ScenarioError(f"formula {given!r}: {error}") from None
+    return result
+
+
+@lru_cache(maxsize=256)
+def _exponents(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> list[str]:
+    numbers, tree = {name for name, is_number in names if is_number}, _tree(given, timed, names)[0]
+    powers_ = [body[2] for kind, body in nodes(tree) if kind == "Binary" and body[0] == "Pow"]
+    return [name for part in powers_ for name in variables(part) if name in numbers]
+
+
+@lru_cache(maxsize=256)
+def _outline(
+    given: str, timed: str, names: tuple[tuple[str, bool], ...], exponents: tuple[tuple[str, float | None], ...]
+) -> Outline:
+    parsed, conditions = _tree(given, timed, names)
+    if not any(kind in ("Always", "Eventually", "Until") for kind, _ in nodes(parsed)):
         raise ScenarioError(f"formula {given!r} is about t = 0 only: write 'always (...)', or 'eventually (...)'")
-    for kind, body in nodes(tree):
+    for kind, body in nodes(parsed):
         if kind in ("Probabilistic", "Next"):
             raise ScenarioError(
                 f"formula {given!r}: no {'probabilities' if kind != 'Next' else 'next'} here; "
@@ -143,19 +250,14 @@ def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree
             )
         if kind == "Binary" and body[0] == "Pow" and _negated(body[1]):
             raise ScenarioError(f"formula {given!r}: a minus before a power reads as (-x)^n; write 0 - (x^n), or x*x")
+    numbers: dict[str, Any] = {name: name for name, is_number in names if is_number}
+    numbers |= exponents
     try:
-        tree = _map(tree, lambda kind, body: _filled(kind, body, known))
-        _check_arithmetic(tree)
+        tree = _map(parsed, lambda kind, body: _filled(kind, body, numbers))
+        _check_calls(tree)
     except ScenarioError as error:
         raise ScenarioError(f"formula {given!r}: {error}") from None
-    return tree, conditions
-
-
-def _parsed(given: str, known: Mapping[str, float | None]) -> tuple[Tree, Mapping[str, Condition]]:
-    """Parse a formula; its names are variables still, its times seconds."""
-    for name in sorted(_LETTERS & known.keys()):
-        raise ScenarioError(f"formula {given!r}: {name} is the letter of an operator; rename the signal or figure")
-    return _tree(given, _timed(given, known), tuple((name, value is None) for name, value in known.items()))
+    return Outline(given, parsed, tree, conditions)
 
 
 @lru_cache(maxsize=256)
@@ -169,12 +271,12 @@ def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[
     timed : str
         From `_timed`.
     names : tuple of (str, bool)
-        Its names and whether each is a signal.
+        Its names and whether each is a number.
     """
     need("sentil", "a requirement as a formula")
     import sentil
 
-    written, conditions = _rewrite(timed, {name: None if signal else 0.0 for name, signal in names})
+    written, conditions = _rewrite(timed, {name: 0.0 if is_number else None for name, is_number in names})
     try:
         return json.loads(sentil.Formula.parse(written).to_json()), conditions
     except sentil.SentilError as error:
@@ -183,7 +285,16 @@ def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[
 
 def _timed(given: str, known: Mapping[str, float | None]) -> str:
     """Evaluate arithmetic over names in a formula's intervals."""
+    used = {name: known.get(name) for name in timing(given)}
+    return _calculated(given, known) if None in used.values() else _timed_by(given, tuple(used.items()))
 
+
+@lru_cache(maxsize=256)
+def _timed_by(given: str, numbers: tuple[tuple[str, float | None], ...]) -> str:
+    return _calculated(given, dict(numbers))
+
+
+def _calculated(given: str, known: Mapping[str, float | None]) -> str:
     def value(name: str) -> float:
         result = known.get(name)
         if result is None:
@@ -207,20 +318,12 @@ def _timed(given: str, known: Mapping[str, float | None]) -> str:
     return _INTERVAL.sub(lambda actual: f"[{seconds(actual[1])}, {seconds(actual[2])}]", given)
 
 
-def _check_arithmetic(tree: Tree) -> None:
-    """Refuse functions with the wrong number of arguments, and constants that are not finite for any signals."""
-    for kind, body in nodes(tree):
-        if kind == "Call":
-            name, given = body
-            several = name in SEVERAL
-            if len(given) < 2 if several else len(given) != 1:
-                raise ScenarioError(
-                    f"{name} takes {'two numbers or more' if several else 'one number'}, got {len(given)}"
-                )
-        if kind == "Binary" and body[0] in ("Div", "Mod") and not variables(body[2]) and not arithmetic(body[2], {}):
-            raise ScenarioError("a division by zero")
-        if kind in ("Call", "Binary") and not variables(body) and math.isnan(arithmetic({kind: body}, {})):
-            raise ScenarioError(f"{body[0].lower()} of numbers for which it is undefined")
+def _check_calls(tree: Tree) -> None:
+    """Refuse functions with the wrong number of arguments."""
+    for name, given in [body for kind, body in nodes(tree) if kind == "Call"]:
+        several = name in SEVERAL
+        if len(given) < 2 if several else len(given) != 1:
+            raise ScenarioError(f"{name} takes {'two numbers or more' if several else 'one number'}, got {len(given)}")
 
 
 def _reason(error: Exception, written: str) -> str:
@@ -279,9 +382,9 @@ def _stands_alone(before: list[str], following: str, calls: list[bool]) -> bool:
     return starts and following in _AFTER_CONDITION and not (calls and calls[-1])
 
 
-def _filled(kind: str, body: Any, known: Mapping[str, float | None]) -> tuple[str, Any]:
-    if kind == "Variable" and known.get(body) is not None:
-        return "Literal", known[body]
+def _filled(kind: str, body: Any, numbers: Mapping[str, Any]) -> tuple[str, Any]:
+    if kind == "Variable" and body in numbers:
+        return "Literal", numbers[body]
     if isinstance(body, list) and body and isinstance(body[0], dict) and "lower" in body[0]:
         low, high = body[0]["lower"], body[0]["upper"]
         limits = {"lower": _ns(low), "upper": None if high is None else _ns(high)}

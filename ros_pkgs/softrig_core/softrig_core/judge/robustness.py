@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..timebase import SECOND
 from .arithmetic import Array, Samples, Tree, arithmetic, sure
 from .formula import EDGES, FUTURE, PAST, Condition, horizon, nodes, variables
+from .one_pass import Extreme, OnePass
 
 Pick = np.ufunc
 INF = float("inf")
@@ -142,14 +143,25 @@ class Record:
         self._samples, self._truths, self._late = samples, truths or {}, late or {}
         self._measured_trees: dict[int, tuple[Tree, Array]] = {}
 
-    def margin(self, tree: Tree) -> Margin:
+    def margin(self, tree: Tree, native: OnePass | None = None) -> Margin:
         """Evaluate a formula at the first instant.
+
+        Parameters
+        ----------
+        native : OnePass, optional
+            The formula's, where it has one: the same result, sooner.
 
         Raises
         ------
         NotJudged
             The record does not decide the formula; the message names what is undefined, or where the record ends.
         """
+        if native is not None and self.ended and not self._late:
+            low, high = limits(tree[native.kind])
+            first, last, over = (int(each[0]) for each in self._window(native.kind, low, high, self.times[:1]))
+            names = {**self._samples, **self._truths}
+            if not over and (extreme := native(names, self._samples, first, last)) is not None:
+                return self._decided(extreme)
         result = self._at(tree, 0)
         least, greatest = float(result[0, 0]), float(result[1, 1])
         if least < 0.0 <= greatest:
@@ -164,6 +176,12 @@ class Record:
         return Margin(
             value, at, violated or (((at, at),) if value < 0.0 else ()), (least, greatest), open_from / SECOND
         )
+
+    def _decided(self, extreme: Extreme) -> Margin:
+        """Return the margin of a formula that is decided by an extreme of what it compares."""
+        value, at = extreme.value, float(self.times[extreme.at] / SECOND)
+        spans = tuple((float(self.times[a] / SECOND), float(self.times[b] / SECOND)) for a, b in extreme.spans)
+        return Margin(value, at, spans or (((at, at),) if value < 0.0 else ()), (value, value), INF)
 
     def bounds(self, tree: Tree) -> Array:
         """Return a formula's robustness at each instant.

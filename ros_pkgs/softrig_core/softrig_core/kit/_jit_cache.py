@@ -43,6 +43,10 @@ class Cache:
         self._name = "".join(c if c.isalnum() or c in "._" else "" for c in name)
         self._digest, self._unnamed = digest, unnamed
 
+    def has(self, signature: Any, target: Any) -> bool:
+        """Return whether code for arguments of these types is stored."""
+        return self._file(signature, target).exists()
+
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled function; None when the cache does not have it or cannot be read."""
         from numba.core.compiler import CompileResult

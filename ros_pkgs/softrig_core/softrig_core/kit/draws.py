@@ -13,6 +13,21 @@ if TYPE_CHECKING:
 SIZE = 4096
 # So many rows are at hand, so that going back a little draws nothing again.
 KEPT = 4
+# Numbers of as many streams as nodes of a rig draw from, kept for the next run: those of a study often have one seed.
+STREAMS = 8
+# Of so many numbers at most.
+LONGEST = 1 << 17
+_begun: dict[tuple[Any, ...], Any] = {}
+
+
+def _once(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+    """Return what was drawn for an earlier run from the same state of a generator, else draw it."""
+    if key not in _begun:
+        result = make()
+        while len(_begun) >= STREAMS:
+            del _begun[next(iter(_begun))]
+        _begun[key] = result
+    return _begun[key]
 
 
 class Stream:
@@ -98,20 +113,33 @@ class Draws:
         state: Any = self._before[0]
         return state["state"]["state"], state["state"]["inc"]
 
+    @property
+    def _key(self) -> tuple[str, str]:
+        """Return what decides all numbers."""
+        return self._kind, repr(self._before[0])
+
     def first(self, count: int) -> NDArray[np.float64]:
-        """Return the first `count` numbers, shape (count,)."""
-        result: NDArray[np.float64] = getattr(self._stream(), self._kind)(count)
+        """Return the first `count` numbers, shape (count,); they must not be changed."""
+
+        def draw() -> Any:
+            return getattr(self._stream(), self._kind)(count)
+
+        result: NDArray[np.float64] = draw() if count > LONGEST else _once((*self._key, count), draw)
         return result
 
     def _drawn(self, n: int) -> list[float]:
         """Draw row n, and first all rows before it that have not been drawn yet."""
         bits = self._generator.bit_generator
-        for m in range(min(n, len(self._before) - 1), n + 1):
+
+        def draw(m: int) -> tuple[Any, Any]:
             bits.state = self._before[m]
-            drawn = self._draw(SIZE)
+            return self._draw(SIZE).tolist(), bits.state
+
+        for m in range(min(n, len(self._before) - 1), n + 1):
+            row, after = _once((*self._key, "row"), lambda: draw(0)) if m == 0 else draw(m)
             if m + 1 == len(self._before):
-                self._before.append(bits.state)
+                self._before.append(after)
         while len(self._rows) >= KEPT:
             del self._rows[next(iter(self._rows))]
-        self._rows[n] = row = drawn.tolist()
-        return row
+        self._rows[n] = row
+        return row  # type: ignore[no-any-return]

@@ -25,6 +25,8 @@ from typing import Any, NamedTuple, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., Any])
 # The most parts of the arguments of a call that are handed over one by one.
 MOST_PARTS = 100
+# Calls of a function that has another form, too, after which it is loaded, and after which it is compiled.
+SOME, MANY = 16, 1000
 # Part of the digest. Change it with the way of compiling, so that no older code is taken from the cache.
 HOW = b"borrowed: parts, symbols by digest"
 SVML = "NUMBA_DISABLE_INTEL_SVML"
@@ -79,13 +81,14 @@ def power(x: float, y: float) -> float:
 class Jit:
     """A function that is native code from its first call on; made by `jit`."""
 
-    SCRATCH = frozenset({"_run", "_dispatcher", "_straight"})  # made at the first call
+    SCRATCH = frozenset({"_run", "_dispatcher", "_straight", "_asked", "_stored"})  # made at the first call
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.py_func = function
         self._run: Callable[..., Any] = self._first
         self._dispatcher: Any = None
         self._straight: types.FunctionType | None = None
+        self._asked, self._stored = 0, False
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -96,6 +99,20 @@ class Jit:
     def direct(self) -> Callable[..., Any]:
         """Return the function that a call runs, from the first call on; before it the object itself."""
         return self if self._run == self._first else self._run
+
+    def pays(self, *arguments: Any) -> bool:
+        """Return whether to call it for these arguments saves time against a form that numpy executes.
+
+        Loading native code takes some ms and compiling it seconds. So it is loaded after some calls, and compiled
+        after many.
+        """
+        if "numba" not in sys.modules or os.environ.get("SOFTRIG_JIT", "1") == "0":
+            return False
+        self._asked += 1
+        if self._asked == SOME:
+            made = self.dispatcher(our_numba())
+            self._stored = made._cache.has(tuple(map(made.typeof_pyval, arguments)), made.targetctx)
+        return self._asked >= (SOME if self._stored else MANY)
 
     def _first(self, *arguments: Any) -> Any:
         if os.environ.get("SOFTRIG_JIT", "1") == "0" or (numba := our_numba()) is None:

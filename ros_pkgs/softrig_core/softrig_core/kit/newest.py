@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import lru_cache
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -13,6 +13,7 @@ A = TypeVar("A")
 S = ParamSpec("S")
 # Answers of a function that are stored: enough for some runs of a study, each with values of its own.
 KEPT = 256
+Kept = dict[tuple[int, ...], tuple[Any, A]]
 
 
 class Newest(Generic[K, V]):
@@ -53,19 +54,24 @@ def once_for_objects(function: Callable[S, A]) -> Callable[S, A]:
 
     The result must depend only on the arguments; neither it nor the arguments may be changed. Errors are not stored.
     """
-    kept: dict[tuple[int, ...], tuple[Any, A]] = {}
+    kept: Kept[A] = {}
 
     def known(*arguments: S.args, **keywords: S.kwargs) -> A:
-        key = tuple(map(id, arguments))
-        if key not in kept:
-            result = function(*arguments, **keywords)
-            if len(kept) >= KEPT:
-                kept.clear()
-            # The arguments are stored too: while they live, no other object can have their identity.
-            kept[key] = arguments, result
-        return kept[key][1]
+        return of_these(kept, arguments, lambda: function(*arguments, **keywords))
 
     return known
+
+
+def of_these(kept: Kept[A], objects: Sequence[Any], make: Callable[[], A]) -> A:
+    """Return what was made of the same objects before, else make it; see `once_for_objects`."""
+    key = tuple(map(id, objects))
+    if key not in kept:
+        result = make()
+        if len(kept) >= KEPT:
+            kept.clear()
+        # The objects are stored too: while they live, no other object can have their identity.
+        kept[key] = objects, result
+    return kept[key][1]
 
 
 _made: dict[tuple[Any, bytes], Any] = {}

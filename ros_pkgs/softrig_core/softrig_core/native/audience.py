@@ -6,16 +6,24 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..block.answer import Messages, ReceivedMessages, Where, part, parted, places
 from ..block.block import Observer
 from ..block.fill import Fill
 from ..block.gathering import takes_batches
 from ..block.port import Sample
-from ..block.schedule import Plan
+from ..block.schedule import Plan, Schedule
 from ..block.step import Step
+from ..wire.times import once_for_times
 
 NEVER = -1  # of a time, ns
+
+
+@once_for_times
+def _times(schedule: Schedule, first: int, last: int) -> NDArray[np.int64]:
+    """Return the times of ticks as `Schedule.times` does: the same array for the runs of a study."""
+    return schedule.times(first, last)
 
 
 def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
@@ -130,7 +138,7 @@ class Audience:
             if s.link is None or not own:
                 continue
             if (ticks := (s.schedule.period, own)) not in times:
-                times[ticks] = s.schedule.times(own.start, own.stop)
+                times[ticks] = _times(s.schedule, own.start, own.stop)
             s.link.send_all(times[ticks], *(rows[id(s)] if s.outputs else nothing(len(own))))
 
     def watch(self, recorded: Sequence[Step], first: int, last: int, rows: Mapping[int, Answers]) -> None:

@@ -17,6 +17,7 @@ from ..block.schedule import Plan
 from ..block.step import Step
 from ..errors import RunError
 from ..timebase import SECOND
+from ..wire.columns import spacious
 from .audience import NEVER, Answers, answered, numbers_of, stamps_of
 from .rig_text import RigText, rig_text
 from .translate import follow
@@ -238,8 +239,7 @@ class Fitted:
         """Make buffers for the native answers of the ticks from `first` up to `last`."""
         self._begin = first
         self.rows = {
-            # The memory holds column after column, because the tables are read by columns.
-            key: Answers(np.empty((size, count)).T, np.empty((count, stamps), np.int64))
+            key: Answers(spacious(count, size), np.empty((count, stamps), np.int64))
             if self._typed
             else Answers([], [])
             for key, count, size, stamps in self._tables_of(last)

@@ -13,6 +13,7 @@ from ..block.params import BlockParams, FromFiles, ParameterError
 from ..block.port import CLOCK, Port
 from ..block.schedule import Schedule
 from ..errors import ScenarioError, closest
+from ..kit.newest import Kept, of_these
 from ..scenario.references import fill_parameters, parameter_of
 from ..scenario.scenario import Scenario
 
@@ -138,7 +139,19 @@ class Members:
 
 
 def signal_units(rig: Members) -> dict[str, str]:
-    """Return the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none."""
+    """Return the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none.
+
+    The variants of a rig share it, and what follows from it.
+    """
+    # Ports decide how members are linked.
+    ports = [port for m in rig.members for port in (*m.inputs, None, *m.outputs, None)]
+    return of_these(_units, ports, lambda: _units_of(rig))
+
+
+_units: Kept[dict[str, str]] = {}
+
+
+def _units_of(rig: Members) -> dict[str, str]:
     units = {
         f"{topic}/{label}": unit
         for topic, port in rig.topics.items()

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fnmatch import filter as filter_names
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
@@ -34,15 +34,18 @@ from ..judge.measures import (
 )
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
+from ..kit.newest import once_for_objects
 from ..rig.agreement import agreed_values, agreeing, shown
 from ..rig.members import Members, signal_units
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters, pick
+from ..scenario.scenario import FigureEntry
 from .requirements import Judge, judges
 
 MOST = 1e300
 DECIDED = "by its conditions alone"  # of a requirement without a distance
 SIGNALS = ("signal", "reference", "final", "initial")  # arguments that name a signal, if they are a word
+NONE = Expectation()
 STEP = ("final", "initial")  # of these, those of a step
 
 
@@ -132,7 +135,7 @@ class Figure:
     scale: float
     since: str = ""
 
-    @property
+    @cached_property
     def reads(self) -> list[str]:
         """Names of the signals that it reads, or patterns of them."""
         given, reads = [a for a in self.arguments.values() if isinstance(a, str)], getattr(self.function, "reads", ())
@@ -184,19 +187,39 @@ def figures_of(rig: Members) -> list[Figure]:
     result = []
     for name, entry in rig.scenario.figures.items():
         try:
-            function = find(entry.function or name)
-            given = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
-            arguments = _arguments(function, agreeing(agreed, given, getattr(function, "agreed", {})))
-            _check_since(function, arguments, units, entry.since)
-            _check_signals(function, arguments, units)
-            unit, scale = _unit(function, arguments, units, entry.unit)
+            result.append(_plain(name, entry, units) or _referring(name, entry, units, agreed, rig))
         except ScenarioError as error:
             at = rig.scenario.written("figures", name)
             raise ScenarioError(f"{rig.scenario.name}: figure {name}: {error}{at}") from None
-        result.append(Figure(name, function, arguments, unit, scale, entry.since))
     required = judges(rig, units, {figure.name: figure for figure in result})
     result += [Figure(name, judge, {}, judge.unit, 1.0) for name, judge in required.items()]
     return result
+
+
+@once_for_objects
+def _plain(name: str, entry: FigureEntry, units: Mapping[str, str]) -> Figure | None:
+    """Return a figure that takes nothing from nodes; None for another one."""
+    function = find(entry.function or name)
+    if getattr(function, "agreed", {}) or "$" in str(entry.arguments):
+        return None
+    return _resolved(name, function, entry, entry.arguments, units)
+
+
+def _referring(
+    name: str, entry: FigureEntry, units: Mapping[str, str], agreed: Mapping[str, tuple[str, Any]], rig: Members
+) -> Figure:
+    function = find(entry.function or name)
+    given = {k: _computed(v, rig) for k, v in fill_parameters(entry.arguments, rig.parameter).items()}
+    return _resolved(name, function, entry, agreeing(agreed, given, getattr(function, "agreed", {})), units)
+
+
+def _resolved(
+    name: str, function: Function, entry: FigureEntry, given: Mapping[str, Any], units: Mapping[str, str]
+) -> Figure:
+    arguments = _arguments(function, given)
+    _check_since(function, arguments, units, entry.since)
+    _check_signals(function, arguments, units)
+    return Figure(name, function, arguments, *_unit(function, arguments, units, entry.unit), entry.since)
 
 
 def _computed(argument: Any, rig: Members) -> Any:
@@ -224,8 +247,16 @@ def _unit(
 
 def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
     """Return the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
-    asked = [name for f in figures for name in f.reads]
-    return {signal for name in asked for signal in _called(name, units)}
+    return {signal for f in figures for signal in _signals(f.reads, units)}
+
+
+def _signals(names: Sequence[str], units: Mapping[str, str]) -> Iterable[str]:
+    return names if all(name in units for name in names) else _matched(names, units)
+
+
+@once_for_objects
+def _matched(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
+    return [signal for name in names for signal in _called(name, units)]
 
 
 def _called(name: str, units: Mapping[str, str]) -> Iterable[str]:
@@ -289,7 +320,7 @@ def evaluate(
         required = figure.name in rig.scenario.requirements
         limits = rig.scenario.expect.get(figure.name, Expectation(at_least=0.0) if required else None)
         about: dict[str, Any] = {"name": figure.name, "unit": figure.unit, "published": published.get(figure.name)}
-        about |= (limits or Expectation()).model_dump(exclude={"text"})
+        about |= {key: getattr(limits or NONE, key) for key in ("expected", "tolerance", "at_most", "at_least")}
         about["follows"] = follows(figure, limits)
         about["settled"] = under_way and isinstance(figure.function, Judge) and figure.function.settled(signals)
         impossible = False
@@ -311,7 +342,8 @@ def evaluate(
         sure = (math.copysign(MOST, x) if required and math.isinf(x) else x for x in bounds)  # a margin, no distance
         passed = limits is None or all(limits.holds(x) for x in sure)
         passed = passed and not impossible
-        results.append(Result(value=None if error else value, number=value, passed=passed, error=error, **about))
+        about |= {"value": None if error else value, "number": value, "passed": passed, "error": error}
+        results.append(Result(**about))
     return results
 
 
@@ -351,10 +383,10 @@ def _model(function: Function) -> tuple[type[BaseModel], bool]:
     return create_model(function.__name__, __base__=Entry, **fields), len(fields) == len(parameters)
 
 
-def _arguments(function: Function, given: dict[str, Any]) -> dict[str, Any]:
+def _arguments(function: Function, given: Mapping[str, Any]) -> dict[str, Any]:
     model, closed = _model(function)
     if not closed:
-        return given
+        return dict(given)
     try:
         checked = model.model_validate(given)
     except ValidationError as error:

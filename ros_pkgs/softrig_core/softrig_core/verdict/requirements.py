@@ -20,16 +20,16 @@ from ..judge.arithmetic import Array, Tree
 from ..judge.expression import references
 from ..judge.formula import (
     Condition,
-    bounded_by_numbers,
-    intervals,
+    Outline,
     margin_unit,
     named,
-    read,
+    outline,
     timing,
     variables,
     with_names,
 )
 from ..judge.measures import UNMEASURED, Places, SignalMap, newest, places
+from ..judge.one_pass import OnePass
 from ..judge.requirement_entry import Requirement
 from ..judge.robustness import Margin, Record, truth
 from ..rig.members import Members
@@ -40,7 +40,6 @@ from ..wire.signals import full_name
 from ..wire.times import common, once_for_times
 
 Items = tuple[tuple[str, Any], ...]
-_bounds: dict[tuple[Any, ...], bool] = {}
 
 
 class Measured(Protocol):
@@ -64,7 +63,8 @@ class Judge:
 
     Called with signals it returns the margin, like a figure function. `ticker` is a signal that lasts to the end of a
     run. `figures` are those whose value the formula uses. `timed` are the figures from which its times are counted;
-    `again` parses the formula with their values. `follows` means that no bound of the formula is a fixed number.
+    `again` parses the formula with their values. `numbers` are those that the tree names; `native` has the formula's
+    instructions. `follows` means that no bound of the formula is a fixed number.
     """
 
     tree: Tree
@@ -78,6 +78,8 @@ class Judge:
     timed: Mapping[str, Measured] = field(default_factory=dict)
     follows: bool = False
     again: Callable[[Mapping[str, float]], Tree] | None = None
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    native: OnePass | None = None
 
     def __call__(self, signals: SignalMap) -> float:
         """Compute the margin; raise a ValueError with the reason if it cannot be judged."""
@@ -112,7 +114,8 @@ class Judge:
         if not len(ticks):
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
         grid = _grid(self.clock, ticks[-1])
-        held, truths, late = {}, {}, dict[str, NDArray[np.bool_]]()
+        held: dict[str, Any] = {**self.numbers}
+        truths, late = {}, dict[str, NDArray[np.bool_]]()
         tree = self.tree
         if self.again is not None:
             tree = self.again({name: _measured(name, figure, signals) for name, figure in self.timed.items()})
@@ -130,7 +133,8 @@ class Judge:
                 if none is not None:
                     late[name] = none
         after = self.clock.next(int(grid[-1]))
-        return Record(grid, held, truths=truths, late=late, after=after, ended=ended).margin(tree)
+        native = self.native if tree is self.tree else None
+        return Record(grid, held, truths=truths, late=late, after=after, ended=ended).margin(tree, native)
 
 
 def _measured(name: str, figure: Measured, signals: SignalMap) -> float:
@@ -286,11 +290,10 @@ def _judge(
     if strange := [name for name, figure in timed.items() if figure.unit != "s"]:
         raise ScenarioError(f"{strange[0]} in an interval is in {own[strange[0]].unit!r}, expected s")
     known |= dict.fromkeys(timed, 0.0)  # until it is measured
-    tree, conditions = read(formula, known)
-    items = tuple(known.items())
-    used, asked = _used(formula, items)
+    result = outline(formula, known)
+    used, conditions = result.variables, result.conditions
     period = rig.clock.params.period * SECOND
-    for low, high in asked:
+    for low, high in result.intervals:
         if high is not None and math.floor(high / period + 1e-9) * period < low * (1.0 - 1e-12):
             raise ScenarioError(
                 f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "
@@ -303,11 +306,10 @@ def _judge(
         name: own[name].unit if name in own else units[signals[name]] for name in used if name not in conditions
     }
     scaled = tuple(compared.items()), tuple(requirement.scale.items())
-    tree, unit = _scaled(formula, items, *scaled)
+    tree, unit, native = _scaled(result, *scaled)
     read_ = {n: signals[n] for n in {conditions[v].signal if v in conditions else v for v in used} if n not in own}
     ticker = _ticker(rig)
     read_too = [signal for figure in (*measured.values(), *timed.values()) for signal in figure.reads]
-    follows = not _bounded(formula, items, scaled[0])
     return Judge(
         tree,
         read_,
@@ -318,37 +320,34 @@ def _judge(
         (*read_.values(), *read_too, ticker),
         measured,
         timed,
-        follows,
+        not _has_bounds(result, scaled[0]),
         partial(_at, formula, known, scaled) if timed else None,
+        {name: value for name in result.numbers if (value := known[name]) is not None},
+        native,
     )
-
-
-# what a formula says is found once for the variants of a rig
 
 
 def _at(
     formula: str, known: Mapping[str, float | None], scaled: tuple[Items, Items], values: Mapping[str, float]
 ) -> Tree:
-    return _scaled(formula, tuple({**known, **values}.items()), *scaled)[0]
+    return _scaled(outline(formula, {**known, **values}), *scaled)[0]
+
+
+# An outline is the same object for the variants of a rig, so that what follows from it is found once for all of them.
 
 
 @lru_cache(maxsize=256)
-def _used(formula: str, known: Items) -> tuple[list[str], list[tuple[float, float | None]]]:
-    tree, _ = read(formula, dict(known))
-    return variables(tree), list(intervals(tree))
-
-
-def _bounded(formula: str, known: Items, units: Items) -> bool:
-    # Which numbers the names stand for does not matter, and these are others in each run of a study.
-    key = formula, tuple((name, value is None) for name, value in known), units
-    if key not in _bounds:
-        _bounds[key] = bounded_by_numbers(formula, dict(known), dict(units))
-    return _bounds[key]
+def _has_bounds(shape: Outline, units: Items) -> bool:
+    return shape.has_bounds(dict(units))
 
 
 @lru_cache(maxsize=256)
-def _scaled(formula: str, known: Items, units: Items, scale: Items) -> tuple[Tree, str]:
-    return margin_unit(read(formula, dict(known))[0], dict(units), dict(scale))
+def _scaled(shape: Outline, units: Items, scale: Items) -> tuple[Tree, str, OnePass | None]:
+    tree, unit = margin_unit(shape.tree, dict(units), dict(scale))
+    try:
+        return tree, unit, OnePass(tree)
+    except LookupError:
+        return tree, unit, None
 
 
 def _ticker(rig: Members) -> str:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +16,42 @@ from .cdr import Layout
 
 # So many rows of a file are in memory at a time. A row has 10 bytes and 8 for each number.
 READ = 1 << 14
+SPARE = 1  # rows at either end of answers of native code, for those of the ticks before and after that Python answers
+
+_spacious: WeakValueDictionary[int, NDArray[np.float64]] = WeakValueDictionary()
+
+
+def spacious(count: int, size: int) -> NDArray[np.float64]:
+    """Return an array of shape (count, size), column after column in memory, with free rows at both ends."""
+    whole = np.empty((size, count + 2 * SPARE))
+    _spacious[id(whole)] = whole
+    return whole[:, SPARE : count + SPARE].T
 
 
 class Columns(NamedTuple):
-    """Messages of one layout as numbers: their times in ns, shape (n,), and all their numbers, (n, size)."""
+    """Messages of one layout as numbers: their times in ns, shape (n,), and all their numbers, (n, size).
+
+    `whole` is the memory of the numbers where it has free rows at both ends that belong to no other messages.
+    """
 
     times: NDArray[np.int64]
     values: NDArray[np.float64]
     layout: Layout
+    whole: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of_node(
+        cls, times: NDArray[np.int64], values: NDArray[np.float64], layouts: Iterable[Layout]
+    ) -> Iterator[Columns]:
+        """Yield the messages on each output of a node from the numbers of all, shape (n, size of all)."""
+        whole = _spacious.get(id(values.base))
+        if whole is not None and whole.shape != (values.shape[1], len(values) + 2 * SPARE):
+            whole = None  # a part of the answers: other messages follow it
+        first = 0
+        for layout in layouts:
+            last = first + layout.size
+            yield cls(times, values[:, first:last], layout, None if whole is None else whole[first:last])
+            first = last
 
     @property
     def number(self) -> int:
@@ -37,6 +66,21 @@ class Columns(NamedTuple):
     def column(self, k: int) -> NDArray[np.float64]:
         """Return one number of each message, shape (n,)."""
         return self.values[:, k]
+
+    def between(
+        self, k: int, before: Sequence[NDArray[np.float64]], after: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.float64] | None:
+        """Return one number of each message between those of others, without a copy; None without room for them."""
+        sizes = [sum(map(len, parts)) for parts in (before, after)]
+        if self.whole is None or max(sizes) > SPARE:
+            return None
+        at = first = SPARE - sizes[0]
+        for parts in (before, after):
+            for part in parts:
+                self.whole[k, at : at + len(part)] = part
+                at += len(part)
+            at = SPARE + len(self.times)
+        return self.whole[k, first : at + sizes[1]]
 
     def messages(self, count: int) -> list[bytes]:
         """Return the bytes of the messages; `count` is the number of earlier messages of the topic."""
@@ -182,3 +226,15 @@ class Stored(NamedTuple):
         block = self.rows.read(first, last)
         values = block["values"][:, self.first : self.first + self.layout.size]
         return Columns(np.ascontiguousarray(block["t"]), np.ascontiguousarray(values), self.layout)
+
+
+def joined(parts: Sequence[Columns | Stored], k: int) -> NDArray[np.float64]:
+    """Return one number of each message of several parts, shape (n,), in one piece of memory."""
+    columns = [part.column(k) for part in parts]
+    if len(parts) == 1:
+        return np.ascontiguousarray(columns[0])
+    longest = max(range(len(parts)), key=lambda i: parts[i].number)
+    result, part = None, parts[longest]
+    if isinstance(part, Columns) and part.whole is not None:
+        result = part.between(k, columns[:longest], columns[longest + 1 :])
+    return np.concatenate(columns) if result is None else result

@@ -321,14 +321,12 @@ class Recording:
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
         """Return a callable that appends many such rows after all existing messages."""
-        topics = [(self._order[number], layout) for number, layout in layouts.items()]
+        topics = [self._order[number] for number in layouts]
 
         def add(times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-            first = 0
-            for topic, layout in topics:
+            for topic, columns in zip(topics, Columns.of_node(times, values, layouts.values()), strict=True):
                 topic.settle()
-                topic.add_columns(Columns(times, values[:, first : first + layout.size], layout))
-                first += layout.size
+                topic.add_columns(columns)
 
         return add
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..timebase import SECOND
 from .cdr import Layout, Message, parse
-from .columns import Columns, Stored
+from .columns import SPARE, Columns, Stored, joined
 from .recording import Recording, Topic
 from .times import common, once_for_times
 from .types import TYPES
@@ -66,6 +66,9 @@ class _OnDisk(Mapping[str, Array]):
         """Return the same columns by other labels; what softrig recorded has no two with one name."""
         return _OnDisk(self._stored, [name(label) for label in self._places], self._flags, self._recent)
 
+    def __contains__(self, label: object) -> bool:
+        return label in self._places  # no column is read for this
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
 
@@ -84,12 +87,15 @@ class _InParts(Mapping[str, Array]):
     def __getitem__(self, label: str) -> Array:
         k = self._places[label]
         if k not in self._joined:
-            self._joined[k] = _as_carried(_column([part.column(k) for part in self._parts]), self._flags[k])
+            self._joined[k] = _as_carried(joined(self._parts, k), self._flags[k])
         return self._joined[k]
 
     def renamed(self, name: Callable[[str], str]) -> _InParts:
         """Return the same columns by other labels; what softrig recorded has no two with one name."""
         return _InParts(self._parts, [name(label) for label in self._places], self._flags)
+
+    def __contains__(self, label: object) -> bool:
+        return label in self._places  # no column is joined for this
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
@@ -208,10 +214,7 @@ class Signals(Mapping[str, Signal]):
 
     def _joined(self, topic: Topic, parts: Sequence[Columns | Stored]) -> Table:
         """Return the columns of messages that are stored as numbers."""
-        layout = parts[0].layout
-        flags = [code[-1] == "?" for _, code in layout.slots for _ in range(int(code[:-1]))]
-        first = parse(topic.msgtype, layout.encode(0, (0.0,) * layout.size))
-        labels = _labels(topic.msgtype, first)
+        labels, flags = _labels_and_flags(topic.msgtype, parts[0].layout)
         t = self._clock(parts)
         if len(parts) == 1 and isinstance(parts[0], Stored):
             return Table(t, t, _OnDisk(parts[0], labels, flags, self._recent))
@@ -225,7 +228,7 @@ class Signals(Mapping[str, Signal]):
             key = (*parts[0].rows.even, parts[0].number)
         if key not in self._times:
             # The parts are kept, so that no other object can get the id of their clock.
-            self._times[key] = parts, _seconds(common(_column([part.times for part in parts])), self._epoch)
+            self._times[key] = parts, _in_seconds([part.times for part in parts], self._epoch)
         return self._times[key][1]
 
     def __getitem__(self, name: str) -> Signal:
@@ -242,7 +245,8 @@ class Signals(Mapping[str, Signal]):
         if not topic:
             raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")
         table = self.table(topic)
-        label = full_name(name[len(topic) + 1 :], table.columns)
+        label = name[len(topic) + 1 :]
+        label = label if label in table.columns else full_name(label, table.columns)
         if label not in table.columns:
             have = f"it has {', '.join(table.columns)}" if table.columns else "no message was published on it"
             raise KeyError(f"no signal {label!r} on {topic}; {have}")
@@ -260,9 +264,21 @@ class Signals(Mapping[str, Signal]):
         return sum(1 for _ in self)
 
 
+@lru_cache(maxsize=1024)
+def _labels_and_flags(msgtype: str, layout: Layout) -> tuple[list[str], list[bool]]:
+    """Return the labels of messages that are stored as numbers, and which of them are flags."""
+    first = parse(msgtype, layout.encode(0, (0.0,) * layout.size))
+    return _labels(msgtype, first), [code[-1] == "?" for _, code in layout.slots for _ in range(int(code[:-1]))]
+
+
+def _in_seconds(parts: Sequence[NDArray[np.int64]], epoch: int) -> Array:
+    # The few times of ticks in Python are in new arrays in each run, so they are told apart by their values.
+    return _seconds(epoch, *[tuple(part.tolist()) if len(part) <= SPARE else part for part in parts])
+
+
 @once_for_times
-def _seconds(times: NDArray[np.int64], epoch: int) -> Array:
-    return (times - epoch) / SECOND
+def _seconds(epoch: int, *parts: NDArray[np.int64] | tuple[int, ...]) -> Array:
+    return (common(np.concatenate([np.asarray(part, np.int64) for part in parts])) - epoch) / SECOND
 
 
 def _decode(topic: Topic, epoch: int) -> Table:
@@ -286,10 +302,6 @@ def _decode(topic: Topic, epoch: int) -> Table:
     stamps = np.array([m.stamp or 0 for m in messages], dtype=np.int64)
     columns = {k: np.array([row.get(k, np.nan) for row in rows], dtype=np.float64) for k in labels}
     return Table(t, (stamps - epoch) / SECOND, columns)
-
-
-def _column(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    return np.concatenate(parts) if len(parts) > 1 else np.ascontiguousarray(parts[0])
 
 
 def _as_carried(x: Array, flag: bool) -> Array:

@@ -1,6 +1,6 @@
 """Figure functions of the drive: flux error, flux circles, converter errors, switching.
 
-A flux is a complex array alpha + j beta in Wb; `start` and `end` (s) limit the samples as in
+A flux is a complex array alpha + j beta in Wb, or its two parts; `start` and `end` (s) limit the samples as in
 `softrig_core.judge.measures`.
 """
 
@@ -24,10 +24,17 @@ FLUX_ERROR = ("flux_estimate/x", "flux_estimate/y", "flux_true/x", "flux_true/y"
 
 def slope(t: Array, psi: Vectors) -> complex:
     """Return the slope (per s) of the least-squares line through each component, as alpha + j beta."""
-    centred = t - t.mean()
+    centred, squares = _centred(t)
     if not centred.any():
         return complex(np.nan, np.nan)
-    return complex((centred * (psi - psi.mean())).sum() / (centred**2).sum())
+    return complex((centred * (psi - psi.mean())).sum() / squares)
+
+
+@once_for_times
+def _centred(t: Array) -> tuple[Array, np.float64]:
+    """Return times less their mean, and the sum of their squares."""
+    centred = t - t.mean()
+    return centred, (centred**2).sum()
 
 
 def last_revolution(psi: Vectors) -> Vectors | None:
@@ -54,14 +61,22 @@ def circle(psi: Vectors) -> tuple[complex, float]:
     return complex(alpha, beta), float(np.sqrt(remaining + alpha**2 + beta**2))
 
 
-def largest(psi: Vectors) -> float:
+def largest(alpha: Array, beta: Array) -> float:
     """Return the largest magnitude; that of each vector would take most of the time of a short run's figures."""
-    squares: Array = psi.real * psi.real + psi.imag * psi.imag
+    squares: Array = alpha * alpha
+    squares += beta * beta
     most = float(np.max(squares))
     # Rounding changes a square by less than 1e-15 of it, so that of the largest magnitude is among these.
     if SMALL < most < 1.0 / SMALL:
-        psi = psi[squares >= most * (1.0 - 1e-12)]
-    return float(np.max(np.abs(psi)))
+        near = np.flatnonzero(squares >= most * (1.0 - 1e-12))
+        alpha, beta = alpha[near], beta[near]
+    return float(np.max(np.abs(_complex(alpha, beta))))
+
+
+def _complex(alpha: Array, beta: Array) -> Vectors:
+    psi = np.empty(alpha.size, np.complex128)
+    psi.real, psi.imag = alpha, beta
+    return psi
 
 
 def leg_transitions(switches: Array) -> int:
@@ -72,13 +87,14 @@ def leg_transitions(switches: Array) -> int:
 @figure("Wb", FLUX_ERROR)
 def flux_error_peak(signals: SignalMap, *, start: float | None = None, end: float | None = None) -> float:
     """Largest |psi_hat - psi| in Wb."""
-    return largest(_flux_error(signals, start, end)[1])
+    return largest(*_flux_error(signals, start, end)[1:])
 
 
 @figure("Wb", FLUX_ERROR)
 def flux_error_end(signals: SignalMap, *, end: float | None = None) -> float:
     """|psi_hat - psi| in Wb at the last control instant."""
-    return float(np.abs(_flux_error(signals, None, end)[1][-1]))
+    _, alpha, beta = _flux_error(signals, None, end)
+    return float(np.abs(_complex(alpha[-1:], beta[-1:]))[0])
 
 
 @figure("Wb/s", FLUX_ERROR)
@@ -86,13 +102,15 @@ def flux_error_slope(
     signals: SignalMap, *, component: Component = "magnitude", start: float = 0.3, end: float | None = None
 ) -> float:
     """Slope of psi_hat - psi by least squares, in Wb/s."""
-    return _component(slope(*_flux_error(signals, start, end)), component)
+    t, alpha, beta = _flux_error(signals, start, end)
+    return _component(slope(t, _complex(alpha, beta)), component)
 
 
 @figure("deg", FLUX_ERROR)
 def flux_error_direction(signals: SignalMap, *, start: float = 0.3, end: float | None = None) -> float:
     """Direction in degrees into which psi_hat - psi grows, by least squares."""
-    return float(np.degrees(np.angle(slope(*_flux_error(signals, start, end)))))
+    t, alpha, beta = _flux_error(signals, start, end)
+    return float(np.degrees(np.angle(slope(t, _complex(alpha, beta)))))
 
 
 @figure(
@@ -134,7 +152,7 @@ def circle_centre(
     signals: SignalMap, *, topic: str = "flux_true", component: Component = "magnitude", end: float | None = None
 ) -> float:
     """Centre of the flux circle over the last revolution in Wb; NaN before a revolution."""
-    turn = last_revolution(_vector(signals, topic, None, end)[1])
+    turn = last_revolution(_complex(*_vector(signals, topic, None, end)[1:]))
     return float("nan") if turn is None else _component(circle(turn)[0], component)
 
 
@@ -148,8 +166,8 @@ def flux_magnitude(
     end: float | None = None,
 ) -> float:
     """Smallest or largest |psi| in Wb."""
-    psi = _vector(signals, topic, start, end)[1]
-    return largest(psi) if extreme == "max" else float(np.abs(psi).min())
+    _, alpha, beta = _vector(signals, topic, start, end)
+    return largest(alpha, beta) if extreme == "max" else float(np.abs(_complex(alpha, beta)).min())
 
 
 @figure("A", tuple(f"currents_true/{phase}" for phase in "xyz"))
@@ -167,29 +185,22 @@ def switching_frequency(signals: SignalMap) -> float:
     return sum(leg_transitions(x) for _, x in legs) / 6.0 / float(t[-1] - t[0])
 
 
-def _vector(signals: SignalMap, topic: str, start: float | None, end: float | None) -> tuple[Array, Vectors]:
+def _vector(signals: SignalMap, topic: str, start: float | None, end: float | None) -> tuple[Array, Array, Array]:
     (t, alpha), (_, beta) = (window(signals, f"{topic}/{axis}", start, end) for axis in "xy")
-    psi = np.empty(t.size, np.complex128)
-    psi.real, psi.imag = alpha, beta
-    return t, psi
+    return t, alpha, beta
 
 
-def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Vectors]:
+def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Array, Array]:
     """Pair estimate and truth of the same instants; the truth has one sample more, the end of the run."""
     key = "flux_error", start, end
     return shared(signals, key, lambda: _new_flux_error(signals, start, end))
 
 
-def _new_flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Vectors]:
-    t, estimate = _vector(signals, "flux_estimate", start, end)
+def _new_flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Array, Array]:
+    t, *estimate = _vector(signals, "flux_estimate", start, end)
     at, both, times = _same(signals, "flux_true/x", t)
-    error = np.empty(times.size, np.complex128)
-    # Each part of a difference of complex numbers is the difference of the parts.
-    error.real, error.imag = (
-        part[both] - signals[f"flux_true/{axis}"][1][at]
-        for part, axis in zip((estimate.real, estimate.imag), "xy", strict=True)
-    )
-    return times, error
+    alpha, beta = (part[both] - signals[f"flux_true/{axis}"][1][at] for part, axis in zip(estimate, "xy", strict=True))
+    return times, alpha, beta
 
 
 def _same(signals: SignalMap, name: str, t: Array) -> tuple[Places, Places, Array]:
