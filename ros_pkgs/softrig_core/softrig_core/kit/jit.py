@@ -26,7 +26,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # The most parts of the arguments of a call that are handed over one by one.
 MOST_PARTS = 100
 # Calls of a function that has another form, too, after which it is loaded, and after which it is compiled.
-SOME, MANY = 16, 1000
+SOME, MANY = 16, 200
 # Part of the digest. Change it with the way of compiling, so that no older code is taken from the cache.
 HOW = b"borrowed: parts, symbols by digest"
 SVML = "NUMBA_DISABLE_INTEL_SVML"

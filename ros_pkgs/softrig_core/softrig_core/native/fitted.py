@@ -239,9 +239,7 @@ class Fitted:
         """Make buffers for the native answers of the ticks from `first` up to `last`."""
         self._begin = first
         self.rows = {
-            key: Answers(spacious(count, size), np.empty((count, stamps), np.int64))
-            if self._typed
-            else Answers([], [])
+            key: Answers(spacious(count, size), np.empty((count, stamps), np.int64)) if self._typed else Answers([], [])
             for key, count, size, stamps in self._tables_of(last)
         }
         self._name()

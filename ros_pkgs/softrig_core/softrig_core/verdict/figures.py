@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fnmatch import filter as filter_names
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
@@ -247,21 +247,17 @@ def _unit(
 
 def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
     """Return the signals that figures and requirements read; `units` has all of the rig (`signal_units`)."""
-    return {signal for f in figures for signal in _signals(f.reads, units)}
-
-
-def _signals(names: Sequence[str], units: Mapping[str, str]) -> Iterable[str]:
-    return names if all(name in units for name in names) else _matched(names, units)
-
-
-@once_for_objects
-def _matched(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
-    return [signal for name in names for signal in _called(name, units)]
+    return {signal for f in figures for name in f.reads for signal in _called(name, units)}
 
 
 def _called(name: str, units: Mapping[str, str]) -> Iterable[str]:
     """Return the signals of a name, which may be a pattern."""
-    return (name,) if name in units else filter_names(units, name)
+    return (name,) if name in units else _matching(name, tuple(units))
+
+
+@lru_cache(maxsize=1024)
+def _matching(name: str, signals: tuple[str, ...]) -> list[str]:
+    return filter_names(signals, name)
 
 
 def figure_parameters(rig: Members) -> dict[str, str]:

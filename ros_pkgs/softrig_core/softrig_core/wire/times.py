@@ -86,7 +86,8 @@ def once_for_times(function: _F) -> _F:
                 owner = value if value.base is None else value.base
                 if kept.arrays.get(id(owner)) is not owner or not value.flags.c_contiguous:
                     return function(*given)
-                key += (id(owner), value.__array_interface__["data"][0], value.size)
+                # The place of a part takes longer to find than all else here.
+                key += (id(owner), owner is value or value.__array_interface__["data"][0], value.size)
             else:
                 key.append(value)
         found = tuple(key)

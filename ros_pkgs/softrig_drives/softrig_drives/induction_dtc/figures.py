@@ -27,7 +27,12 @@ def slope(t: Array, psi: Vectors) -> complex:
     centred, squares = _centred(t)
     if not centred.any():
         return complex(np.nan, np.nan)
-    return complex((centred * (psi - psi.mean())).sum() / squares)
+    # Part by part in place, which is the product of a real and a complex number without new arrays.
+    mean, product = psi.mean(), psi.copy()
+    for part, middle in ((product.real, mean.real), (product.imag, mean.imag)):
+        part -= middle
+        part *= centred
+    return complex(product.sum() / squares)
 
 
 @once_for_times
