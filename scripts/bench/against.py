@@ -34,6 +34,8 @@ COMMANDS = {
     "study, 2 runs": "study dc_motor_smc_b2 --grid dc_motor_smc.delta=1,5 --out OUT",
     "study, 400 runs of 2 s of induction_dtc": "study induction_dtc --duration 2 --draw im_plant.U_dc=500..560 "
     "--draws 400 --out OUT",
+    "falsify, 100 runs of 2 s of induction_dtc": "falsify induction_dtc --duration 2 --requirement tracks "
+    "--requirement flux_band --over im_plant.R_s=3.5..3.9 --budget 100 --out OUT",
 }
 PREPARED = f"{RUN} made"
 # One scenario of each system, at its full length.

@@ -23,6 +23,8 @@ from softrig_core import RunError, ScenarioError
 from softrig_core.extras import need
 from softrig_core.guard import is_quiet, print_line
 
+from .template import Template
+
 C = TypeVar("C")
 R = TypeVar("R")
 Chunk = list[tuple[int, C]]  # cases and their numbers
@@ -45,7 +47,8 @@ class Workers:
 
     A process keeps what it has imported or compiled for all later cases. If the ``with`` block ends with an exception,
     the processes are terminated even while they work. If this process has a single thread, they are forked from it when
-    the block begins and share all its imports. Otherwise they are started fresh with the first case.
+    the block begins and share all its imports; so are those that take the place of killed ones (`Template`). Otherwise
+    they are started fresh with the first case.
 
     Parameters
     ----------
@@ -58,6 +61,7 @@ class Workers:
     def __init__(self, count: int | None = None, scheduler: str = "") -> None:
         self._count, self._scheduler = count or cores(), scheduler
         self._pool: ProcessPoolExecutor | None = None
+        self._template: Template | None = None
         self._client: Any = None
         # The time of a case in s, over the newest chunks.
         self._mean = math.inf
@@ -68,6 +72,7 @@ class Workers:
             # A garbage collection in a forked worker would touch, and so copy, all memory that it shares with this
             # process.
             gc.freeze()
+            self._template = Template()
             self._pool = ProcessPoolExecutor(self._count, get_context("fork"), _end_with_parent)
             # This starts the workers now, before a progress bar has its thread, because a fork copies one thread only.
             self._pool.submit(_freeze)
@@ -84,6 +89,8 @@ class Workers:
                 # After an exception no result is read any more, so waiting for a long case would only delay the error.
                 process.kill()
             self._pool.shutdown(wait=False, cancel_futures=True)
+        if self._template is not None:
+            self._template.close()
 
     def stream(self, function: Callable[[C], R], cases: Iterable[C]) -> Iterator[tuple[int, R]]:
         """Evaluate a function for every case; yield each result with its case's number as soon as it is available.
@@ -182,7 +189,8 @@ class Workers:
     def _submit(self, function: Callable[[C], R], chunk: Chunk[C]) -> Future[tuple[list[R], float]]:
         with _own_imports():
             if self._pool is None:
-                self._pool = ProcessPoolExecutor(self._count, get_context("spawn"), _end_with_parent)
+                context = get_context("spawn" if self._template is None else "forkserver")
+                self._pool = ProcessPoolExecutor(self._count, context, _end_with_parent)
             return self._pool.submit(_each_here, function, [case for _, case in chunk])
 
     def _on_cluster(self, function: Callable[[C], R], cases: Iterator[tuple[int, C]]) -> Iterator[tuple[int, R]]:
