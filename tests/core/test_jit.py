@@ -466,9 +466,10 @@ def _times(n):
     return outer
 
 
-def test_without_numba_functions_call_plain_functions(monkeypatch):
+@pytest.mark.parametrize(("name", "value"), [("SOFTRIG_JIT", "0"), ("NUMBA_DISABLE_JIT", "1")])
+def test_without_numba_functions_call_plain_functions(name, value, monkeypatch):
     """Functions of an enclosing function and a function itself included; the others still call the objects."""
-    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    monkeypatch.setenv(name, value)
     calls = []
     monkeypatch.setattr(Jit, "__call__", lambda self, *given: calls.append(self.__name__) or self._run(*given))
     two, three = _times(2.0), _times(3.0)

@@ -30,6 +30,7 @@ SOME, MANY = 16, 200
 # Part of the digest. Change it with the way of compiling, so that no older code is taken from the cache.
 HOW = b"borrowed: parts, symbols by digest"
 SVML = "NUMBA_DISABLE_INTEL_SVML"
+NUMBAS = "NUMBA_DISABLE_JIT"
 
 _NUMPY = """abs array ceil complex128 empty empty_like float64 floor full inf int64 isfinite isinf isnan maximum minimum
 nan ndarray ones ones_like pi sign sqrt trunc zeros zeros_like"""
@@ -49,7 +50,7 @@ def jit(function: F) -> F:
 
     The function is compiled without fast-math and contraction, and with numpy's rules for division, so its results
     are bit-identical to those of the plain one. The plain one is used, a hundred times slower, if numba is absent or
-    ``SOFTRIG_JIT=0``. (Errors differ: if plain Python raises, for ``1.0 / 0.0`` or ``math.sqrt(-1.0)``, native code
+    `switched_off`. (Errors differ: if plain Python raises, for ``1.0 / 0.0`` or ``math.sqrt(-1.0)``, native code
     returns infinity or NaN.) numba is imported at the first call, not before.
 
     Parameters
@@ -115,7 +116,7 @@ class Jit:
         return self._asked >= (SOME if self._stored else MANY)
 
     def _first(self, *arguments: Any) -> Any:
-        if os.environ.get("SOFTRIG_JIT", "1") == "0" or (numba := our_numba()) is None:
+        if switched_off() or (numba := our_numba()) is None:
             if getattr(getattr(sys.modules.get(self.py_func.__module__), "__spec__", None), "_initializing", False):
                 # During the import of its module the functions that it calls may not be defined yet, so nothing is
                 # fixed now.
@@ -199,6 +200,13 @@ class Jit:
         for token in _tokens(self.py_func, set()):
             content.update(token.encode() + b"\0")
         return content.hexdigest()
+
+
+def switched_off() -> str:
+    """Return the setting of the environment that forbids native code, ours or numba's own; empty if none does."""
+    if os.environ.get("SOFTRIG_JIT", "1") == "0":
+        return "SOFTRIG_JIT=0"
+    return f"{NUMBAS}={value}" if (value := os.environ.get(NUMBAS, "0")) not in ("", "0") else ""
 
 
 @lru_cache(maxsize=1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import math
-import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from ..block.gathering import MANY, gather
 from ..block.loop import Loop
 from ..block.step import Step
+from ..kit.jit import switched_off
 from ..native.compile import compiled, plain
 from ..native.engine import Engine
 from ..native.fitted import known
@@ -127,17 +127,15 @@ def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
 def writes(steps: Sequence[Step], left: float) -> bool:
     """Return whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
 
-    ``SOFTRIG_JIT=0`` forbids it.
+    No if native code is `switched_off`.
     """
     enough = READY if known(steps, plain) else WRITING - _spent.get(_classes(steps), 0.0)
-    return os.environ.get("SOFTRIG_JIT", "1") != "0" and left > enough
+    return not switched_off() and left > enough
 
 
 def forbidden() -> str:
     """Describe why there can be no native code; empty where there can."""
-    if os.environ.get("SOFTRIG_JIT", "1") == "0":
-        return "SOFTRIG_JIT=0"
-    return "" if importlib.util.find_spec("numba") else "numba is not installed"
+    return switched_off() or ("" if importlib.util.find_spec("numba") else "numba is not installed")
 
 
 def unwanted(steps: Sequence[Step], left: float, runs: int = 1) -> str:

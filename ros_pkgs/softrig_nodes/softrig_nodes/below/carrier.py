@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from softrig_core.kit.jit import switched_off
 
 from .arrival import SIZE, Bytes
 from .leave import before_leaving
@@ -134,7 +135,7 @@ class Carrier:
 
 def tested() -> bool:
     """Return whether messages reach rcl as it expects them: the loop is run once, with a function that looks at one."""
-    if sys.platform != "linux" or os.environ.get("SOFTRIG_JIT", "1") == "0" or len(os.sched_getaffinity(0)) < 2:
+    if sys.platform != "linux" or switched_off() or len(os.sched_getaffinity(0)) < 2:
         return False
     seen = []
 

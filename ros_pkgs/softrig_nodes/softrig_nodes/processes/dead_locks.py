@@ -51,7 +51,7 @@ class DeadLocks:
 
     def __init__(self, folder: Path = FOLDER) -> None:
         self._folder = folder
-        self._looked = -math.inf  # s, monotonic
+        self._checked = -math.inf  # s, monotonic
         self._places: dict[tuple[str, int], int] = {}
         self._held: set[Held] = set()
 
@@ -62,9 +62,9 @@ class DeadLocks:
         to be preempted with the mutex locked at both looks. Its port would lose a notification, and no message.)
         """
         now = time.monotonic()
-        if now < self._looked + BETWEEN:
+        if now < self._checked + BETWEEN:
             return 0
-        self._looked = now
+        self._checked = now
         before, self._held = self._held, set()
         places, self._places = self._places, {}
         released = 0
