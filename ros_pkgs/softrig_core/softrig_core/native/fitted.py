@@ -236,7 +236,7 @@ class Fitted:
         return min(1 << 20, 2 * (self._plan.ticks or 0) + (1 << 13))
 
     def begin(self, first: int, last: int) -> None:
-        """Make buffers for the native answers of the ticks from `first` up to `last`."""
+        """Create buffers for the native answers of the ticks from `first` up to `last`."""
         self._begin = first
         self.rows = {
             key: Answers(spacious(count, size), np.empty((count, stamps), np.int64)) if self._typed else Answers([], [])
