@@ -52,7 +52,7 @@ def share(folder: Path, config: ConfigParser) -> Tree:
 
 
 def executables(name: str, config: ConfigParser) -> Iterator[tuple[str, str]]:
-    """Yield each executable's place and what it does, without its first line."""
+    """Yield each executable's place and text, without its first line."""
     for line in config.get("options.entry_points", "console_scripts", fallback="").split("\n"):
         executable, _, target = (part.strip() for part in line.partition("="))
         if target:
@@ -64,7 +64,7 @@ def executables(name: str, config: ConfigParser) -> Iterator[tuple[str, str]]:
 
 
 def metadata(name: str, config: ConfigParser) -> Tree:
-    """Return what importlib.metadata reads of a package."""
+    """Return the metadata of a package for importlib.metadata."""
     version = config["metadata"].get("version", "0")
     groups = config["options.entry_points"].items() if config.has_section("options.entry_points") else ()
     about = config["metadata"].get("description", name)

@@ -1,4 +1,4 @@
-"""What the wheel has beside the Python packages: share/, lib/PACKAGE/EXECUTABLE and each package's entry points.
+"""The content of the wheel beside the Python packages: share/, lib/PACKAGE/EXECUTABLE and each package's entry points.
 
 `pip wheel --no-deps .` builds it. Below the prefix that it is installed into it is what colcon would make of the
 packages, from the same lists as the checkout's own workspace.
@@ -19,10 +19,10 @@ START = """#!/bin/sh
 
 
 class Files(BuildHookInterface):  # type: ignore[type-arg]
-    """Adds them to what hatchling puts in."""
+    """Adds the files to those of hatchling."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Report which file goes where; those that exist nowhere are written first."""
+        """Report which file is stored where; missing ones are written first."""
         root = Path(self.root)
         spec = importlib.util.spec_from_file_location("layout", root / "scripts" / "layout.py")
         assert spec is not None

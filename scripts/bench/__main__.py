@@ -54,7 +54,7 @@ PARTS: dict[str, Callable[[], None]] = {
 
 
 def about(part: str) -> str:
-    """Return what a part measures: the first line of what its function says."""
+    """Return the subject of a part: the first line of its function's docstring."""
     return (PARTS[part].__doc__ or "").splitlines()[0]
 
 

@@ -1,4 +1,4 @@
-"""Compare this checkout with another commit by the CPU time of what a user waits for, in turn."""
+"""Compare this checkout with another commit by the CPU time of commands that a user waits for, in turn."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def built(commit: str) -> Path:
 
 
 def plain() -> dict[str, str]:
-    """Return the environment without what this checkout's script has put there."""
+    """Return the environment without the additions of this checkout's script."""
     ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "SOFTRIG_", "_ROS_", "LD_PRELOAD", "OMP_", "OPENBLAS_", "NPY_")
     path = [p for p in os.environ["PATH"].split(os.pathsep) if p != f"{os.environ.get('VIRTUAL_ENV')}/bin"]
     kept = {name: value for name, value in os.environ.items() if not name.startswith(ours)}

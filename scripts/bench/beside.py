@@ -1,4 +1,4 @@
-"""Rigs beside other people's libraries: the same input, the distance of the end states, the CPU time of both."""
+"""Rigs beside other libraries: the same input, the distance of the end states, the CPU time of both."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SWITCHED = 0.5  # s of the induction motor, before its load comes
 
 
 class Row(NamedTuple):
-    """A system beside a peer; CPU in s of the same work, distance of the end states in a unit and what is allowed."""
+    """A system beside a peer; CPU in s of the same work, distance of the end states in a unit and its limit."""
 
     system: str
     peer: str

@@ -1,4 +1,4 @@
-"""Exported C beside C by hand and native code; FMUs without Python beside those with it."""
+"""Exported C beside hand-written C and native code; FMUs without Python beside those with it."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def plant_rate() -> float:
 
 
 def law_rates() -> tuple[float, float]:
-    """Measure ns of CPU a tick of the sliding mode law: in C by hand, and exported.
+    """Measure ns of CPU a tick of the sliding mode controller: in hand-written C, and exported.
 
     Raises
     ------
@@ -206,19 +206,19 @@ def fmu_rates(node: str) -> tuple[float, float]:
 
 
 def print_law() -> None:
-    """Exported controller beside C by hand, ns of CPU a tick."""
+    """Exported controller beside hand-written C, ns of CPU a tick."""
     _row("law of dc_motor_smc", *law_rates())
 
 
 def print_rigs() -> None:
-    """Exported rigs beside C by hand and native code, ns of CPU a tick."""
+    """Exported rigs beside hand-written C and native code, ns of CPU a tick."""
     for name in native.LOOPS:
         known = native.rates(name)
         _row(f"rig {name}", known["C by hand"], rig_rate(name), known["native"])
 
 
 def print_plant() -> None:
-    """Exported plant of the linear motor beside C by hand and native code, ns of CPU a period."""
+    """Exported plant of the linear motor beside hand-written C and native code, ns of CPU a period."""
     core = native.core_rates()
     _row("plant of lsrm_fuzzy", core["C by hand, 1 a loop"], plant_rate(), core["native"])
 

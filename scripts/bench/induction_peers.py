@@ -17,7 +17,7 @@ LEGS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1), (1, 0,
 
 
 class Replay:
-    """A control system for motulator that knows its switching sequence beforehand."""
+    """A control system for motulator with a prepared switching sequence."""
 
     t = 0.0
 
@@ -98,7 +98,7 @@ def gym_electric_motor(vectors: Sequence[int]) -> dict[str, float]:
 
 
 def jax_environments(vectors: Sequence[int], many: int = 256) -> dict[str, float]:
-    """Step so many of the drive's plants in JAX, one compiled call for all: the same machine, step and converters."""
+    """Step many of the drive's plants in JAX in one compiled call: the same machine, step and converters."""
     import jax
     import jax.numpy as jnp
 

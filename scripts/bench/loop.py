@@ -30,7 +30,7 @@ LOOPS = 5000
 
 
 def dc_motor_rig(controllers: int = 1, ticks: int = LOOPS) -> Rig:
-    """The DC motor with sliding mode control; further controllers read the same sensors and command nothing."""
+    """Return the rig of the DC motor with sliding mode control; further controllers only read the same sensors."""
     motor = {"package": "softrig_drives", "parameters": {"period": 0.001}}
     nodes = {"dc_motor_plant": NodeEntry(executable="dc_motor_plant", **motor)}
     for i in range(controllers):
@@ -70,7 +70,7 @@ def lockstep(controllers: int = 1, *, record: bool = False) -> dict[str, float]:
 
 
 def _in_turn(cases: dict[str, Callable[[], dict[str, float]]]) -> dict[str, dict[str, float]]:
-    """Run all cases in turn, `ROUNDS` times, and give the medians."""
+    """Run all cases in turn, `ROUNDS` times, and return the medians."""
     results: dict[str, list[dict[str, float]]] = {name: [] for name in cases}
     for _ in range(ROUNDS):
         for name, case in cases.items():
@@ -100,7 +100,9 @@ def loop() -> None:
 
 
 def tick() -> None:
-    """How one tick between two processes splits: plant, law, codec, recording, and the middleware as the rest."""
+    """How one tick between two processes is spent: plant, controller, codec, recording, and the middleware as
+    the rest.
+    """
     rig = dc_motor_rig()
     plant_member, law_member = rig.members
     plant: Any = ByHand(plant_member.block(0))
@@ -151,7 +153,7 @@ def _time(function: Callable[[], object], calls: int = 20_000) -> float:
 
 
 def recording() -> None:
-    """Measure what recording costs a run through processes, start to finished bag."""
+    """Measure the cost of recording a run through processes, from start to finished bag."""
 
     def whole(record: bool) -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder:

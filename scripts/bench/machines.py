@@ -1,4 +1,4 @@
-"""Drives of three-phase machines beside motulator on the same duty ratios: how far apart, how much faster."""
+"""Drives of three-phase machines beside motulator on the same duty ratios: distance and speed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Beside(NamedTuple):
 
 
 def duty_ratios(name: str, seconds: float) -> tuple[dict[str, Any], Signals]:
-    """Run a drive; give what its machine saw, and its signals."""
+    """Run a drive; return the inputs of its machine, and its signals."""
     rig = rig_of(load_scenario(name, {f"{MACHINES[name]}.substeps": 8}).model_copy(update={"duration": seconds}))
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     run_inprocess(rig, 1, recording)

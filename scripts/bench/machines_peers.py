@@ -16,7 +16,7 @@ from typing import Any
 
 
 class Replay:
-    """A control system for motulator that knows its duty ratios beforehand and notes what it would measure."""
+    """A control system for motulator with prepared duty ratios that records its measurements."""
 
     def __init__(self, duties: Sequence[Sequence[float]], load: Sequence[float], period: float) -> None:
         self._duties: Iterator[Sequence[float]] = iter(duties)

@@ -1,4 +1,4 @@
-"""Native code beside a loop written in C by hand, and beside Python: ns a tick."""
+"""Native code beside a hand-written loop in C, and beside Python: ns a tick."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {
 
 
 def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
-    """Measure ns of CPU a tick, the least of five; what C and native code record must be the same bits.
+    """Measure ns of CPU a tick, the least of five; the recordings of C and native code must have the same bits.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def rates(name: str, seconds: float = 0.0) -> dict[str, float]:
 
 
 def _built(name: str, *flags: str) -> Any:
-    """Build a loop that is written in C by hand."""
+    """Build a hand-written loop in C."""
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "loop.so"
         code = Path(__file__).with_name(f"{name}.c")
@@ -124,7 +124,7 @@ def _built(name: str, *flags: str) -> Any:
 
 
 def core_rates() -> dict[str, float]:
-    """Measure ns of CPU a tick of the linear motor's plant under the voltages of a run, compiled and in C by hand.
+    """Measure ns of CPU a tick of the linear motor's plant under the voltages of a run, compiled and in hand-written C.
 
     C has several such runs in one loop, too, each a lane; of two ways to compile it the faster one counts.
 
@@ -182,7 +182,7 @@ def _drive(blocks: dict[str, Any]) -> list[float]:
 
 
 def print_table() -> None:
-    """Native code beside C by hand, then of rigs beside Python, ns of CPU a tick; needs gcc."""
+    """Native code beside hand-written C, then rigs beside Python, ns of CPU a tick; needs gcc."""
     table = Table("loop", *LOOPS, box=None, pad_edge=False)
     results = {name: rates(name) for name in LOOPS}
     for how in results["dc_motor_smc"]:

@@ -1,4 +1,4 @@
-"""How long the planners take for the spacecraft, CPU time of one solve."""
+"""CPU time of one solve of the planners for the spacecraft."""
 
 from __future__ import annotations
 

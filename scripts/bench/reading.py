@@ -99,7 +99,7 @@ def measure(code: str, bag: Path, out: Path, count: int) -> Cost | None:
 
 
 def costs(folder: Path, compression: str, count: int = MESSAGES, sample: int = SAMPLE) -> dict[str, Cost | None]:
-    """Measure all readers on one bag, and what it takes to hold all messages as objects."""
+    """Measure all readers on one bag, and the cost of all messages as objects."""
     bag = folder / compression
     make(bag, count, compression)
     result = {name: measure(code, bag, folder / "out", count) for name, code in OURS.items()}

@@ -66,7 +66,7 @@ def realtime() -> None:
 
 
 def _figures(outcome: Outcome) -> list[str]:
-    """Return what a row says of a run: late is a tick that begins when the next one is due."""
+    """Return the cells of a row about a run: a tick is late if it begins when the next one is due."""
     plant = outcome.status["im_plant"]
     due = plant["ticks"] + plant["missed_deadlines"]
     recorded = len(outcome.recording.topics["joint_states"].data)

@@ -128,7 +128,7 @@ def ticks_a_second(name: str, rounds: int = 3) -> dict[str, float]:
 
 
 def in_memory(name: str, duration: float) -> float:
-    """Return the ticks a second of a scenario in this process, made ready, recorded and counted as in a container."""
+    """Return the ticks a second of a scenario in this process, prepared, recorded and counted as in a container."""
     rig = rig_of(name, duration=duration)
     for member in rig.members:
         rehearse(member.block_class, member.params, member.name)
@@ -138,7 +138,7 @@ def in_memory(name: str, duration: float) -> float:
 
 
 class Timed(Recording):
-    """A recording that notes when the clock speaks, s."""
+    """A recording that notes the time of each clock message, s."""
 
     def __init__(self, topics: Iterable[tuple[str, str]]) -> None:
         super().__init__(topics)
@@ -152,7 +152,7 @@ class Timed(Recording):
             self.published_at.append(time.perf_counter())
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
-        """Return what appends one message of each of some topics."""
+        """Return a function that appends one message to each of some topics."""
         add = super().row(layouts)
         if self.clock not in layouts:
             return add
@@ -165,7 +165,7 @@ class Timed(Recording):
 
 
 def _one_by_one(rig: Rig) -> None:
-    """Run a rig without one text of all its members, in which none of them is called."""
+    """Run a rig without the common text of its nodes, which would call none of them."""
     for _ in Loop(list(wired(rig, {m.name: m.block(rig.scenario.seed) for m in rig.members}).values())).run():
         pass
 

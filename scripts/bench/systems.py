@@ -1,4 +1,4 @@
-"""What the systems compute beside their rigs: plants alone, controller steps, searches, proofs."""
+"""Computations of the systems outside their rigs: plants alone, controller steps, searches, proofs."""
 
 from __future__ import annotations
 

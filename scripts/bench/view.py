@@ -1,4 +1,4 @@
-"""What a page beside a run costs it: lockstep in ticks/s, in real time at 5 kHz in missed deadlines."""
+"""The cost of a page beside a run: in lockstep in ticks/s, in real time at 5 kHz in missed deadlines."""
 
 from __future__ import annotations
 

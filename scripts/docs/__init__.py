@@ -1,4 +1,4 @@
-"""The pages of the packages as one site: collected, completed by what the code says of itself, built by Sphinx."""
+"""The pages of the packages as one site: collected, completed from docstrings and declarations, built by Sphinx."""
 
 from softrig_core.bits import pin
 

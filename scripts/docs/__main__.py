@@ -82,7 +82,7 @@ def _print(what: str) -> None:
 
 
 def accessible(page: str) -> str:
-    """Return a page as Sphinx has made it without what keeps some readers out.
+    """Return a page made by Sphinx without accessibility faults.
 
     A cell without text is no head, what scrolls can be reached by keys, landmarks of one kind have names, a page has a
     head, long names break between their words.

@@ -1,4 +1,4 @@
-"""Pages of the packages as the site has them: links as they lie there, comments gone, what folds as it folds there."""
+"""Pages of the packages in the form of the site: adapted links, no comments, folding parts as there."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def collect(site: Path) -> None:
 
 
 def notebook(text: str, page: Path, place: str, site: Path) -> str:
-    """Return a notebook for its place on the site: the text of its cells moved, the file as it is to be had."""
+    """Return a notebook for its place on the site: its cells with adapted links, and the unchanged file for
+    download.
+    """
     content = json.loads(text)
     shutil.copyfile(page, _folder(site / "pictures") / page.name)
     student = page.with_stem(f"{page.stem}_student").name
@@ -108,7 +110,7 @@ def moved(text: str, page: Path, place: str, site: Path) -> str:
 
 
 def promoted(text: str) -> str:
-    """Lift headings that skip a level: generated parts do not know under which they stand."""
+    """Raise headings that skip a level: generated parts do not know the level of their heading."""
     above: list[int] = []
 
     def heading(match: re.Match[str]) -> str:
@@ -129,7 +131,7 @@ def _folder(path: Path) -> Path:
 
 
 def _fenced(match: re.Match[str]) -> str:
-    """Commands as such, so that their comments stand back; above them where a line would be cut. YAML as YAML."""
+    """Mark commands as such, with their comments dimmed, and above them if a line would be cut; YAML as YAML."""
     block = match[0].strip("\n")
     commands = _COMMAND.match(block)
     if not (commands or _YAML.match(block)):
@@ -141,5 +143,5 @@ def _fenced(match: re.Match[str]) -> str:
 
 
 def _unfolding(match: re.Match[str]) -> str:
-    """Return what folds in a repository's view, in the form of the site."""
+    """Return the folding parts of a page in the form of the site."""
     return ":::{dropdown} " + html.unescape(re.sub(r"</?code>", "`", match[1]))

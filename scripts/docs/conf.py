@@ -56,7 +56,9 @@ def plain_bars(app: object, what: str, name: str, obj: object, options: object, 
 
 
 def mathml(formula: str, as_block: bool) -> str:
-    """Set a formula; an index of what has a dot or hat stands beside it, where docutils sets it below."""
+    """Typeset a formula; an index of a letter with a dot or hat is written beside it, where docutils writes it
+    below.
+    """
     made = tex2mathml(formula, as_block=as_block).replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
     # names of characters that are HTML's, not XML's
     made = re.sub(r"&(?!(?:lt|gt|amp|quot|apos|#\w+);)\w+;", lambda match: unescape(match[0]), made)

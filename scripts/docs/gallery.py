@@ -38,7 +38,7 @@ scripts/softrig run dc_motor_smc --mode container
 
 
 def sentences() -> dict[str, tuple[str, str]]:
-    """Return of each system what to run and what comes out, as the table of the README says it."""
+    """Return for each system the scenario to run and its result, as in the table of the README."""
     table = (ROOT / "README.md").read_text(encoding="utf-8")
     return {name: (scenario, text) for name, scenario, text in _ROW.findall(table)}
 
@@ -98,7 +98,7 @@ def write(site: Path) -> None:
 
 
 def write_indices(site: Path) -> None:
-    """Write the first page and one that opens each kind of page, from what lies there."""
+    """Write the first page, and one index for each kind of page."""
     index = [INDEX]
     shown = "{} systems: {} experiments to run, change and question."
     entries = [("gallery", "Gallery", shown.format(len(GALLERY), len(list_scenarios())))]

@@ -25,7 +25,7 @@ class _Local(AsyncKernelManager):
 
 
 def execute(site: Path) -> None:
-    """Run all notebooks below a folder, side by side, and keep what came out in their files.
+    """Run all notebooks below a folder in parallel, and store their outputs in their files.
 
     Raises
     ------

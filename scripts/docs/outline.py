@@ -1,4 +1,4 @@
-"""What stands where on the site: four kinds of pages, kept apart, and the gallery of systems."""
+"""The outline of the site: four kinds of pages, kept apart, and the gallery of systems."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ KEYWORDS = {
 
 
 class System(NamedTuple):
-    """How the gallery sorts a system, what its card shows.
+    """How the gallery sorts a system, and the content of its card.
 
     Field, methods, a scenario of another machine than the paper's.
     """
@@ -137,7 +137,7 @@ def pages() -> dict[str, Path]:
 
 @cache
 def places() -> dict[Path, str]:
-    """Describe where on the site each page goes, without suffix; a page that nobody has put anywhere is a how-to guide.
+    """Describe the place of each page on the site, without suffix; a page without a place is a how-to guide.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def title(page: Path) -> str:
 
 
 def opening(page: Path) -> str:
-    """Return the first sentence of a page or notebook; empty when it begins with none."""
+    """Return the first sentence of a page or notebook; empty if it does not begin with one."""
     paragraphs = re.split(r"\n\s*\n", _beginning(page).partition("\n")[2].partition("\n## ")[0])
     texts = (" ".join(p.split()) for p in paragraphs if re.match(r"\s*(?!```)[A-Z`*]", p))
     first = next((re.split(r"(?<=[.:!?]) (?=[A-Z(`*]|softrig)", text)[0] for text in texts), "")

@@ -43,13 +43,13 @@ def write(site: Path) -> None:
 
 
 def _cell(text: object) -> str:
-    """Text of a cell as it is: what Markdown takes for marks is none, but in code."""
+    """Return the text of a cell with Markdown's special characters escaped, except in code."""
     parts = str(text).replace("|", "\\|").replace("\n", " ").split("`")
     return "`".join(p if k % 2 else p.replace("<", "&lt;").replace("*", "\\*") for k, p in enumerate(parts))
 
 
 def verbs() -> str:
-    """Every verb with what it takes, from its parser."""
+    """Return every verb with its options, from its parser."""
     parser = cli.make_parser()
     head = "Every command of `softrig` with all that it takes; `softrig COMMAND --help` prints the same."
     parts = ["# Commands", "", head, "", parser.epilog or "", ""]
@@ -175,7 +175,7 @@ def figures() -> str:
 
 
 def faults() -> str:
-    """Return what a fault can do, from its declaration."""
+    """Return the kinds of faults, from their declaration."""
     doc = inspect.cleandoc((Fault.__doc__ or "").partition("Notes\n")[0])
     parts = [
         "# Faults",
@@ -194,7 +194,7 @@ def faults() -> str:
 
 
 def messages() -> str:
-    """Every message type that the suite knows, from its codec."""
+    """Return every message type of softrig, from its codec."""
     parts = [
         "# Messages",
         "",
@@ -242,7 +242,7 @@ def api(package: str) -> dict[str, str]:
 
 
 def _modules(package: str, head: str, modules: dict[str, list[str]], named_by: str = "") -> dict[str, str]:
-    """Write a page for each of the modules, with the names given there, and one that lists them.
+    """Write a page for each of the modules, with the given names, and one that lists them.
 
     The pages of modules are in no sidebar, which every page of the site carries whole.
     """

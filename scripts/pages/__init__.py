@@ -1,4 +1,4 @@
-"""What makes the doc pages, and holds them to the code: ``scripts/softrig docs pages``, from a checkout."""
+"""The tools that make the doc pages and compare them with the code: ``scripts/softrig docs pages``, from a checkout."""
 
 from softrig_core.bits import pin
 

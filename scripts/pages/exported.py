@@ -31,7 +31,7 @@ ON_BOARDS = "<details>\n<summary>All {count} classes</summary>\n\n{table}\n</det
 
 
 def rigs(names: list[str]) -> str:
-    """Return the table of whole rigs: what came out, and the scenarios for which it did."""
+    """Return the table of whole rigs: results, and the scenarios with each."""
     results: dict[str, list[str]] = {}
     for name in names or list_scenarios():
         results.setdefault(whole(name), []).append(name)
@@ -56,7 +56,7 @@ def whole(name: str) -> str:
 
 
 def boards(names: list[str]) -> str:
-    """Return the table of what runs on boards: longest step and sizes under simulators, by class."""
+    """Return the table of classes on boards: longest step and sizes under simulators."""
     lines = ["| class | node, scenario | Uno: cycles | flash | RAM | stack | M4: instructions | flash | RAM | stack |"]
     lines.append("|---" * 10 + "|")
     for kind, (node, rig) in sorted(_first(names).items()):
@@ -67,7 +67,7 @@ def boards(names: list[str]) -> str:
 
 
 def _on_board(node: str, rig: Rig, board: Literal["arduino", "cortex-m4"]) -> str:
-    """Return four cells: longest step, flash, RAM, stack; nothing where the class has no C."""
+    """Return four cells: longest step, flash, RAM, stack; empty if the class has no C."""
     with tempfile.TemporaryDirectory() as place:
         try:
             name, layout = export_firmware(rig, node, Path(place), board, rows=BOARD_ROWS, drawn=BOARD_ROWS)

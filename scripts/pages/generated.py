@@ -98,13 +98,13 @@ def folded(summary: str, text: str) -> str:
 
 
 def nodes(package: str, executables: Sequence[str]) -> str:
-    """Topics and parameters of the executables of a package, each folded behind its name and what it is."""
+    """Return topics and parameters of the executables of a package, each folded with its name and purpose."""
     described = ((executable, *node(package, executable)) for executable in executables)
     return "\n\n".join(folded(f"`{executable}`: {head}", text) for executable, head, text in described)
 
 
 def node(package: str, executable: str) -> tuple[str, str]:
-    """Describe what an executable is, and give its topics and parameters as tables."""
+    """Describe an executable, with its topics and parameters as tables."""
     block = load_block(package, executable)
     inputs, outputs = block.ports(block.Params())
     text = ["| topic | | type | values |", "|---|---|---|---|"]
@@ -118,7 +118,9 @@ _MECHANICAL = {"position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "effort":
 
 
 def carried(ports: Sequence[Port]) -> list[str]:
-    """Return a paragraph on fields of JointState that carry another unit than a joint's, and why; none, no lines."""
+    """Return a paragraph about fields of JointState with another unit than a joint's, and why; empty without
+    such fields.
+    """
     gathered: dict[str, dict[str, list[str]]] = {}
     for port in ports:
         if port.msgtype.endswith("/JointState"):
@@ -142,7 +144,7 @@ def carried(ports: Sequence[Port]) -> list[str]:
 
 
 def _plain(formula: re.Match[str]) -> str:
-    """Write a short formula without TeX: what folds, and lists, do not set it."""
+    """Write a short formula without TeX, which folded parts and lists do not typeset."""
     return re.sub(r"\\(\w+)", r"\1", re.sub(r"\\dot (\w+)", r"\1'", formula[1]))
 
 
@@ -175,7 +177,7 @@ def chosen(prefixes: Sequence[str]) -> list[str]:
 
 
 def claims(prefixes: Sequence[str], old: str | None) -> str:
-    """Claims of the paper with what was measured, as the `old` table says it or by runs, and their verdicts."""
+    """Return claims of the paper with their measurements, from the `old` table or from runs, and their verdicts."""
     kept: dict[tuple[str, ...], list[str]] = {}
     for row in (row[2:-2].split(" | ") for row in (old or "").splitlines() if row.startswith("| ")):
         if len(row) == 6:
@@ -207,7 +209,7 @@ def _shown(result: Result) -> str:
 
 
 def house(package: str) -> str:
-    """Rooms of a package, from the ground up: what each holds and which it knows."""
+    """Return the folders of a package, bottom up: the content of each and which it imports."""
     lines = ["| floor | room | holds | knows |", "|---|---|---|---|"]
     for room in rooms(package).values():
         known = ", ".join(f"`{name}`" for name in sorted(room.knows))
@@ -216,7 +218,7 @@ def house(package: str) -> str:
 
 
 def file_format(result: FileFormat) -> str:
-    """Names of a file format with what softrig does with them, folded."""
+    """Return the names of a file format and what softrig does with them, folded."""
     lines = ["| name | | |", "|---|---|---|"]
     for name, (use, text) in result.table.items():
         lines.append(f"| `{name}` | {use} | {text} |")
@@ -272,7 +274,9 @@ def results(name: str) -> list[Result]:
 
 
 def measured(what: str) -> str:
-    """Figures of runs in process, to five digits: ``FIGURE... of SCENARIO...`` gives a row a scenario."""
+    """Return figures of runs in process, with five digits: ``FIGURE... of SCENARIO...`` makes one row for each
+    scenario.
+    """
     figures, names = (part.split() for part in what.split(" of "))
     rows = []
     for name in names:
@@ -287,7 +291,7 @@ def measured(what: str) -> str:
 
 
 def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
-    """Describe which numbers of the text of a page at `path` have no source or are not as it says."""
+    """Describe which numbers of the text of a page at `path` have no source or differ from it."""
     tests = next((f / "tests" for f in path.resolve().parents if (f / "tests").is_dir()), path.parent)
     run = (lambda name: {r.name: r.number for r in results(name)}) if runs else None
     others = (p.read_text(encoding="utf-8") for p in sorted(tests.parent.glob("ros_pkgs/*/doc/**/*.md")))
@@ -295,7 +299,9 @@ def untrue(page: str, path: Path, runs: bool = False) -> list[str]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Write the generated parts of pages, or check that they are as the code says, and the numbers of the rest."""
+    """Write the generated parts of pages, or check them against the code, and the other numbers against their
+    sources.
+    """
     parser = argparse.ArgumentParser(prog="scripts/softrig docs pages", description=main.__doc__)
     parser.add_argument("pages", nargs="+", type=Path, metavar="FILE", help="of a page")
     parser.add_argument("--check", action="store_true")

@@ -1,4 +1,4 @@
-"""Licences of what is installed: of distributions by their metadata, of what CasADi's wheel has inside by its texts."""
+"""Licences of installed software: of distributions by their metadata, of the content of CasADi's wheel by its texts."""
 
 from __future__ import annotations
 
@@ -77,7 +77,9 @@ def _by_text(files: Iterable[Path]) -> str:
 
 
 def table(locks: Iterable[str]) -> str:
-    """Rows of licence and packages, Markdown; of what the lock files pin and is installed here."""
+    """Return rows of licence and packages, Markdown, for packages that the lock files pin and that are
+    installed here.
+    """
     result = defaultdict(set)
     for name in {name for lock in locks for name in names(lock)}:
         if text := licence(name):
@@ -87,7 +89,7 @@ def table(locks: Iterable[str]) -> str:
 
 
 def inside_casadi() -> str:
-    """Rows of licence and libraries that CasADi's wheel brings, by the licence texts in it, Markdown."""
+    """Return rows of licence and libraries inside CasADi's wheel, by the licence texts in it, Markdown."""
     spec = importlib.metadata.distribution("casadi")
     folder = Path(str(spec.locate_file("casadi/include/licenses")))
     result = defaultdict(set)

@@ -1,4 +1,4 @@
-"""Tables of the page *Names*: what a drives or ROS engineer calls what is here, and what it is called here."""
+"""Tables of the page *Names*: the terms of drives and ROS engineers, and their names in softrig."""
 
 from __future__ import annotations
 

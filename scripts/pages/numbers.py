@@ -1,4 +1,4 @@
-"""Where the numbers in the hand-written text of a page come from, and whether they are right.
+"""The sources of the numbers in the hand-written text of a page, and whether they are right.
 
 Each number of three or more significant digits, outside of code and of the generated parts, either stands in a
 generated part of its page too (parameters, published values, titles), or is named in a comment of its section::
@@ -56,7 +56,7 @@ Runs = Callable[[str], dict[str, float]]  # figures of a scenario by its name
 
 @dataclass(frozen=True)
 class Tie:
-    """A number of a page as it is written, and what is said of its source."""
+    """A number of a page as written, and its stated source."""
 
     number: str
     source: str = ""
@@ -77,7 +77,7 @@ class Tie:
         return math.isfinite(value) and abs(value - self.value) <= self.half * (1.0 + 1e-6) + slack
 
     def is_one_of(self, values: Iterable[float]) -> bool:
-        """Return whether it is exactly one of some numbers, but for the sign."""
+        """Return whether it equals one of some numbers exactly, except for the sign."""
         return any(math.isclose(abs(self.value), abs(x), rel_tol=1e-12) for x in values)
 
 
@@ -115,7 +115,7 @@ def faults(page: str, tests: Path, run: Runs | None = None, others: str = "") ->
 
 
 def digits(number: str) -> int:
-    """Return the significant digits of a number as written; zeros at the end of a whole number are none."""
+    """Return the significant digits of a number as written; zeros at the end of an integer do not count."""
     mantissa = number.partition("e")[0].lstrip("+-").replace(",", "")
     plain = mantissa.replace(".", "").lstrip("0")
     return len(plain if "." in mantissa else plain.rstrip("0"))
@@ -153,7 +153,7 @@ def _measured(page: str) -> dict[tuple[str, str], float]:
 
 
 def _wrong(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Runs | None) -> str:
-    """Describe what is wrong with a number, or nothing."""
+    """Describe what is wrong with a number; None if it is right."""
     try:
         return _differs(tie, table, tests, run)
     except (ArithmeticError, NameError, SyntaxError, TypeError, ValueError) as error:
@@ -183,7 +183,7 @@ def _differs(tie: Tie, table: dict[tuple[str, str], float], tests: Path, run: Ru
 def _unlike(
     tie: Tie, factor: float, what: tuple[str, str], table: dict[tuple[str, str], float], run: Runs | None
 ) -> str:
-    """Describe how a number differs from the figure of a scenario or of a study, or nothing."""
+    """Describe how a number differs from the figure of a scenario or of a study; None if it does not."""
     name, figure = what
     if (published := _published(name)) is None:
         return f"no scenario or study {name}"
@@ -205,7 +205,7 @@ def _unlike(
 
 @cache
 def _published(name: str) -> tuple[Mapping[str, Expected], frozenset[str], bool] | None:
-    """Return what a study or a scenario expects, the names of its figures, and whether it is a study."""
+    """Return the expectations of a study or a scenario, the names of its figures, and whether it is a study."""
     if name in list_studies():
         expect = load_study(name).expect
         return expect, frozenset(expect), True
@@ -238,7 +238,7 @@ def _parsed(tests: Path, file: str) -> list[ast.stmt]:
 
 
 def _literals(tests: Path, file: str, name: str) -> Iterator[float]:
-    """Return all numbers in a function of a test file and in its decorators, or in what is assigned to a name there."""
+    """Return all numbers in a function of a test file and in its decorators, or in an assignment to a name there."""
     for node in _parsed(tests, file):
         targets = [n.id for n in getattr(node, "targets", []) if isinstance(n, ast.Name)]
         if getattr(node, "name", None) == name or name in targets:

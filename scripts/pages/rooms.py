@@ -1,4 +1,4 @@
-"""The rooms of a package: its folders, what each holds, and which it knows, read from the imports."""
+"""The folders of a package, their content, and which they import, read from the import statements."""
 
 from __future__ import annotations
 
@@ -71,6 +71,6 @@ def _targets(node: ast.ImportFrom, inside: list[str], package: str, rooms: dict[
 
 
 def _raise(room: Room, rooms: dict[str, Room]) -> int:
-    """Rank a room above those that it imports."""
+    """Rank a folder above those that it imports."""
     room.floor = max((_raise(rooms[name], rooms) + 1 for name in room.knows), default=0)
     return room.floor

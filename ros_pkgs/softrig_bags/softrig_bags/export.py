@@ -1,4 +1,4 @@
-"""A bag's signals as tables, CSV, Parquet or MAT, one file a topic; but for MAT in memory that does not grow."""
+"""A bag's signals as tables, CSV, Parquet or MAT, one file a topic; except for MAT in constant memory."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
 
 
 def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
-    """Yield a file name, valid on every file system, for each topic that has none yet.
+    """Yield a valid file name on every file system for each topic that has none yet.
 
     Some file systems ignore case, so no two names differ in case alone. The name is the topic's name with dots in place
     of slashes; any other name is reported.
@@ -125,7 +125,7 @@ def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
 
 
 class _TopicFile:
-    """One table that grows; where columns are added on the way it is written in parts that are joined in the end."""
+    """One table that grows; if columns are added later, it is written in parts that are joined at the end."""
 
     def __init__(self, path: Path, epoch: int) -> None:
         self._path, self._epoch = path, epoch
@@ -174,7 +174,7 @@ class _TopicFile:
         return pyarrow.schema(list(zip(_headings(self._kinds), map(pyarrow.from_numpy_dtype, kinds), strict=True)))
 
     def close(self) -> Path:
-        """Write what is waiting, put the table in its place and return that."""
+        """Write the pending rows, move the table to its place and return its path."""
         import pyarrow
 
         if self._waiting or self._writer is None:

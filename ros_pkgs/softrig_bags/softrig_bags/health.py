@@ -17,7 +17,7 @@ ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 def with_health(recording: Recording, texts: Mapping[str, str], status: Mapping[str, Mapping[str, Any]]) -> Recording:
-    """Return a recording extended by what the nodes report beside their signals.
+    """Return a recording extended by the reports of the nodes.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from .read import BagSignals
 
 
 class Described(NamedTuple):
-    """A topic: its name as scenarios write it, None outside of the namespace that is asked for, and its type."""
+    """A topic: its name as in scenarios, None outside the requested namespace, and its type."""
 
     name: str | None
     msgtype: str
@@ -38,7 +38,7 @@ class RecordedMessages:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """There is nothing to be closed."""
+        """Do nothing: there is nothing to close."""
 
     @property
     def topics(self) -> list[Described]:
@@ -46,7 +46,7 @@ class RecordedMessages:
         return [Described(relative(t.name), t.msgtype) for t in self._topics]
 
     def types(self, i: int) -> Types:
-        """Return the definitions of a topic's type as they are known here."""
+        """Return the definitions of a topic's type as installed here."""
         return complete(self._topics[i].msgtype, {})
 
     def blocks(self, topics: Collection[int] | None = None) -> Iterator[Block]:
@@ -84,7 +84,7 @@ def described(messages: Messages) -> list[Described]:
 
 
 def opened(what: Signals | Path | str, namespace: str = "") -> Messages:
-    """Return the messages behind signals, or of a bag by its path and in a namespace; a context manager."""
+    """Return a context manager with the messages behind signals, or of a bag by its path and in a namespace."""
     if isinstance(what, BagSignals):
         return BagReader(what.path, namespace=what.namespace)
     return RecordedMessages(what.recording) if isinstance(what, Signals) else BagReader(what, namespace=namespace)

@@ -106,7 +106,7 @@ class Pairing:
 
 
 def keys_of(block: Block, stamped: bool) -> Ints:
-    """Return what messages are paired by, ns: header stamps or bag times."""
+    """Return the keys by which messages are paired, ns: header stamps or bag times."""
     if not stamped or not len(block):
         return block.t
     keys = block.t.copy()

@@ -122,7 +122,7 @@ class BagSignals(Signals):
 
 
 def epoch_of(bag: BagReader) -> tuple[int, bool]:
-    """Return the ns that become 0 s, and whether they are known to be the start of the run."""
+    """Return the time in ns that becomes 0 s, and whether it is known to be the start of the run."""
     left = bag.custom_data.get(EPOCH, "")
     own = int(left) if left.isdecimal() and len(left) < 20 and int(left) < 1 << 63 else 0
     epoch = own or (bag.start if bag.start >= WALL_CLOCK else 0)
@@ -169,6 +169,6 @@ def signals(path: Path | str, namespace: str = "") -> BagSignals:
 
 
 def report_left_out(path: Path | str, columns: Columns) -> None:
-    """Report what of a bag has not become numbers."""
+    """Report which parts of a bag have not become numbers."""
     for line, lost in columns.lines():
         (incomplete if lost else print_line)(f"{path}: {line}")

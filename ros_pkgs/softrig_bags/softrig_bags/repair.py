@@ -1,4 +1,4 @@
-"""Make a readable bag out of what a crash left: cut MCAP and SQLite files, shards of a run."""
+"""Make a readable bag from files after a crash: truncated MCAP and SQLite files, shards of a run."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
 
 
 def _is_sound(path: Path) -> bool:
-    """Return whether a bag can be read whole and holds what it claims."""
+    """Return whether a bag can be read completely and agrees with its metadata."""
     differing: list[str] = []
     try:
         with BagReader(path, differing.append) as bag:
@@ -157,7 +157,7 @@ def _is_sound(path: Path) -> bool:
 
 
 def _rewrite(result: Remains, directory: Path, name: str) -> tuple[list[FileReport], Counter[tuple[str, str]]]:
-    """Write what is whole; return a report of each file and the number of messages by topic and type."""
+    """Write the complete messages; return a report of each file and the number of messages by topic and type."""
     writer: BagWriter | None = None
     # The key holds type and encoding too, because a topic may return with another one.
     numbers: dict[tuple[str, ...], int] = {}
@@ -201,7 +201,7 @@ def _rewrite(result: Remains, directory: Path, name: str) -> tuple[list[FileRepo
 
 
 def _recover(source: Path, report: FileReport, scratch: Path) -> Iterator[tuple[BagTopic, int, bytes]]:
-    """Yield the whole messages of a file, what rosbag2 has compressed expanded."""
+    """Yield the complete messages of a file, with content that rosbag2 has compressed expanded."""
     with expanded(source, scratch) as (path, lost):
         read = _recover_mcap(path, report) if path.suffix == ".mcap" else _recover_sqlite3(path, report, scratch)
         for topic, t, data in read:

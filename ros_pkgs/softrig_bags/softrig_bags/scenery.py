@@ -21,7 +21,7 @@ LATCHED = ("robot_description", "tf_static", "markers")
 
 
 def with_scenery(recording: Recording, scenes: Mapping[str, Scene]) -> Recording:
-    """Return a recording with what a viewer needs beside it.
+    """Return a recording with additional topics for viewers.
 
     Parameters
     ----------

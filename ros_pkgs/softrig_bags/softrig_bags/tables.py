@@ -21,7 +21,7 @@ FRAME = "header/frame_id"
 
 
 class Piece(NamedTuple):
-    """Some messages of a topic: bag times and header stamps in ns (bag times where there is none), and columns.
+    """Some messages of a topic: bag times and header stamps in ns (bag times if it has none), and columns.
 
     A value that a message lacks is NaN in a column, or 0 in a column of whole numbers. For such integer columns
     `absent` marks the messages that lack the value.
@@ -78,7 +78,7 @@ class Columns:
         self.texts: dict[int, dict[str, set[str]]] | None = None
 
     def decoder(self, topic: int) -> Decoder | None:
-        """Return what reads a topic's messages; None where nothing does."""
+        """Return a function that reads a topic's messages; None if its type is unknown."""
         if topic not in self._decoders:
             try:
                 self._decoders[topic] = self._bag.decoder(topic)
@@ -158,7 +158,7 @@ class Columns:
                 left.reason = left.damage
 
     def lines(self) -> Iterator[tuple[str, bool]]:
-        """Describe what was left out; each line with whether messages are lost of a topic that is there otherwise."""
+        """Describe what was left out; each line with whether messages of an otherwise read topic are lost."""
         for topic, left in sorted(self.left.items()):
             name = self._bag.topics[topic].name
             if left.reason:

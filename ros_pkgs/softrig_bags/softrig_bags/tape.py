@@ -21,13 +21,13 @@ from .read import read_bag
 
 
 def written(port: Port) -> str:
-    """Describe a port as JSON, what differs from a plain one."""
+    """Describe a port as JSON, without values that are defaults."""
     results = {f.name: getattr(port, f.name) for f in fields(Port)}
     return json.dumps({name: value for name, value in results.items() if value not in ((), "", False)})
 
 
 def port_of(text: str) -> Port:
-    """Create the output that publishes what a port has read; `text` is from `written`."""
+    """Create an output that publishes what a port has read; `text` is from `written`."""
     results = {name: _tuples(value) for name, value in json.loads(text).items()}
     return replace(Port(**results), held=False, partial=False, sporadic=True)
 
@@ -55,7 +55,7 @@ class TapeParams(BlockParams):
 
 @lru_cache(maxsize=2)
 def _loaded(bag: str) -> tuple[Recording, int]:
-    """Return the record, and what its stamps count from, ns."""
+    """Return the recording, and the time from which its stamps count, ns."""
     with BagReader(Path(bag)) as reader:
         epoch = int(reader.custom_data.get("epoch", "0"))
     return read_bag(Path(bag)), epoch
@@ -106,11 +106,11 @@ class Tape(Block[TapeParams]):
             yield t - epoch, Sample(stamp - epoch, values) if port.delayed else values
 
     def first(self) -> State:
-        """Return the empty state: nothing was published yet."""
+        """Return the empty state: nothing has been published yet."""
         return State((0,) * len(self._rows))
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, Any]]:
-        """Describe what counts from this tick on."""
+        """Publish the newest message at this tick that has not been published."""
         results, messages = {}, []
         for (name, rows), before in zip(self._rows.items(), x.published, strict=True):
             k = bisect_right(rows, t, before, key=lambda row: row[0])

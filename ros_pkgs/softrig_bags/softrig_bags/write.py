@@ -79,7 +79,7 @@ def write_bag(
 
 
 def retell(bag: Path, directory: Path, custom_data: Mapping[str, str]) -> None:
-    """Write a bag once more, with other words of its writer beside the same messages.
+    """Write a bag again, with the same messages and other custom data.
 
     Parameters
     ----------

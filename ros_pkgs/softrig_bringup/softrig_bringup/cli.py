@@ -182,7 +182,7 @@ def _judging(arguments: list[str]) -> list[str]:
 
 
 def _check_verb(word: str) -> None:
-    """Refuse a scenario or other name in the place of a verb; the message names the verb that accepts it."""
+    """Refuse a scenario or other name in place of a verb; the message names the verb that accepts it."""
     from difflib import get_close_matches
     from pathlib import Path
 
@@ -203,7 +203,7 @@ def _check_verb(word: str) -> None:
 
 
 def _check_drawn(word: str) -> None:
-    """Refuse a run where `draw` expects what is drawn of it."""
+    """Refuse a run where `draw` expects the kind of drawing."""
     from pathlib import Path
 
     from .folder import kind_of
@@ -213,7 +213,7 @@ def _check_drawn(word: str) -> None:
 
 
 class _Unasked:
-    """Ignore the options of a verb: to declare those of all verbs takes 10 ms of each command."""
+    """Ignores the options of a verb: declaring those of all verbs takes 10 ms of each command."""
 
     def __getattr__(self, _: str) -> Any:
         return lambda *_, **__: self
@@ -304,7 +304,7 @@ def _late(target: str, options: argparse.Namespace) -> int:
 
 
 def _of_the_script(arguments: list[str]) -> bool:
-    """Return whether a command is one of scripts/softrig, with whatever words follow."""
+    """Return whether a command belongs to scripts/softrig, whatever words follow."""
     word, *more = arguments or [""]
     if word == "env":
         return bool(more) and not more[0].startswith("-")  # `env COMMAND`
@@ -312,7 +312,7 @@ def _of_the_script(arguments: list[str]) -> bool:
 
 
 def of_the_script(_: object = None) -> int:
-    """Refuse what only the script does that sets up a checkout."""
+    """Refuse a command that only scripts/softrig can run, which sets up a checkout."""
     raise ScenarioError(
         f"{', '.join(SCRIPT)}, `env COMMAND` and --workspace are of scripts/softrig, which has not been used here; "
         "a package of yours is used once it is installed: pip install ./my_rig"
@@ -327,7 +327,7 @@ def node(options: argparse.Namespace) -> int:
 
 
 def env(options: argparse.Namespace) -> int:
-    """Print what a shell needs to complete our words; the environment itself is printed by scripts/softrig."""
+    """Print the shell code that completes our words; scripts/softrig prints the environment itself."""
     if options.completion is None:
         return of_the_script(options)
     from argcomplete.shell_integration import shellcode

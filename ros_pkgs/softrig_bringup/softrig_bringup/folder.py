@@ -1,4 +1,4 @@
-"""The folder of results: what a former run or study of ours wrote there is replaced, nothing else is touched."""
+"""The folder of results: the files of an earlier run or study are replaced, nothing else is touched."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MARKS = {"metrics.json": "run", "study.json": "study", "falsification.json": "fa
 
 
 def kind_of(path: Path) -> str:
-    """Return what a folder holds: a value of `MARKS`, or empty."""
+    """Return the kind of a folder's content: a value of `MARKS`, or empty."""
     return next((kind for mark, kind in MARKS.items() if (path / mark).is_file()), "")
 
 
@@ -41,7 +41,7 @@ _held: WeakSet[ResultsFolder] = WeakSet()
 
 
 def _let_go_of_all() -> None:
-    """Close what a fork has got of its parent's locks: a worker that ends later would hold the folder for as long."""
+    """Close locks that a fork has inherited from its parent: a worker that ends later would keep the folder locked."""
     for folder in list(_held):
         folder.let_go()
 
@@ -90,7 +90,7 @@ class ResultsFolder:
         self.replaced = _what(path) if self._old & set(_files(path)) else ""
 
     def begin(self, once: str = "") -> None:
-        """Create the folder, and write down that something is under way in it.
+        """Create the folder, and note in it that a call is writing.
 
         What is killed, or refused by one of its nodes, must not stop the next one, unless it cannot be made again.
 
@@ -160,7 +160,7 @@ class ResultsFolder:
         return ", ".join(map(str, reasons))
 
     def clear(self, once: str = "") -> None:
-        """Remove what the former run listed, and the folders that this leaves empty; never what a link points to.
+        """Remove the files listed by the earlier run, and the folders that are then empty; never the target of a link.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class ResultsFolder:
 
 @contextmanager
 def alone_in(path: Path) -> Iterator[None]:
-    """Hold a folder that is no `ResultsFolder` against other calls; it is made.
+    """Lock a folder that is not a `ResultsFolder` against other calls; create it if needed.
 
     Raises
     ------

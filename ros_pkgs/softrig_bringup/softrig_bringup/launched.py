@@ -1,4 +1,4 @@
-"""A rig that a launch system starts: the nodes of `softrig run` with its options, and what it does at their end."""
+"""A rig that a launch system starts: the nodes of `softrig run` with its options, and the actions at their end."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class Launched:
         )
 
     def ended(self, name: str, status: int, interrupted: bool) -> str:
-        """Note that a process has ended; when it was the last one, do what `softrig run` does at the end of a run.
+        """Note that a process has ended; after the last one, do the same as `softrig run` at the end of a run.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""What all scenarios that are written from a data sheet share: values are checked, and what was assumed is written."""
+"""The common part of scenarios from a data sheet: values are checked, and assumptions are written."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def whole(given: Given, name: str) -> int:
 
 
 def plausible(name: str, value: float, unit: str, lower: float, upper: float, why: str) -> None:
-    """Ensure that what follows from the values is of the order that machines and converters have.
+    """Ensure that the results have the order of magnitude of real machines and converters.
 
     A value in another unit (mH, g cm^2, peak for rms) is off by a factor that no machine of these rated values has.
 

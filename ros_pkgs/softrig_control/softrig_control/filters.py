@@ -15,7 +15,7 @@ class Filtered(NamedTuple, Generic[T]):
 
 
 class SecondOrderFilter:
-    r"""Low pass of second order, semi-implicit Euler; what it remembers is a `Filtered`.
+    r"""Low pass of second order, semi-implicit Euler; its state is a `Filtered`.
 
     .. math:: \ddot y = \omega_n^2 (x - y) - 2 \zeta \omega_n \dot y
 

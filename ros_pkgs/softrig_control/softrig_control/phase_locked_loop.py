@@ -20,7 +20,7 @@ class PllParams(Params):
 
 
 class Locked(NamedTuple):
-    """Angle at the sample to come (rad), angular frequency and its integral part (rad/s)."""
+    """Angle at the next sample (rad), angular frequency and its integral part (rad/s)."""
 
     theta: float
     omega: float
@@ -28,7 +28,7 @@ class Locked(NamedTuple):
 
 
 class PhaseLockedLoop:
-    r"""Angle and frequency of a rotating vector u; what it remembers is a `Locked`.
+    r"""Angle and frequency of a rotating vector u; its state is a `Locked`.
 
     .. math::
         z_k = u_k e^{-j\theta_k}, \quad e_k = \arg z_k, \quad

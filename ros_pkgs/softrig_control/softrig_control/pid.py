@@ -8,7 +8,7 @@ from softrig_core import Params, param
 
 
 class PidParams(Params):
-    """Gains of `Pid`; inherit for a node's parameters and give the published values."""
+    """Gains of `Pid`; inherit for a node's parameters and set the published values."""
 
     kp: float = param(1.0, "proportional gain Kp", live=True)
     ki: float = param(0.0, "integral gain Ki", "1/s", live=True)
@@ -31,7 +31,7 @@ class PidState(NamedTuple):
 
 
 class Pid:
-    """Sampled PID law; what it remembers is a `PidState`.
+    """Sampled PID controller; its state is a `PidState`.
 
     ::
 
@@ -68,7 +68,7 @@ class Pid:
         return self.after_kp(x, before.kp)
 
     def after_kp(self, x: PidState, kp: float) -> PidState:
-        """Return the state of `go_on`, for which only the Kp of before matters."""
+        """Return the state of `go_on`, which depends on the old gains only by Kp."""
         if self._ki_ts and self._kp != kp:
             return x._replace(integral=x.integral + (kp - self._kp) * x.error)
         return x

@@ -59,7 +59,7 @@ class CommandReplay:
         return Commands(History(step=1.0, longest=self._capacity), 0)
 
     def record(self, history: Commands, u: float) -> Commands:
-        """Return the commands known with that of this period, as issued (after saturation)."""
+        """Return the known commands with that of this period, as issued (after saturation)."""
         return Commands(history.line.put((u,)), min(history.known + 1, self._capacity))
 
     def present(self, history: Commands, x: Sequence[float], late: int) -> tuple[float, ...]:

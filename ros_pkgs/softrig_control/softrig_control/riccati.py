@@ -19,7 +19,7 @@ RESIDUAL = 1e-7  # of the size of an entry: what a solution may leave of its equ
 
 
 def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
-    r"""Solution of the discrete Riccati equation :math:`X = A^T X (1 + G X)^{-1} A + H`, None when none is found.
+    r"""Solution of the discrete Riccati equation :math:`X = A^T X (1 + G X)^{-1} A + H`, None if none is found.
 
     By doubling: each step makes as many of the recursion's as all before it, with the same bits on every CPU. What it
     ends at is put into the equation; a matrix that does not solve it is not returned.

@@ -24,7 +24,7 @@ class Gains(NamedTuple):
 
 
 def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[complex]) -> Gains:
-    """Gains that give the loop of x' = A x + B u, y = C x, xi' = r - y the wanted poles.
+    """Compute gains that place the poles of the loop x' = A x + B u, y = C x, xi' = r - y.
 
     Ackermann's formula on the augmented plant [[A, 0], [-C, 0]], [B; 0]. The characteristic polynomial of the loop is
     held against the wanted one, in integers.

@@ -1,4 +1,4 @@
-"""Sample transfer functions, and check what was sampled against integers that do not round."""
+"""Sample transfer functions, and check the result with exact integers."""
 
 from __future__ import annotations
 

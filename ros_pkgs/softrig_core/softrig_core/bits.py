@@ -84,7 +84,7 @@ def blas_core() -> str:
 
 @cache
 def simd_level() -> str:
-    """Return what numpy's functions of arrays may use of the CPU beyond its baseline (``X86_V3``)."""
+    """Return which CPU features numpy's array functions may use beyond the baseline (``X86_V3``)."""
     from importlib import import_module
 
     core = import_module("numpy._core._multiarray_umath")

@@ -95,7 +95,7 @@ def without_ros(arguments: Sequence[str]) -> list[str]:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, with the nearest of what there is beside what was misspelt.
+    """A parser whose errors are one line, with the nearest existing word for a misspelt one.
 
     A shell that completes a command line (argcomplete) is answered in place of parsing.
 
@@ -121,14 +121,14 @@ class Parser(argparse.ArgumentParser):
         return super().parse_args(args, namespace)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Parse, and refuse the rest here, where it is known which options there are."""
+        """Parse, and refuse the rest here, where the options are known."""
         result, remaining = super().parse_known_args(args, namespace)
         if remaining:
             self.error(self._unexpected(result, remaining[0]))
         return result, remaining
 
     def _unexpected(self, result: argparse.Namespace, word: str) -> str:
-        """Describe a word that no option accepts, and what it may have been meant for."""
+        """Describe a word that no option accepts, and the likely intention."""
         from difflib import get_close_matches
 
         pairs = [a for a in self._actions if a.option_strings and "NAME=" in str(a.metavar)]
@@ -152,7 +152,7 @@ class Parser(argparse.ArgumentParser):
         return f"unexpected option {word!r}{near_text}"
 
     def error(self, message: str) -> NoReturn:
-        """Raise what the command line turns into one line and status 2.
+        """Raise the error that the command line turns into one line and status 2.
 
         Raises
         ------

@@ -48,7 +48,7 @@ def describe(error: BaseException) -> str:
 
 @contextmanager
 def blaming(where: str) -> Iterator[None]:
-    """Raise what a user's code raises within the ``with`` block as bad input of a place.
+    """Raise an error of a user's code within the ``with`` block as bad input of a place.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def closest(name: str, known: Iterable[str]) -> str:
 
 
 def nearby(path: Path) -> str:
-    """Suggest which results are meant by a path that is not there, as the end of a message."""
+    """Suggest existing results for a path that does not exist, as the end of a message."""
     from difflib import get_close_matches
 
     if (there := Path("runs", path.name)).exists():  # where results are written without --out

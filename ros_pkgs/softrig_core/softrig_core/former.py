@@ -1,4 +1,4 @@
-"""Names that were here until 0.2: they work until 0.4, and a warning names what has replaced them."""
+"""Names used until 0.2: they work until 0.4, and a warning names their replacement."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def stopped_by(error: KeyboardInterrupt) -> str:
 
 
 def end_within(seconds: float, status: int) -> None:
-    """End the process after some time although a user's threads or processes go on, for which Python would wait."""
+    """End the process after some time, even if a user's threads or processes continue, for which Python would wait."""
     known: Any = sys.modules.get("multiprocessing")  # else there are none of its processes
     others = [one for one in threading.enumerate() if one is not threading.main_thread()]
     others += known.active_children() if known else []
@@ -173,7 +173,7 @@ def is_quiet() -> bool:
 
 
 def print_line(what: object) -> None:
-    """Print one line about what happens, short enough to read."""
+    """Print one short line about an event."""
     print_for("softrig", what)
 
 
@@ -255,7 +255,7 @@ def _flush() -> None:
 
 
 def keep_traceback(folder: Path | None = None) -> str:
-    """Write the traceback under way into a file of its own; returns its name.
+    """Write the current traceback into a separate file; return its name.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Ctrl-C: at once while a node starts, orderly while it runs, and not twice while it leaves."""
+"""Ctrl-C: immediate while a node starts, orderly while it runs, and ignored when repeated during the end."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Interrupt:
             self._leave = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Raise: when it is this early, nothing has been published, recorded or printed."""
+        """Raise an error: so early, nothing has been published, recorded or printed."""
         self._times += 1
         if self.early:
             os._exit(0)

@@ -1,4 +1,4 @@
-"""What has to be there before anything else: a pydantic that is new enough, the prefix of a wheel."""
+"""Conditions of every start: a pydantic that is new enough, the prefix of a wheel."""
 
 from __future__ import annotations
 

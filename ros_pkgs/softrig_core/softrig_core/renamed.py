@@ -57,7 +57,7 @@ def executables(package: str) -> list[str]:
 
 
 def executable_of(package: str, name: str) -> EntryPoint | None:
-    """Return the entry point of an executable, under a former name, too; None if the package has none of this name.
+    """Return the entry point of an executable, also under a former name; None if the package has none of this name.
 
     Raises
     ------
@@ -88,5 +88,5 @@ def report(package: str, name: str) -> str:
 
 
 def notice(package: str, name: str) -> str:
-    """Describe what an old name has become and how long it works."""
+    """Describe the replacement of an old name and how long the old one works."""
     return f"{package}/{name} is called {package}/{current(package, name)} now; the old name works until softrig {END}"

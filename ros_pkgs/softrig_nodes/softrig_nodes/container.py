@@ -45,7 +45,7 @@ GRACE = 1.0  # s: after one node gives up, how long the others may take to say w
 
 
 class Container:
-    """The nodes of one process and what makes them go."""
+    """The nodes of one process and their common loop."""
 
     def __init__(self) -> None:
         self.exchange = Exchange()
@@ -70,7 +70,7 @@ class Container:
             self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
 
     def connect(self) -> None:
-        """Connect the nodes and start them; an error describes what does not fit."""
+        """Connect the nodes and start them; an error describes a mismatch."""
         for mode in ("lockstep", "realtime"):
             if alike := [a for a in self.adapters if a.options.mode == mode]:
                 Group(alike)
@@ -129,7 +129,7 @@ class Container:
         adapter.error, adapter.state = failure(adapter, error), "failed"
 
     def _conclude(self, stopped: bool) -> int:
-        """Write what every node leaves behind and name the nodes that failed."""
+        """Write the results of every node and name the nodes that failed."""
         failed = [a.middleware.name for a in self.adapters if a.state == "failed"]
         for adapter in self.adapters:
             if failed and adapter.state not in ("done", "failed"):

@@ -106,7 +106,7 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
 
 
 def _feed(links: Sequence[_Link]) -> None:
-    """Fill the inputs immediately with what is published."""
+    """Fill the inputs immediately with published messages."""
     for writer, output, reader, item, pick in links:
         writer.step.hands_to(output.name, reader.step, item.name, pick)
 

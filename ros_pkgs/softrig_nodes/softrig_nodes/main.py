@@ -119,7 +119,7 @@ def _answered(block_class: type[Block], entry: str, params: Any, name: str) -> t
 
 
 def introduction(block: Block, options: RunOptions) -> str:
-    """Describe in one line a node that was started by hand, and what it waits for."""
+    """Describe in one line a node that was started alone, and what it waits for."""
     inputs, outputs = block.ports(block.p)
     what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
     wanted = [p.topic for p in inputs if not p.held]
@@ -129,7 +129,7 @@ def introduction(block: Block, options: RunOptions) -> str:
 
 
 def usage(name: str, block_class: type[Block]) -> str:
-    """Return the help text of a node: what it is, its topics, its parameters."""
+    """Return the help text of a node: its purpose, its topics, its parameters."""
     lines = [f"{name}: {(block_class.__doc__ or '').strip().splitlines()[0]}", ""]
     try:
         inputs, outputs = block_class.ports(block_class.Params())
@@ -149,7 +149,7 @@ def usage(name: str, block_class: type[Block]) -> str:
 
 
 def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
-    """Declare all parameters with descriptions and ranges, and validate the values given."""
+    """Declare all parameters with descriptions and ranges, and validate the given values."""
     # an empty list in a file has no type for rclpy, so that nothing may be declared from what is given as it is
     absent = {d.name for d in declarations(block_class.Params) if d.default is None}  # those that may have no value
     given = {name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in overrides(node).items()}

@@ -1,4 +1,4 @@
-"""A tick before the first one, thrown away: what a block compiles or loads on first use is there when a run begins."""
+"""A discarded tick before the first one: it loads or compiles everything that a block uses first during a run."""
 
 from __future__ import annotations
 

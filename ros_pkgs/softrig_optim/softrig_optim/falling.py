@@ -74,7 +74,7 @@ class FallingCurve:
 
 
 def _rise(corners: tuple[Corner, ...], x: float, y: float) -> float:
-    """Return the most by which a corner exceeds (x, y) in both at once: one next to the line from 0 through it."""
+    """Return the most by which a corner exceeds (x, y) in both: a corner next to the line from 0 through it."""
     k = bisect(corners, (x / y,))
     most = 0.0
     # The corners are ordered by x / y, so only the two beside the line through (x, y) can exceed it the most.
@@ -110,7 +110,7 @@ class FallingRows(NamedTuple):
         return change * change - 1.0, self
 
     def python(self) -> FallingCurve:
-        """Return it as Python has it."""
+        """Return its Python form."""
         count, *sizes = self.counts.tolist()
         v, i = map(tuple, self.last[:count].T.tolist())
         below, above = (tuple(map(tuple, rows[:n].tolist())) for rows, n in zip(self.corners, sizes, strict=True))

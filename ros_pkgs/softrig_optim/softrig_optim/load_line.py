@@ -108,7 +108,7 @@ class LoadLineSearch(Search):
 
 
 class CertifiedSearch(LoadLineSearch):
-    r"""Search that ends with a proof: nothing between the outermost samples gives more than (1 + eps) the best.
+    r"""Search that ends with a proof: nothing between the outermost samples exceeds (1 + eps) times the best.
 
     Between two samples neighbouring in voltage, v_a < v_b, the current is at most i_a and the voltage at most
     v_b, so the power is at most v_b i_a. The pair with the largest such bound is split by the load line
@@ -173,7 +173,7 @@ class CertifiedSearch(LoadLineSearch):
         return False
 
     def watch(self, sample: Sequence[float]) -> None:
-        """Store a point of the characteristic passed on the way."""
+        """Store a point of the characteristic on the way to a command."""
         # The load is not estimated here: in a transient the command does not belong to the measured voltage and
         # current.
         self._remember(sample[0], sample[1])

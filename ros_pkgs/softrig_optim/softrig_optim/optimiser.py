@@ -154,7 +154,7 @@ class State(NamedTuple):
 
 
 def buttons(prefix: str) -> tuple[Port, ...]:
-    """Return the held buttons of a search; each acts when it goes down."""
+    """Return the held buttons of a search; each acts when it is pressed."""
     return tuple(button(name, f"{prefix}/{name}", held=True) for name in ("start", "stop", "restart"))
 
 
@@ -212,11 +212,11 @@ class CommandOptimiser(Block[P], ABC):
         """Return the most change of a command in a second; 0: no limit."""
 
     def no_signal(self, sample: Point, value: float) -> bool:
-        """Return whether a measurement during a search is at or below `floor`: there is nothing to search on."""
+        """Return whether a measurement during a search is at or below `floor`, so that there is no signal."""
         return self.p.floor is not None and value <= self.p.floor
 
     def characteristic(self, n: int) -> FallingCurve | None:
-        """Create what sees in measurements that the plant is another one, n of them a corner; None: nothing can."""
+        """Create a detector of changes of the plant, with n measurements for a corner; None: it cannot be detected."""
         return None
 
     def setup(self) -> None:
@@ -305,7 +305,7 @@ class CommandOptimiser(Block[P], ABC):
     # the search ------------------------------------------------------------------------------------------------
 
     def _begin(self, x: State | None, t: int, next_scan: int = LATER) -> State:
-        """Start a new search; from the time `next_scan` (ns) on, the node looks for another change after it."""
+        """Start a new search; from the time `next_scan` (ns) on, the node checks for another change after it."""
         history = SearchHistory(self.p.search, self.generator() if x is None else x.search.now.rng)
         search = history.now
         # An infinite gap means that this search proves nothing, so there is no bound to withdraw.
@@ -381,7 +381,7 @@ class CommandOptimiser(Block[P], ABC):
         return self._note(self._keep(x, t)) if x.command == x.target else x
 
     def _keep(self, x: State, t: int) -> State:
-        """Hold what was found, until as much time again has passed where something had changed."""
+        """Hold the result until as much time as the search took has passed, if something had changed during it."""
         return x._replace(
             phase=Phase.HOLD,
             scanning_since=NEVER,
@@ -432,7 +432,7 @@ class CommandOptimiser(Block[P], ABC):
         return self._note(x._replace(void=True))
 
     def _refuted(self, x: State, t: int, value: float) -> tuple[State, bool]:
-        """Return whether the value held calls for a new search, now; plan one for later when that has been tried."""
+        """Return whether the held value requires a new search now; plan a later one if that has been tried."""
         # A search that was broken off may be repeated BROKEN times, any other refuted result once.
         free = BROKEN if x.broken else 1
         unconfirmed = x.unconfirmed
@@ -470,7 +470,7 @@ class CommandOptimiser(Block[P], ABC):
         return x
 
     def _changed(self, x: State, t: int, value: float, held: int) -> tuple[State, bool]:
-        """Return whether the value held calls for a new search."""
+        """Return whether the held value requires a new search."""
         if self.p.floor is not None and value <= self.p.floor:
             self.report(Level.WARN, "no signal", "the value held fell to the floor: waiting for it")
             return x._replace(lost=True), False

@@ -53,7 +53,7 @@ class SalpSwarm(Population):
         super().__init__(lower, upper, seed, **options)
 
     def follow(self, own: Array, ahead: Array) -> Array:
-        """Return the new position of a follower behind the salp ahead, eq. (7)."""
+        """Return the new position of a follower of the salp ahead, eq. (7)."""
         return (own + ahead) / 2.0
 
     def moves(self) -> Moves:  # noqa: D102
@@ -93,7 +93,7 @@ class ImprovedSalpSwarm(SalpSwarm):
     AMPLITUDE, DECAY = 2.3, 3.2
 
     def follow(self, own: Array, ahead: Array) -> Array:
-        """Return the new position of a follower behind the salp ahead, eq. (9)."""
+        """Return the new position of a follower of the salp ahead, eq. (9)."""
         return 0.5 * np.sqrt(own**2 + 3.0 * ahead**2)
 
     def moves(self) -> Moves:  # noqa: D102

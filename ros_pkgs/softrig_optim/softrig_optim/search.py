@@ -120,7 +120,7 @@ class Search(ABC):
 
     @abstractmethod
     def moves(self) -> Moves:
-        """Yield candidates that do not depend on each other; get back their costs, which are to be minimised.
+        """Yield independent candidates; receive their costs, which are minimised.
 
         The algorithm itself. After the yield `self.sample` is the measurement of the last candidate.
         """
@@ -155,23 +155,23 @@ class Search(ABC):
 
     @property
     def expected(self) -> float:
-        """The value that `result` should give if nothing has changed since it was found; see `result`."""
+        """The value that `result` should have if nothing has changed since it was found; see `result`."""
         if self.best is None:
             raise ValueError("no value was reported yet")
         return self.best.value
 
     @property
     def bound(self) -> float | None:
-        """Value that the objective cannot pass anywhere in the box; None where nothing is proven."""
+        """Value that the objective cannot exceed anywhere in the box; None if nothing is proven."""
         return None
 
     @property
     def gap(self) -> float:
-        """Share of the value by which a proven bound may exceed it; infinite where nothing is proven."""
+        """Share of the value by which a proven bound may exceed it; infinite if nothing is proven."""
         return math.inf
 
     def watch(self, sample: Sequence[float]) -> None:  # noqa: B027
-        """See a measurement on the way to the pending candidate; only searches that can use a transient do."""
+        """Use a measurement on the way to the pending candidate; only searches that can use a transient do."""
 
     def ask(self) -> Point:
         """Return the next candidate; the same one until its value is passed to `tell`.

@@ -141,7 +141,7 @@ class Workers:
         return [results[k] for k in range(len(cases))]
 
     def _chunks(self, cases: Iterator[tuple[int, C]], room: int, seconds: float, workers: int) -> Iterator[Chunk[C]]:
-        """Split cases into so many chunks; a small number is spread over all workers."""
+        """Split cases into a number of chunks; a small number of cases is spread over all workers."""
         # Before the first result the mean is infinite, so that the first chunks have one case each.
         size = max(1, min(LARGEST, int(seconds / max(self._mean, 1e-6))))
         used = list(islice(cases, room * size))
@@ -245,7 +245,7 @@ def _each_here(function: Callable[[C], R], cases: Sequence[C]) -> tuple[list[R],
 
 
 def _freeze() -> bool:
-    """Exclude imported objects from garbage collection: it takes a tenth of a short case."""
+    """Exclude imported objects from garbage collection, which would take a tenth of a short case."""
     # Only the young generations: a collection of everything that is imported takes longer than many a study.
     gc.collect(1)
     gc.freeze()
@@ -291,7 +291,7 @@ def cores() -> int:
 
 @contextmanager
 def _own_imports() -> Iterator[None]:
-    """Keep Python processes started meanwhile from importing modules from the current directory."""
+    """Keep Python processes that are started in the block from importing modules from the current directory."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
@@ -342,7 +342,7 @@ def _connected(scheduler: str) -> Any:
 
 
 def _made_of() -> dict[str, str]:
-    """Describe what decides numbers on this host; runs on workers too."""
+    """Describe everything that affects numbers on this host; also runs on workers."""
     from importlib.metadata import version
 
     return {"Python": ".".join(map(str, sys.version_info[:2]))} | {n: version(n) for n in ("softrig_core", "numpy")}

@@ -71,7 +71,7 @@ class DrivenRobotParams(BlockParams):
 
     @model_validator(mode="after")
     def _steps(self) -> Self:
-        """Refuse a step that the armature's pole R/L makes grow, which ends as a speed beyond all limits."""
+        """Refuse a step for which the armature's pole R/L is unstable, which would end as an excessive speed."""
         fastest = max(self.motors.resistance) / min(self.motors.inductance)
         least = math.ceil(self.period * fastest / LARGEST_STEP)
         if self.substeps < least:
@@ -134,7 +134,7 @@ class DrivenRobot(Plant[P]):
         raise NotImplementedError
 
     def friction(self) -> Friction:
-        """Return the friction at the joints beside that of the rotors."""
+        """Return the friction at the joints in addition to that of the rotors."""
         none = (0.0,) * self.n
         return Friction(none, none, none, 1.0, 1.0)
 
@@ -162,7 +162,7 @@ class DrivenRobot(Plant[P]):
         return tuple(K / r for K, r in zip(table["torque_constant"], table["gear"], strict=True))
 
     def setup(self) -> None:
-        """Compile the robot and bring the motors to the joint side of the gears."""
+        """Compile the robot and refer the motors to the joint side of the gears."""
         self._step, self._torque, self.n = compile_robot(self.robot(self.p), self.TIP, self.stops())
         self._table = table = self.p.motors.table(self.n)
         self._gear = table["gear"]
@@ -256,7 +256,7 @@ class DrivenRobot(Plant[P]):
         return flat[:n], speeds, flat[2 * n :]
 
     def gear_torques(self, x: Any, t: int, force: Vector, plant: Vector) -> Vector:
-        """Return what the gears hand to the links, T_r = K_m I/r - (J_m q'' + B_m q')/r^2, N m."""
+        """Return the torques of the gears on the links, T_r = K_m I/r - (J_m q'' + B_m q')/r^2, N m."""
         _, torque = self.loads(t)
         return self._torque((*x.q, *x.v, *x.i, *torque, *force, *plant))
 
@@ -327,7 +327,9 @@ def compile_robot(urdf: str, tip: str, stops: bool = False) -> tuple[Compiled, C
 def _equations(
     robot: Any, x: ca.SX, inputs: ca.SX, load: ca.SX, force: ca.SX, plant: ca.SX, efforts: ca.DM
 ) -> tuple[ca.SX, ca.SX]:
-    """Right-hand side of the state equation, and the torques behind the gears; efforts: limits, empty for none."""
+    """Return the right-hand side of the state equation, and the torques after the gears; efforts: limits, empty
+    for none.
+    """
     import casadi as ca
 
     n = robot.n

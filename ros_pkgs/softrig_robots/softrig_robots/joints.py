@@ -28,7 +28,7 @@ class JointUnits(NamedTuple):
 
 
 def joint_units(joints: Sequence[str], linear: Collection[str]) -> JointUnits:
-    """Return the units of joints, of which some move along a line."""
+    """Return the units of joints, some of which move along a line."""
     lengths, efforts = zip(*(("m", "N") if j in linear else ("rad", "N m") for j in joints), strict=True)
     return JointUnits(
         lengths, tuple(f"{unit}/s" for unit in lengths), tuple(f"{unit}/s^2" for unit in lengths), efforts

@@ -283,7 +283,9 @@ def _pair(placement: pin.SE3) -> tuple[ca.DM, ca.DM]:
 
 
 def _motion_transform(rotation: ca.SX, shift: ca.SX) -> ca.SX:
-    """Matrix that takes a twist of the parent to the child's frame; its transpose takes a wrench back."""
+    """Return the matrix that transforms a twist of the parent to the child's frame; its transpose transforms a
+    wrench back.
+    """
     back = rotation.T
     return ca.blockcat([[back, -back @ ca.skew(shift)], [ca.SX(3, 3), back]])
 

@@ -152,7 +152,7 @@ def robot_urdf(
 
 
 def _bar(tip: Vector) -> list[str]:
-    """A thin box from the joint to the tip, stretched along the axes along which the tip lies."""
+    """Return a thin box from the joint to the tip, stretched along the axes of the tip's position."""
     size = tuple(max(abs(x), 0.08) for x in tip)
     middle: Vector = (tip[0] / 2.0, tip[1] / 2.0, tip[2] / 2.0)
     return [
@@ -199,7 +199,7 @@ def read_urdf(source: str) -> str:
 
 
 def root_link(urdf: str) -> str:
-    """Return the name of the link that is no other's child: the frame in which poses are given.
+    """Return the name of the link without a parent: the frame of all poses.
 
     Parameters
     ----------

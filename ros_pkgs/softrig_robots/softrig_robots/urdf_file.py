@@ -107,7 +107,7 @@ class Mimic(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """A moving joint; limits in rad, rad/s, N m (m, m/s, N for a prismatic one), infinite where there are none."""
+    """A moving joint; limits in rad, rad/s, N m (m, m/s, N for a prismatic one), infinite if there are none."""
 
     damping: float
     friction: float
@@ -336,7 +336,7 @@ def _mimic(joint: ElementTree.Element, where: str) -> Mimic | None:
 
 
 def _followed(name: str, joints: Mapping[str, Joint], where: str) -> Joint:
-    """Resolve chains of mimic joints: each then follows one that follows none."""
+    """Resolve chains of mimic joints: each then follows a joint that is not a mimic."""
     joint, multiplier, offset, seen = joints[name], 1.0, 0.0, [name]
     mimic = joint.mimic
     while mimic is not None:

@@ -1,1 +1,1 @@
-"""Public falsification problems, written from their equations, and what other searches need for them."""
+"""Public falsification problems, written from their equations, and the runs that other searches need for them."""

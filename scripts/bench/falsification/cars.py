@@ -1,4 +1,4 @@
-"""Five cars that chase each other, and what must hold of them: CC1 to CC5 of ARCH-COMP.
+"""Five cars that follow each other, and their requirements: CC1 to CC5 of ARCH-COMP.
 
 Model: Hu, Lygeros and Sastry, "Towards a theory of stochastic hybrid systems", HSCC 2000: who is far behind
 accelerates, who is near keeps its speed, who is too near brakes. Requirements and inputs (throttle and brake of the

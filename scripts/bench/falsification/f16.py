@@ -230,13 +230,13 @@ def slopes(x: Array, nz_wanted: float, ps_wanted: float) -> Array:
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _rolled(x: Array, mode: int) -> float:
-    """The roll rate that is wanted, rad/s."""
+    """Return the wanted roll rate, rad/s."""
     return -(x[3] - 2 * pi * round(x[3] / (2 * pi))) * ROLL_P - x[6] * ROLL_D if mode == ROLLING else 0.0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def fly(roll: float, pitch: float, yaw: float) -> Array:
-    """Fly for 15 s, the recovery under way from the start.
+    """Fly for 15 s, with the recovery active from the start.
 
     Returns
     -------

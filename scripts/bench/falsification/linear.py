@@ -1,4 +1,4 @@
-"""The ideal motor under PID, which is linear: its worst load is known, a bound 1 % below it must be found violated."""
+"""The ideal motor under PID, which is linear: its worst load is known, and a bound 1 % below it must be violated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways to look for a violation, each told only margins: ours, and those that it is held against."""
+"""Searches for a violation that receive only margins: ours, and those that it is compared with."""
 
 from __future__ import annotations
 

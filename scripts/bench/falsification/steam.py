@@ -1,4 +1,4 @@
-"""A steam condenser whose cooling water a recurrent network sets, and what must hold of it: SC of ARCH-COMP.
+"""A steam condenser whose cooling water a recurrent network sets, and its requirements: SC of ARCH-COMP.
 
 Model: the benchmark's Simulink model steamcondense_RNN_22 (S. Yaghoubi and G. Fainekos, "Gray-box adversarial testing
 for control systems with machine learning components", HSCC 2019), its diagram read block by block: a dynamic energy
@@ -48,7 +48,7 @@ INPUTS = (("steam", 3.99, 4.01, SEGMENTS),)
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _slopes(t: float, x: Array, steam: float) -> Array:
-    """Slopes of pressure, temperature, flow, what is measured, and the network's delays, three of each lag."""
+    """Return the slopes of pressure, temperature, flow, measurement, and the network's delays, three for each lag."""
     dx = np.empty(10)
     boiling, flow = _line(x[0], PRESSURES, BOILING), x[2]
     mean = (x[1] - COLD) / np.log((boiling - COLD) / (boiling - x[1]))

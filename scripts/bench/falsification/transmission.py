@@ -1,4 +1,4 @@
-"""A car with an automatic transmission, and what must hold of it: AT1, AT2, AT6a to c of ARCH-COMP.
+"""A car with an automatic transmission, and its requirements: AT1, AT2, AT6a to c of ARCH-COMP.
 
 Equations: MathWorks' demonstration "Modeling an Automatic Transmission Controller" (documentation of Simulink),
 equations 1 to 5. Numbers of its tables and constants: the public benchmark, as read in an open-source translation,

@@ -1,4 +1,4 @@
-"""Pictures of a page that no plot entry of a scenario gives: a module a page, named as it, with `draw(folder)`."""
+"""Pictures of a page that are not plots of a scenario: one module for each page, with its name, and `draw(folder)`."""
 
 from pathlib import Path
 

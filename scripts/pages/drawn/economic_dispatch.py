@@ -23,7 +23,7 @@ def stacked(axes: Any, units: Units, demands: Sequence[float]) -> None:
 
 
 def proof(axes: Any, units: Units, demand: float, boxes: Sequence[int]) -> None:
-    """Draw best cost and proven bound over the boxes looked at, from a rough start."""
+    """Draw best cost and proven bound over the examined boxes, from a rough start."""
     start = Optimiser(units, max_nodes=1).start(demand)
     results = [branch_and_bound(units, demand, start, 1e-3, n) for n in boxes]
     best = min(f.cost for f in results)

@@ -1,4 +1,4 @@
-"""What the README shows first: a robot in motion beside its curves, and a terminal in which its run is repeated."""
+"""The first picture of the README: a robot in motion beside its curves, and a terminal in which its run is repeated."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PLOTS = ((HIP, "deg", 34.0, 206.0, (-50.0, 150.0, 50.0)), (FORCE, "N", 246.0, 30
 
 
 def draw(folder: Path) -> None:
-    """Run the scenario, pack it, repeat it, and draw what came of it."""
+    """Run the scenario, pack it, repeat it, and draw the result."""
     with TemporaryDirectory() as work, chdir(work):
         ran = _typed("run", SCENARIO, "--mode", "container", "--no-plots")
         packed = _typed("pack", f"runs/{SCENARIO}")
@@ -69,7 +69,7 @@ def draw(folder: Path) -> None:
 
 
 def _typed(*words: str) -> list[str]:
-    """Return the lines that a command prints, what it says of itself last."""
+    """Return the lines that a command prints, standard error last."""
     out, error = StringIO(), StringIO()
     with mock.patch.dict(os.environ, COLUMNS="100"), redirect_stdout(out), redirect_stderr(error):
         status = main(words)
@@ -176,7 +176,7 @@ def _dot(track: tuple[tuple[float, float], ...], role: str) -> Element:
 
 
 def _terminal(lines: list[tuple[str, str]], top: float) -> list[Element]:
-    """Return what was typed and printed; a prompt before the one, the answer in its own colour."""
+    """Return the typed and the printed lines; a prompt before the first, the output in its own colour."""
     made = [
         e(
             "rect",

@@ -44,5 +44,5 @@ def _house(axis: Any, house: dict[str, Room]) -> None:
 
 
 def _below(name: str, house: dict[str, Room]) -> set[str]:
-    """Return all rooms that a room imports."""
+    """Return all folders that a folder imports."""
     return house[name].knows | {far for near in house[name].knows for far in _below(near, house)}

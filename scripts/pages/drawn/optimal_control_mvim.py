@@ -56,7 +56,7 @@ def plans(path: Path) -> None:
 
 
 def costs(path: Path) -> None:
-    """Draw the cost by the polynomials over the order, the least cost, what lies below it, what is printed."""
+    """Draw the cost of the polynomials over the order, the least cost, impossible costs, and the published ones."""
     figure, axes = _figure(1, 3, (11.0, 3.2))
     for axis, name in zip(axes[0], EXAMPLES, strict=True):
         problem = find(name)
@@ -78,7 +78,7 @@ def costs(path: Path) -> None:
 
 
 def end_error(problem: Problem, solution: Solution, periods: int = 4000) -> float:
-    """Rate left at the end under the planned control, in parts of the rate at the start; in holds of T/4000.
+    """Return the rate that remains at the end under the planned control, relative to the start; in holds of T/4000.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def margins(rows: Sequence[Margins], path: Path) -> None:
 
 
 def level(runs: Sequence[tuple[float, Array, Array]], path: Path) -> None:
-    """Draw the lowest level over the delay: certified bound, and what delays of several kinds reach.
+    """Draw the lowest level over the delay: certified bound, and the levels reached with several kinds of delays.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ def load_steps(figure: Any) -> None:
 
 
 def limit_cycle(figure: Any) -> None:
-    """Draw what the paper's model does to the plant."""
+    """Draw the effect of the paper's model on the plant."""
     axes = figure.subplots()
     family(axes, MODELS, "dc_link/voltage/position")
     axes.set(title="Load x 1.25 under GPC on the paper's (19) and on the corrected model", xlim=(0.1, 0.6))

@@ -43,7 +43,7 @@ class Block:
         return Block(self.raw, self.topic[rows], self.t[rows], self.at[rows], self.size[rows])
 
     def compact(self) -> Block:
-        """Return the messages in a buffer of their own that holds nothing else."""
+        """Return the messages in a separate buffer that contains nothing else."""
         at, start, parts = np.empty_like(self.at), 0, []
         for length in distinct(self.size):
             chosen = np.flatnonzero(self.size == length)

@@ -112,7 +112,7 @@ def _of_msg(owner: str, text: str) -> list[tuple[str, Any]]:
 
 
 def complete(msgtype: str, own: Mapping[str, Any], distribution: str = "") -> Types:
-    """Return a type and all types in it, those that a bag does not define as they are known here.
+    """Return a type and all types in it; types that the bag does not define are those of this installation.
 
     Parameters
     ----------

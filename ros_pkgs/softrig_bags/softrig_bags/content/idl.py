@@ -122,7 +122,7 @@ class IdlReader:
             self._next()
 
     def _declared(self, scope: str) -> list[tuple[str, Any]]:
-        """Read a type and the names declared to be of it, perhaps arrays."""
+        """Read a type and the names declared with it, which may be arrays."""
         kind, result = self._type(scope), []
         while True:
             name, sizes = self._next(), []

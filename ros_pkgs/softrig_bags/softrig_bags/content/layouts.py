@@ -99,7 +99,7 @@ class Template:
 
     @cached_property
     def _words(self) -> list[tuple[int, NDArray[np.uint64], NDArray[np.uint64]]]:
-        """Runs of words of eight bytes in which something is fixed: where they begin, which bits, and what they are."""
+        """Return runs of eight-byte words with fixed bits: where they begin, which bits are fixed, and their values."""
         mask, expected = np.zeros(self.length // 8 * 8, np.uint8), np.zeros(self.length // 8 * 8, np.uint8)
         for at, text in self.fixed:
             n = len(mask[at : at + len(text)])
@@ -139,7 +139,7 @@ class Template:
         return result
 
     def texts(self, rows: Bytes, leaf: Leaf) -> list[str]:
-        """Return a text of each message; what is not of its encoding is kept as escapes."""
+        """Return a text of each message; bytes that are not valid in its encoding become escapes."""
         coding, width = leaf.text, {"utf-8": 1, "utf-16": 2, "utf-32": 4}[leaf.text]
         if width > 1:
             coding += "-le" if self.order == "<" else "-be"
@@ -155,7 +155,7 @@ def stamped(msgtype: str, types: Types) -> bool:
 
 
 def _has_stamp(i: int, name: str, msgtype: str) -> bool:
-    """Return whether a field of a message is what stamps it."""
+    """Return whether a field is the stamp of its message."""
     return (i == 0 and msgtype in _STAMPS) or (name == "header" and msgtype == _STAMPS[0])
 
 
@@ -384,7 +384,7 @@ def _listed(texts: Mapping[str, str], prefix: str) -> list[str]:
 
 
 def _channel(names: Sequence[str], field_name: str, index: str) -> str:
-    """Return the label of an element by the name of its channel; by its place where it has none."""
+    """Return the label of an element: the name of its channel, or its index if it has no name."""
     known = index.isdecimal() and int(index) < len(names) and names[int(index)]
     return f"{names[int(index)]}/{field_name}" if known else f"{field_name}/{index}".removeprefix("/")
 

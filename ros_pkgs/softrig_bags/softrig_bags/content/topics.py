@@ -70,7 +70,9 @@ def absolute(name: str) -> str:
 
 
 def checked_namespace(text: str) -> str:
-    """Return a namespace with a leading slash and none behind it, empty for the root; BagError for no name of one."""
+    """Return a namespace with a leading slash and without a trailing one, empty for the root; BagError if it is
+    invalid.
+    """
     parts = text.strip("/").split("/")
     if parts == [""]:
         return ""

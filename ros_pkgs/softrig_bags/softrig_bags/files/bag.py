@@ -39,7 +39,7 @@ class StorageFile(Protocol):
         """Append one message."""
 
     def flush(self) -> None:
-        """Create safe against a crash what was written so far."""
+        """Make everything written so far safe against a crash."""
 
     def discard(self) -> int:
         """Drop messages that are not flushed, and return their number."""
@@ -181,12 +181,12 @@ class BagWriter:
             self._started, self._head = t, self._file.size
 
     def next_file(self) -> None:
-        """Close the file and go on in a new one."""
+        """Close the file and continue in a new one."""
         self._close_file()
         self._open_file()
 
     def flush(self) -> None:
-        """Create safe against a crash what was written so far."""
+        """Make everything written so far safe against a crash."""
         self._file.flush()
 
     @property
@@ -213,7 +213,7 @@ class BagWriter:
         self._open = False
 
     def salvage(self) -> int:
-        """Close the bag after a failed write, without what could not be written.
+        """Close the bag after a failed write, without the data that could not be written.
 
         Returns
         -------

@@ -43,7 +43,7 @@ def plain(path: Path) -> Path:
 
 @contextmanager
 def expanded(path: Path, scratch: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Yield a storage file that is not compressed, and in words what of it could not be expanded.
+    """Yield a storage file that is not compressed, and a description of the parts that could not be decompressed.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def _expand(source: BinaryIO, target: BinaryIO) -> bool:
 
 
 def inflate(data: bytes, compression: str, limit: int = LIMIT) -> tuple[bytes, bool]:
-    """Decompress what can be decompressed.
+    """Decompress as much as possible.
 
     Parameters
     ----------

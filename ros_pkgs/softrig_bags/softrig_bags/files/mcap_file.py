@@ -190,7 +190,7 @@ class McapFile:
         self._end += len(data)
 
     def _metadata_record(self, text: str) -> bytes:
-        """Return the record to be written next, and note it in the index."""
+        """Return the next record to write, and add it to the index."""
         record = _record(METADATA, _text("rosbag2") + _map({"serialized_metadata": text}))
         self._metadata_index.append(_record(METADATA_INDEX, pack("<QQ", self._end, len(record)) + _text("rosbag2")))
         return record

@@ -1,4 +1,4 @@
-"""MCAP files as a crash left them: record by record, and what is whole inside a chunk that was cut."""
+"""MCAP files after a crash: record by record, and the complete messages inside a truncated chunk."""
 
 from __future__ import annotations
 
@@ -85,7 +85,9 @@ class Recovery:
             self.lost.append(f"the last {self._size - good} bytes")
 
     def _chunk(self, file: BinaryIO, present: int) -> tuple[list[McapRecord], bool]:
-        """Read a chunk of which this many bytes are present. If it has a checksum, all of it or nothing is read."""
+        """Read a truncated chunk of which this many bytes are present. If it has a checksum, all of it or
+        nothing is read.
+        """
         body = file.read(present)
         head = _chunk_head(body)
         if head is None:

@@ -1,4 +1,4 @@
-"""Messages of a recording in the form of MCAP, by blocks of numbers where it holds numbers.
+"""Messages of a recording in the form of MCAP, in blocks of numbers if the recording has numbers.
 
 The bytes are those of `McapFile.write` called for each message: the same records in the same chunks.
 """
@@ -32,7 +32,7 @@ class _Feed:
         self._position = 0
 
     def sizes(self, count: int) -> NDArray[np.int64] | int:
-        """Return how many bytes each of the first messages has that are not taken yet; one number if all have it."""
+        """Return the number of bytes of each of the first unread messages; one number if all are equally long."""
         if self._columns is not None:
             return self._columns.layout.length
         return np.fromiter(map(len, self._data[self._position : self._position + count]), np.int64, count)

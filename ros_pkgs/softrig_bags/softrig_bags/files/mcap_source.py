@@ -117,11 +117,11 @@ class McapSource:
 
     @property
     def last(self) -> int:
-        """Latest time that the parts claim; `LATEST` where one claims none."""
+        """Return the latest time that the parts declare; `LATEST` if one part declares none."""
         return max((p.last for p in self._parts), default=0)
 
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
-        """Return blocks, before each its place in the file, after it the time before which nothing follows."""
+        """Yield blocks, each with its place in the file and the time before which no further message follows."""
         parts = sorted((p for p in self._parts if p.last >= start or not start), key=lambda p: (p.first, p.start))
         for k, part in enumerate(parts):
             block = self._load(part)
@@ -262,7 +262,7 @@ class McapSource:
 
 
 def _content(record: bytes) -> bytes | memoryview:
-    """Return what a chunk holds, decompressed and checked."""
+    """Return the content of a chunk, decompressed and checked."""
     _, _, size, checksum, letters = _CHUNK.unpack_from(record, _HEAD.size)
     at = _HEAD.size + _CHUNK.size
     compression = record[at : at + min(letters, 16)].decode(errors="replace")
@@ -340,7 +340,9 @@ def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) ->
 
 
 def _expected(view: Bytes, starts: Ints, stop: int) -> Ints:
-    """Return where further messages begin if lengths go on repeating, as far as that is so, and where the next does."""
+    """Return where further messages begin if lengths continue to repeat, as far as they do, and where the next
+    one begins.
+    """
     lengths = np.diff(starts)
     period = next((k for k in range(1, len(lengths) // 2 + 1) if (lengths[k:] == lengths[:-k]).all()), 0)
     if not period:
@@ -399,7 +401,7 @@ class Fields:
 
 
 def _lenient(data: bytes) -> str:
-    """Return a text that others wrote; what of it is no UTF-8 is replaced."""
+    """Return a text of another writer, with bytes that are not UTF-8 replaced."""
     return data.decode(errors="replace")
 
 

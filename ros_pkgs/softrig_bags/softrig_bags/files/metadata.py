@@ -24,7 +24,7 @@ _DEFAULTS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Stated:
-    """A topic as the metadata has it."""
+    """A topic as listed in the metadata."""
 
     name: str
     msgtype: str
@@ -57,7 +57,7 @@ class Metadata:
 
 
 def loaded(text: str | bytes) -> Any:
-    """Read YAML with all scalars as texts: what looks like a time or a truth value is none here."""
+    """Read YAML with all scalars as texts: a time or a truth value stays text."""
     return yaml.load(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader))  # type: ignore[no-untyped-call]
 
 
@@ -166,7 +166,7 @@ def _time(value: Any) -> QosTime:
 
 
 def custom_data(text: str) -> dict[str, str]:
-    """Read what the writer of a bag left in its metadata, YAML that may be damaged."""
+    """Read the custom data in a bag's metadata, which may be damaged YAML."""
     try:
         result = loaded(str(text or ""))
     # The text may be damaged, and then the parser may raise anything.

@@ -283,17 +283,17 @@ class BagReader:
 
     @property
     def custom_data(self) -> dict[str, str]:
-        """Return what the writer left in the metadata; a single file has a copy of it."""
+        """Return the custom data of the metadata; a single file has a copy of them."""
         return self.metadata.custom_data
 
     @property
     def is_whole(self) -> bool:
-        """Return whether nothing that was read so far differs from what was claimed."""
+        """Return whether everything read so far agrees with the metadata."""
         return not self._logged
 
     @property
     def attachments(self) -> list[tuple[str, int]]:
-        """Name and size of what is in MCAP files beside messages."""
+        """Return name and size of the attachments and other non-message records of MCAP files."""
         return [a for s in self._sources for a in s.attachments]
 
     # Reading ----------------------------------------------------------------------------------------------------------
@@ -338,7 +338,7 @@ class BagReader:
         return block if rows.all() else block.select(rows)
 
     def _by_time(self, counted: list[Counter[int]], start: int = 0) -> Iterator[Block]:
-        """Merge the files, which give their blocks by time, and give what can be given: nothing earlier follows."""
+        """Merge the files, which yield their blocks by time, and yield messages as soon as none earlier can follow."""
         streams = {i: source.blocks(start) for i, source in enumerate(self._sources)}
         # No earlier message follows in a file than its bound, so that messages before all bounds are in their final
         # order.
@@ -408,7 +408,7 @@ class BagReader:
                 self._report(line)
 
     def differences(self, counted: list[Counter[int]]) -> Iterator[str]:
-        """Describe where what was read is not what metadata.yaml and the statistics of the files claim."""
+        """Describe how the read messages differ from metadata.yaml and the statistics of the files."""
         assert self._counts is not None
         for source, file, result in zip(self._sources, self.files, counted, strict=True):
             for number, described in source.topics.items():
@@ -463,7 +463,7 @@ class BagReader:
         return self._types[i]
 
     def decoder(self, i: int) -> Decoder:
-        """Return what makes columns of a topic's messages; raises as `types`."""
+        """Return a function that makes columns of a topic's messages; raises as `types`."""
         return Decoder(self.topics[i].msgtype, self.types(i))
 
 
@@ -486,7 +486,7 @@ def _is_stated(topic: BagTopic, stated: object) -> bool:
 
 
 def _parted(waiting: list[_Waiting], bound: int) -> tuple[Block, list[_Waiting]]:
-    """Return the messages before a time in their order, and what is left."""
+    """Return the messages before a time in their order, and the remaining ones."""
     ready, left = [], []
     for rank, block in sorted(waiting, key=lambda w: w.rank):
         early = block.t < bound if bound <= LATEST else np.ones(len(block), bool)

@@ -50,7 +50,7 @@ class Remains:
 
 
 def remains(path: Path) -> Remains:
-    """Find the storage files or shards that a path means.
+    """Find the storage files or shards that a path refers to.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def _in_folder(path: Path) -> Remains | None:
 
 
 def stated(path: Path) -> Metadata:
-    """Return what metadata.yaml claims; nothing where it is absent or damaged."""
+    """Return the content of metadata.yaml; empty if it is absent or damaged."""
     try:
         return read_metadata(path / METADATA)
     except (OSError, Damaged):

@@ -44,7 +44,7 @@ class Source(Protocol):
         """Bag time after which it has no message, ns."""
 
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
-        """Return blocks with, before each, its place in the file, and after it the time before which nothing follows.
+        """Yield blocks, each with its place in the file and the time before which no further message follows.
 
         Parameters
         ----------

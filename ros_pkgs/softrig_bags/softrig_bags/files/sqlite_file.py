@@ -84,7 +84,7 @@ class Sqlite3File:
             self.flush()
 
     def flush(self) -> None:
-        """Commit what is waiting."""
+        """Commit pending rows."""
         pending = self._pending
         if not pending:
             return
@@ -99,7 +99,7 @@ class Sqlite3File:
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        """Commit what the block did, or undo it and raise OSError, so that both storages fail alike."""
+        """Commit the changes of the block, or undo them and raise OSError, so that both storages fail alike."""
         try:
             yield
             self._db.commit()
@@ -119,7 +119,7 @@ class Sqlite3File:
         return lost
 
     def close(self, metadata: str) -> None:
-        """Commit what is waiting and the metadata of the bag."""
+        """Commit pending rows and the metadata of the bag."""
         self.flush()
         with self._transaction():
             self._add_metadata(metadata)

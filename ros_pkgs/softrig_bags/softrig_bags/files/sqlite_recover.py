@@ -1,4 +1,4 @@
-"""SQLite files as a crash left them: with their journals, and what can be read behind damaged pages."""
+"""SQLite files after a crash: with their journals, and the rows that can be read after damaged pages."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def _all_text(values: Sequence[Any]) -> bool:
 
 
 def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[tuple[int, Any, Any, Any]]:
-    """Yield the rows of all messages; behind a damaged page go on with steps that double until there is a row."""
+    """Yield the rows of all messages; after a damaged page continue with doubling steps until there is a row."""
     # Damaged pages that claim each other as children yield rows without end, so the number of rows is bounded.
     last, step, left = 0, 1, size // _SMALLEST_ROW
     while last < _LAST_ROW and left > 0:
@@ -148,7 +148,7 @@ def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[
 
 
 def _whole_copy(path: Path, directory: Path) -> Path:
-    """Copy a database with its journals, with zeros for pages cut off: SQLite opens nothing that is shorter."""
+    """Copy a database with its journals, with zeros for truncated pages: SQLite does not open a shorter file."""
     copy = directory / path.name
     for _ in range(_TRIES):
         before = _state(path)

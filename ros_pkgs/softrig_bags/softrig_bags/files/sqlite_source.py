@@ -106,7 +106,7 @@ class SqliteSource:
                 self.metadata = str(text) or self.metadata
 
     def blocks(self, start: int = 0) -> Iterator[tuple[int, Block, int]]:
-        """Return blocks, before each its place in the file, after it the time before which nothing follows."""
+        """Yield blocks, each with its place in the file and the time before which no further message follows."""
         try:
             rows, n, place = self._db.execute(_MESSAGES, (start,)), 1, 0
             while result := rows.fetchmany(n):

@@ -39,7 +39,7 @@ class Holds:
         self._last = self._clock()
 
     def wake(self, messages: Callable[[], int]) -> bool:
-        """Note that the process runs; returns whether it was held before, asks then how many messages it has."""
+        """Note that the process runs; if it was stopped before, ask how many messages it has, and return True."""
         now = self._clock()
         gap, self._last = now - self._last, now
         if gap > self.limit:

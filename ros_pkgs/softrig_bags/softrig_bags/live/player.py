@@ -381,7 +381,7 @@ class LockstepPlayer:
         return result
 
     def _listening(self) -> bool:
-        """Subscribe the answers, as soon as their types are known."""
+        """Subscribe to the answers as soon as their types are known."""
         recorded = {t.name: t for t in self._bag.topics}
         types = dict(self._session.node.get_topic_names_and_types())
         for name in self._names:
@@ -406,7 +406,7 @@ class LockstepPlayer:
         )
 
     def _absent(self) -> list[str]:
-        """Describe what is not matched yet: the answers' publishers, and the node's own subscriptions."""
+        """Describe what is not matched yet: the publishers of answers, and the node's own subscriptions."""
         node, absent, wanted = self._session.node, [], set()
         played = set(self._publishers.names.values())
         for subscription in list(self._subscriptions):
@@ -472,7 +472,7 @@ class LockstepPlayer:
         return self._ready and not self._finished and not waiting
 
     def _set(self) -> bool:
-        """Set what the bag changes before the next tick; whether an answer is to be waited for."""
+        """Set the changes of the bag before the next tick; return whether an answer must be waited for."""
         _, node, values = self._changes.popleft()
         client = self._tuned.get(node)
         # The change is of another node than the one under test.

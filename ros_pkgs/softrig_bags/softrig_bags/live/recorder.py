@@ -33,7 +33,7 @@ RESERVE = 1 << 20
 
 
 class Recorder:
-    """Subscribes what is selected as it appears, writes every message.
+    """Subscribes to selected topics as they appear and writes every message.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ class Recorder:
         return self._writer.count
 
     def _drain(self) -> None:
-        """Receive what had arrived before the signal."""
+        """Receive the messages that had arrived before the signal."""
         for subscription in self._subscriptions.values():
             self._receive_pending(subscription)
 

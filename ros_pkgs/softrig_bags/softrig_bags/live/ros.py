@@ -113,14 +113,14 @@ class Session:
             seconds -= SLICE
 
     def settle(self) -> None:
-        """Handle what had arrived when `spin` was stopped."""
+        """Process the messages that had arrived when `spin` was stopped."""
         # Where messages cannot be taken directly, each turn of the executor takes one.
         for _ in range(1 if uses.works("take_message") else _QUEUE):
             self._executor.spin_until_future_complete(Future(), 0.0)
 
 
 class EventPoll:
-    """Status events of subscriptions (messages lost, incompatible publishers), taken when `poll` is called.
+    """Status events of subscriptions (messages lost, incompatible publishers), read when `poll` is called.
 
     The EventsExecutor takes one status for each notification. For the second of two notifications it queries the DDS
     reader while it holds the lock that the reader's own thread waits for. Under heavy loss this is a deadlock
@@ -203,7 +203,7 @@ def is_topic_name(name: str) -> bool:
 
 
 def publisher_profile(topic: BagTopic) -> QoSProfile:
-    """Return the strongest profile that the recorded publishers offered: it serves everyone whom they served.
+    """Return the strongest profile that the recorded publishers offered: it suits all their subscribers.
 
     Several latched publishers become one. It keeps as many messages for a late subscriber as they kept together, and
     not fewer than the 10 of the offer to which rosbag2 adapts theirs (`Rosbag2QoS::adapt_offer_to_recorded_offers`).

@@ -1,4 +1,4 @@
-"""A falsification from its definition to its outcome: searched on all cores, resumed, made small."""
+"""A falsification from its definition to its outcome: searched on all cores, resumed, reduced."""
 
 from __future__ import annotations
 
@@ -77,13 +77,13 @@ class Outcome:
 
     @property
     def bounds(self) -> list[str]:
-        """Describe which bounds are published for the machine as it was: those that were asked for, and the others."""
+        """Describe which bounds are published for the unchanged machine: those that were requested, and the others."""
         messages = {"asked by name": self.own, "not judged": self.not_judged}
         return [f"{how}: {', '.join(names)}, published for {self.machine}" for how, names in messages.items() if names]
 
 
 class Prepared(NamedTuple):
-    """A falsification whose input has been judged.
+    """A falsification with checked input.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class Prepared(NamedTuple):
 
 
 def prepare(task: Falsification) -> Prepared:
-    """Judge the input of a falsification, and run its scenario as it is; nothing is written.
+    """Check the input of a falsification, and run its unchanged scenario; nothing is written.
 
     Raises
     ------
@@ -139,14 +139,14 @@ def prepare(task: Falsification) -> Prepared:
 
 
 def _before(over: Over, nominal: Any) -> str:
-    """Describe what the machine has that a search changes."""
+    """Return the values that a search changes, before the change."""
     return f"{over.key} as it is" if nominal is None else f"{over.key} = {shown(nominal)}"
 
 
 def falsify(
     task: Falsification, prepared: Prepared, out: Path, *, workers: int | None = None, scheduler: str = ""
 ) -> Outcome:
-    """Search, and make what is found small.
+    """Search, and reduce the violation that is found.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
 
 
 def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:
-    """Return what a margin is divided by before it is compared with those of other requirements."""
+    """Return the scales by which margins are divided before they are compared with those of other requirements."""
     # One margin keeps its unit; several are divided by their nominal size to be compared.
     if len(nominal) == 1:
         return dict.fromkeys(nominal, 1.0)

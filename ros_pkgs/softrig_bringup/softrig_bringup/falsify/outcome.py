@@ -1,4 +1,4 @@
-"""The outcome of a search: in words, as data, and its runs as scenario files that anybody can run again."""
+"""The outcome of a search: in words, as data, and its runs as scenario files that can be run again."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PICTURE = "worst.svg"
 
 
 def write(task: Falsification, outcome: Outcome, out: Path, plots: bool, also: str) -> dict[str, Path]:
-    """Write the runs that matter, their scenario files and the page; return the files."""
+    """Write the most important runs, their scenario files and the page; return the files."""
     files: dict[str, Path] = {}
     nominal = outcome.space.scenario.having(faults=_kept(outcome))
     runs = {"nominal": _record(task, nominal, out / "nominal", plots, also)}
@@ -86,7 +86,7 @@ def _record(task: Falsification, scenario: Scenario, folder: Path, plots: bool, 
 
 
 def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) -> str:
-    """Write a case as a scenario file: what it changes in the scenario that it extends, or all of it.
+    """Write a case as a scenario file: its changes if it extends a scenario, or all of it.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def print_outcome(task: Falsification, outcome: Outcome, out: Path, files: dict[
 
 
 def verdict(outcome: Outcome) -> str:
-    """Describe in words what was found."""
+    """Describe the result in words."""
     runs, result = outcome.search.runs, outcome.search
     if outcome.case is None:
         return f"none of {runs} runs could be judged"

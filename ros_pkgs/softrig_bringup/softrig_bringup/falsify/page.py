@@ -1,4 +1,6 @@
-"""The head of a falsification's page: what was asked, the answer, what its numbers mean, and by which change."""
+"""The head of a falsification's page: the question, the answer, the meaning of its numbers, and the responsible
+change.
+"""
 
 from __future__ import annotations
 

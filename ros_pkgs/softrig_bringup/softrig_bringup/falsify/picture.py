@@ -1,4 +1,4 @@
-"""The picture of a falsification: the run as it is and the worst one over each other, what is violated shaded."""
+"""The picture of a falsification: the unchanged run and the worst one overlaid, with violations shaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search: corners, then profiles held constant, a maintained optimiser, climbs along the bounds to the end."""
+"""The search: corners, then constant profiles, an optimiser, and coordinate searches until the budget ends."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def _cmaes(
 
 
 def _cma_class() -> Any:
-    """Return CMA-ES without what other optimisers of its package want.
+    """Return CMA-ES without importing the other optimisers of its package.
 
     Those look for ``scipy.stats``, half a second of import, and do without where it is not there.
     """

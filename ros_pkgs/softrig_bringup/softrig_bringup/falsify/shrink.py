@@ -1,4 +1,4 @@
-"""A violation made small: fewer faults, profiles with fewer steps, parameters back towards what they were."""
+"""Reduction of a violation: fewer faults, profiles with fewer steps, parameters closer to their original values."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, stil
 
 
 def _fewer_steps(space: Space, case: Case) -> Iterator[Case]:
-    """Each step of a profile or list made equal to its neighbour, then to the middle of the range."""
+    """Return variants in which a step of a profile or list equals its neighbour, then the middle of the range."""
     scenario, overrides = case
     for over, target in zip(space.overs, space.targets, strict=True):
         points = overrides.get(target)
@@ -137,7 +137,7 @@ def _levelled(points: list[float], i: int, value: float) -> list[float]:
 
 
 def _zeroed(over: Over, target: str, case: Case) -> Iterator[Case]:
-    """Return what is added, nothing in one step."""
+    """Return the added disturbance with one step set to zero."""
     scenario, overrides = case
     points = overrides[target]
     if over.low <= 0.0 <= over.high:

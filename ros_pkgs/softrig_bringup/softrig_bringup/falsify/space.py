@@ -19,7 +19,7 @@ from ..options.grammar import FORMS, Span, span
 
 @dataclass(frozen=True)
 class Over(Span):
-    """One thing that the search may change: within which range, and what.
+    """One parameter, fault or profile that the search may change, and its range.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def parse(key: str, given: str) -> Over:
 
 @dataclass(frozen=True)
 class Space:
-    """A scenario and what may be changed in it.
+    """A scenario and the values in it that may be changed.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Space:
         return [f"{o.key}.{i}" if o.count else o.key for o in self.overs for i in range(o.size)]
 
     def overrides(self, point: Sequence[float]) -> dict[str, Any]:
-        """Return what a point of the unit cube changes."""
+        """Return the changes of a point of the unit cube."""
         result: dict[str, Any] = {}
         at = 0
         for over, target, whole in zip(self.overs, self.targets, self.whole, strict=True):

@@ -52,7 +52,7 @@ class Film:
 
 
 def comfortable(span: float) -> float:
-    """Return the speed, of the series 1, 2, 5, at which so many simulated seconds fit into a loop to be watched.
+    """Return the speed of the series 1, 2, 5 at which so many simulated seconds make a loop of a convenient length.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: flo
 
 
 def rows(known: Mapping[str, Signal], times: NDArray[np.float64]) -> list[dict[str, float]]:
-    """The newest value of each signal at each time; none before its first."""
+    """Return the newest value of each signal at each time; None before its first."""
     columns = {}
     for name, (t, x) in known.items():
         newest = np.searchsorted(t, times + 1e-9, side="right") - 1

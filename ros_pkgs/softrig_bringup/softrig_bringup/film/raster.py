@@ -1,4 +1,4 @@
-"""A film as pixels, for programs that know no SVG: GIF, WebP or animated PNG."""
+"""A film as pixels, for programs that do not support SVG: GIF, WebP or animated PNG."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def pixels(film: Film, form: str) -> tuple[bytes, str]:
 
 
 def _written(images: Sequence[Image.Image], form: str, every: int) -> bytes:
-    """Write one of so many frames of a film each."""
+    """Write a film with every n-th frame."""
     out = BytesIO()
     own = {"gif": {"disposal": 1, "optimize": True}, "webp": {"lossless": True, "method": 4}, "png": {}}[form]
     images[0].save(out, form, save_all=True, append_images=images[1:], duration=1000 * every // FRAMES, loop=0, **own)

@@ -87,7 +87,7 @@ def _shift(shifts: Sequence[Point], film: Film, discrete: bool = False) -> Eleme
 
 
 def _text(series: Sequence[Text], film: Film, clips: list[Element]) -> Element:
-    """A text that changes is a strip of all its texts behind a window of one line, and the strip is shifted."""
+    """Draw a changing text as a strip of all its texts behind a window of one line; the strip is shifted."""
     first = series[0]
     places = [s.at for s in series]
     texts = [s.text for s in series[::SPOKEN]]

@@ -42,7 +42,7 @@ class Replaced(NamedTuple):
 
 
 def replaced(wanted: str, name: str) -> Replaced:
-    """Return what a package `name` needs to replace the controller of a scenario.
+    """Return the data with which a package `name` can replace the controller of a scenario.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def replaced(wanted: str, name: str) -> Replaced:
 
 
 def _member(rig: Rig, node: str) -> tuple[Member, tuple[str, ...]]:
-    """Return the node to replace, the nearest to the plant where none is named, and the names of the others."""
+    """Return the node to replace (the nearest to the plant if none is named) and the names of the others."""
     name = rig.scenario.name
     plants = [m for m in rig.members if m.is_plant]
     direct = {link.source.name for plant in plants for link in plant.links.values()}
@@ -102,7 +102,7 @@ def _member(rig: Rig, node: str) -> tuple[Member, tuple[str, ...]]:
 
 
 def _written(expected: Expectation) -> Any:
-    """Return an expectation as a scenario file has it."""
+    """Return an expectation in the form of a scenario file."""
     content = expected.model_dump(exclude_none=True)
     if "text" in content:
         return content["text"]

@@ -82,7 +82,7 @@ def new_native(name: str, folder: Path, language: str, command: str) -> Path:
 
 
 def next_steps(scenario: Path, language: str, command: str) -> str:
-    """Describe what was written, and what to do with it."""
+    """Describe the written files, and the next steps."""
     folder = shlex.quote(os.path.relpath(scenario.parent))
     build = f"  cargo build --release --manifest-path {folder}/Cargo.toml\n" if language == "rust" else ""
     made = LANGUAGES[language].title

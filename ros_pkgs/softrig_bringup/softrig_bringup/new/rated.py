@@ -1,4 +1,4 @@
-"""A scenario from the rated values of a data sheet; what turns them into a rig is an entry point of a package."""
+"""A scenario from the rated values of a data sheet; an entry point of a package turns them into a rig."""
 
 from __future__ import annotations
 

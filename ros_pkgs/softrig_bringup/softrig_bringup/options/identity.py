@@ -1,4 +1,4 @@
-"""One digest that bag, figures and scenario of a run share: what does not belong together is recognised."""
+"""One digest that bag, figures and scenario of a run share, so that parts of different runs are recognised."""
 
 from __future__ import annotations
 

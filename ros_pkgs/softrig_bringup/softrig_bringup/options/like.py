@@ -1,4 +1,4 @@
-"""Repeat a run: its command line, the changes that were made while it ran, and the messages from external nodes."""
+"""Repeat a run: its command line, the changes during the run, and the messages from external nodes."""
 
 from __future__ import annotations
 
@@ -87,13 +87,13 @@ def _reached(recording: Recording, epoch: int) -> int:
 
 
 def lateness(status: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]:
-    """Describe of each node of a run in real time what it has counted that lockstep does not know."""
+    """Describe for each node of a real-time run what it has counted that does not occur in lockstep."""
     results = {name: {key: int(s[key]) for key in LATE if s.get(key)} for name, s in status.items()}
     return {name: counts for name, counts in results.items() if counts}
 
 
 def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Recalled:
-    """Find out what a run was, from its bag alone or from what `softrig pack` has made of it.
+    """Find out how a run was made, from its bag alone or from a file of `softrig pack`.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def digests(run: Run) -> dict[str, Digest]:
 
 
 def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """Describe what of what makes two runs differs first: code of people's own, of softrig, files, libraries."""
+    """Describe the first difference between two runs: the user's code, softrig's code, files, libraries."""
 
     def pairs(key: str, names: Iterable[str]) -> Iterable[tuple[str, Any, Any]]:
         a, b = there.get(key, {}), here.get(key, {})
@@ -321,7 +321,7 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
 
 
 def words(late: Mapping[str, Mapping[str, int]]) -> str:
-    """Describe what nodes have counted."""
+    """Describe the counts of nodes."""
     return "; ".join(
         f"{node} {', '.join(f'{n} {LATE.get(key, key)}' for key, n in counts.items())}" for node, counts in late.items()
     )

@@ -1,4 +1,4 @@
-"""Names of folders of results: short, readable, and different where what was run differs."""
+"""Names of folders of results: short, readable, and different for different runs."""
 
 from __future__ import annotations
 

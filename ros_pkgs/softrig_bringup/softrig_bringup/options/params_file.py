@@ -204,7 +204,7 @@ def _values(branch: yaml.MappingNode, above: str, where: str) -> Iterator[tuple[
 
 
 def _scalar(node: yaml.Node, where: str) -> bool | int | float | str | Unfit:
-    """Read a value as rcl does: what is quoted is text, and C reads the numbers."""
+    """Read a value as rcl does: quoted values are text, and C reads the numbers."""
     if not isinstance(node, yaml.ScalarNode):
         raise ScenarioError(f"{where}: a list of lists or maps, which no parameter can be")
     text = str(node.value)

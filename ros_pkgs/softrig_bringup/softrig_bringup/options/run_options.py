@@ -148,7 +148,7 @@ class Again(argparse.ArgumentParser):
 
 
 def scenario_of(options: argparse.Namespace) -> Scenario:
-    """Return the scenario with what the options change of it."""
+    """Return the scenario with the changes of the options."""
     from softrig_core import ScenarioError, load_scenario
 
     from .grammar import settings
@@ -226,7 +226,7 @@ def begun(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def placement_of(options: argparse.Namespace) -> Placement:
-    """Return where the nodes live and what they go by."""
+    """Return the placement of the nodes and their kind of time."""
     from softrig_nodes.processes.placement import Placement
 
     return Placement(
@@ -242,7 +242,7 @@ def placement_of(options: argparse.Namespace) -> Placement:
 
 
 def changed_words(options: argparse.Namespace) -> list[str]:
-    """Describe what of a scenario was changed on the command line, in words."""
+    """Describe the changes of a scenario on the command line."""
     results = [str(options.params_file)] if options.params_file is not None else []
     results += [f"like {options.like}"] if options.like is not None else []
     results += [f"from {options.origin[0]} at {options.origin[1]:.9g} s"] if options.origin is not None else []

@@ -57,7 +57,7 @@ def add_packages(digest: str, packages: Iterable[Package]) -> None:
 
 
 def _lay_out(package: Package, prefix: Path) -> None:
-    """Write what Python and the ament index read of a package; the text is ours."""
+    """Write the files of a package that Python and the ament index read; their texts are ours."""
     name, library = package.name, prefix / "python"
     about = library / f"{name}-{package.version}.dist-info"
     about.mkdir(parents=True)

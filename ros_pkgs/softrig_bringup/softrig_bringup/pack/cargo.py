@@ -128,7 +128,7 @@ def true_name(text: str) -> str:
 
 
 def cargo_of(folder: Path, about: About) -> Cargo:
-    """Find all code in an unpacked pack; nothing of it is imported or built.
+    """Find all code in an unpacked pack, without importing or building any of it.
 
     Raises
     ------
@@ -166,7 +166,9 @@ def runs_code(scenario: Scenario) -> bool:
 
 
 def _natives(folder: Path) -> Iterator[Native]:
-    """Yield what the nodes of a pack's scenarios run; compiler flags count, for a flag can start a program."""
+    """Yield the native code of the nodes of a pack's scenarios; compiler flags count, because a flag can start
+    a program.
+    """
     for file in sorted((folder / SCENARIO).glob("*.yaml")):
         scenario = load_scenario(str(file))
         for node, entry in scenario.nodes.items():
@@ -180,7 +182,7 @@ def _natives(folder: Path) -> Iterator[Native]:
 
 
 def _within(text: str, folder: Path) -> Path | None:
-    """Return the file of a pack that a parameter names; None where it names none."""
+    """Return the file of a pack that a parameter names; None if it names none."""
     if not text or len(text) >= 4096 or "\0" in text:
         return None
     result = (folder / SCENARIO / text).resolve()
@@ -188,7 +190,7 @@ def _within(text: str, folder: Path) -> Path | None:
 
 
 def _binaries(path: Path) -> tuple[str, ...] | None:
-    """List what an FMU has of machine code; None where the file is none."""
+    """List the machine code in an FMU; None if the file is not an FMU."""
     if not zipfile.is_zipfile(path):
         return None
     try:
@@ -203,7 +205,7 @@ def _binaries(path: Path) -> tuple[str, ...] | None:
 
 
 def check_name(name: str) -> None:
-    """Refuse a package whose name is that of a module which is here already, or which softrig looks for.
+    """Refuse a package with the name of an installed module, or of one that softrig imports.
 
     Raises
     ------
@@ -225,7 +227,7 @@ def check_name(name: str) -> None:
 
 @cache
 def _wanted() -> frozenset[str]:
-    """List what softrig imports anywhere, also what is not installed here."""
+    """List the modules that softrig imports anywhere, also those that are not installed here."""
     results = {*EXTRAS, *(name.partition("/")[0] for name in TYPES), "builtin_interfaces", "rosidl_runtime_py"}
     for place in sys.path:
         for folder in Path(place).glob(f"{OURS}*") if place else ():
@@ -276,7 +278,7 @@ def check_scenario(folder: Path, scenario: Scenario, about: About) -> None:
 
 
 def _check_flag(folder: Path, node: str, flag: str) -> None:
-    """Refuse a flag of a compiler with which it could read or start what is not in the pack.
+    """Refuse a compiler flag that could read or start a file outside the pack.
 
     A list of what is harmless, for compilers have many others: ``@FILE``, ``-include FILE``, ``-fplugin=``, ``-B``,
     ``-specs=``, ``-wrapper``, ``-Wl,``, ``-L``, ``-o``.
@@ -367,7 +369,7 @@ def _check_offers(name: str, offers: Mapping[str, Mapping[str, str]]) -> None:
 
 
 def _share(name: str, files: Mapping[str, Path], config: configparser.ConfigParser) -> Iterator[tuple[str, Path]]:
-    """Yield the data files by their places below the prefix: those of the package itself, and nowhere else."""
+    """Yield the data files by their places below the prefix: only those of the package itself."""
     for place, patterns in config.items("options.data_files") if config.has_section("options.data_files") else ():
         parts = place.strip().split("/")
         if place == "share/ament_index/resource_index/packages":

@@ -104,5 +104,5 @@ def crate(
 
 
 def _one_or_all(entities: list[Any]) -> Any:
-    """Return a list of one as its entry: what flattened JSON-LD has."""
+    """Return a list of one as its entry, as flattened JSON-LD requires."""
     return entities[0] if len(entities) == 1 else entities

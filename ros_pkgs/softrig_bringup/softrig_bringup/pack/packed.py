@@ -135,7 +135,7 @@ def digest_of(path: Path) -> str:
 
 @cache
 def opened(path: Path) -> Path:
-    """Return the folder with the content of a pack, unpacked and checked. It is data: nothing of it is imported.
+    """Return the folder with the content of a pack, unpacked and checked; nothing of it is imported.
 
     It lies in the cache by what the file holds, so that node processes and later calls find it.
 
@@ -224,7 +224,7 @@ def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, place: Path) -> s
 
 
 def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
-    """Refuse what is not a plain file at a place of its own below the folder."""
+    """Refuse entries that are not plain files at distinct places below the folder."""
     name, kind = entry.filename, stat.S_IFMT(entry.external_attr >> 16)
     parts = name.split("/")
     plain = _NAME.fullmatch(name) and "." not in parts and ".." not in parts and kind in (0, stat.S_IFREG)

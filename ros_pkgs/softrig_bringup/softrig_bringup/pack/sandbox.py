@@ -44,14 +44,14 @@ def inside() -> bool:
 
 
 def source_of(options: argparse.Namespace) -> Path | None:
-    """Return what --like or --from names; None for neither."""
+    """Return the pack that --like or --from names; None without either."""
     origin = getattr(options, "origin", None)
     source: Path | None = options.like if origin is None else origin[0]
     return source
 
 
 def command(options: argparse.Namespace) -> list[str] | None:
-    """Create the command that repeats this call in bubblewrap; None where there is none that works.
+    """Return the command that repeats this call in bubblewrap; None if bubblewrap is missing or does not work.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _results(options: argparse.Namespace) -> Path:
 
 
 def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
-    """Describe what the sandbox may."""
+    """Describe the rights of the sandbox."""
     here = os.getcwd()
     hidden = [folder for folder in dict.fromkeys([*_HIDDEN, os.path.expanduser("~")]) if folder != "/"]
     yield from ("--die-with-parent", "--unshare-all", "--cap-drop", "ALL", "--ro-bind", "/", "/")
@@ -119,7 +119,7 @@ def _rights(out: Path, options: argparse.Namespace) -> Iterator[str]:
 
 
 def _read(source: Path, hidden: Iterable[str]) -> list[str]:
-    """List what is read of the hidden folders: Python, what is imported, scenarios, the pack and its signature."""
+    """List the readable files in hidden folders: Python, imports, scenarios, the pack and its signature."""
     command_folder = os.path.dirname(os.path.dirname(os.environ.get("SOFTRIG_COMMAND", "")))
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     places = [sys.prefix, sys.base_prefix, *sys.path, command_folder, *prefixes, str(source), f"{source}.sig"]
@@ -131,7 +131,7 @@ def _read(source: Path, hidden: Iterable[str]) -> list[str]:
 
 
 def run(words: list[str]) -> int:
-    """Run a command, whose lines are shown without what a terminal would obey; return its exit status."""
+    """Run a command and print its lines without terminal control characters; return its exit status."""
     process = subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         errors="replace", process_group=0,

@@ -1,4 +1,4 @@
-"""Signatures of packs, by OpenSSH: ``FILE.sig`` beside the file, made and read by ``ssh-keygen -Y``."""
+"""Signatures of packs, by OpenSSH: ``FILE.sig`` beside the file, written and read by ``ssh-keygen -Y``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of `check`: which scenarios hold, and of each what was judged."""
+"""The page of `check`: which scenarios hold, and the judged values of each."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def checked(suites: Sequence[Suite], outcomes: Sequence[Mapping[str, Any]], agai
 
 
 def _cases(number: int, suite: Suite) -> Element:
-    """Create the table of what was judged of one scenario; open where something does not hold."""
+    """Create the table of the judged values of one scenario; unfolded if something does not hold."""
     rows = [
         (case.name, case.failure or case.text, mark(not case.failure, "miss" if case.failure else "holds"))
         for case in suite.cases

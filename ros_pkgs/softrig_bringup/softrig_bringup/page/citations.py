@@ -65,7 +65,7 @@ def cited(keys: Sequence[str]) -> tuple[Citation, ...]:
 
 @lru_cache(maxsize=16)
 def _entries(path: Path, written: int) -> dict[str, Citation]:
-    """Read a file; `written` makes it be read again when it has changed."""
+    """Read a file; a new `written` time makes it read again."""
     from bibtexparser import entrypoint, middlewares
 
     library = entrypoint.parse_string(

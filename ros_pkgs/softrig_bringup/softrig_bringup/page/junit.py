@@ -15,7 +15,7 @@ from ..folder import replace
 
 @dataclass(frozen=True)
 class Case:
-    """One thing that was judged.
+    """One judged value.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Suite:
 
 
 def write_reports(junit: Path | None, suites: Sequence[Suite], as_json: Path | None, content: Any) -> None:
-    """Write the reports for machines that are asked for: JUnit XML, and the content as JSON."""
+    """Write the requested reports for machines: JUnit XML, and the content as JSON."""
     if junit is not None:
         write_junit(junit, suites)
     if as_json is not None:

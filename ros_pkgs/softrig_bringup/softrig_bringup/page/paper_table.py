@@ -21,7 +21,7 @@ _UNICODE = {"·": r"$\cdot$", "²": "$^2$", "³": "$^3$", "Ω": r"$\Omega$", "°
 
 
 class Column(NamedTuple):
-    """Numbers of one figure, a row each; NaN and infinity for what has none.
+    """Numbers of one figure, one for each row; NaN and infinity for missing ones.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Column(NamedTuple):
         return 0
 
     def cells(self) -> list[tuple[str, str]]:
-        """Write number and uncertainty of each row; empty for none."""
+        """Write number and uncertainty of each row; empty for a missing one."""
         halves = self.halves or [math.nan] * len(self.values)
         return [(self._written(x), self._written(h)) for x, h in zip(self.values, halves, strict=True)]
 

@@ -104,7 +104,9 @@ def columns(wiring: Wiring) -> list[list[str]]:
 
 
 def _longest(forward: Mapping[str, list[str]], goals: set[str]) -> dict[str, int]:
-    """Length of the longest way to a goal, for each node that has one. No cycle is without a plant, where ways end."""
+    """Return the length of the longest path to a goal for each node that has one; each cycle has a plant, where
+    paths end.
+    """
     result = dict.fromkeys(goals, 0)
     for _ in forward:
         longer = {n: 1 + max(ways) for n, to in forward.items() if (ways := [result[m] for m in to if m in result])}

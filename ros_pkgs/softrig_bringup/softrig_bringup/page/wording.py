@@ -22,7 +22,7 @@ def number(value: float | None) -> str:
 
 
 def short(value: float | None) -> str:
-    """A measured number in six digits; empty for none."""
+    """Write a measured number with six digits; empty for None."""
     return "" if value is None else f"{value:.6g}"
 
 
@@ -66,7 +66,7 @@ def difference(value: float | None, published: float | None) -> str:
 
 
 def accepted(metric: Result) -> str:
-    """Write the interval that passes; empty when nothing was asked."""
+    """Write the accepted interval; empty without an expectation."""
     parts = []
     if metric.expected is not None:
         parts.append(f"{number(metric.expected)} ± {number(metric.tolerance or 0.0)}")

@@ -1,4 +1,4 @@
-"""Drawing into one axes: curves, switches, marks of what is expected, legends, axis titles."""
+"""Drawing into one axes: curves, switches, marks of expectations, legends, axis titles."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def draw_logic(ax: Axes, curves: Sequence[Curve], scale: float) -> None:
 
 
 def draw_marks(ax: Axes, marks: Sequence[Mark], scale: float) -> list[tuple[Artist, str]]:
-    """Draw what passes as a band and what the paper prints as a line; returns the entries of the legend.
+    """Draw the accepted range as a band and the published value as a line; return the entries of the legend.
 
     What lies far outside of the curves is left out: it would press them flat.
 
@@ -238,7 +238,7 @@ def legend(
 
 
 def fold_exponents(figure: Printed) -> None:
-    """Move the scale factors of all axes of matplotlib's picture into their titles, where nothing can lie over them."""
+    """Move the scale factors of all axes of matplotlib's picture into their titles, where nothing can cover them."""
     from matplotlib.ticker import ScalarFormatter
 
     for ax in figure.axes:

@@ -1,4 +1,4 @@
-"""A picture as what is drawn into it, by the few calls of matplotlib that softrig's pictures need.
+"""A picture as a list of the few matplotlib calls that softrig's pictures need.
 
 A page has it as SVG of softrig's own (`softrig_bringup.plots.svg`), in a hundredth of matplotlib's time; a paper has
 the same calls drawn by matplotlib (`softrig_bringup.plots.printed`). Names and arguments are those of matplotlib, so
@@ -105,7 +105,7 @@ class Words(Artist):
     boxed: bool = False
 
     def set_in_layout(self, counts: bool) -> None:
-        """Accept matplotlib's switch for the layout: here no text inside of axes takes part in it."""
+        """Accept matplotlib's switch for the layout: texts inside axes never take part in it here."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Axis:
         return low if low in self._sticky else low - room, high if high in self._sticky else high + room
 
     def extent(self) -> tuple[float, float]:
-        """Return the range of the data that can be seen; the limits where there are none."""
+        """Return the range of the visible data; the limits if there is none."""
         low, high = self.limits()
         return (max(low, self._low), min(high, self._high)) if self._low <= self._high else (low, high)
 
@@ -267,7 +267,7 @@ class Axes:
         zorder: float = 1.0,
         step: Literal["post"] | None = None,
     ) -> Area:
-        """Fill what lies between two curves."""
+        """Fill the area between two curves."""
         x = np.asarray(x, float)
         low, high = np.broadcast_to(np.asarray(low, float), x.shape), np.broadcast_to(np.asarray(high, float), x.shape)
         area = Area("", zorder, color, alpha, x, low, high, linewidth, step == "post")
@@ -399,7 +399,7 @@ class Axes:
         tick_labels: Sequence[str],
         flierprops: Mapping[str, Any],
     ) -> None:
-        """Draw quartiles, what lies within 1.5 of their distance beyond them, and what does not, a row a group."""
+        """Draw quartiles, values within 1.5 interquartile ranges, and outliers, one row for each group."""
         for row, group in enumerate(values, 1):
             for line in _box(np.asarray(group, float), float(row), flierprops["markersize"]):
                 self.items.append(line)
@@ -428,7 +428,7 @@ class Axes:
         self._called("set_ylim", None, low, high)
 
     def margins(self, both: float | None = None, *, x: float | None = None, y: float | None = None) -> None:
-        """Set the share of the data range that stays free beside the data."""
+        """Set the free share of the data range beside the data."""
         for axis, share in ((self.x, x), (self.y, y)):
             share = both if both is not None else share
             if share is not None:
@@ -530,7 +530,7 @@ class Axes:
         return Across("y")
 
     def get_legend_handles_labels(self) -> tuple[list[Artist], list[str]]:
-        """Return what has a name, and the names."""
+        """Return the labelled elements, and their labels."""
         named = [item for item in self.items if item.label]
         return named, [item.label for item in named]
 
@@ -544,7 +544,7 @@ class Axes:
         fontsize: float = 10.0,
         **how: Any,
     ) -> None:
-        """Name what is drawn, above the axes; `how` is for print alone."""
+        """Draw a legend above the axes; `how` applies only to print."""
         if handles is None or labels is None:
             handles, labels = self.get_legend_handles_labels()
             self._called("legend", None, title=title, ncols=ncols, fontsize=fontsize, **how)

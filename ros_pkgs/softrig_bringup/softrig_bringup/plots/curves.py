@@ -53,7 +53,7 @@ class Curve:
 
 
 def with_plots(rig: Rig, title: str, names: Sequence[str], window: Sequence[float] | None) -> Rig:
-    """Return a rig with one plot of some signals, or its scenario's own when none are named, in a window of time.
+    """Return a rig with one plot of some signals, or with its scenario's plots if none are named, in a window of time.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def check_plots(rig: Rig) -> None:
 
 
 def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
-    """Reduce a long signal to what can be seen: first, lowest, highest and last value of each pixel column.
+    """Reduce a long signal to what is visible: first, lowest, highest and last value of each pixel column.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def inked(y: Array) -> float:
 
 
 def reduced(curve: Curve) -> Curve:
-    """Return what a picture over time needs of a curve that is very long, so that the rest need not stay in memory."""
+    """Return the part of a very long curve that a picture over time needs, so that the rest can leave memory."""
     if len(curve.x) <= LONG:
         return curve
     x, y = envelope(curve.x, curve.y)
@@ -226,7 +226,7 @@ class Source:
         return [f"{topic}/{label}" for label in self.topics[topic].labels]
 
     def axis(self, name: str) -> str:
-        """Return what to call a signal beside its topic: the axis letter of its frame, or its label."""
+        """Return the name of a signal beside its topic: the axis letter of its frame, or its label."""
         topic = self.topic(name)
         label = name[len(topic) + 1 :]
         return dict(zip(XYZ, _AXES.get(self.topics[topic].frame_id, ()), strict=False)).get(label, label)

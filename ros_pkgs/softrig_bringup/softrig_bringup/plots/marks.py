@@ -119,7 +119,7 @@ def _bounds(limits: Expectation | None) -> tuple[float, float]:
 
 
 def _placed(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
-    """Place a figure in the picture of its signal; nothing for one that has no place there."""
+    """Place a figure in the picture of its signal; None if it has no place there."""
     a = figure.arguments
     mark = replace(mark, start=_given(a, "start", -math.inf), end=_given(a, "end", math.inf))
     if figure.function in (measures.mean, measures.final_value):
@@ -136,7 +136,7 @@ def _placed(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
 
 
 def _extreme(mark: Mark, signals: SignalMap, arguments: Mapping[str, Any], zero: float) -> Mark:
-    """Place an extreme, or a peak on either side of `zero`: a bound everywhere, a value beside where it is reached."""
+    """Place an extreme, or a peak on either side of `zero`: a bound over all times, a value where it is reached."""
     t, x = measures.window(signals, arguments["signal"], arguments.get("start"), arguments.get("end"))
     if not math.isnan(zero):
         at = int(np.argmax(np.abs(x - zero)))
@@ -152,7 +152,7 @@ def _extreme(mark: Mark, signals: SignalMap, arguments: Mapping[str, Any], zero:
 
 
 def _step(figure: Figure, mark: Mark, signals: SignalMap) -> Iterator[Mark]:
-    """Place what is measured of a step."""
+    """Place a figure of a step."""
     a = figure.arguments
     t, x = measures.window(signals, a["signal"], a.get("start"), a.get("end"))
     initial = _given(a, "initial", 0.0)

@@ -28,7 +28,7 @@ _SAMPLES = 1000  # of a band
 
 @dataclass(frozen=True)
 class Overlay:
-    """A run to be drawn over others.
+    """A run to draw over others.
 
     Parameters
     ----------

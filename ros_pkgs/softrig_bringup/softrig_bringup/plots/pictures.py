@@ -65,7 +65,7 @@ def plot_entry(
 
 
 def letters(font: float | None, inches: float | None) -> int:
-    """Return how many letters of a legend a picture of a width has room for."""
+    """Return how many letters of a legend fit into a picture of a width."""
     return int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
 
 
@@ -201,7 +201,7 @@ def _value_title(row: Sequence[Curve], unit: str, given: str = "") -> str:
 
 
 def note(figure: Figure, text: str) -> None:
-    """Report below a picture what is not in it."""
+    """Report below a picture what it leaves out."""
     figure.supxlabel(text, fontsize=9, color=look.SOFT, x=0.008, ha="left")
 
 
@@ -257,7 +257,7 @@ def _overview(source: Source) -> Figure:
 
 
 def places(figure: Figure, count: int, columns: int) -> list[Place]:
-    """Divide a figure into columns, none of them with a hole: of an odd number the first takes the whole width.
+    """Divide a figure into full columns: with an odd number the first plot has the whole width.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ def _without_field(row: Sequence[Curve], topic: str) -> tuple[list[Curve], str]:
 
 
 def time_scale(groups: Iterable[Sequence[Curve]]) -> tuple[float, str]:
-    """Milliseconds for runs that are over at once, seconds for all others: the factor and the unit."""
+    """Return factor and unit of the time axis: milliseconds for very short runs, seconds for all others."""
     longest = max((c.x[-1] for group in groups for c in group if len(c.x)), default=0.0)
     return (1e3, "ms") if 0.0 < longest < 0.1 else (1.0, "s")
 

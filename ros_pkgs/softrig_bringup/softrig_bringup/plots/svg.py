@@ -156,7 +156,7 @@ class _Writer:
         return [(a, boxes[id(a)], scales[id(a)]) for a in axes]
 
     def _room(self, axes: Axes, x: Scale, y: Scale) -> tuple[float, float, float, float]:
-        """Return what an axes needs above, below, before and behind itself, pixels."""
+        """Return the space that an axes needs above, below, left and right, pixels."""
         point = self.point
         above = 6.0 + self._legend_rows(axes) * 12.5 + (13.0 if "left" in axes.heads or "right" in axes.heads else 0.0)
         below = 5.0
@@ -300,7 +300,7 @@ class _Writer:
                    f'{"".join(drawn)}</svg>')  # fmt: skip
 
     def _over(self, axes: Axes, box: Box, to_x: Any, to_y: Any) -> Iterator[str]:
-        """Draw what may extend over the edges: texts, and marks for values beyond the edges."""
+        """Draw elements that may cross the edges: texts, and marks for values beyond the edges."""
         for item in axes.items:
             if isinstance(item, Line) and not item.clip_on:
                 y = box.top + (1.0 - item.y) * box.height if item.up else to_y(item.y)
@@ -426,7 +426,7 @@ class _Writer:
 
 
 def path(x: Array, y: Array, steps: bool, columns: float) -> str:
-    """Return the data of an SVG path through points, without what cannot be seen.
+    """Return the data of an SVG path through points, without invisible detail.
 
     Parameters
     ----------
@@ -487,7 +487,7 @@ def _n(value: float) -> str:
 
 
 def _place(limits: tuple[float, float], begin: float, length: float) -> Any:
-    """Return what turns data into pixels."""
+    """Return functions that turn data into pixels."""
     low, high = limits
     factor = length / ((high - low) or 1.0)
     return lambda value: begin + (value - low) * factor

@@ -60,7 +60,7 @@ def _tails(paths: Sequence[Path]) -> list[str]:
 
 
 def differing(runs: Sequence[RunRecord]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return what differs between runs: from the name of each difference to its value in each run, empty if absent.
+    """Return the differences between runs: from the name of each difference to its value in each run, empty if absent.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def machine(run: RunRecord) -> dict[str, str]:
 
 
 def _key_value(text: str) -> tuple[str, str]:
-    """Part what was changed into what and how: ``node.k=3``, ``duration 3``, or a text by itself."""
+    """Split a change into its name and its value: ``node.k=3``, ``duration 3``, or a text by itself."""
     what, sign, value = text.partition("=")
     if sign:
         return what, value
@@ -113,7 +113,7 @@ def _key_value(text: str) -> tuple[str, str]:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Yield each value below a name as text; what is JSON in a parameter is taken apart, too."""
+    """Yield each value below a name as text; JSON in a parameter is split, too."""
     if isinstance(value, str) and value[:1] in ("{", "["):
         with suppress(ValueError):
             value = json.loads(value)

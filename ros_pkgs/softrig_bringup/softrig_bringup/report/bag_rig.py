@@ -21,7 +21,7 @@ class _Column(Port):
 
 
 def rig_of_bag(path: Path, signals: BagSignals) -> Rig:
-    """Create a rig that publishes what a bag holds, in no unit.
+    """Create a rig that publishes the topics of a bag, without units.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def rig_of_bag(path: Path, signals: BagSignals) -> Rig:
             return (), ports
 
         def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Any]]:
-            """Publish nothing: the bag is looked at, not run."""
+            """Publish nothing: the bag is viewed and not run."""
             return x, {}
 
     return Rig.from_blocks({"bag": Bag()}, duration=1.0, name=path.stem, title=path.name)

@@ -89,7 +89,7 @@ def _seed(content: Mapping[str, Any], rig: Rig) -> int:
 
 
 def contradictions(directory: Path) -> tuple[str, ...]:
-    """Describe what in the folder of a run does not belong together."""
+    """Describe which files in the folder of a run contradict each other."""
     try:
         content = json.loads((directory / METRICS).read_text())
         with BagReader(directory / BAG) as reader:
@@ -171,7 +171,7 @@ def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
 def _ports(
     scenario: Scenario, result: BagSignals, units: Mapping[str, str], ours: Mapping[str, NodeEntry]
 ) -> Iterator[Port]:
-    """Yield a port for each topic that was recorded: as a node of ours has it, or as its messages are."""
+    """Yield a port for each recorded topic: that of its node, or one made from its messages."""
     known: dict[str, Port] = {}
     if ours:
         alone = scenario.having(nodes=ours, changes=(), containers=(), trips=(), faults={})
@@ -185,7 +185,7 @@ def _ports(
 
 
 def _port(name: str, msgtype: str, labels: Sequence[str], units: Mapping[str, str]) -> Port | None:
-    """Create a port that fits the messages of a topic; None where none does."""
+    """Return a port that fits the messages of a topic; None if there is none."""
     kind = TYPES[msgtype]
     parts = [label.rpartition("/") for label in labels]
     channels = tuple(dict.fromkeys(p[0] for p in parts)) if kind.named else XYZ

@@ -212,7 +212,7 @@ def _parameters(run: RunRecord) -> Iterator[Element]:
 
 
 def _changes(run: RunRecord) -> Iterator[Element]:
-    """Return what was changed while it ran; the parameters above are those of the start."""
+    """Return the changes during the run; the parameters above are those of the start."""
     rows: list[list[Element | str]] = [
         [
             f"{change.at_s:.9g}",

@@ -56,7 +56,7 @@ def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
 
 
 def _draws(run: RunRecord) -> str:
-    """Return what runs share that differ in their seed alone; empty for a run without random draws."""
+    """Return the common part of runs that differ only in their seed; empty for a run without random draws."""
     if run.error or run.stopped or not run.code or any(node.outside for node in run.wiring.nodes.values()):
         return ""
     same = (run.scenario, run.mode, run.duration_s, run.code, run.parameters, machine(run), run.wiring.model_dump())

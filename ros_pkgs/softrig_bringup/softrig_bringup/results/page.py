@@ -1,4 +1,4 @@
-"""The page of `softrig check --claims`: per paper every claim with what was measured, as HTML and as Markdown."""
+"""The page of `softrig check --claims`: for each paper every claim with its measurement, as HTML and as Markdown."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: st
 
 
 def _stated(scenarios: Sequence[Scenario]) -> list[str]:
-    """Return what scenarios state as their source, where no paper is cited."""
+    """Return the sources that scenarios state, for scenarios without a paper."""
     return list(dict.fromkeys(s.source for s in scenarios))
 
 

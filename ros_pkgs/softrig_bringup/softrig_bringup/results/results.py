@@ -1,4 +1,4 @@
-"""`softrig check --claims`: every claim of the papers held against what is measured now."""
+"""`softrig check --claims`: every claim of the papers compared with present measurements."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _belongs(scenario: Scenario, system: str) -> bool:
 def gather(
     scenarios: Iterable[Scenario], workers: int | None = None, keep: Path | None = None
 ) -> tuple[list[Finding], dict[str, Measured]]:
-    """Run what the claims of some scenarios need, on all cores, and hold each claim against it.
+    """Run the scenarios that the claims need, on all cores, and compare each claim with the result.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def gather(
 def study_findings(
     systems: Sequence[str], out: Path, workers: int | None = None
 ) -> tuple[list[Scenario], list[Finding]]:
-    """Run the studies with claims, or go on with them, and hold their claims.
+    """Run the studies with claims, or resume them, and compare their claims.
 
     Returns
     -------
@@ -207,7 +207,7 @@ def suites(rows: Sequence[Finding], measured: Mapping[str, Measured]) -> list[Su
 
 
 def left_out(systems: Sequence[str]) -> str:
-    """Describe which claims are held by `--studies` alone; empty for none."""
+    """Describe which claims are checked only with `--studies`; empty for none."""
     gathered = [s for s in map(load_study, list_studies()) if s.claims]
     gathered = [
         s for s in gathered if not systems or any(_belongs(load_scenario(s.scenario), name) for name in systems)

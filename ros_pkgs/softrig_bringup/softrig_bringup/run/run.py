@@ -1,4 +1,4 @@
-"""One run from scenario to results: run it, check that nothing is missing, bag, figures, plots, report."""
+"""One run from scenario to results: run it, check that it is complete, write bag, figures, plots, report."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def _status(
 
 
 def _native_of_watching(steps: Mapping[str, Step]) -> tuple[int, str]:
-    """Return how a node ran natively that only watches what is recorded: as such nodes in a native run do."""
+    """Return how an observer of recorded data ran natively: as such nodes in a native run do."""
     natively = any(step.native[0] for step in steps.values())
     return 0, WATCHES if natively else next(step.native[1] for step in steps.values())
 
@@ -155,7 +155,7 @@ def tripped(rig: Rig, status: Mapping[str, Mapping[str, Any]]) -> dict[str, str]
 
 
 def checked(scenario: Scenario) -> Rig:
-    """Build the rig of a scenario; what is misspelt or does not fit is found before the run, not after it."""
+    """Build the rig of a scenario; names and values are checked before the run."""
     rig = rig_of(scenario)
     figures_of(rig)
     check_plots(rig)
@@ -188,7 +188,7 @@ def gaps(rig: Rig, recording: Recording) -> str:
 
 
 def summary(run: Run, figures: Sequence[Result], command: str, label: str = "") -> dict[str, Any]:
-    """Create the content of metrics.json; `label` is what the run is to be called."""
+    """Create the content of metrics.json; `label` is the name of the run."""
     scenario = run.rig.scenario
     # Code and parameters of external nodes are not known here.
     own = [m for m in run.rig.members if not m.external]
@@ -232,7 +232,7 @@ def _changes(run: Run) -> list[dict[str, Any]]:
 
 
 def _once(run: Run) -> list[str]:
-    """Describe why a run cannot be made again as it was from its scenario; nothing when it can."""
+    """Describe why a run cannot be repeated from its scenario; empty if it can."""
     outside = [m.name for m in run.rig.members if m.external]
     results = [f"{', '.join(outside)} from outside"] if outside else []
     results += [CHANGED] if turned(run) or any(b["left"] for b in run.branched) else []
@@ -241,7 +241,7 @@ def _once(run: Run) -> list[str]:
 
 
 def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
-    """Describe why a run in lockstep that was killed cannot be made again, from its shards; nothing when it can.
+    """Describe why a killed lockstep run cannot be repeated, from its shards; empty if it can.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
 
 
 def turned(run: Run) -> list[str]:
-    """Describe what a user changed while the run was under way, without the scenario's own changes."""
+    """Describe the changes by a user during the run, without the scenario's own changes."""
     scripted = {
         (m.schedule.next(c.at - 1), m.name, name): value
         for m in run.rig.members
@@ -279,7 +279,7 @@ def _plant_ticks(run: Run) -> int:
 
 
 def versions() -> dict[str, str]:
-    """Return what a run depends on: versions, the C library's functions by their results, the kernels in use."""
+    """Return the dependencies of a run: versions, the C library's functions by their results, the kernels in use."""
     result = {"python": platform.python_version(), "machine": platform.machine()}
     machine = {
         "libc": " ".join(platform.libc_ver()).strip(),
@@ -297,7 +297,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def checkout() -> dict[str, str]:
-    """Return the commit of the running checkout (``+`` behind it when files were changed) and its lock file's hash."""
+    """Return the commit of the running checkout (with ``+`` if files were changed) and its lock file's hash."""
     script = Path(os.environ.get("SOFTRIG_COMMAND", ""))
     lock = script.parent / "locks" / "run.lock"
     if not lock.is_file():
@@ -343,7 +343,7 @@ def save(
 
 
 def illustrate(run: Run, folder: ResultsFolder, also: str = "") -> None:
-    """Add the plots and report.html to what `save` has written.
+    """Add the plots and report.html to the files of `save`.
 
     Parameters
     ----------
@@ -367,13 +367,13 @@ def _writing(folder: ResultsFolder) -> Iterator[Path]:
 
 
 def _texts(rig: Rig) -> dict[str, str]:
-    """Return topic to text of what the nodes of the rig latch."""
+    """Return topic to text of the latched topics of the rig."""
     own = [m for m in rig.members if not m.external and m.block_class.latched is not Block.latched]
     return {topic: text for m in own for topic, text in m.block(rig.scenario.seed).latched().items()}
 
 
 def _scenes(rig: Rig) -> dict[str, Scene]:
-    """Return what viewers can be shown of the rig, by the topic that it moves with."""
+    """Return the scenes of the rig for viewers, by the topic that moves them."""
     result = {}
     for member in rig.members:
         scene = scene_of(member.block_class, member.params)

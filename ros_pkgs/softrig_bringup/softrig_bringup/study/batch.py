@@ -19,7 +19,7 @@ from .work import Work, run
 
 
 class Batch:
-    """The runs of a study or search; what an earlier call has left in its log is not run again.
+    """The runs of a study or search; runs in the log of an earlier call are not repeated.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Batch:
         self._open.__exit__(*error)
 
     def run(self, works: Iterable[Work]) -> Iterator[dict[str, Any]]:
-        """Yield the rows of those that had none, in the order in which they end."""
+        """Yield the missing rows in the order in which their runs end."""
 
         def left() -> Iterator[Work]:
             for work in works:
@@ -185,7 +185,7 @@ _OPTIONAL = {"signals", "never", "missed", "not_judged", "published_for"}
 
 
 def _row(line: bytes) -> dict[str, Any] | None:
-    """Read a row; nothing when the line is none."""
+    """Read a row; None if the line is not a row."""
     try:
         row = json.loads(line)
     except ValueError:
@@ -197,6 +197,6 @@ def _row(line: bytes) -> dict[str, Any] | None:
 
 
 def _content(run: Mapping[str, Any]) -> bytes:
-    """Return a digest of what a run is."""
+    """Return a digest of the definition of a run."""
     what = json.dumps([run["scenario"], run["case"], run["seed"], run["overrides"]])
     return hashlib.blake2b(what.encode(), digest_size=16).digest()

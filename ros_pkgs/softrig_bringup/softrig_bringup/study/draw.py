@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Case(NamedTuple):
-    """One run: its number, the scenario and what is changed in it, and under which name of case."""
+    """One run: its number, the scenario and its changes, and the name of its case."""
 
     number: int
     scenario: str

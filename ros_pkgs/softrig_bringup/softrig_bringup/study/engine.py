@@ -83,7 +83,7 @@ def run_study(
 
 
 def check_last(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig], log: Log) -> None:
-    """Compute the last row again, in this process, and compare it with what its worker found, see `repeated`."""
+    """Compute the last row again in this process and compare it with the worker's, see `repeated`."""
     if not any(map(is_suspect, rigs)):
         return
     row = max((row for row in log.rows() if not row["error"]), key=itemgetter("number"), default=None)
@@ -93,7 +93,7 @@ def check_last(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig], l
 
 
 def content_of(study: Study, drafts: Mapping[str, Draft], rigs: Iterable[Rig]) -> dict[str, Any]:
-    """Return what the rows of a study depend on."""
+    """Return the inputs on which the rows of a study depend."""
     free = {"title", "source", "require", "summaries", "expect", "claims", "name", "changed"}
     scenarios = {name: draft.filled() for name, draft in drafts.items()}
     return study.model_dump(mode="json", exclude=free) | {"figures": _kept(study)} | made_of(scenarios, rigs)
@@ -148,7 +148,7 @@ class OtherContentError(ScenarioError):
 
 
 def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str, Any]:
-    """Return what rows depend on besides the words of a study: its scenarios, their code, files that blocks read."""
+    """Return the inputs of rows besides the text of a study: its scenarios, their code, files that blocks read."""
     # of which a run in process knows nothing
     free = {"title", "source", "cites", "claims", "plots", "timeout", "start_timeout", "containers", "record"}
     rigs = list(rigs)
@@ -183,7 +183,7 @@ def same(content: dict[str, Any], file: Path, what: str) -> str:
 
 
 def _changed(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """Describe what has changed since a study of the same words; nothing when its words are others."""
+    """Describe what has changed since a study with the same text; None if its text differs."""
     parts = {"scenarios": "scenario", "code": "the code of", "files": "a file of"}
     if any(there.get(key) != value for key, value in here.items() if key not in parts):
         return ""

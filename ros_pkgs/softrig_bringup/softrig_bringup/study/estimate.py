@@ -71,7 +71,7 @@ def deviation(values: Array) -> Estimate:
 
 
 def quantile(values: Array, q: float) -> Estimate:
-    """Estimate a quantile, with the interval between two of the sorted values that holds for any distribution.
+    """Estimate a quantile, with an interval between two of the sorted values that is valid for any distribution.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def difference(pairs: Array) -> Estimate:
 
 
 def clustered(values: Array, statistic: Statistic) -> Estimate:
-    """Estimate a statistic over runs that belong together, by a bootstrap over what is independent.
+    """Estimate a statistic over dependent runs, by a bootstrap over the independent groups.
 
     Parameters
     ----------

@@ -56,13 +56,13 @@ def study_of(options: Namespace) -> Study:
 
 
 def _check_counts(options: Namespace) -> None:
-    """Refuse options that would do nothing."""
+    """Refuse options that would have no effect."""
     if options.maximise and not options.search:
         raise ScenarioError("--maximise: there is no search, expected --search FIGURE")
 
 
 def _recounted(study: dict[str, Any], options: Namespace) -> dict[str, Any]:
-    """Return a study of a file with as many draws, or candidates of its search, as the command line asks for."""
+    """Return a study of a file with the number of draws or candidates from the command line."""
     if not options.draws or options.draw:
         return study
     for key in ("draws", "search"):
@@ -72,7 +72,7 @@ def _recounted(study: dict[str, Any], options: Namespace) -> dict[str, Any]:
 
 
 def folder_name(name: str, options: Namespace) -> str:
-    """Name the folder of a study by what is varied, so that studies that differ do not meet in one."""
+    """Name the folder of a study by the varied parameters, so that different studies use different folders."""
     draws = [f"{_method(options)}_{_draws(options)}"] if options.draw else []
     draws += [f"draws_{options.draws}"] if options.draws and not options.draw else []
     search = [f"{'max' if options.maximise else 'min'}_{options.search}", *options.subject_to] if options.search else []
@@ -126,7 +126,7 @@ def _drawn_points(options: Namespace, drawn: Mapping[str, Any]) -> dict[str, Any
 
 
 def _cases(options: Namespace) -> dict[str, dict[str, Any]]:
-    """Return the cases: the scenario as it is, and what it is held against."""
+    """Return the cases: the unchanged scenario, and those that it is compared with."""
     result: dict[str, dict[str, Any]] = {_slug(options.study): {}}
     for text in options.against:
         change = settings([text]) if "=" in text else {"scenario": text}
@@ -162,7 +162,7 @@ def _drawn(name: str, text: str) -> dict[str, Any]:
 
 
 def _constraint(text: str) -> tuple[str, str]:
-    """Read ``overshoot <= 5`` as a figure and what is expected of it."""
+    """Read ``overshoot <= 5`` as a figure and its limit."""
     match = re.fullmatch(rf"\s*(\w+)\s*(<=|>=)\s*({NUMBER})\s*", text)
     if match is None:
         raise ScenarioError(f"--subject-to {text!r}: expected FIGURE <= NUMBER or FIGURE >= NUMBER")

@@ -1,4 +1,4 @@
-"""A study as one file: what it is made of and its rows, which `study --like FILE` repeats."""
+"""A study as one file: its inputs and its rows, which `study --like FILE` repeats."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def saved(study: Study) -> str:
 
 
 def of_folder(folder: Path) -> Study:
-    """Read the study whose results are in a folder, as it was asked for.
+    """Read the definition of the study whose results are in a folder.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
 
 
 def differing(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:
-    """Name the rows that are not repeated, and the first thing in which each differs."""
+    """Name the rows that are not repeated, and the first difference in each."""
     there: Mapping[int, Row] = {row["number"]: row for row in after}
     for row in before:
         other = there.get(row["number"])

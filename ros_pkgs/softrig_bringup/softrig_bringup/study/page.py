@@ -269,7 +269,7 @@ def _interval(cell: str) -> Element | str:
 
 
 def asked(study: Study) -> str:
-    """Describe what is varied: cases, grid, draws or search, seeds; empty where nothing is."""
+    """Describe what is varied: cases, grid, draws or search, seeds; empty if nothing is."""
     draws = study.draws or study.search
     how = "candidates of a search" if study.search else "draws of"
     spans = [f"{n} {_span(d.model_dump(exclude_none=True))}" for n, d in (draws.parameters if draws else {}).items()]

@@ -1,4 +1,4 @@
-"""Pictures of a study: figures over what was changed, distributions, maps, searches, bands of signals."""
+"""Pictures of a study: figures over the varied parameters, distributions, maps, searches, bands of signals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST = 6  # figures, and groups of curves, that a picture can hold
 def draw_study(
     study: Study, rows: Sequence[Row], signals: Iterable[Row], folder: Path, units: Mapping[str, str], also: str = ""
 ) -> list[Path]:
-    """Draw what the study's form asks for.
+    """Draw the pictures that suit the study's form.
 
     Parameters
     ----------
@@ -167,7 +167,9 @@ def _over(
 
 
 def _median(values: Array) -> float:
-    """Median with what never happens as infinity; NaN, which is not drawn, when that is the median."""
+    """Return the median, with infinity for an event that never happens; NaN, which is not drawn, if that is the
+    median.
+    """
     known = values[~np.isnan(values)]
     middle = float(np.median(known)) if known.size else np.nan
     return middle if np.isfinite(middle) else np.nan

@@ -97,7 +97,7 @@ class Statistics(NamedTuple):
     notes: Sequence[str] = ()
 
     def content(self) -> dict[str, Any]:
-        """Return it as JSON holds it: what is not finite is None."""
+        """Return it as JSON: values that are not finite are None."""
         return {
             key: [_plain(entry) if isinstance(entry, tuple) else entry for entry in entries]
             for key, entries in self._asdict().items()
@@ -111,7 +111,7 @@ def _plain(entry: Any) -> Any:
 
 
 class Sample:
-    """The runs of one case and grid point: what differs between them is drawn.
+    """The runs of one case and grid point, which differ by random draws.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _groups(study: Study, rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def _line(group: str, figure: str, unit: str, sample: Sample) -> Line | None:
-    """Estimate over a sample; nothing where it is one run."""
+    """Estimate over a sample; None for a single run."""
     table = sample.table(lambda row: value_of(row, figure))
     # A figure that was not measured is not known to be small or large, so its run belongs to no tail.
     known = table[~np.isnan(table).any(axis=1)]
@@ -241,12 +241,12 @@ def _shares(study: Study, group: str, sample: Sample) -> Iterator[Share]:
 
 
 def _holds(name: str, row: Row) -> float:
-    """Return whether a requirement holds in a run; NaN where it does not judge that run."""
+    """Return whether a requirement holds in a run; NaN if it does not apply to that run."""
     return math.nan if name in row.get("not_judged", ()) else not row["error"] and name not in row["missed"]
 
 
 def not_judged(rows: Sequence[Row]) -> str:
-    """Describe what does not judge the runs of a study, and for what machine that is published; empty for nothing."""
+    """Describe which requirements do not apply to the runs of a study, and for which machine they are published."""
     others = [row for row in rows if row.get("not_judged")]
     names = dict.fromkeys(name for row in others for name in row["not_judged"])
     # The longest description is of the machine of which most was changed.
@@ -256,7 +256,7 @@ def not_judged(rows: Sequence[Row]) -> str:
 
 
 def bound_text(figure: str, limits: Expectation) -> str:
-    """Write what is expected of a figure: ``overshoot <= 5``."""
+    """Write the limit of a figure: ``overshoot <= 5``."""
     if limits.text:
         return f"{figure} {limits.text}"
     parts = [f"= {limits.expected:g} +- {limits.tolerance or 0.0:g}"] if limits.expected is not None else []
@@ -321,7 +321,7 @@ def _indices(study: Study, rows: Sequence[Row], figures: Sequence[str]) -> Itera
 
 
 def _notes(study: Study, samples: Mapping[str, Sample], result: Statistics) -> Iterator[str]:
-    """Describe what n counts, and what the intervals assume."""
+    """Describe what n counts, and the assumptions of the intervals."""
     seeds = len(study.seeds or [0])
     if same := [group for group, sample in samples.items() if sample.one_run]:
         where = "" if len(same) == len(samples) else f" of {', '.join(same)}"

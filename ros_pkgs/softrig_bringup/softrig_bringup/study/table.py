@@ -22,12 +22,12 @@ ALL = "all runs"  # label of a run of a study without cases and grid
 
 
 def without_signals(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows by number, without what is only drawn."""
+    """Return the rows by number, without the data that are only drawn."""
     return sorted(({k: v for k, v in row.items() if k != "signals"} for row in rows), key=lambda r: int(r["number"]))
 
 
 def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None) -> None:
-    """Write ``table.parquet`` and ``table.csv``: a row a run, with what was changed, measured and judged of it."""
+    """Write ``table.parquet`` and ``table.csv``: one row for each run, with its changes, measurements and verdicts."""
     import pyarrow
     import pyarrow.csv
     import pyarrow.parquet
@@ -47,7 +47,7 @@ def write_table(rows: Sequence[Row], folder: Path, duration: float | None = None
 
 
 def _column(values: list[Any]) -> list[Any]:
-    """Numbers stay numbers; what is a vector or mixed becomes text."""
+    """Return a column; numbers stay numbers, and vectors or mixed values become text."""
     kinds = {type(v) for v in values if v is not None}
     if kinds <= {int, float} and bool not in kinds:
         return [None if v is None else float(v) for v in values]
@@ -60,7 +60,7 @@ def command(row: Row, duration: float | None = None) -> str:
 
 
 def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
-    """Yield that of each run; the scenario of many is looked at once."""
+    """Yield the command of each run; a scenario of many runs is read once."""
     begins: dict[str, list[str]] = {}
     for row in rows:
         if (name := row["scenario"]) not in begins:
@@ -74,7 +74,7 @@ def _commands(rows: Iterable[Row], duration: float | None) -> Iterator[str]:
 
 
 def label(study: Study, row: Row) -> str:
-    """Describe what was changed in a run, but its seed and what was drawn at random."""
+    """Describe the changes of a run, except its seed and random draws."""
     drawn = study.draws.parameters if study.draws else {}
     changes = [
         f"{k.rpartition('.')[2]} {in_short(v, 10)}"

@@ -72,7 +72,7 @@ def tables(statistics: Statistics) -> list[Tabled]:
 
 
 def for_paper(statistics: Statistics) -> tuple[list[str], list[Column]]:
-    """Return means and half widths of their intervals, a row a case and a column a figure."""
+    """Return means and half widths of their intervals, one row for each case and one column for each figure."""
     groups, figures = (
         [*dict.fromkeys(key)] for key in ([x.group for x in statistics.lines], [x.figure for x in statistics.lines])
     )

@@ -1,4 +1,4 @@
-"""One run of a study or of a search for violations, in a worker, and the row that it leaves behind."""
+"""One run of a study or of a search for violations, in a worker, and its row."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LARGE = 1e300
 
 
 class Work(NamedTuple):
-    """A case and what is to be kept of it; travels to the worker.
+    """A case and the data to keep of it; sent to the worker.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def _margins(done: Run, names: Collection[str]) -> dict[str, Any]:
 
 
 def value_of(row: Mapping[str, Any], figure: str) -> float:
-    """Return a figure of a row: infinity for what never happens, NaN for what was not measured."""
+    """Return a figure of a row: infinity for an event that never happens, NaN for an unmeasured one."""
     value = row["figures"].get(figure)
     return float(value) if value is not None else np.inf if figure in row.get("never", ()) else np.nan
 
@@ -211,7 +211,7 @@ def absent(values: Iterable[float]) -> str:
 
 
 def _sampled(signal: Any, samples: int) -> dict[str, Any]:
-    """Hold a signal between its samples and look at it at equal distances."""
+    """Hold a signal between its samples and sample it at equal distances."""
     t, x = signal
     if t.size == 0:
         return {"end": 0.0, "x": []}

@@ -11,7 +11,7 @@ from typing import Any
 
 
 def complete(parser: argparse.ArgumentParser) -> None:
-    """Complete the arguments of a parser and of its verbs by what they mean."""
+    """Complete the arguments of a parser and of its verbs by their meaning."""
     for action in parser._actions:
         if action.dest in _COMPLETERS:
             action.completer = _COMPLETERS[action.dest]  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Lines on a terminal or in a pipe: text is text, and a reader that has gone ends the command by its own status."""
+"""Lines on a terminal or in a pipe: text stays text, and a closed pipe ends the command with its own status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lists of what scenarios are made of: signals, parameters, figure functions."""
+"""Lists of the parts of scenarios: signals, parameters, figure functions."""
 
 from __future__ import annotations
 

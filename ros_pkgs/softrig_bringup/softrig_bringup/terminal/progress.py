@@ -60,7 +60,7 @@ def progress(title: str, duration: float) -> Iterator[OnTick]:
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
-    """Describe what is done within the block if that takes longer than `SILENT`."""
+    """Print what is done within the block if that takes longer than `SILENT`."""
     if is_quiet():
         yield
         return

@@ -32,7 +32,7 @@ def table_of(heads: Sequence[str], rows: Sequence[Sequence[Cell]], folded: bool 
 
 
 def print_judged(console: Console, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
-    """Print a row a name, its verdict last; where that is too wide, name and verdict with the rest below them."""
+    """Print one row for each name, its verdict last; if that is too wide, name and verdict with the rest below them."""
     table = table_of(heads, rows)
     if fits(console, table):
         console.print(table)
@@ -48,7 +48,7 @@ def print_judged(console: Console, heads: Sequence[str], rows: Sequence[Sequence
 
 
 def print_columns(console: Console, heads: Sequence[str], rows: Sequence[Sequence[Cell]], keys: int = 1) -> None:
-    """Print a table; of columns that do not fit beside each other the rest follows below, the first `keys` again."""
+    """Print a table; columns that do not fit side by side follow below, with the first `keys` repeated."""
     whole = table_of(heads, rows)
     if fits(console, whole):
         console.print(whole)

@@ -78,7 +78,7 @@ def _window(start: float, end: float | None, length: float) -> tuple[float, floa
 
 
 def write(made: Film, out: Path) -> str:
-    """Write a film in the form that the file's name ends with, whole or not at all; returns what it was reduced to."""
+    """Write a film in the format of the file's extension, complete or not at all; return its reductions."""
     if out.suffix == ".svg":
         replace(out, animated(made))
         return ""

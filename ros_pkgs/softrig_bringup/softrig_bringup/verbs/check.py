@@ -1,4 +1,4 @@
-"""`softrig check`: what many scenarios expect, the claims of papers and golden bags, for continuous integration."""
+"""`softrig check`: expectations of many scenarios, claims of papers and golden bags, for continuous integration."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _called(word: str) -> str:
 
 
 def load_name(word: str) -> str:
-    """Return the name of a scenario; the word itself where there is none."""
+    """Return the name of a scenario; the word itself if there is none."""
     return locate(word)[0] if find(word) is not None else word
 
 
@@ -128,7 +128,7 @@ def judge(work: Judged) -> dict[str, Any]:
 
 
 def differing(scenario: Scenario, reference: Scenario) -> list[str]:
-    """Name what a scenario has otherwise than another one, beside what is measured and expected."""
+    """Name the differences of a scenario from another one, except measurements and expectations."""
     here, there = (dict(_leaves("", s.model_dump(mode="json", include={*COMPARED}))) for s in (scenario, reference))
     return sorted(name for name in here.keys() | there.keys() if here.get(name) != there.get(name))
 
@@ -142,7 +142,9 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _marks(suites: Sequence[Suite], differs: Sequence[Sequence[str]] | None) -> str:
-    """Write a row a scenario: how much holds, what was measured, what else differs from the reference, the error."""
+    """Write one row for each scenario: how much holds, measurements, other differences from the reference, the
+    error.
+    """
     units = {case.name: case.unit for suite in suites for case in suite.cases}
     heads = {name: f"{name} ({unit})" if unit else name for name, unit in units.items()}  # numbers stay numbers
     text = StringIO()
@@ -178,7 +180,9 @@ def _claim(finding: Finding) -> dict[str, Any]:
 
 
 def suite_of(outcome: dict[str, Any]) -> Suite:
-    """Return an outcome as a suite of cases: what is judged, and the claims whose verdict was held against the run."""
+    """Return an outcome as a suite of cases: the judged values, and the claims whose verdict was compared with
+    the run.
+    """
     results = [Result.model_validate(r) for r in outcome["metrics"]]
     cases = [Case(r.name, "" if r.passed else _missed(r), _measured(r), r.unit) for r in results if r.judged]
     cases += [

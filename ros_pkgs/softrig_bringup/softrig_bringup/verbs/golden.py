@@ -132,7 +132,7 @@ class Golden:
 
     @property
     def others(self) -> dict[str, tuple[str, str]]:
-        """Return what decides the bits and differs from the recording: name to the value there and here."""
+        """Return the settings that affect the bits and differ from the recording: name to the value there and here."""
         now, there = versions(), self.recipe.made_with
         pairs = {name: (there.get(name, "unknown"), now.get(name, "unknown")) for name in DECIDE}
         if not all(STEADY.match(member.block_class.__module__) for member in self.rig.members):
@@ -142,7 +142,9 @@ class Golden:
 
     @property
     def made_here(self) -> bool:
-        """Return whether all that decides the bits is as it was when the bag was made: then bytes are compared."""
+        """Return whether all settings that affect the bits are the same as when the bag was made: then bytes
+        are compared.
+        """
         return not self.others
 
     @property
@@ -199,7 +201,7 @@ class Golden:
         return compare(before, signals, default=default, tolerances=limits, topics=topics)
 
     def open_loop(self, node: str) -> Comparison:
-        """Feed one node with the golden inputs and compare what it answers on the topics that the bag holds.
+        """Feed one node with the golden inputs and compare its answers on the topics of the bag.
 
         Raises
         ------
@@ -398,7 +400,7 @@ def check(options: argparse.Namespace) -> int:
 def _chosen(
     options: argparse.Namespace, named: Sequence[str], changes: dict[str, Any], new: bool = False
 ) -> tuple[Path, dict[str, Recipe | None]]:
-    """Return the folder of golden bags and the recipes of those that are asked for, all read before the first run.
+    """Return the folder of golden bags and the requested recipes, all read before the first run.
 
     Parameters
     ----------

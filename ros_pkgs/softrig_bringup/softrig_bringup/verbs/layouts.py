@@ -1,4 +1,4 @@
-"""The verb `layouts`: what PlotJuggler, Foxglove and RViz open to show a scenario, made from its plots."""
+"""The verb `layouts`: files with which PlotJuggler, Foxglove and RViz show a scenario, made from its plots."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def _plots(rig: Rig) -> Iterator[Plotted]:
 
 
 def _plotjuggler(plots: Sequence[Plotted]) -> str:
-    """Write a tab a plot; PlotJuggler names what it reads of a JointState by its channel."""
+    """Write one tab for each plot; PlotJuggler names the signals of a JointState by their channels."""
     tabs = []
     for plot in plots:
         curves = []

@@ -148,7 +148,7 @@ def _states(shares: dict[str, float]) -> str:
 
 
 def print_steady(options: argparse.Namespace) -> int:
-    """Print an operating point; status 1 when there is none."""
+    """Print an operating point; status 1 if there is none."""
     try:
         point = steady(
             options.scenario, at=options.at, outputs=options.output, overrides=settings(options.set, options.scenario)

@@ -33,7 +33,7 @@ def main(options: argparse.Namespace) -> int:
 
 
 def list_scenarios_of(part: str) -> int:
-    """Print the scenarios with a text in their name or system; 1 when there are none, 2 when files are no scenarios.
+    """Print the scenarios with a text in their name or system; 1 if there are none, 2 if files are not scenarios.
 
     On a terminal variants of variants are folded unless a text is given.
     """
@@ -59,7 +59,7 @@ def list_scenarios_of(part: str) -> int:
 
 
 def _tree(system: str, scenarios: list[Listed], depth: int) -> Tree:
-    """Return the scenarios of a system, variants below what they are variants of; those below `depth` as a number."""
+    """Return the scenarios of a system, with variants below their base; those below `depth` as a number."""
     from rich.tree import Tree
 
     from ..terminal.console import styled

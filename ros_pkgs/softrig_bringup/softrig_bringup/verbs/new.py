@@ -54,12 +54,14 @@ KINDS = {
 
 
 def command() -> str:
-    """Return what a person types to get the command line, for instructions."""
+    """Return the command with which a person calls the command line, for instructions."""
     return shlex.quote(os.environ.get("SOFTRIG_COMMAND") or "softrig")
 
 
 def first(place: str) -> str:
-    """Return how a command begins that uses the package in a relative folder: a wheel's knows what is installed."""
+    """Return the beginning of a command that uses the package in a relative folder; a wheel finds installed
+    packages.
+    """
     folder = place if place.startswith((".", "/")) else f"./{place}"
     return f"{command()} --workspace {place}" if _checkout() else f"pip install {folder} && softrig"
 
@@ -161,7 +163,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Write a package, a law in another language, or a drive from a data sheet; print what to do with it."""
+    """Write a package, a controller in another language, or a drive from a data sheet; print the next steps."""
     if options.rated and not options.plant:
         raise ScenarioError("--rated: needs `--plant pmsm`")
     if options.plant:

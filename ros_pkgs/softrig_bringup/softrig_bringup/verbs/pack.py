@@ -65,7 +65,7 @@ _BUILT = {"__pycache__", "build", "install", "log", "dist", "runs", "node_module
 
 
 class _Pack(NamedTuple):
-    """Parts of a pack: files by place, its description, what it lacks, and whether nodes run C or boards."""
+    """Parts of a pack: files by place, its description, missing packages, and whether nodes run C or boards."""
 
     files: Mapping[str, bytes | Path]
     about: About
@@ -100,7 +100,7 @@ def _pack_study(options: argparse.Namespace) -> int:
 
 
 def _written(packed: _Pack, options: argparse.Namespace, kind: str = "") -> Path:
-    """Write the file that is asked for, by the scenario's name where none is named."""
+    """Write the requested file, named after the scenario if no name is given."""
     out: Path = options.out or Path(packed.about.scenario + kind + SUFFIX)
     if out.is_dir():
         raise ScenarioError(f"--out {out}: is a folder, expected a file")
@@ -110,7 +110,7 @@ def _written(packed: _Pack, options: argparse.Namespace, kind: str = "") -> Path
 
 
 def _signed(packed: _Pack, out: Path, options: argparse.Namespace) -> int:
-    """Sign the file if that is asked for, and name the packages that it lacks."""
+    """Sign the file if requested, and name the missing packages."""
     if options.sign is not None:
         sign(out, options.sign)
         print(f"wrote {signature_path(out)}: {signed_by(out)}")
@@ -122,7 +122,7 @@ def _signed(packed: _Pack, out: Path, options: argparse.Namespace) -> int:
 
 
 def collect_study(folder: Path) -> tuple[_Pack, int]:
-    """Gather what is needed to repeat a study, and its rows; return also their number.
+    """Gather the files that repeat a study, and its rows; return also their number.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
 
 
 def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
-    """Gather what is needed to repeat a run.
+    """Gather the files that repeat a run.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str,
 
 
 def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | None:
-    """Write the bag of a run of ours without folders of this machine; None where it names none."""
+    """Write the bag of a run without folders of this machine; None if it names none."""
     messages = {
         key: json.loads(text) if key in ("from", "branched") else text for key, text in before.bag_metadata.items()
     }
@@ -254,7 +254,7 @@ def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | No
 
 
 def _described(packed: _Pack, publication: Publication) -> _Pack:
-    """Add what archives read."""
+    """Add the metadata that archives read."""
     message, files = packed.about, packed.files
     verb = "study" if f"{STUDY}/{FILE}" in files else "run"
     text = f"A {verb} of {message.scenario}: `softrig {verb} --like FILE` repeats it number for number."
@@ -300,7 +300,7 @@ def _sha256(content: bytes | Path) -> str:
 
 
 def _one_run(run: Path, rig: Rig, content: Mapping[str, Any], before: Recalled) -> None:
-    """Refuse what is not of one run: the figures of one beside the bag or the scenario of another."""
+    """Refuse files of different runs: the figures of one beside the bag or the scenario of another."""
     recording = before.recording if before.recording.topics else None
     wrong = strangers(content, before.bag_metadata, recording)
     digest = str(content.get("run", ""))
@@ -320,7 +320,7 @@ def _offers(package: str) -> dict[str, dict[str, str]]:
 
 
 def _known_of_run(bag: Path) -> dict[str, Any]:
-    """Read what is known of a run beside its bag, or beside the one that a file is of."""
+    """Read the facts about a run beside its bag, or beside the run of a pack."""
     try:
         content = json.loads(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())
     except (OSError, ValueError):
@@ -357,7 +357,7 @@ def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -
 
 
 def standing_alone(scenario: Scenario) -> tuple[bytes, Mapping[str, Path]]:
-    """Write a scenario that needs no other file than those that its nodes name, which lie beside it by their content.
+    """Write a scenario that needs only the files that its nodes name, which are stored beside it by content.
 
     Returns
     -------
@@ -374,13 +374,13 @@ def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
     results: dict[str, Path] = {}
 
     def placed(files: Sequence[Path]) -> str:
-        """Return the place of the first of some files that stay beside each other."""
+        """Return the place of the first of some files that stay together."""
         folder = hashlib.sha256(files[0].read_bytes()).hexdigest()[:12]
         results.update({f"{folder}/{file.name}": file for file in files})
         return f"{folder}/{files[0].name}"
 
     def linked(link: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return a link to files in the pack: the description of the firmware, and what a simulator runs."""
+        """Return a link to files in the pack: the description of the firmware, and the program of a simulator."""
         firmware, (kind, colon, name) = Path(link["firmware"]), link["port"].partition(":")
         described = next(iter(sorted(firmware.glob("*.json"))), firmware) if firmware.is_dir() else firmware
         result = {**link, "firmware": placed([described])} if described.is_file() else dict(link)
@@ -405,7 +405,9 @@ def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
 
 
 def _belongs(path: Path) -> Iterator[Path]:
-    """Yield a file and those of the same stem that its format reads beside it; nothing else of its folder leaves it."""
+    """Yield a file and those of the same stem that its format reads beside it; no other file of its folder is
+    packed.
+    """
     kinds: set[str] = next((kinds for kinds in TOGETHER if path.suffix.lower() in kinds), set())
     beside = path.parent.glob(f"{escape(path.stem)}.*")
     yield from (file for file in beside if file == path or file.suffix.lower() in kinds)
@@ -444,7 +446,7 @@ def _named(manifest: Path) -> str:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield the files of a package: no hidden ones, nothing that was made from the others, no links to elsewhere."""
+    """Yield the files of a package: no hidden or generated files, no links to outside."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.name in _BUILT or path.suffix in (".pyc", ".egg-info"):
             continue

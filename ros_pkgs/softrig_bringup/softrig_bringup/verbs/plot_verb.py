@@ -73,7 +73,7 @@ def _is_run(word: str) -> bool:
 
 
 def _style(options: argparse.Namespace, named: bool) -> Style:
-    """Return the look that the options select; an explicit option overrides the publisher's style."""
+    """Return the style that the options select; an explicit option overrides the publisher's style."""
     paper = PAPERS.get(options.style)
     width = options.width or (paper.widths[int(options.columns) - 1] if paper else None)
     title = not (options.no_title or named or paper)
@@ -83,7 +83,7 @@ def _style(options: argparse.Namespace, named: bool) -> Style:
 
 
 def _folder(runs: Sequence[Path], names: Sequence[str], window: Sequence[float] | None) -> Path:
-    """Name the folder of pictures by what they are of, below that of the run where there is one."""
+    """Name the folder of pictures by their content, below that of the run if there is one."""
     of = [name.replace("/", " ") for name in names] + ([f"{a:g}_to_{b:g}_s" for a, b in [window]] if window else [])
     if len(runs) > 1:
         return Path("pictures") / folder_of(
@@ -110,7 +110,7 @@ def _of_one(run: Path, names: Sequence[str], options: argparse.Namespace, style:
 
 
 def _of_several(runs: Sequence[Path], names: Sequence[str], options: argparse.Namespace, style: Style) -> Drawing:
-    """Draw what several runs share over one another."""
+    """Draw the common signals of several runs over one another."""
     records = [(run, record_of_pack(opened(run)) if is_pack(run) else read_run(run)) for run in runs]
     called = run_names(records, options.label)
     overlays = []

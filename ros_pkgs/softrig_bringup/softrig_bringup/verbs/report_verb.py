@@ -14,7 +14,7 @@ from ..report.report import write_report
 
 
 def main(options: argparse.Namespace) -> int:
-    """Write the page that is asked for."""
+    """Write the requested page."""
     runs, named = write_report(options.runs, options.out, options.label, check=True)
     list_too(options.out)
     print(f"wrote {options.out}")

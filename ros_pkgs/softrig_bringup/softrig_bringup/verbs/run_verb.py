@@ -1,4 +1,4 @@
-"""The verb `run`: where the results go, what is printed, the exit status."""
+"""The verb `run`: the folder of results, the printed output, the exit status."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _run_reserved(options: argparse.Namespace, begun: list[ResultsFolder]) -> in
 
 
 def _check_view(options: argparse.Namespace) -> None:
-    """Refuse what has no page; import the library."""
+    """Refuse a rig without a page; import the library."""
     if options.only:
         raise ScenarioError("view shows a whole rig, which --only is not")
     need("bokeh", "view")
@@ -106,14 +106,14 @@ def _check_view(options: argparse.Namespace) -> None:
 
 
 def _how_to_connect(domain: int, directory: Path) -> str:
-    """Describe what nodes outside need in their environment."""
+    """Describe the environment that nodes outside need."""
     result = environment(domain, directory)
     names = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
     return "to connect: export " + " ".join(f"{name}={result[name]}" for name in names)
 
 
 def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
-    """Clear the folder for the results of a run, and report what they replace."""
+    """Clear the folder for the results of a run, and report which files they replace."""
     out = (options.out or Path("runs") / folder_name(rig.scenario.name, options)).absolute()
     before = options.like if options.origin is None else options.origin[0]
     if before is not None and out in (before.absolute(), before.absolute().parent):
@@ -141,7 +141,7 @@ def results_folder(options: argparse.Namespace, rig: Rig) -> ResultsFolder:
 
 
 def _without_broken_run(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
-    """Move a run that broke, and that cannot be made again, out of the way of the next try; return the folder."""
+    """Move a broken run that cannot be repeated out of the way of the next one; return the folder."""
     if not folder.once(lambda shards: once_broken_off(rig, shards)):
         return folder
     number = 1
@@ -154,7 +154,7 @@ def _without_broken_run(folder: ResultsFolder, rig: Rig) -> ResultsFolder:
 
 
 def _kept(folder: ResultsFolder, rig: Rig, force: bool) -> str:
-    """Describe why the folder is not to be written into; empty if it may be."""
+    """Describe why the folder must not be written to; empty if it may be."""
     if (other := folder.hold()) is not None:
         return f"{other} is writing there"
     if folder.replaced and not force and (once := folder.once(lambda shards: once_broken_off(rig, shards))):
@@ -204,7 +204,7 @@ def conclude(options: argparse.Namespace, done: Run, folder: ResultsFolder | Non
 
 
 def _lacking(options: argparse.Namespace, folder: ResultsFolder | None) -> str:
-    """Describe what there is not of a run whose end was interrupted, and how to make it.
+    """Describe which results of an interrupted run are missing, and how to make them.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
 
 
 def _writing(done: Run, folder: ResultsFolder) -> str:
-    """Describe what is written, and what there is of it if this process is killed."""
+    """Describe which files are written, and what remains of them if this process is killed."""
     messages = sum(topic.number for topic in done.recording.topics.values())
     log = folder.path / "log"
     kept = f"; if it is killed, softrig bag repair {_shown(log)} makes the bag" if any(log.glob("*.shard")) else ""
@@ -356,7 +356,7 @@ def _missed(status: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _announce(text: str) -> None:
-    """Report what a run waits for, whole and with its lines: they are instructions."""
+    """Report what a run waits for, complete and with its line breaks: it contains instructions."""
     with suppress(OSError):
         print(f"softrig: {plain(text)}", file=sys.stderr, flush=True)
 
@@ -410,7 +410,7 @@ def _print_remarks(console: Console, run: Run) -> None:
 
 
 def _print_nodes(console: Console, run: Run) -> None:
-    """Report what nodes reported, refused and missed."""
+    """Print the reports, rejections and missed ticks of the nodes."""
     for name, status in run.status.items():
         for _, text, count in status.get("reports", {}).values():
             console.print(f"{name}: {text} ({count} x)")

@@ -1,4 +1,4 @@
-"""The verb `view`: a run or a bag to look through, or a scenario that begins paused."""
+"""The verb `view`: a run or a bag to browse, or a scenario that starts paused."""
 
 from __future__ import annotations
 

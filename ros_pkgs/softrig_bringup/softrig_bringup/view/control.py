@@ -150,7 +150,7 @@ class Control:
         self.lines = 0
 
     def add_entry(self, who: str, text: str, wrong: bool = False) -> None:
-        """Add a line to what all pages show."""
+        """Add a line to the log on all pages."""
         self.entries.append(Entry(self._now(), who, text, wrong))
         self.lines += 1
 
@@ -281,7 +281,9 @@ def _choices(model: type[Params], prefix: str = "") -> dict[str, tuple[str, ...]
 
 
 def _owners(name: str, doc: str) -> set[str]:
-    """Return what may be the choices a parameter belongs to: ``smc.k``, ``ideal, series: ...``, ``of `delay`, ...``."""
+    """Return the possible choices that a parameter belongs to: ``smc.k``, ``ideal, series: ...``, ``of `delay`,
+    ...``.
+    """
     before = re.match(r"([\w ,]+): ", doc)
     words = re.split(r", | and ", before[1]) if before else re.findall(r"`(\w+)`", doc)
     return {*words, *name.split(".")[:-1]}

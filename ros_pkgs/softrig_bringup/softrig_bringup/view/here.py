@@ -1,4 +1,4 @@
-"""A rig in the process of its page: a `Session` that is paced, paused, stepped, tuned and taken back in time."""
+"""A rig in the process of its page: a `Session` that can be paced, paused, stepped, tuned and moved back in time."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class Here(Growing):
         return f"back to {session.t:.9g} s from {before:.9g} s: what is turned holds from there on"
 
     def _keep_branch(self, place: Path) -> Path:
-        """Write what a way back leaves as a scenario; OSError where it cannot be."""
+        """Write the abandoned branch as a scenario; OSError if it cannot be written."""
         session, path = self.session, place / f"left_{len(self.branched) + 1}.yaml"
         changes = branched(session.rig, session.recording, self.end, {})
         scenario = session.rig.scenario.having(changes=changes).model_dump(
@@ -205,7 +205,7 @@ class Here(Growing):
                 self.control.add_entry("the run", text, True)
 
     def _write(self, place: Callable[[], Path]) -> None:
-        """Write what is new into a file as nodes do: of a process that is killed `bag repair` finds it there."""
+        """Append new messages to a file as nodes do, so that `bag repair` finds them if the process is killed."""
         topics = [topic for name, topic in self.session.recording.topics.items() if name != EVENTS]
         events = self.session.recording.topics.get(EVENTS)
         if self._shard is None:
@@ -319,7 +319,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
 
 
 def _branch_folder(path: Path) -> ResultsFolder:
-    """Return a folder of its own for what went back from the run in this one."""
+    """Return a separate folder for a branch of the run in this one."""
     number = 2
     while (place := path.with_name(f"{path.name}-{number}")).exists():
         number += 1

@@ -1,4 +1,4 @@
-"""One page: a document of Bokeh for one browser, made of pictures, tables, knobs and buttons."""
+"""One page: a document of Bokeh for one browser, made of pictures, tables, parameters and buttons."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class Page:
         return self._button(f"{node}: {name}", press, f"{node}/{name}", width=None)  # as wide as its words
 
     def _bar(self) -> list[Any]:
-        """Window of time, follow; pause and step where the run can be held."""
+        """Create the bar: window of time, follow; pause and step if the run can be paused."""
         sheet = [self._sheet]
         self._window = Select(
             title="window, s", value="all", options=list(WINDOWS), width=90, stylesheets=sheet, name="window"
@@ -176,7 +176,7 @@ class Page:
         return result
 
     def _recorded(self) -> Any:
-        """A time cursor, and what moves it."""
+        """Create a time cursor, and the widget that moves it."""
         end = max(self._source.end, 1e-9)
         self._slider = Slider(
             start=0.0,
@@ -220,7 +220,9 @@ class Page:
         return [*([] if self._source.live else [self._values]), *self._tables.values()]
 
     def _groups(self) -> list[tuple[str, Any, str, str, bool]]:
-        """Return the buttons, and the knobs by node: name of the root, root, title, what else, whether it is open."""
+        """Return the buttons, and the parameters by node: name of the root, root, title, other widgets, whether
+        it is open.
+        """
         control, result = self._control, []
         if control.buttons:
             buttons = row(*(self._press(*b) for b in control.buttons), styles={"flex-wrap": "wrap"})
@@ -240,7 +242,7 @@ class Page:
         return column(*widgets, sizing_mode="stretch_width")
 
     def _knob(self, knob: Knob) -> Any:
-        """Return the widget of a parameter; what is no number, switch or text is written as YAML."""
+        """Return the widget of a parameter; a value that is not a number, switch or text is written as YAML."""
         title = f"{knob.name}{f', {knob.unit}' if knob.unit else ''}"
         about: dict[str, Any] = {"name": knob.key, "stylesheets": [self._sheet], "sizing_mode": "stretch_width"}
         if knob.kind is bool:
@@ -256,7 +258,7 @@ class Page:
         return result
 
     def _slider_of(self, knob: Knob, low: float, high: float) -> Slider:
-        """Return what moves a number; it counts when it is let go."""
+        """Return the slider of a number; its value counts when it is released."""
         step = max(1, round((high - low) / 1000)) if knob.kind is int else (high - low) / 1000
         result = Slider(
             start=low,
@@ -285,7 +287,7 @@ class Page:
         self._texts = ()
 
     def _aim(self) -> float:
-        """Return the time to go back to, s; NaN if what is typed is none."""
+        """Return the time to go back to, s; NaN if the typed text is not a time."""
         try:
             t = float(self._to.value)
         except ValueError:
@@ -309,7 +311,7 @@ class Page:
             self._texts = ()
 
     def _moved(self, attr: str, old: Any, new: Any) -> None:
-        """A browser has zoomed or moved: it looks at what it has chosen until it follows again."""
+        """A browser has zoomed or moved: it shows the chosen window until it follows again."""
         if not self._calm:
             self._set_follow(False)
 
@@ -361,7 +363,7 @@ class Page:
     # what is shown -------------------------------------------------------------------------------------------------
 
     def update(self) -> None:
-        """Show what is new, if the browser has shown the last state."""
+        """Show new data, if the browser has shown the last state."""
         source = self._source
         if not source.live and self._play.active:
             pace = self._pace.value
@@ -451,7 +453,7 @@ class Page:
 
 
 def bare(document: Document, control: Control, who: str, error: Exception) -> None:
-    """Show what is left when a page cannot be made: why, and how the run goes on."""
+    """Show the rest of a page that cannot be made: the reason, and how the run continues."""
     why = html.escape(f"{type(error).__name__}: {error}")
     document.add_root(Div(text=f"<h1>This page cannot be shown</h1><p>{why}</p><p>The run does not depend on it.</p>"))
     for what in ("resume", "pause") if control.held is not None else ():

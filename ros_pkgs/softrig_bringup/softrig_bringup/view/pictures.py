@@ -152,7 +152,7 @@ class Picture:
         return lines
 
     def show(self, pane: Pane, end: float) -> None:
-        """Draw what is in a window of time; `end` is up to where held values are drawn, s."""
+        """Draw the data in a window of time; held values are drawn up to `end`, s."""
         self._curves.signals, self._curves.end = pane, end  # type: ignore[assignment]
         for name, source in self.sources.items():
             if self._entry.x:
@@ -167,7 +167,9 @@ class Picture:
             source.data = {"x": x, "y": y}
 
     def values(self, pane: Pane) -> dict[str, tuple[float | None, str]]:
-        """Return the newest value and the unit of each signal, by its label; nothing of what is over another signal."""
+        """Return the newest value and the unit of each signal, by its label; without signals drawn over another
+        signal.
+        """
         self._curves.signals, self._curves.end = pane, 0.0  # type: ignore[assignment]
         result: dict[str, tuple[float | None, str]] = {}
         for name in () if self._entry.x else self.sources:
@@ -177,7 +179,7 @@ class Picture:
 
 
 def plots_of(rig: Rig) -> tuple[PlotEntry, ...]:
-    """Return the plots of a rig's scenario; where it names none, one of each topic.
+    """Return the plots of a rig's scenario; if it has none, one for each topic.
 
     Where the reader chooses the window, one that is a part of another is that other once more.
     """

@@ -1,4 +1,4 @@
-"""RViz beside a launched rig, and its file, written for the rig."""
+"""RViz beside a launched rig, and its configuration, written for the rig."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Process:
 
 
 def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
-    """Return RViz with its file: the first robot, and what blocks draw.
+    """Return RViz with its configuration: the first robot, and the drawings of blocks.
 
     Parameters
     ----------

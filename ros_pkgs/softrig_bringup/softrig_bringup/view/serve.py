@@ -166,7 +166,7 @@ def free_address(address: str) -> tuple[str, int]:
 
 
 def new_token() -> str:
-    """Create the token that lets a browser in; other users of this host and pages of other origins lack it."""
+    """Create the token that a browser must send; other users of this host and pages of other origins do not have it."""
     return secrets.token_urlsafe(16)
 
 
@@ -290,7 +290,7 @@ def serve(source: Source, how: str, address: str) -> None:
 
 
 def serve_run(watched: Watched, lines: Any) -> None:
-    """Show a run under way until it is over and no browser is connected, or until `lines` ends."""
+    """Show a run in progress until it has ended and no browser is connected, or until `lines` ends."""
     os.nice(10)  # the loop comes first
     rig = rig_of(Scenario.model_validate(watched.scenario))
     loop = IOLoop.current()

@@ -1,4 +1,4 @@
-"""Data source of a page: the files that the nodes of a run write while it is under way, or a bag."""
+"""Data source of a page: the files that the nodes of a running run write, or a bag."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Turned = tuple[float, str, Mapping[str, Any]]  # s, node, new values
 
 
 class Growing:
-    """A run under way.
+    """A run in progress.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Growing:
 
     @property
     def speed(self) -> float:
-        """Simulated by wall-clock time, over the last looks."""
+        """Return the simulated time over wall-clock time, over the last updates."""
         (first, at), (last, end) = self._marks[0], self._marks[-1]
         return (end - at) / (last - first) if last > first else 0.0
 
@@ -102,7 +102,7 @@ class Growing:
 
     @property
     def thinned(self) -> bool:
-        """Return whether only extremes are left of what is old."""
+        """Return whether only extremes remain of old data."""
         return any(track.thinned for track in self._tracks.values())
 
     def append(self, recording: Recording, epoch: int = 0) -> None:
@@ -135,7 +135,7 @@ class Growing:
 
 
 class Live(Growing):
-    """A run under way, as its nodes record it.
+    """A run in progress, as its nodes record it.
 
     The loop knows nothing of it: no topic is read, nothing is waited for.
 
@@ -164,7 +164,7 @@ class Live(Growing):
             self._complete = time.monotonic()
 
     def read(self) -> bool:
-        """Read a part of what the nodes have recorded; whether there is more."""
+        """Read a part of the nodes' recordings; return whether there is more."""
         epoch = int(self.status.get(starter(self.rig).name, {}).get("epoch", 0))
         if self._realtime and not epoch:
             return False

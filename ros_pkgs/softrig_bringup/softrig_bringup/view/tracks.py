@@ -1,4 +1,4 @@
-"""Data that a page stores of a run under way: everything while it is short, later only extremes of old data."""
+"""Data that a page stores of a running run: everything while it is short, later only extremes of old data."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Track:
         self._n = kept + remaining
 
     def table(self, first: float, last: float) -> Table:
-        """Return the messages from `first` to `last` (s), and the one before them, which holds until then."""
+        """Return the messages from `first` to `last` (s), and the one before them, which is valid until then."""
         t = self._t[: self._n]
         i = max(0, int(np.searchsorted(t, first, "right")) - 1)
         j = int(np.searchsorted(t, last, "right"))

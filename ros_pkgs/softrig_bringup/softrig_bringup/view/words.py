@@ -88,7 +88,7 @@ def _mark(f: Result, so_far: bool) -> str:
 
 
 def health(status: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the table of the nodes: state, what was missed, refused or reported."""
+    """Return the table of the nodes: state, missed, rejected and reported counts."""
     rows = []
     for name, s in status.items():
         counts = [f"{s[key]} {word}" for key, word in COUNTS.items() if s.get(key)]

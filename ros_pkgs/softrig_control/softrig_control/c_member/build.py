@@ -1,4 +1,6 @@
-"""A user's C as what a rig can call: sources to a library, a header to a layout, both to a shim; kept by content."""
+"""A user's C as code that a rig can call: sources to a library, a header to a layout, both to a shim; cached by
+content.
+"""
 
 from __future__ import annotations
 
@@ -403,7 +405,7 @@ def _generated(header: Path, prefix: str, methods: Sequence[str], values: dict[s
 
 
 def _put(of: str, leaf: Leaf, k: int, exact: bool) -> str:
-    """Write the line that copies number k into a struct; what a type does not hold is an error, or is limited."""
+    """Write the line that copies number k into a struct; a value beyond the type is an error, or is limited."""
     there, value = f"{of}->{leaf.access}", f"v[{k}]"
     if leaf.kind == "word":
         base, at = leaf.access[:-1].rsplit("[", 1)

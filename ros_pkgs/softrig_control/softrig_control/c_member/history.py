@@ -16,7 +16,7 @@ class Call(NamedTuple):
 
 
 class History:
-    """Calls in their order; a value: `after` gives a longer one, which shares what they have in common."""
+    """Calls in their order; a value: `after` returns a longer one that shares the common part."""
 
     __slots__ = ("length", "shared")
 

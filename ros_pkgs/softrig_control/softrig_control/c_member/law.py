@@ -218,7 +218,7 @@ def _ended(process: subprocess.Popen[bytes], *descriptors: int) -> None:
 
 
 def wrong(status: float, method: str, names: Sequence[str]) -> str:
-    """Describe what the status of a call means; empty where the user's function has answered by itself."""
+    """Describe the status of a call; empty if the user's function has answered by itself."""
     if SIGNAL <= status < RANGE:
         return f"crashed ({signal.Signals(int(status - SIGNAL)).name}) in {method}"
     if RANGE <= status < CONSTANT:

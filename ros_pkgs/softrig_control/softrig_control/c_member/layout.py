@@ -18,7 +18,7 @@ Kind = Literal["real", "bool", "signed", "unsigned", "word"]
 
 
 class LayoutError(ValueError):
-    """A header holds something that a member cannot."""
+    """A header contains something that a node cannot have."""
 
 
 class Leaf(NamedTuple):

@@ -85,12 +85,12 @@ class CParams(BlockParams):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The functions beside NODE_init."""
+        """Return the functions besides NODE_init."""
         return PLANT if self.plant else STEP
 
     @cached_property
     def node(self) -> str:
-        """Return what the names in the header begin with."""
+        """Return the prefix of the names in the header."""
         return self.prefix or (self.described.node if self.described else Path(self.header).stem)
 
     @cached_property
@@ -100,7 +100,7 @@ class CParams(BlockParams):
 
     @cached_property
     def built(self) -> Built:
-        """Its library and what calls it."""
+        """Return the library and the object that calls it."""
         flags, header = tuple(_whole(flag) for flag in self.flags), resource(self.header, "header").resolve()
         library = (
             compiled([resource(s, "source").resolve() for s in self.sources], (*flags, f"-I{header.parent}"))
@@ -200,7 +200,7 @@ class _C(Block[CParams]):
             self._begin, self._place = self._here.first, self._here.place
 
     def _load(self, p: CParams) -> None:
-        """Find out what stays as it is for the whole run, whatever is built in the meantime."""
+        """Read everything that stays constant for the whole run, even if the library is built again."""
         self._built, self._node, self._file = p.built, p.node, Path(p.library or p.sources[0]).name
         leaves = p.struct("state").leaves
         self._state = state_type(("", [leaf.name for leaf in leaves]))
@@ -220,7 +220,7 @@ class _C(Block[CParams]):
         self._advance: Any = called.get("advance")
 
     def first(self) -> Any:
-        """Return the state that NODE_init makes; report what of it hides state."""
+        """Return the state that NODE_init makes; report hidden state."""
         if self._hidden:
             self.report(Level.WARN, HIDDEN, self._hint())
             return Secret(History())

@@ -43,7 +43,7 @@ class Described(NamedTuple):
 
 
 def described(file: Path) -> Described:
-    """Read the description that `softrig export c` writes, or one written by hand in its form.
+    """Read the description that `softrig export c` writes, or a file in the same form.
 
     Raises
     ------

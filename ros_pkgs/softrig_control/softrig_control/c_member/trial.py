@@ -36,7 +36,7 @@ def tried(built: Built, methods: Sequence[str], params: Row, seconds: float) -> 
 
 
 class _Key:
-    """A build, compared by what it is made of."""
+    """A build, compared by its inputs."""
 
     def __init__(self, built: Built) -> None:
         self.built = built

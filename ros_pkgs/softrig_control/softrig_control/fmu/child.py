@@ -1,4 +1,4 @@
-"""An FMU in a process of its own: what crashes or hangs there ends a run by name, and neither takes nor leaves any."""
+"""An FMU in a separate process: a crash or hang there ends a run by name, and no process is left behind."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection) -> None:
 
 
 def main() -> None:
-    """Run two processes: one answers calls until the pipe is closed, the other ends what the first leaves."""
+    """Run two processes: one answers calls until the pipe is closed, the other ends processes that the first leaves."""
     parent = int(sys.argv[2])
     os.dup2(2, 1)  # an FMU that prints does so on the terminal, not in what a program may read
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
@@ -180,7 +180,7 @@ def _reaped(fmu: int) -> int | None:
 
 
 def _sweep() -> None:
-    """Kill our children, then those of theirs, which are ours by then, until there is none."""
+    """Kill our children, then their orphans, which become ours, until there is none."""
     me = os.getpid()
     while True:
         for stat in Path("/proc").glob("[0-9]*/stat"):

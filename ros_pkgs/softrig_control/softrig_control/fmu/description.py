@@ -157,7 +157,7 @@ def _example(dims: Sequence[int]) -> str:
 
 @dataclass(frozen=True)
 class Description:
-    """An FMU as far as a rig needs to know it.
+    """The parts of an FMU that a rig uses.
 
     Attributes
     ----------
@@ -224,7 +224,7 @@ def describe(source: str) -> Description:
 
 
 def unpacked(path: Path) -> Path:
-    """Return the folder with the content of an FMU, in the cache: nothing is left behind by a node that is killed.
+    """Return the folder with the content of an FMU, in the cache: a killed node leaves no files behind.
 
     Raises
     ------

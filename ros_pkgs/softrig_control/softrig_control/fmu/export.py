@@ -93,7 +93,7 @@ def export(rig: Rig, node: str, folder: Path, native: int = 0) -> Path:
 
 
 def _can(member: Member) -> tuple[str, ...]:
-    """Return what the FMU can do beside its steps: keep its state and write it, where nothing in it is opaque."""
+    """Return the optional abilities of the FMU: save its state and write it, if nothing in it is opaque."""
     plain = member.block_class.save is Block.save
     return ("canGetAndSetFMUstate", "canSerializeFMUstate") if plain else ()
 

@@ -218,7 +218,7 @@ class Instance:
         self._discrete()
 
     def _event(self, t: float, values: Sequence[float] | None = None) -> None:
-        """Settle an event at `t`; also the jump of the inputs to `values`, of which discrete ones jump only there."""
+        """Process an event at `t`, or the jump of the inputs to `values`; discrete inputs jump only at events."""
         self._fmu.setTime(t)
         self._fmu.enterEventMode()
         if values is not None:
@@ -318,7 +318,7 @@ def _grouped(cells: Sequence[Cell]) -> dict[str, Cells]:
 
 
 def _typed(name: str, x: float) -> Any:
-    """Return a number as the type of a variable has it."""
+    """Return a number as the type of a variable."""
     if name == "Boolean":
         return x != 0.0
     if name in REAL:

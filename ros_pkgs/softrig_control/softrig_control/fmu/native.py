@@ -36,7 +36,7 @@ HEADERS = {2: "fmi2", 3: "fmi3"}
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of the FMU: its name, what it is, and where it is in C."""
+    """A variable of the FMU: its name, its kind, and its place in C."""
 
     name: str
     causality: str
@@ -150,7 +150,7 @@ def _variables(member: Member, done: Exported, start: Mapping[str, Sequence[floa
 
 
 def _model(member: Member, done: Exported, variables: Sequence[Variable]) -> str:
-    """Return the header by which the wrappers know the node."""
+    """Return the header that describes the node to the wrappers."""
     n, period = done.name, member.schedule.period
     num, den = (period * 10**9).as_integer_ratio()
     digest = re.findall(r'_DIGEST "(\w+)"', done.files[f"{n}.h"])[0]

@@ -87,7 +87,9 @@ def _cell(variable: Variable) -> Cell:
 def _values(
     given: Sequence[tuple[Variable, Any]], only: Set[int] | None = None
 ) -> tuple[tuple[str, int, tuple[Any, ...]], ...]:
-    """Return type, reference and values of what is set; of an array also those that keep their start."""
+    """Return type, reference and values of the variables to set; for an array also those that keep their start
+    values.
+    """
     results: dict[int, tuple[Variable, list[Any]]] = {}
     for variable, value in given:
         if variable.element is None:
@@ -162,7 +164,7 @@ class _Fmu(Block[FmuParams]):
 
     @classmethod
     def fixed(cls, params: FmuParams) -> Any:
-        """Return what the FMU does not call tunable stays as it is."""
+        """Return the parameters that the FMU does not declare tunable."""
         given = start_values(params.unit, params.values) if params.fmu else ()
         return {v.name: value for v, value in given if not v.tunable}, {v.name for v, _ in given}
 
@@ -212,7 +214,7 @@ class _Fmu(Block[FmuParams]):
         return self._call(x, "tune", _values(tuple(given.items()), other))[0] if other else x
 
     def _step(self, x: State, inputs: Mapping[str, tuple[float, ...]]) -> State:
-        """Move the FMU over one period with the inputs held; the outputs are then those of its end."""
+        """Advance the FMU over one period with the inputs held; the outputs are then those of its end."""
         rows = [inputs[key] for key in self._keys]
         values = tuple(place.into(rows[place.port][place.at]) for place in self.p.reads.places)
         k = x.k + 1

@@ -1,4 +1,4 @@
-"""A node of a rig as the inside of an FMU; PythonFMU calls it, in whatever tool runs the FMU."""
+"""A node of a rig as the inside of an FMU, called by PythonFMU in any tool."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def unit_definitions(units: Iterable[str]) -> list[Element]:
 
 
 class _Shown(Link):
-    """Has the variables of the FMU be what the block publishes."""
+    """Sets the variables of the FMU to the outputs of the block."""
 
     def __init__(self, step: Step, numbers: dict[str, list[float]]) -> None:
         super().__init__(step)
@@ -149,7 +149,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             )
 
     def to_xml(self, model_options: Any = None) -> Element:
-        """Return the model description, with the units and bounds that PythonFMU does not know of."""
+        """Return the model description, with the units and bounds that PythonFMU does not support."""
         root = super().to_xml(model_options or {})
         for result in unit_definitions({e["unit"] for e in self._extra.values() if "unit" in e}):
             root.insert(1, result)
@@ -177,7 +177,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
             self._step.answer(self._schedule.time(self._k))
 
     def _get_fmu_state(self) -> dict[str, Any]:
-        """Return all that decides how it goes on, as PythonFMU keeps and writes it."""
+        """Return the complete state, in the form that PythonFMU stores and writes."""
         kept = self._step.save(), self._k, self._numbers
         return {"kept": base64.b64encode(pickle.dumps(kept)).decode()}
 

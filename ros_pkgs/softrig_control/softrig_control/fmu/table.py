@@ -1,4 +1,4 @@
-"""The table of tags and attributes of modelDescription.xml, FMI 2.0 and 3.0, and what a file has of them."""
+"""The table of tags and attributes of modelDescription.xml, FMI 2.0 and 3.0, and which of them a file has."""
 
 from __future__ import annotations
 

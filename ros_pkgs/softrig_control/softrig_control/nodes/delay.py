@@ -44,7 +44,7 @@ BLOCK = 64  # messages
 
 
 class Line:
-    """Messages under way, a value: each with its arrival and its stamp, ns, and in the order of these.
+    """Messages in transit, a value: each with its arrival and its stamp, ns, sorted by these.
 
     They are kept in blocks, so that a tick copies few.
 
@@ -75,7 +75,8 @@ class Line:
         return Line(self._size, (*blocks[:k], *parts, *blocks[k + 1 :]))
 
     def pop_arrived(self, t: int, since: int, message: Any) -> tuple[Line, int, Any]:
-        """Remove what has arrived at `t`; return the newest of those from `since` (ns) on, stamp before message.
+        """Remove the messages that have arrived at `t`; return the newest of those from `since` (ns) on, stamp before
+        message.
 
         Where none of them is, that is `since` and `message`.
         """
@@ -92,7 +93,7 @@ class Line:
         return Line(self._size, blocks), since, message
 
     def native(self) -> Line | LineRow:
-        """Return it as native code takes it."""
+        """Return its native form."""
         if not self._size:
             return self
         import numpy as np
@@ -106,7 +107,7 @@ class Line:
         return LineRow((0.0,) * self._size, 0, len(items), dues, stamps, values.ravel())
 
     def numbers(self) -> NDArray[np.float64]:
-        """Return the numbers of all messages in one row: what a linear view takes for states."""
+        """Return the numbers of all messages in one row, which a linear view uses as states."""
         from softrig_core.kit import floats
 
         return floats.numbers(self._blocks)
@@ -132,7 +133,7 @@ class Line:
 
 
 class LineRow(NamedTuple):
-    """A `Line` in native code: all messages in one row, those from `begin` to `end` under way."""
+    """A `Line` in native code: all messages in one row, those from `begin` to `end` in transit."""
 
     blank: tuple[float, ...]
     begin: int
@@ -157,7 +158,7 @@ class LineRow(NamedTuple):
         return self._replace(begin=begin), since, message
 
     def python(self) -> Line:
-        """Return it as Python has it."""
+        """Return its Python form."""
         n, result = len(self.blank), Line(len(self.blank))
         for k in range(self.begin, self.end):
             row = tuple(self.values[k * n : (k + 1) * n].tolist())
@@ -198,7 +199,7 @@ def _insert(
 
 
 class State(NamedTuple):
-    """Stamp of the newest message sent, ns; those under way; what has arrived; random numbers drawn."""
+    """Stamp of the newest message sent, ns; messages in transit; arrived messages; random numbers drawn."""
 
     newest: int | None = None
     line: Line = Line()
@@ -260,7 +261,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
         return self._deliver(newest, line, held, k, t)
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Sample | tuple[float, ...]] | None]:
-        """A message that cannot be read is lost; what is under way arrives all the same."""
+        """Treat a message that cannot be read as lost; messages in transit still arrive."""
         return (x, None) if x.held is None else self._deliver(x.newest, x.line, x.held, x.k, t)
 
     def _deliver(

@@ -1,4 +1,4 @@
-"""A fault on a link between two nodes: what a sensor, a line or a network does to messages when it fails."""
+"""A fault on a link between two nodes: the effect of a failing sensor, line or network on messages."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ class Fault(Block[FaultParams]):
         self._limits = list(zip(*p.range(), strict=True)) if p.kind == "saturate" else []
 
     def first(self) -> State:
-        """Return the state with the switch set by the parameters and no message under way."""
+        """Return the state with the switch set by the parameters and no message in transit."""
         initial = self.p.initial or (0.0,) * self.p.port("sent", self.p.topic_in).size
         message = Sample(0, initial) if self.p.delayed else initial
         return State(self.p.active, stuck=initial, before=message, line=Line(len(initial)), published=message)
@@ -298,7 +298,7 @@ class Fault(Block[FaultParams]):
         stuck: tuple[float, ...],
         draws: Sequence[float],
     ) -> Message:
-        """Return what a message becomes that is not lost."""
+        """Return a message with the fault, if it is not lost."""
         kind, p = self.p.kind, self.p
         if kind in ("loss", "repeat") or (kind in ("spike", "invalid") and draws[0] >= p.probability):
             return message

@@ -1,4 +1,6 @@
-"""What forward_command_controller of ros2_controllers is to its hardware: an array goes on to the actuators."""
+"""The role of forward_command_controller (ros2_controllers) for its hardware: an array is forwarded to the
+actuators.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ class ForwardCommand(Block[ForwardCommandParams]):
         return (given,), (command("command", "command", params.joints, units),)
 
     def setup(self) -> None:
-        """Prepare what is given before the first array."""
+        """Compute the output before the first array."""
         n = len(self.p.joints)
         self._initial = self.p.initial * n if len(self.p.initial) == 1 else self.p.initial
 

@@ -1,4 +1,4 @@
-"""PID controller with every form that people know, for any two signals; two of them make a cascade."""
+"""PID controller with every common form, for any two signals; two of them make a cascade."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .signal_name import signal_port
 
 
 class PidControllerParams(BlockParams):
-    """Signals, form and gains, limits and what happens at them, and the hand of a person."""
+    """Signals, form and gains, limits and the behaviour at them, and manual mode."""
 
     period: float = param(0.001, "sampling period T", "s", gt=0.0, le=100.0)
     measurement: str = param("measurement/y/position", "controlled signal, topic/channel/field")
@@ -76,7 +76,7 @@ class PidControllerParams(BlockParams):
 
 
 class State(NamedTuple):
-    """Integral and filtered derivative (units of the command), what was differentiated before; newest error."""
+    """Integral and filtered derivative (units of the command), the previous derivative input, and the newest error."""
 
     integral: float = 0.0
     derivative: float = 0.0
@@ -126,7 +126,7 @@ class PidController(Block[PidControllerParams]):
         self._back = p.anti_windup == "back_calculation"
 
     def first(self) -> State:
-        """Begin with nothing remembered."""
+        """Return the state without a past."""
         return State()
 
     def go_on(self, x: State, before: PidControllerParams) -> State:

@@ -1,4 +1,4 @@
-"""A policy in the place of a law: a function from what it observes to what it commands, by its registered name."""
+"""A policy in place of a controller: a function from observations to commands, by its registered name."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def find(name: str) -> Callable[[Sequence[float], int, int], Act]:
 
 
 def copied(act: Act) -> Act:
-    """Copy a policy with what it remembers, in an object or in the variables around a function.
+    """Copy a policy with its memory, in an object or in the variables around a function.
 
     One that cannot be copied is given as it is: it is taken to remember nothing.
     """
@@ -192,11 +192,11 @@ class Policy(Block[PolicyParams]):
             raise ParameterError(f"policy {p.policy}: {error}") from None
 
     def first(self) -> State:
-        """Begin with a policy that remembers nothing."""
+        """Return a policy without memory of the past."""
         return State(self._policy())
 
     def save(self, x: State) -> State:
-        """Copy the policy with what it remembers."""
+        """Copy the policy with its memory."""
         return State(copied(x.act))
 
     def load(self, saved: State) -> State:
@@ -213,7 +213,7 @@ class Policy(Block[PolicyParams]):
         return tuple(results)
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...] | Sample | None]]:
-        """Describe what the policy commands."""
+        """Publish the commands of the policy."""
         given = x.act(self.observation(inputs))
         if len(given) != len(self._bounds):
             raise ValueError(f"the policy gave {len(given)} actions, expected {len(self._bounds)}")

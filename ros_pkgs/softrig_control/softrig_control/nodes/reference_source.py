@@ -52,7 +52,7 @@ class ReferenceSource(Block[ReferenceSourceParams]):
 
     @classmethod
     def ports(cls, params: ReferenceSourceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Declare one output with the fields for which values are given."""
+        """Declare one output with the fields that have values."""
         units = {FIELDS[field][0]: params.unit + FIELDS[field][1] for field in params.fields}
         return (), (reference("reference", "reference", params.channels, **units),)
 

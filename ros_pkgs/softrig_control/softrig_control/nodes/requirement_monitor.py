@@ -1,4 +1,4 @@
-"""A requirement watched while the rig runs: its margin as far as it is known, the end of a run that violates it."""
+"""A requirement watched during the run: its margin as far as it is known, and the end of a run that violates it."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         self._live = Live(self._tree)
 
     def first(self) -> State:
-        """Return the initial state: nothing seen."""
+        """Return the initial state without samples."""
         return State(self._live.first(), (None,) * len(self._used))
 
     def update(self, x: State, t: int, **inputs: Any) -> tuple[State, Mapping[str, tuple[float, ...]]]:
@@ -129,7 +129,7 @@ class RequirementMonitor(Block[RequirementMonitorParams]):
         return self._pushed(x._replace(before=tuple(now)), t, seen, truths, late)
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Treat a tick with an invalid signal as one at which nothing is known."""
+        """Treat a tick with an invalid signal as one without information."""
         nothing = dict.fromkeys((n for n in self._used if n not in self._conditions), math.nan)
         return self._pushed(x, t, nothing, dict.fromkeys(self._conditions, math.nan), dict.fromkeys(nothing, False))
 

@@ -1,4 +1,4 @@
-"""A delay of one period that breaks an algebraic loop: it answers with what it took in at the tick before."""
+"""A delay of one period that breaks an algebraic loop: it publishes the input of the previous tick."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class LinkParams(BlockParams):
 
     @property
     def type(self) -> types.MessageType:
-        """Return what is known of the message type."""
+        """Return the description of the message type."""
         return types.TYPES[self.message]
 
     def check_size(self, name: str) -> None:

@@ -39,7 +39,7 @@ class CertificateParams(BlockParams):
 
 
 class State(NamedTuple):
-    """Whether it has been asked, as it is by the first tick, and whether the button is down."""
+    """Whether work is requested, as it is by the first tick, and whether the button is down."""
 
     asked: bool = False
     down: bool = False
@@ -67,7 +67,7 @@ class CertificateNode(Block[CertificateParams]):
         )
 
     def first(self) -> State:
-        """The first tick counts as a press."""
+        """Return a state in which the first tick counts as a press."""
         return State()
 
     def update(self, x: State, t: int, *, certify: tuple[float, ...] | None) -> tuple[State, Mapping[str, Any]]:
@@ -81,7 +81,7 @@ class CertificateNode(Block[CertificateParams]):
         return x, {}
 
     def health(self, x: State) -> Mapping[str, str]:
-        """Describe what it is a certificate of."""
+        """Describe the subject of the certificate."""
         p = self.p
         return {"model": f"num = {list(p.num)}, den = {list(p.den)}, T = {p.T:g} s, Q = {p.Q:g}, R = {p.R:g}"}
 

@@ -156,7 +156,7 @@ class GpcController(Block[P]):
         self._solver = MoveSolver(self.law.hessian, p.du_max) if p.solver == "daqp" else None
 
     def first(self) -> State:
-        """Return the initial state: nothing measured."""
+        """Return the initial state without measurements."""
         return State(self.law.first(0.0, self.p.u_first), self.p.set_point)
 
     def go_on(self, x: State, before: P) -> State:

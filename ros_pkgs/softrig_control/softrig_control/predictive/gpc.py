@@ -49,7 +49,7 @@ class Tuning:
 
 
 class GpcState(NamedTuple):
-    """Command that acts, y(t), y(t-1), ... and Delta u(t-1), Delta u(t-2), ... as far as the model looks back."""
+    """The acting command, y(t), y(t-1), ... and Delta u(t-1), Delta u(t-2), ... as far as the model looks back."""
 
     u: float
     y: tuple[float, ...]
@@ -96,7 +96,7 @@ class Gpc:
         self.past = matmul(first, self._past)[0] if h[0] else ()
 
     def first(self, y: float, u: float) -> GpcState:
-        """Begin without a bump: y has been measured for ever, u has been applied for ever."""
+        """Return a state without a bump, as if y had been measured and u applied forever."""
         return GpcState(u, (y,) * len(self.outputs), (0.0,) * len(self.past))
 
     def measure(self, x: GpcState, y: float) -> GpcState:

@@ -42,7 +42,7 @@ Signals = Sequence[str] | Mapping[str, tuple[float, float]]
 
 
 class _Watched(Link):
-    """Keeps what a step publishes as the newest, besides what its link does with it."""
+    """Stores the newest values that a step publishes, in addition to the action of its link."""
 
     def __init__(self, step: Step, published: dict[str, Any]) -> None:
         super().__init__(step)
@@ -64,7 +64,7 @@ class _Acts(Link):
         self._waits = waits
 
     def lacks(self, t: int) -> bool:
-        """Return whether there is none."""
+        """Return whether a value is missing."""
         return self._waits()
 
 

@@ -49,7 +49,7 @@ class Columns(Now):
 
 
 class RigVectorEnv(VectorEnv[Any, Any, Any]):
-    """Instances of one rig as environments, each one what `RigEnv` alone is, bit for bit.
+    """Instances of one rig as environments, each bit-identical to a single `RigEnv`.
 
     Native code advances all instances within an episode in one call. Python advances an instance whose native tick is
     discarded, and each one at the first and the last step of an episode. An instance whose episode has ended is reset

@@ -206,7 +206,7 @@ Pair = tuple[Array, Array]
 def _derivatives(
     model: Any, n: int, m: int
 ) -> tuple[Callable[[Array, Array], Pair], Callable[[Array, Array], tuple[Pair, Pair]]]:
-    """Return what evaluates a model, (dx, y), and its Jacobians, ((A, B), (C, D))."""
+    """Return functions that evaluate a model, (dx, y), and its Jacobians, ((A, B), (C, D))."""
     if hasattr(model, "n_in"):  # a casadi function
         import casadi as ca
 

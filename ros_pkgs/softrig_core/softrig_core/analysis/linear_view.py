@@ -551,7 +551,7 @@ def plant_outputs(rig: Rig) -> list[str]:
 
 
 def _source_inputs(rig: Rig, texts: Sequence[str]) -> list[str]:
-    """Return what sources publish to the nodes that count, at least as often as those are due."""
+    """Return the sources' outputs to nodes with states, at least as often as those nodes are due."""
     whole: dict[str, Any] = {}
     for name in texts:
         upstream(place_of(rig, name).member, whole)
@@ -589,7 +589,7 @@ def _check_link(result: StateMap, link: str) -> None:
 
 
 class Differences:
-    """The columns of a rig's map, found from what moves: a state is what moves, or is moved by what does."""
+    """The columns of a rig's map, found from what moves: a state moves, or is moved by something that does."""
 
     def __init__(self, state_map: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
         self.map, self.outputs, self.inputs, self.link = state_map, list(outputs), list(inputs), link
@@ -636,7 +636,9 @@ class Differences:
         return kept, whole[np.ix_(counts, counts)], received[:, counts]
 
     def _explore(self) -> None:
-        """Find the columns of all that has moved or rests in a plant, and of all that is moved by what has a column."""
+        """Find the columns of everything that has moved, that rests in a plant, or that is moved by a value
+        with a column.
+        """
         waiting = {int(i) for i in np.flatnonzero((self.map.moved | self.map.resting) & self.finite)}
         waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
         waiting -= self.columns.keys()
@@ -774,7 +776,7 @@ class Differences:
         self.columns[i], self.steps[i] = self._column(i, at, size)
 
     def _parted(self, numbers: Array, added: Mapping[str, float]) -> str:
-        """Name a value that is not a float, changes with what was moved, and has an effect; empty if there is none."""
+        """Name a value that is not a float, changes with the moved value, and has an effect; empty if there is none."""
         now, then = self.map.others(), self.others
         if now == then:
             return ""
@@ -831,7 +833,9 @@ class Differences:
         return signs * np.array([self.steps[i] for i in kept]) * NEARER
 
     def _apart(self, kept: list[int], periods: int, times: float = 1.0) -> Iterator[tuple[Array, Array]]:
-        """Return how far states (after it) and outputs (before it) are apart in each period, moved off both ways."""
+        """Return the distance of states (after it) and outputs (before it) in each period, when moved in both
+        directions.
+        """
         m, off = self.map, times * self._off(kept)
         ways = []
         for sign in (1.0, -1.0):
@@ -844,7 +848,7 @@ class Differences:
             yield 0.5 * (up - down), 0.5 * (heard_up - heard_down)
 
     def _variation(self, kept: list[int], A: Array, C: Array, judged: NDArray[np.bool_]) -> tuple[float, list[float]]:
-        """Compare the linear rig with the rig, with all states offset together both ways; judge some states."""
+        """Compare the linear rig with the rig, with all states moved together in both directions; judge some states."""
         if not len(kept):
             return 0.0, [0.0] * len(C)
         off, sizes = self._off(kept), self._sizes(kept)

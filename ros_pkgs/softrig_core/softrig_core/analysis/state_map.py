@@ -1,4 +1,4 @@
-r"""A rig as a map: from all that its blocks remember at a tick to what they remember one period of the whole later.
+r"""A rig as a map: from the states of its blocks at a tick to their states one common period later.
 
 .. math:: x_{k+1} = F(x_k, u_k), \quad y_k = h(x_k, u_k)
 
@@ -95,7 +95,7 @@ class _Known(NamedTuple):
 
 
 class _Probe(Link):
-    """Listens to a value of an output from a tick on, and changes what others get of it."""
+    """Reads a value of an output from a tick on, and changes what others receive of it."""
 
     value: float = math.nan
     fixed: float | None = None
@@ -202,7 +202,7 @@ class StateMap:
         self.probes = {name: _Probe(self._steps[place.member.name], place) for name, place in self.places.items()}
 
     def _run_to_start(self) -> None:
-        """Run to where it begins, and see on the way what changes."""
+        """Run to the start of the map, and record on the way which values change."""
         # A state's size and whether it moves are seen only along the run, since it may pass zero or rest where the view
         # is.
         readings: list[tuple[list[str], Array]] = [self._read()]

@@ -22,7 +22,7 @@ MAPPINGS = (dict, Mapping)  # the first is recognised fastest
 
 
 def answers(value: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
-    """Ensure that all of a block's answer may leave it: each output by `admit`, and nothing beside the outputs.
+    """Ensure that a block's answer may leave it: each output by `admit`, and no other entries.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def places(outputs: Sequence[Port]) -> list[Where]:
 
 
 def part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
-    """Return what one output publishes, of all that a step does at a tick; None: nothing."""
+    """Return the message of one output, from everything that a step does at a tick; None: nothing."""
     low, high, stamp, flag = where
     if flag is not None and not numbers[flag]:
         return None
@@ -140,7 +140,7 @@ def part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row |
 
 
 def parted(outputs: Sequence[Port], numbers: Sequence[float], stamps: Sequence[int]) -> Rows:
-    """Return what each output publishes, of all numbers, flags and stamps of a tick."""
+    """Return the message of each output, from all numbers, flags and stamps of a tick."""
     return tuple([part(numbers, stamps, where) for where in places(outputs)])
 
 

@@ -264,7 +264,7 @@ class Block(Generic[P]):
         self.setup()
 
     def warm_up(self) -> None:
-        """Call native code that a tick on first values does not reach; asked before a node begins, of a spare block."""
+        """Call native code that a first tick does not reach; called before a node begins, on a spare block."""
 
     def reset(self, seed: int) -> None:
         """Set a seed and clear all reports; the owner of the block then calls `first`."""
@@ -290,11 +290,11 @@ class Block(Generic[P]):
         return Draws(self.generator, "random")
 
     def report(self, level: Level, key: str, text: str, *, anew: bool = False) -> None:
-        """Report an event of this tick, for /diagnostics; what is reported in a tick that is dropped is dropped."""
+        """Report an event of this tick, for /diagnostics; reports of a discarded tick are discarded."""
         self.events.append((level, key, text, anew))
 
     def withdraw(self, key: str) -> None:
-        """Report that what was reported under a key is over, if anything was: it leaves /diagnostics."""
+        """Withdraw a report by its key, if there is one: it leaves /diagnostics."""
         self.events.append((None, key, "", False))
 
     @property
@@ -306,7 +306,7 @@ class Block(Generic[P]):
         return result
 
     def age(self, name: str) -> int | None:
-        """Return the age of an input in ns at the tick under way: how long ago its newest message was stamped.
+        """Return the age of an input in ns at the current tick: how long ago its newest message was stamped.
 
         None before the first message. Outside of a run every input is new.
         """
@@ -318,7 +318,7 @@ class Block(Generic[P]):
         return finishes(cls) or issubclass(cls, Plant | Observer)
 
     def health(self, *x: Any) -> Mapping[str, str]:
-        """Return name to text of what /diagnostics shows beside the reports, about once a second; gets x."""
+        """Return name to text of further entries in /diagnostics, about once a second; gets x."""
         return {}
 
     def latched(self) -> Mapping[str, str]:
@@ -326,7 +326,7 @@ class Block(Generic[P]):
         return {}
 
     def markers(self, *x: Any) -> Sequence[Marker]:
-        """Return something to look at, drawn from x; a node asks a few times a second."""
+        """Return markers to display, drawn from x; a node asks a few times a second."""
         return ()
 
     def update(self, *x_t: Any, **inputs: Any) -> Any:
@@ -377,7 +377,7 @@ class Finishing(Protocol):
 
 
 def finishes(block: type[Block]) -> TypeGuard[type[Finishing]]:
-    """Return whether a block is `Finishing`; a protocol that is asked at each start of a run would be slow."""
+    """Return whether a block is `Finishing`; a protocol check at each start of a run would be slow."""
     return hasattr(block, "finish")
 
 

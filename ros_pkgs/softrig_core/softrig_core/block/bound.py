@@ -1,4 +1,4 @@
-"""The functions by which a step answers its ticks and moves on, made for it: what they read and write is bound once.
+"""The functions that compute the ticks of a step, generated for it: what they read and write is bound once.
 
 A function that goes through tables of ports at each tick takes a third longer than one whose text names them.
 """
@@ -84,7 +84,7 @@ def answerer(step: Step) -> Callable[[int], None]:
 
 
 def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
-    """Write what a step calls of its links when it has answered: only those methods that do something of their own."""
+    """Write the calls to a step's links after its answer: only those methods that have an effect."""
     sends, over = step.overriding("send"), step.overriding("over")
     results: list[str] = []
     if sends is not None and sends.add_row is not None and step.plain:
@@ -182,7 +182,7 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
 
 @lru_cache(maxsize=256)
 def code_of(text: str, name: str) -> CodeType:
-    """Compile a text that was made here, so that a debugger and a traceback show its lines."""
+    """Compile a generated text, so that a debugger and a traceback show its lines."""
     where = f"<{name} {zlib.crc32(text.encode()):08x}>"
     linecache.cache[where] = len(text), None, text.splitlines(keepends=True), where
     return compile(text, where, "exec")

@@ -20,7 +20,7 @@ class Fixing(Protocol):
 
     @classmethod
     def fixed(cls, params: Any) -> Any:
-        """Return what of them must stay as it is, to be compared."""
+        """Return the part of the ports that must not change, for comparison."""
 
 
 class Change(NamedTuple):
@@ -39,13 +39,13 @@ class Change(NamedTuple):
 
 
 def dumps(changes: Iterable[Change]) -> str:
-    """Write changes as JSON, ``[[ns, {name: value}], ...]``; empty when there are none."""
+    """Write changes as JSON, ``[[ns, {name: value}], ...]``; empty without changes."""
     results = [[change.at, dict(change.values)] for change in changes]
     return json.dumps(results) if results else ""
 
 
 def loads(text: str) -> list[Change]:
-    """Read what `dumps` has written.
+    """Read the text of `dumps`.
 
     Raises
     ------

@@ -23,7 +23,7 @@ class Decoder:
         self.kept = port.safe  # of a partial port: what channels that a message leaves out keep; its reader updates it
 
     def __call__(self, data: bytes) -> tuple[int, tuple[float, ...]]:
-        """Return (stamp in ns, values); for the stamp of what has none see `cdr.Message.mark`.
+        """Return (stamp in ns, values); for the stamp of a message without one see `cdr.Message.mark`.
 
         Raises
         ------
@@ -50,7 +50,7 @@ class Decoder:
             raise Refused(reason)
 
     def _learn(self, data: bytes) -> None:
-        """Adopt the layout of `data` if it carries what the port needs."""
+        """Adopt the layout of `data` if it contains the values of the port."""
         message = self._parse(data)
         order = self._order(message)  # first: a layout that is refused must not be known the next time
         layout = message.layout(self._port.msgtype)
@@ -119,7 +119,7 @@ def _check_partial(names: Sequence[str], port: Port) -> None:
 
 
 def encoder(layout: Layout, counts: dict[str, int], name: str) -> Callable[[int, Sequence[float]], bytes]:
-    """Return what makes the messages of an output, each from its stamp and values.
+    """Return a function that makes the messages of an output, each from its stamp and values.
 
     An array has a number in place of a stamp: the count of those before it, which is kept in `counts` under `name`.
     """
@@ -133,7 +133,7 @@ def encoder(layout: Layout, counts: dict[str, int], name: str) -> Callable[[int,
 
 
 def next_number(counts: dict[str, int], name: str) -> int:
-    """Count one more message of an output (see `Step.counts`); return how many were before it."""
+    """Count one more message of an output (see `Step.counts`); return the number of earlier ones."""
     counts[name] += 1
     return counts[name] - 1
 

@@ -15,12 +15,14 @@ Pick = tuple[int | float, ...]  # of each number of an input: its place among th
 
 
 def picked(pick: Pick | None, values: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the numbers of an input, made of those of an output; all of them where `pick` is None."""
+    """Return the numbers of an input from those of an output; all of them if `pick` is None."""
     return values if pick is None else tuple([values[p] if type(p) is int else p for p in pick])
 
 
 def value_text(row: str, pick: Pick | None, stamp: Stamp) -> str:
-    """Return what `Fill.value_of` does with a row of that name, as Python text with `t` for the tick of the source."""
+    """Return the effect of `Fill.value_of` on a row of that name, as Python text with `t` for the tick of the
+    source.
+    """
     if pick is None and stamp != "tick":
         return row
     data = f"{row}.data" if stamp == "own" else row
@@ -59,7 +61,7 @@ class Fill(NamedTuple):
 
     @property
     def places(self) -> Pick:
-        """Return what each number of the input is: a place among those of the output, or the number itself."""
+        """Return the source of each number of the input: a place among those of the output, or the number itself."""
         return tuple(range(self.source.outputs[self.output].size)) if self.pick is None else self.pick
 
     @property
@@ -74,7 +76,7 @@ class Fill(NamedTuple):
         return self.source.outputs[self.output].unchecked
 
     def value_of(self, row: Row) -> Row:
-        """Return what the input gets of the row that the output publishes at the tick of its source."""
+        """Return the input's value of the row that the output publishes at the tick of its source."""
         if isinstance(row, Sample):
             return row if self.pick is None else Sample(row.stamp, picked(self.pick, row.data))
         data = picked(self.pick, row)

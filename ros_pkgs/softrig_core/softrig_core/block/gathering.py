@@ -92,7 +92,7 @@ class Gathering(Link):
         self._count, self._t = 0, 0
 
     def respond(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, Any]]:
-        """Keep what is new at a tick."""
+        """Store new messages at a tick."""
         values, stamps = self.step.values, self.step.stamps
         for seen in self._seen:
             name = seen.name
@@ -127,6 +127,6 @@ class Gathering(Link):
 
 
 def gather(step: Step, ticks: int) -> None:
-    """Let a step process so many ticks in one batch, if it has no outputs and its block supports batches."""
+    """Let a step process several ticks in one batch, if it has no outputs and its block supports batches."""
     if ticks > 1 and not step.outputs and takes_batches(step.block):
         Gathering(step, ticks)

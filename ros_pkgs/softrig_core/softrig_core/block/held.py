@@ -82,7 +82,7 @@ class RunningBlock:
             self.anew.add(key)
 
     def drop(self) -> None:
-        """Forget what it has reported in a tick that is not."""
+        """Discard the reports of a discarded tick."""
         self.block.events.clear()
 
     def change(self, params: BlockParams) -> None:
@@ -96,11 +96,11 @@ class RunningBlock:
         return self.block.status(self.x)  # type: ignore[attr-defined, no-any-return]
 
     def health(self) -> Mapping[str, str]:
-        """Return what /diagnostics shows, see `Block.health`."""
+        """Return the entries of /diagnostics, see `Block.health`."""
         return self.block.health(self.x)
 
     def markers(self) -> Sequence[Marker]:
-        """Return something to look at, see `Block.markers`."""
+        """Return markers to display, see `Block.markers`."""
         return self.block.markers(self.x)
 
     def save(self) -> Kept:
@@ -158,7 +158,7 @@ class ByHand(RunningBlock):
         return self._keep(self.block.refused(self.x, t))
 
     def outputs(self, t: int) -> Any:
-        """Return what a plant shows."""
+        """Return the outputs of a plant."""
         result = self.block.outputs(self.x, t)  # type: ignore[attr-defined]
         self.store_reports()
         return result

@@ -1,4 +1,4 @@
-"""Links: what joins a step to what is not in its process, and to records."""
+"""Links: connections of a step to other processes and to recordings."""
 
 from __future__ import annotations
 

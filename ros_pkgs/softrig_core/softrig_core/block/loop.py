@@ -71,7 +71,8 @@ Act = Literal["outputs", "update", "advance"]  # the method of a block that a no
 
 
 def acts(nodes: Sequence[Any], is_plant: Callable[[Any], bool]) -> list[tuple[Any, Act]]:
-    """Return what the nodes of a rig do at a tick, in order: plants publish, then the others answer, then plants move.
+    """Return the actions of a rig's nodes at a tick, in order: plants publish, then the others answer, then plants
+    move.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ class Loop:
 
 
 def _answer(steps: Sequence[Step], t: int) -> list[Step]:
-    """Answer with all steps that lack nothing; return the others."""
+    """Answer with all steps that have their inputs; return the others."""
     lacking: list[Step] = []
     for step in steps:
         # A step that reads from a step of this process that has not answered yet must wait for it, too.

@@ -100,7 +100,7 @@ def _each(field: Any) -> tuple[float, float]:
 
 @runtime_checkable
 class FromFiles(Protocol):
-    """A block that files decide beside its code: an FMU, a library, the firmware of a board."""
+    """A block that also depends on files: an FMU, a library, the firmware of a board."""
 
     @classmethod
     def contents(cls, params: Any) -> Mapping[str, str]:
@@ -209,7 +209,7 @@ def known(params: Params, prefix: str = "") -> dict[str, Any]:
 
 
 def differing(params: Params) -> str:
-    """Describe which parameters differ from the published ones, as the middle of a message; empty when none does."""
+    """Describe which parameters differ from the published ones, as the middle of a message; empty if none does."""
     try:
         published = flatten(type(params)())
     except ValidationError:  # no defaults: all were given

@@ -172,7 +172,7 @@ class Port:
 
     @property
     def type(self) -> MessageType:
-        """Return what is known of its message type."""
+        """Return the description of its message type."""
         return TYPES[self.msgtype]
 
     @property
@@ -193,7 +193,7 @@ class Port:
         return (self.frame_id or WORLD) if self.type.framed else ""
 
     def layout(self) -> Layout:
-        """Wire layout of what this port publishes."""
+        """Return the wire layout of the messages of this port."""
         return self._layout
 
     @cached_property

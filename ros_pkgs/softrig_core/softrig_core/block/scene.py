@@ -82,16 +82,16 @@ class Moving(Protocol):
 
     @classmethod
     def scene(cls, params: Any) -> Scene:
-        """Return what a viewer needs to show them, with these parameters."""
+        """Return the scene for a viewer, with these parameters."""
 
 
 def scene_of(block_class: type, params: Any) -> Scene | None:
-    """Return what a viewer needs to show the bodies that a block moves; None: it moves none."""
+    """Return the scene of the bodies that a block moves; None: it moves none."""
     return block_class.scene(params) if issubclass(block_class, Moving) else None
 
 
 def standing(markers: Iterable[Marker], scene: Scene | None, outputs: Iterable[Port]) -> list[Pose]:
-    """Return the fixed frames that a block knows: of its bodies, its drawings and its outputs.
+    """Return the fixed frames of a block: of its bodies, its drawings and its outputs.
 
     Frames of drawings and of quantities without a position (abc, alpha_beta, dq) coincide with the world frame. A force
     is published in the frame of a body, which the block that moves this body publishes.

@@ -1,4 +1,4 @@
-"""Schedule: the one home of time. When a block is due, what a link holds, which tick is the last.
+"""Schedule: the one place for time. When a block is due, what a link holds, which tick is the last.
 
 A period is a rational number of seconds, so that 1/2880 s stays exact for ever; tick k is at ``t_k = k * period``,
 rounded to the nearest ns. All schedules of a rig start together and have periods that are whole multiples of the
@@ -162,7 +162,7 @@ class Schedule:
         return self.held(t) == t
 
     def before(self, t: int) -> int:
-        """Return the time of the last tick before `t`, ns; negative when there is none."""
+        """Return the time of the last tick before `t`, ns; negative if there is none."""
         return self.held(t - 1)
 
     def awaited(self, t: int) -> int:

@@ -128,7 +128,7 @@ class Step(RunningBlock):
         self.answer, self.advance = self._first_answer, self._first_advance
 
     def overriding(self, method: str) -> Link | None:
-        """Return the outermost link that does something of its own in a method; None if there is none."""
+        """Return the outermost link that overrides a method; None if there is none."""
         link = self._link
         while link is not None and getattr(type(link), method) is getattr(Link, method):
             link = link.inner
@@ -204,7 +204,7 @@ class Step(RunningBlock):
         return (self.x, result) if self.plant else result
 
     def hand_on(self, t: int, rows: Rows) -> None:
-        """Forward what is not an answer of the block to subscribers in this and other processes."""
+        """Forward a message that is not an answer of the block to subscribers in this and other processes."""
         # This comes before any reader is filled: the age of what it gets counts from these times
         # (`Fill.last_published`).
         if not self.plain:
@@ -248,7 +248,7 @@ class Step(RunningBlock):
         }
 
     def newest(self, name: str) -> Any:
-        """Return what an output published at the newest tick; None: nothing."""
+        """Return the message of an output at the newest tick; None: nothing."""
         return next((row for p, row in zip(self.outputs, self.last_answer, strict=False) if p.name == name), None)
 
     def refused(self, t: int) -> Any:
@@ -263,7 +263,7 @@ class Step(RunningBlock):
         self.change_at = self.changes[0].at if self.changes else math.inf
 
     def set(self, values: Mapping[str, Any]) -> list[str]:
-        """Change parameters at the next tick, all or none; names those of which another value waits for it already.
+        """Change parameters at the next tick, all or none; names those that replace a value which is already pending.
 
         Raises
         ------
@@ -325,7 +325,8 @@ class Step(RunningBlock):
         reader.stamps[name] = fill.last_published
 
     def receive_unchecked(self, t: int, port: Port, values: Row) -> None:
-        """Accept a message that may be bad, such as one from a wire; what an input rejects never reaches the block.
+        """Accept a message that may be bad, such as one from DDS; a message that an input rejects never reaches the
+        block.
 
         Raises
         ------
@@ -343,7 +344,7 @@ class Step(RunningBlock):
             self.note(Level.WARN, f"refused {port.name}", f"{port.topic}: {reason}")
 
     def fail(self, error: BaseException) -> NoReturn:
-        """Raise what the block has raised as an error that names the step and the time; what it reported counts."""
+        """Raise the block's error as one that names the step and the time; its reports count."""
         # What the block reported before it failed may explain the failure.
         self.store_reports()
         if isinstance(error, RunError):

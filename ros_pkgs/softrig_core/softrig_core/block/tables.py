@@ -1,4 +1,4 @@
-"""All that changes while a rig runs: kept as a value between two ticks, and gone back to."""
+"""Everything that changes while a rig runs, as a value between two ticks to which the rig can return."""
 
 from __future__ import annotations
 

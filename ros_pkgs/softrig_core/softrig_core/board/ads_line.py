@@ -134,7 +134,7 @@ class AdsLine(RemoteLine):
         self._number = (self._number + 1) % NUMBERS
 
     def _answer(self, values: bytes, end: float) -> bytes | None:
-        """Write the request and look for its answer until a time."""
+        """Write the request and poll for its answer until a time."""
         if not self._there(end - self._clock()):
             self._sleep(max(0.0, min(REOPEN / 4, end - self._clock())))
             return None
@@ -210,7 +210,7 @@ class AdsLine(RemoteLine):
 
 
 def ads_line(entry: LinkEntry, node: str, build: Build) -> Callable[[AdsLine | None], AdsLine]:
-    """Return what makes the line of a node, or uses the one that is open; the file of the program is read now.
+    """Return a function that opens the line of a node, or uses an open one; the file of the program is read now.
 
     Raises
     ------

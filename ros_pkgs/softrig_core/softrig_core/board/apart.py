@@ -35,7 +35,7 @@ class Apart:
         self.patient, self.busy = True, False
 
     def __call__(self, *given: Any) -> Any:
-        """Return what is open.
+        """Return the open line.
 
         Raises
         ------

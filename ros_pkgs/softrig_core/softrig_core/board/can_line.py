@@ -77,7 +77,7 @@ class CanLine(RemoteLine):
         self.joined = self._messages.ready is None
 
     def remarks(self) -> str:
-        """Return what was unusual, in words; empty when nothing was."""
+        """Describe unusual events; empty if there were none."""
         limited = f"limited to the range in the DBC: {', '.join(self._limited)}" if self._limited else ""
         return "; ".join(filter(None, (self.counts.remarks(), limited)))
 
@@ -277,7 +277,7 @@ class CanLine(RemoteLine):
 
 
 def can_line(entry: LinkEntry, node: str, build: Build) -> Callable[[CanLine | None], CanLine]:
-    """Return what makes the line of a node, or uses the one that is open; the DBC is read now.
+    """Return a function that opens the line of a node, or uses an open one; the DBC is read now.
 
     Raises
     ------

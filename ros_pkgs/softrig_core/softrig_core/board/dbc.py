@@ -30,7 +30,7 @@ WHAT = "a node on a CAN bus"
 
 
 class Value(NamedTuple):
-    """A number of a port, or the flag that the port has a value; `limit` is None where the port states none."""
+    """A number of a port, or the flag that the port has a value; `limit` is None if the port declares none."""
 
     name: str
     bits: int
@@ -189,7 +189,7 @@ def _shown(unit: str) -> str:
 
 
 def _another(given: str | None, unit: str) -> str:
-    """Return why a signal's unit is not that of its channel: a number would be taken for 1000 times itself."""
+    """Return why a signal's unit differs from that of its channel: a number would be wrong by a factor such as 1000."""
     if (given or "") in ("", _shown(unit)):
         return ""
     if why := misfit(str(given), unit):

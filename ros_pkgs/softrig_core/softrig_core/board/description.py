@@ -22,7 +22,7 @@ class _Checked(BaseModel):
 
 
 class ValueDescription(_Checked):
-    """A value of a port: label below the topic, unit, largest magnitude, and what it is where there is no valid one."""
+    """A value of a port: label below the topic, unit, largest magnitude, and its default without a valid value."""
 
     label: _Name
     unit: _Text

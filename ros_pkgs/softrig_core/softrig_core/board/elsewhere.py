@@ -30,5 +30,5 @@ class Elsewhere(Block):
         return self.p
 
     def markers(self, x: LinkState) -> tuple[()]:
-        """Draw nothing: what the block knows is elsewhere."""
+        """Draw nothing: the block's state is on the board."""
         return ()

@@ -101,7 +101,7 @@ def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
 
 
 def _owned(node: str, entry: LinkEntry) -> list[tuple[str, str]]:
-    """Return what only one node may have, and its name for errors."""
+    """Return the resource that only one node may use, and its name for errors."""
     if entry.port.startswith(ADS):
         return []  # each node has a program of its own name
     if not entry.shared:

@@ -1,4 +1,4 @@
-"""One board at its wire: sessions, repeats, and what is counted."""
+"""One board at its line: sessions, repetitions, and counts."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Counts:
     rejoined: int = 0
 
     def remarks(self) -> str:
-        """Return what was unusual, in words; empty when nothing was."""
+        """Describe unusual events; empty if there were none."""
         return ", ".join(f"{n} {name}" for name, n in asdict(self).items() if n and name != "sent")
 
 
@@ -346,7 +346,7 @@ class Line:
     _known = False  # whether the board has joined before, in real time
 
     def _new_session(self) -> int:
-        """Return a session that is not the one before, and not none."""
+        """Return a session number that is neither the previous one nor zero."""
         result = self._session
         while result in (0, self._session):
             result = int.from_bytes(os.urandom(2), "little")
@@ -360,7 +360,7 @@ class Line:
         return self.wire is not None
 
     def _open(self) -> bool:
-        """Try to open the port, rarely enough to cost nothing."""
+        """Try to open the port, rarely enough that it costs no time."""
         if self._clock() - self._tried < REOPEN and not self._opened.busy:
             return False
         self._tried = self._clock()

@@ -65,7 +65,7 @@ class Linked(Elsewhere):
 
     @classmethod
     def fixed(cls, params: Any) -> Any:
-        """Return what the board's build has compiled in: its other parameters cannot change."""
+        """Return the parameters that are compiled into the board's program and cannot change."""
         settable = cls.FIRMWARE["settable"]
         return {k: v for k, v in flatten(params).items() if k not in settable}
 
@@ -85,11 +85,11 @@ class Linked(Elsewhere):
         raise RunError(f"{self.name}: the state is on the board at {self.ENTRY.port} and cannot be saved")
 
     def refused(self, x: LinkState, t: int) -> tuple[LinkState, Any]:
-        """Publish what was published last: the board does not see the tick, as it would not see the bad input."""
+        """Publish the last values: the board does not see the tick, as it would not see the bad input."""
         return x, None
 
     def health(self, x: LinkState) -> Mapping[str, str]:
-        """Return what happened on the wire."""
+        """Return the events on the line."""
         if not self._lines:
             return {"board": "not connected yet"}
         line = self._lines[0]
@@ -107,7 +107,7 @@ class Linked(Elsewhere):
         return f"no answer came from {line.port} {since}, so the run says nothing of this node"
 
     def asked(self, x: LinkState, t: int, row: list[Any]) -> Mapping[str, Any]:
-        """Return what the board answers to a tick.
+        """Return the answer of the board to a tick.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class LinkedLaw(Linked):
     """A controller on a board."""
 
     def update(self, x: LinkState, t: int, **inputs: Any) -> tuple[LinkState, Mapping[str, Any]]:
-        """Return what the board answers to the inputs."""
+        """Return the answer of the board to the inputs."""
         return LinkState(x.k + 1), self.asked(x, t, [t, *self._layout.numbers(inputs)])
 
 
@@ -187,7 +187,7 @@ class LinkedPlant(Linked):
     """A plant on a board: a frame advances it and returns its next outputs."""
 
     def outputs(self, x: LinkState, t: int) -> Mapping[str, Any]:
-        """Return what the board answers."""
+        """Return the answer of the board."""
         moved = x.moved or (t, *self._layout.numbers({}))
         return self.asked(x, t, [bool(x.moved), moved[0], t, *moved[1:]])
 
@@ -223,7 +223,7 @@ def linked(block: type[Block], entry: LinkEntry, params: Any, where: str) -> typ
 
 
 def _of_signals(block: type[Block], entry: LinkEntry, params: Any) -> tuple[Path, Mapping[str, Any]]:
-    """Return the file with the signals of a node, and what its program must be."""
+    """Return the file with the signals of a node, and the requirements of its program."""
     file, text = Path(entry.firmware), b""
     with suppress(OSError, ValueError):  # what is wrong with it is reported where the node's name is known
         text = contents_of(file)
@@ -240,7 +240,7 @@ def _of_signals(block: type[Block], entry: LinkEntry, params: Any) -> tuple[Path
 
 
 def _of_board(block: type[Block], entry: LinkEntry, params: Any, where: str) -> tuple[Path, Mapping[str, Any]]:
-    """Return the description of a board's firmware, and what is in it."""
+    """Return the description of a board's firmware, and its content."""
     file = Path(entry.firmware)
     if file.is_dir():
         results = sorted(file.glob("*.json"))

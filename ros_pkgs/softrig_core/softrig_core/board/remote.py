@@ -46,7 +46,7 @@ class RemoteLine(ABC):
         """Begin a session with the next request; the other side has its own parameters, so `params` is empty."""
 
     def remarks(self) -> str:
-        """Return what was unusual, in words; empty when nothing was."""
+        """Describe unusual events; empty if there were none."""
         return self.counts.remarks()
 
     def close(self) -> None:
@@ -62,7 +62,8 @@ class RemoteLine(ABC):
         """Close a connection."""
 
     def _connected(self, failed: str, *given: Any) -> bool:
-        """Return whether there is a connection, after a try to open it; rarely enough to cost nothing.
+        """Return whether there is a connection, after an attempt to open it; attempts are rare enough that they cost no
+        time.
 
         Parameters
         ----------

@@ -98,7 +98,7 @@ class Simulated(FileWire):
         super().__init__(here, here.fileno())
 
     def end_and_count(self) -> dict[str, int]:
-        """End the simulator and return what it counted; empty of one that counts nothing."""
+        """End the simulator and return its counts; empty if it counts nothing."""
         self._port.shutdown(socket.SHUT_WR)
         try:
             self._process.wait(END)
@@ -125,7 +125,9 @@ _PR_SET_PDEATHSIG = 1
 
 
 def _end_with_parent() -> None:
-    """Let Linux end the simulator with this process: qemu does not end when its input does. Bound what it prints."""
+    """Let Linux end the simulator with this process, because qemu does not end when its input does. Limit its
+    output.
+    """
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     resource.setrlimit(resource.RLIMIT_FSIZE, (PRINTED, PRINTED))
 
@@ -197,7 +199,7 @@ def qemu_options(machine: str) -> list[str]:
 
 
 def machine_of(file: Path) -> str:
-    """Return qemu's machine for a firmware: `softrig export cortex-m` writes it beside.
+    """Return qemu's machine for a firmware, which `softrig export cortex-m` writes beside it.
 
     Raises
     ------

@@ -37,7 +37,7 @@ class Quantity:
     rest: float = 0.0
 
     def __call__(self, row: Row) -> float:
-        """Return the value, at rest where there is none."""
+        """Return the value, or its value at rest if there is none."""
         value = row.get(self.name, math.nan)
         return value if math.isfinite(value) else self.rest
 
@@ -87,7 +87,7 @@ class Drawing:
         self.signals = tuple(self._names)
 
     def setup(self) -> None:
-        """Name the quantities and take what is needed of the parameters."""
+        """Name the quantities and read the needed parameters."""
         raise NotImplementedError
 
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
@@ -171,7 +171,7 @@ def readings(
 
 
 def tail(past: Sequence[Row], row: Row, points: int) -> list[Row]:
-    """Pick so many rows of the past and now, evenly; the first is repeated while there are fewer."""
+    """Select this many rows of the past and now, evenly; the first is repeated while there are fewer."""
     rows = [*past, row]
     last = len(rows) - 1
     return [rows[max(0, last - round((points - 1 - k) * max(last, 1) / (points - 1)))] for k in range(points)]

@@ -128,7 +128,7 @@ class Robot(Drawing):
             pen.line([self.camera((a[0], a[1], 0.0)), self.camera((b[0], b[1], 0.0))], "faint", 9.0)
 
     def _body(self, pen: Pen, places: dict[str, Place]) -> None:
-        """The stand, then the links from the farthest to the nearest, all of one look."""
+        """Return the stand, then the links from the farthest to the nearest, all in one style."""
         stands = [(a, b) for a, b in self.links if a == self.base]
         links = [(a, b) for a, b in self.links if a != self.base]
         for a, b in stands:

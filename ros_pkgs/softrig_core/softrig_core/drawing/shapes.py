@@ -1,4 +1,4 @@
-"""What a drawing is made of: lines, polygons, circles and text with roles in place of colours."""
+"""The elements of a drawing: lines, polygons, circles and text with roles in place of colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Symbols of circuits: each goes from one point to another or stands around one."""
+"""Symbols of circuits: each connects two points or is centred on one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _at(start: Point, axes: tuple[float, float, float, float, float], along: flo
 
 
 def resistor(pen: Pen, start: Point, end: Point, half: float = 8.0) -> None:
-    """Draw a box, as IEC 60617 has it."""
+    """Draw a box, as in IEC 60617."""
     axes = _frame(start, end)
     corners = [(0, -half), (axes[4], -half), (axes[4], half), (0, half)]
     pen.polygon([_at(start, axes, a, b) for a, b in corners], "line", "paper")
@@ -62,7 +62,7 @@ def source(pen: Pen, centre: Point, radius: float, *, dc: bool = False, role: st
 
 
 def diode(pen: Pen, start: Point, end: Point, role: str, half: float) -> None:
-    """Draw a diode that lets a current through from start to end."""
+    """Draw a diode that conducts from start to end."""
     axes = _frame(start, end)
     middle = axes[4] / 2
     pen.line([start, _at(start, axes, middle - half, 0)], role)
@@ -96,7 +96,7 @@ def converter(pen: Pen, centre: Point, half: float) -> None:
 
 
 def meter(pen: Pen, at: Point, size: tuple[float, float], share: float, role: str) -> None:
-    """Draw a bar from the lower left corner of a frame upwards; a negative share goes down."""
+    """Draw a bar from the lower left corner of a frame upwards; a negative share is drawn downwards."""
     x, y = at
     width, height = size
     pen.box(x, y, width, -height, "muted", "", 1.0)

@@ -1,4 +1,4 @@
-"""One function under way: its names, its lines, and values as others of another type."""
+"""One function in translation: its names, its lines, and values converted to other types."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Base:
         self.temporaries = 0
 
     def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
-        """Return what C does not know here."""
+        """Return the part that C does not support here."""
         if not isinstance(self.function, str):
             line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
             return NotNative(f"{self.origin}, line {line}: {what}")
@@ -96,7 +96,7 @@ class Base:
         return used_as(use, name)
 
     def _carried(self, name: str) -> str:
-        """Return the variable that holds a name from turn to turn of a loop."""
+        """Return the variable that carries a name between iterations of a loop."""
         return self._c(name, "l")
 
     def _variable(self, name: str, kind: Kind, use: str = "v") -> str:
@@ -129,7 +129,7 @@ class Base:
         return self.fresh(value.kind, value.c)
 
     def coerced(self, value: Value, kind: Kind) -> Value:
-        """Return a value as one of another type, which holds it."""
+        """Return a value converted to another type that can hold it."""
         if isinstance(kind, Table) and value.thing is not None and value.kind == kind:
             return Value(kind, f"(({self.unit.c(kind)}){value.c})")  # a constant that nobody writes
         if value.kind == kind:
@@ -195,7 +195,7 @@ class Base:
         return isinstance(value.kind, Table) and value.c in self.local_tables
 
     def _check(self, wrong: str) -> None:
-        """Discard the tick where a condition holds."""
+        """Discard the tick if a condition holds."""
         self.discards = True
         self.emit(f"if (SR_RARELY({wrong})) {{")
         self.emit("    s->discarded = true;")
@@ -221,7 +221,7 @@ class Base:
         raise self.unknown("something whose length is not fixed", node)
 
     def as_read(self, table: Value, item: Value) -> Value:
-        """Return a number of an array as it is now: what is computed next to it may write into the array."""
+        """Return a number of an array as it is now: a later expression may write into the array."""
         fixed = isinstance(table.thing, np.ndarray) or isinstance(item.kind, Table)
         return item if fixed else self.fresh(item.kind, item.c)
 

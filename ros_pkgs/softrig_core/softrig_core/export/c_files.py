@@ -71,7 +71,7 @@ class Exported:
 
 
 def check_class(member: Member) -> None:
-    """Refuse a class that has no C whatever it does in a run.
+    """Refuse a class that has no C in any run.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def check_class(member: Member) -> None:
 
 
 def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, seed: int, single: bool) -> Exported:
-    """Write a node as C, held against a run and against so many calls with drawn inputs; see `c_files`.
+    """Write a node as C and compare it with a run and with a number of random calls; see `c_files`.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, se
 
 
 def _place_of(of: type) -> str:
-    """Return the name of a class, and its line where it has a file: one that a function makes has none."""
+    """Return the name of a class, and its line if it has a file; a generated class has none."""
     title = f"{of.__module__}.{of.__qualname__}"
     try:
         return f"{title}, line {inspect.getsourcelines(of)[1]}"
@@ -216,12 +216,12 @@ class _Files:
         self.roots = {form: self._root(form) for form in self.law.roots}
 
     def _is_held(self, k: int, path: Any) -> bool:
-        """Return whether a constant is kept in the struct, since it may be set; the others are written out."""
+        """Return whether a constant is stored in the struct, because it may be set; the others are literals."""
         before = path[0] == 1 and written(path).removeprefix("p.") in self.settable
         return before or any(k in ks for ks in self.settable.values())
 
     def _replayable(self, golden: Sequence[Call | Changed]) -> tuple[Sequence[Call | Changed], str]:
-        """Return the calls up to a change of parameters, or a value asked for, that C does not know, and the reason."""
+        """Return the calls up to the first that C does not support (a change, or a kept value), and the reason."""
         at_hand = keys_of(self.block)
         for k, one in enumerate(golden):
             if isinstance(one, Call) and asks_anew(one, at_hand):
@@ -507,7 +507,7 @@ class _Files:
         return lines
 
     def _method(self, method: str, head: str) -> str:
-        """Write a function that a user calls: choose by the form, compute, check, take over."""
+        """Write a function that a user calls: choose by the form, compute, check, copy the state."""
         with_out = method != "advance"
         lines = [head, "{", "    bool known = false;"]
         lines += ["    (void)in;"] * (method != "outputs") + ["    (void)out;"] * with_out
@@ -532,7 +532,7 @@ class _Files:
         return "\n".join([*lines, "    return SR_DONE;", "}", ""])
 
     def _reported(self) -> str:
-        """Write what counts the reports of a tick that was answered, and forgets those of another one."""
+        """Write code that counts the reports of an answered tick, and drops those of another one."""
         lines = [f"static void {self.name}_reported({self.name} *s, uint32_t times)", "{"]
         lines += [f"    for (unsigned i = 0; i < {len(self.law.reports.places)}u; i++) {{"]
         lines += ["        s->reports[i] += times * s->pending[i];", "        s->pending[i] = 0;", "    }"]
@@ -618,7 +618,7 @@ class _Files:
         return [*lines, "} else {", "    s->discarded = true;", "}"] if lines else ["s->discarded = true;"]
 
     def _kept(self, k: int) -> list[str]:
-        """Write what keeps the arrays of a state: a node that is copied has its own."""
+        """Write code that copies the arrays of a state: a copied node has its own."""
         lines: list[str] = []
         for path, table in leaves(self.forms[k]):
             store = f"s->a.{_store(path)}"
@@ -929,7 +929,7 @@ def _read(struct: str, ports: Sequence[Port], flag: str) -> list[str]:
 
 
 def compared(ports: Sequence[Port], out: str = "out", channel: int = 0) -> list[str]:
-    """Return what compares outputs with the numbers of a row, counted from a channel on."""
+    """Return code that compares outputs with the numbers of a row, counted from a channel on."""
     lines: list[str] = []
     for port in ports:
         name = identifier(port.name)
@@ -957,7 +957,7 @@ def compared(ports: Sequence[Port], out: str = "out", channel: int = 0) -> list[
 def _settable(
     block: Block, law: Law, slots: Sequence[Any], values: Sequence[Any], states: Sequence[Any]
 ) -> dict[str, tuple[int, ...]]:
-    """Return the live parameters that constants of the text repeat, and on which nothing else depends: name to slots.
+    """Return the live parameters that only constants of the text repeat: name to slots.
 
     Tried, not deduced: another block is made with that parameter moved, and takes states over where C cannot.
     """
@@ -983,7 +983,7 @@ def _settable(
 
 
 def _stay(other: Block, block: Block, states: Sequence[Any]) -> bool:
-    """Return whether a block with another parameter takes states over as they are."""
+    """Return whether a block with another parameter uses the same states."""
     try:
         return all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
     except Exception:  # whatever a user's code raises: a run cannot take that parameter over either

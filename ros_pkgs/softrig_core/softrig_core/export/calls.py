@@ -120,7 +120,7 @@ class Calls(Expressions):
             raise self.unknown("an assignment in a list", target)
 
     def _reported(self, node: ast.Call) -> Value:
-        """Count a report; the numbers in its text stay behind."""
+        """Count a report; the numbers in its text are stored."""
         at = node.args[1]
         place: int = ast.literal_eval(at)
         self.emit(f"s->pending[{self.unit.reports[place]}]++;")
@@ -254,7 +254,7 @@ class Calls(Expressions):
         return self.parts(shape, node) if isinstance(shape.kind, Tuple) else [shape]
 
     def _array(self, given: Value, node: ast.AST) -> Value:
-        """Return an array on the stack, made of a tuple."""
+        """Return an array on the stack, made from a tuple."""
         parts = [self.coerced(p, REAL) for p in self.parts(given, node)]
         table = self.room(Table(REAL, (len(parts),)))
         for k, part in enumerate(parts):
@@ -262,7 +262,7 @@ class Calls(Expressions):
         return table
 
     def _new(self, called: Any, given: list[Value], node: ast.AST) -> Value:
-        """Return an array of a fixed shape as numpy makes it."""
+        """Return an array of a fixed shape, as numpy creates it."""
         if called in (np.zeros_like, np.empty_like, np.ones_like, np.copy):
             like = given[0].kind
             if not isinstance(like, Table):

@@ -89,7 +89,7 @@ def c_of(rig: Rig, node: str, *, rows: int = ROWS, drawn: int = DRAWN, single: b
 
 
 def advised(reason: str) -> str:
-    """Return the reason of a refusal with what to write instead, where something is known."""
+    """Return the reason of a refusal with what to write instead, if that is known."""
     return next(
         (f"{reason}; instead, {text}" for pattern, text in ADVICE.items() if re.search(pattern, reason)), reason
     )

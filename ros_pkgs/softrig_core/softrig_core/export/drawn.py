@@ -26,7 +26,7 @@ AGAIN = 50  # calls after which a sequence begins from the first state again: wh
 
 @dataclass(frozen=True)
 class Raised:
-    """A call that Python answers by an error, whose answer may not leave the block, or that asks for one C lacks."""
+    """A call to which Python raises an error, whose answer must not leave the block, or that C does not support."""
 
     method: str
     t: int
@@ -41,7 +41,7 @@ class Drawn(Call):
 
 @dataclass(frozen=True)
 class Beyond(Drawn):
-    """A call with an input that its port refuses: no node is asked so, and C may discard it where Python answers."""
+    """A call with an input that its port rejects: a node never gets it, and C may discard it where Python answers."""
 
 
 def drawn_calls(
@@ -103,7 +103,7 @@ def _sequence(
 
 
 def asks_anew(call: Call, at_hand: Sequence[Any]) -> bool:
-    """Return whether a call asked a kept answer for another value than the one that C has the answer for."""
+    """Return whether a call needed a kept answer for another value than the one that C stores."""
     return any(asked is not None and asked != known for asked, known in zip(call.kept, at_hand, strict=False))
 
 
@@ -122,7 +122,7 @@ def _asked(member: Member, block: Block, name: str, x: Any, t: int, inputs: Mapp
 
 
 def _admitted(port: Port, values: Any) -> bool:
-    """Return whether a port lets these values in."""
+    """Return whether a port accepts these values."""
     row = values.data if isinstance(values, Sample) else values
     return row is None or all(abs(v) <= limit for v, limit in zip(row, port.limits, strict=True))
 

@@ -1,4 +1,4 @@
-"""Expressions of a function that call nothing, as expressions of C without side effects."""
+"""Expressions of a function without calls, as expressions of C without side effects."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Expressions(Base):
         return result
 
     def listed(self, node: ast.expr) -> list[Value]:
-        """Return what a loop or a tuple of fixed length goes through."""
+        """Return the elements over which a loop or a tuple of fixed length iterates."""
         name = self.of_builtins(node.func) if isinstance(node, ast.Call) else ""
         if isinstance(node, ast.Call) and name in ("zip", "enumerate", "reversed"):
             if node.keywords or (name == "enumerate" and len(node.args) > 1):
@@ -103,7 +103,7 @@ class Expressions(Base):
         return name if own is not None and self.outer(name, node) is own else ""
 
     def of_python(self, thing: Any, node: ast.AST) -> Value:
-        """Return a constant of Python as C has it; functions and modules as what they are."""
+        """Return a constant of Python in its C form; functions and modules unchanged."""
         if isinstance(thing, (bool, int, float)) and not isinstance(thing, np.bool_):
             return Value(kind_of(thing), literal(thing))
         if isinstance(thing, np.ndarray):
@@ -119,7 +119,7 @@ class Expressions(Base):
         return Value(ABSENT, "0", thing)
 
     def _constant_tuple(self, thing: Any, parts: Sequence[Value], kind: Tuple) -> Value:
-        """Return a constant tuple, whose parts are known where it is taken apart."""
+        """Return a constant tuple, whose parts are known when it is unpacked."""
         whole = self.group(parts, kind)
         if not leaves(kind):
             self.unit.fixed[whole.c] = thing
@@ -188,7 +188,7 @@ class Expressions(Base):
         return self._element_at(base, parts, index, node)
 
     def _table_of(self, base: Value, parts: Sequence[Value], item: Number) -> Value:
-        """Return the numbers of a tuple as an array: a constant one where they are known."""
+        """Return the numbers of a tuple as an array, constant if they are known."""
         if base.c in self.unit.fixed:
             return self.unit.tabled(base.c, item)
         table = self.room(Table(item, (len(parts),)))
@@ -239,7 +239,7 @@ class Expressions(Base):
         return Value(inner.item, f"{table.c}[{flat}]")
 
     def _row(self, base: Value, elements: Sequence[ast.expr], node: ast.AST) -> Value:
-        """Return the part of an array that lies behind its first indices; of another part only the shape is known."""
+        """Return the part of an array after its first indices; of another part only the shape is known."""
         if not isinstance(base.kind, Table) or len(elements) != len(base.kind.shape):
             raise self.unknown("a part of something that is no array", node)
         whole = [isinstance(e, ast.Slice) and not (e.lower or e.upper or e.step) for e in elements]
@@ -260,7 +260,7 @@ class Expressions(Base):
         return self.group(parts, tuple_of([p.kind for p in parts]))
 
     def _ends(self, node: ast.Slice) -> slice:
-        """Return a slice whose ends are known."""
+        """Return a slice with known ends."""
         ends: list[int | None] = []
         for end in (node.lower, node.upper, node.step):
             known = None if end is None else _fixed(end)
@@ -494,7 +494,7 @@ class Expressions(Base):
 
 
 def _folded(op: type, a: str, b: str) -> int | None:
-    """Return what an operation on two whole numbers that are written out gives; None: it is computed."""
+    """Return the result of an operation on two integer literals; None: it is computed at run time."""
     results = [WHOLE.fullmatch(c) for c in (a, b)]
     if not all(results):
         return None

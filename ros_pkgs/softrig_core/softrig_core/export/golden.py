@@ -53,7 +53,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Changed:
-    """Live parameters that took other values between two calls.
+    """Live parameters that changed between two calls.
 
     Parameters
     ----------
@@ -91,17 +91,17 @@ def member_of(rig: Rig, node: str) -> Member:
 
 
 def methods(block: Block) -> tuple[str, ...]:
-    """Return the methods by which a block is asked."""
+    """Return the methods by which a block is called."""
     return PLANT if isinstance(block, Plant) else LAW
 
 
 def kept_of(block: Block) -> list[Newest[Any, Any]]:
-    """Return the kept answers of a block: C has the one that is at hand after the first calls, and no other."""
+    """Return the kept answers of a block: C has only the one that is stored after the first calls."""
     return [one for one in vars(block).values() if isinstance(one, Newest)]
 
 
 def keys_of(block: Block) -> tuple[Any, ...]:
-    """Return what each kept answer of a block was asked for last."""
+    """Return the argument for which each kept answer of a block was last computed."""
     return tuple(one.key for one in kept_of(block))
 
 
@@ -132,7 +132,7 @@ def watched(step: Step, calls: list[Call | Changed]) -> None:
 
 
 def answer_of(method: str, x: Any, value: Any) -> tuple[Any, Mapping[str, Any]]:
-    """Return the state after a call and what it published, of what the method returned."""
+    """Return the state after a call and the published values, from the result of the method."""
     after, outputs = value if method == "update" else (x, value) if method == "outputs" else (value, {})
     return after, outputs
 

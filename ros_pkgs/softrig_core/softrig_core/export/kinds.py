@@ -1,4 +1,4 @@
-"""Types of values in exported C: numbers, structs for tuples, tables, and what may be absent."""
+"""Types of values in exported C: numbers, structs for tuples, tables, and optional values."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ KEYWORDS = frozenset(
 
 
 def ascii_name(name: str) -> str:
-    """Return a name with the numbers of letters that compilers for boards and PLCs do not know."""
+    """Return a name in which letters that compilers for boards and PLCs do not accept are numbers."""
     return "".join(letter if letter.isascii() else f"u{ord(letter):x}_" for letter in name)
 
 
@@ -122,7 +122,7 @@ def identifier(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a text on one line, without signs that are no letters: XML has none of them, and some hide others."""
+    """Return a text on one line, without non-printing characters: XML does not allow them, and some hide others."""
     return " ".join("".join(sign if sign.isprintable() else " " for sign in text).split())
 
 
@@ -182,7 +182,7 @@ def tuple_of(items: Sequence[Kind], names: Sequence[str] | None = None, title: s
 
 
 def united(a: Kind | None, b: Kind | None) -> Kind | None:
-    """Return the type that holds values of both types; None where there is none."""
+    """Return the type that holds values of both types; None if there is none."""
     if a is None or b is None or a == b:
         return a or b
     if isinstance(a, Number) and isinstance(b, Number):

@@ -185,7 +185,7 @@ def _input(port: Port, values: Any) -> Value:
 
 
 def _answer(program: Program, method: str, value: Value, outputs: Sequence[Port]) -> list[str]:
-    """Write what takes an answer apart: the state, then flags and numbers of the outputs."""
+    """Write code that unpacks an answer: the state, then flags and numbers of the outputs."""
     writer = Writer(program, _answer, {})  # type: ignore[arg-type]  # it is asked for its name alone
     if method == "advance":
         writer.emit(f"return {writer.code(value)}")
@@ -244,7 +244,7 @@ class Text:
         self.constants = law.program.constants([block, block])
 
     def answer(self, call: Call) -> Any:
-        """Return the answer to a call; whatever this raises discards the call."""
+        """Return the answer to a call; any error that this raises discards the call."""
         x = packed(call.x)
         form = self.roots[call.method, _sizeless(kind_of(x)), there_of(call)]
         there = [] if form.method == "outputs" else [p for p in self.inputs if p.name in form.there]
@@ -295,7 +295,7 @@ def as_answered(text: Text, drawn: Sequence[Sequence[Call | Raised]]) -> tuple[l
 
 
 def _reason(error: Exception, law: Law) -> str:
-    """Return what a text has raised, and the function of Python in which."""
+    """Return the error of a text, and the Python function that raised it."""
     frames = [frame.f_code.co_name for frame, _ in traceback.walk_tb(error.__traceback__)]
     titles = [law.texts[name].partition("\n")[0].partition("  # ")[2] for name in frames if name in law.texts]
     where = next((title for title in reversed(titles) if title), "")

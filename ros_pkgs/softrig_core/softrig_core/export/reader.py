@@ -217,7 +217,7 @@ class Reader(Calls):
         self.fork(test, lambda: self.block(node.body), lambda: self.block(node.orelse))
 
     def fork(self, test: str, one: Callable[[], Any], other: Callable[[], Any]) -> None:
-        """Write both ways of a test, and join the names after them."""
+        """Write both branches of a test, and merge the names after them."""
         lines, before = self.lines, dict(self.env)
         ways = []
         for way in (one, other):
@@ -368,6 +368,6 @@ def _argument(name: str) -> str:
 
 
 def _hint(test: str, then: Sequence[str], orelse: Sequence[str]) -> str:
-    """Return C's hint for a test that has none: a way that itself reports or discards is rarely taken."""
+    """Return C's hint for a test that has none: a branch that itself reports or discards is rarely taken."""
     rare = ["s->reported = true;" in way or "s->discarded = true;" in way for way in (then, orelse)]
     return "" if test.startswith("SR_") or rare[0] is rare[1] else "SR_RARELY" if rare[0] else "SR_MOSTLY"

@@ -262,7 +262,7 @@ class _RigFiles:
         return lines
 
     def _turn(self, member: Member, act: Act) -> list[str]:
-        """Write one act of a node, where it is due, then what it fills."""
+        """Write one action of a node, if it is due, then the inputs that it fills."""
         own, every = self._c(member), self.plan.every(member.schedule)
         what, given = {
             "outputs": ("outputs", f"&s->{own}_out"),
@@ -300,7 +300,7 @@ class _RigFiles:
         return lines
 
     def text_of_rows(self) -> str:
-        """Return the golden rows, one tick a line: of each node that is due 1 and its outputs, else 0."""
+        """Return the golden rows, one tick a line: for each node that is due 1 and its outputs, otherwise 0."""
         lines = []
         for t, row in self.rows:
             words = [str(t)]

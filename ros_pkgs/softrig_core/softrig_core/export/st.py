@@ -72,7 +72,7 @@ class Typed:
 
 
 def structured_text(name: str, header: str, source: str, support: str, member: Member) -> list[Unit]:
-    """Return a block in structured text, in an order in which each part knows those that it uses.
+    """Return a block in structured text, ordered so that each part is declared before its use.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class _Printer:
         return kind if kind in TYPES.values() else self.word(kind)
 
     def struct(self, name: str, node: Any) -> None:
-        """Declare a struct; a union has all its parts at once."""
+        """Declare a struct; a union is a struct with all its parts."""
         if name in self.structs:
             return
         self.structs[name] = fields = {}
@@ -493,7 +493,7 @@ class _Printer:
         raise NotNative(f"structured text of a C conversion from {value.type} to {kind}")
 
     def expression(self, node: Any, wanted: Any = None, named: bool = False) -> Typed:
-        """Return an expression; what it needs before it is printed as statements."""
+        """Return an expression; statements that it needs are printed before it."""
         method = getattr(self, f"_e_{type(node).__name__.lower()}", None)
         if method is None:
             raise NotNative(f"structured text of a C expression {type(node).__name__}")
@@ -563,7 +563,7 @@ class _Printer:
         return Typed(f"({a.text} {OPERATORS.get(op, op)} {b.text})", "BOOL" if op in COMPARE else both)
 
     def _e_ternaryop(self, node: Any) -> Typed:
-        """Print a choice as IF: only what is wanted is computed."""
+        """Print a choice as IF: only the selected expression is computed."""
         condition = self.condition(node.cond)
         results: list[tuple[Typed, list[str]]] = []
         lines = self.lines

@@ -1,4 +1,4 @@
-"""The verb ``softrig export st``: controllers as function blocks in structured text, held against golden rows."""
+"""The verb ``softrig export st``: controllers as function blocks in structured text, compared with golden rows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Executed:
 
     @property
     def same(self) -> bool:
-        """Return whether there were rows and nothing differs."""
+        """Return whether there were rows and none differs."""
         return self.rows > 0 and not self.differing and not self.wrong_status
 
 
@@ -143,7 +143,7 @@ def _plain(name: str) -> str:
 
 
 def _data(text: str) -> str:
-    """Return a text as character data: an index and a comparison may be what ends it, ``]]>``."""
+    """Return a text as character data: an index before a comparison may form its end mark, ``]]>``."""
     return text.replace("]]>", "]]]]><![CDATA[>")
 
 

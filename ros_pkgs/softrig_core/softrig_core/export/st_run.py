@@ -1,4 +1,4 @@
-"""Run structured text: a reader of the text that `st` prints, which holds it against golden rows without a PLC.
+"""Run structured text: an interpreter of the text that `st` prints, which compares it with golden rows without a PLC.
 
 It reads the printed text alone, line by line, and knows nothing of the C and the Python from which that came.
 """
@@ -69,7 +69,7 @@ def quotient(a: Any, b: Any) -> Any:
 
 
 def remainder(a: int, b: int) -> int:
-    """Return what a division of whole numbers leaves, with the sign of the dividend."""
+    """Return the remainder of an integer division, with the sign of the dividend."""
     return int(a - b * quotient(a, b))
 
 

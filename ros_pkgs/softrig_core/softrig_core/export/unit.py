@@ -104,7 +104,7 @@ class Unit:
         return [text for name, text in self.tables.items() if reads(name, whole)], functions
 
     def _check_rooms(self, root: str, known: Mapping[str, str]) -> None:
-        """Ensure that an array that a function returns is made once in a tick: it has one place."""
+        """Ensure that an array that a function returns is made only once in a tick: it has one place."""
         counts: dict[str, int] = {}
 
         def count(name: str, times: int) -> None:
@@ -245,7 +245,7 @@ LIBM = re.compile(rf"\b({CALLED.replace(' ', '|')})(?=\()")
 
 
 def casadi_source(compiled: Compiled, own: str) -> str:
-    """Return the C of a casadi function under another name, without what casadi's own loader asks for."""
+    """Return the C of a casadi function under another name, without the parts for casadi's own loader."""
     title, text = compiled.title, compiled.source
     text = re.sub(r"/\* Configuration this file.*?_real_size\(void\)[^\n]*\n", "", text, flags=re.DOTALL)
     text = text.replace(f"#define CASADI_PREFIX(ID) {title}_ ## ID", f"#define CASADI_PREFIX(ID) {own}_ ## ID")

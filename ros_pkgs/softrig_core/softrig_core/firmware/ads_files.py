@@ -33,7 +33,7 @@ class Packed(Unit):
 
 
 def link_units(member: Member, block: Unit | None) -> list[Unit]:
-    """Return the structs of request and answer, and the program that goes by them.
+    """Return the structs of request and answer, and the program that uses them.
 
     Parameters
     ----------

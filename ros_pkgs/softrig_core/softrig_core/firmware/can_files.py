@@ -1,4 +1,4 @@
-"""The C by which a node answers its ticks on a CAN bus: messages as the DBC has them, beside the exported node."""
+"""The C with which a node answers its ticks on a CAN bus: messages as in the DBC, beside the exported node."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _places(ports: Sequence[Port], struct: str, flag: str) -> list[str]:
 
 
 def _unpacking(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
-    """Write what unpacks a message to the node."""
+    """Write code that unpacks a message for the node."""
     yield f"if (id == {frame.message.frame_id:#x}u) {{"
     yield f"    part = {1 << k:#x}u;"
     for place, signal in frame.signals:
@@ -124,7 +124,7 @@ def _unpacking(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
 
 
 def _packed(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
-    """Write what packs a message from the node; a value beyond the range of its signal is limited first."""
+    """Write code that packs a message of the node; a value beyond the range of its signal is limited first."""
     yield f"s->frames[{k}].id = {frame.message.frame_id:#x}u;"
     yield f"sr_can_put(s->frames[{k}].data, 0u, 16u, s->tick);"
     yield f"sr_can_put(s->frames[{k}].data, 16u, 8u, s->run);"
@@ -149,7 +149,7 @@ def _packed(k: int, frame: Frame, places: Sequence[str]) -> Iterator[str]:
 
 
 def _number(value: float) -> str:
-    """Return a number of double precision, whatever `real_t` is."""
+    """Return a number in double precision, whatever `real_t` is."""
     return literal(float(value)).removeprefix("SR_REAL(").removesuffix(")")
 
 

@@ -186,7 +186,7 @@ def _lines(lines: Sequence[str]) -> str:
 
 
 def _times(layout: Layout) -> list[str]:
-    """Write what reads the times at the begin of a step."""
+    """Write code that reads the times at the start of a step."""
     if not layout.plant:
         return ["int64_t t_ns;", "from = sr_read(from, &t_ns, 8);"]
     return [
@@ -210,7 +210,7 @@ def _call(name: str, layout: Layout) -> list[str]:
 
 
 def _moved(way: str, struct: str, ports: Sequence[Port], flag: str) -> list[str]:
-    """Write what reads or writes the values of ports, one after the other."""
+    """Write code that reads or writes the values of ports, one after the other."""
     at, lines = {"read": "from", "write": "to"}[way], []
     for port in ports:
         name = identifier(port.name)
@@ -227,7 +227,7 @@ def _moved(way: str, struct: str, ports: Sequence[Port], flag: str) -> list[str]
 
 
 def _settable(name: str, layout: Layout) -> tuple[str, str]:
-    """Return the function that takes parameters, and its case; nothing where no parameter may be set."""
+    """Return the function that sets parameters, and its case; empty if no parameter may be set."""
     if not layout.settable:
         return "", ""
     reads = []

@@ -1,4 +1,4 @@
-"""Expressions of formulas: their values, and where they have none."""
+"""Expressions of formulas: their values, and where they are undefined."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def carries(tree: Tree) -> bool:
 
 
 def sure(values: Any) -> Any:
-    """Return NaN in the place of what is no number."""
+    """Return the values with NaN in place of those that are not numbers."""
     finite = np.isfinite(values)
     # An infinity is no distance: it would let a comparison pass or fail by a division by zero.
     return values if finite.all() else np.where(finite, values, np.nan)

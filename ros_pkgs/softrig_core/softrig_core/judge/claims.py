@@ -27,7 +27,7 @@ _PERCENT = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*%\s*")
 
 
 def readable(value: float) -> str:
-    """Write a measured number for people: infinity is what never happens."""
+    """Write a measured number for people: infinity becomes never."""
     return NEVER if value == math.inf else f"{value:.6g}"
 
 
@@ -90,7 +90,7 @@ class Claim(Entry):
         return self
 
     def compared(self) -> dict[str, float | str]:
-        """Return what it is compared with: ``below``, ``above``, ``equals`` to a number or a figure's name."""
+        """Return the comparison: ``below``, ``above``, ``equals`` with a number or a figure's name."""
         kinds = (("below", self.below), ("above", self.above), ("equals", self.equals))
         return {kind: x for kind, x in kinds if x is not None}
 
@@ -127,7 +127,7 @@ class Claim(Entry):
         return (float(match[1]) / 100.0 if match else TOLERANCE) * abs(wanted)
 
     def asks(self, others: Mapping[str, float | None]) -> str:
-        """Write what agrees with it: ``0.607 ± 0.03 (5 %)``, ``below 0.02``, ``above a.rise_time = 0.69 here``.
+        """Write the condition of agreement: ``0.607 ± 0.03 (5 %)``, ``below 0.02``, ``above a.rise_time = 0.69 here``.
 
         Parameters
         ----------

@@ -24,7 +24,7 @@ FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or '
 
 
 class Expectation(Entry):
-    """Limits of a figure; those that are None judge nothing.
+    """Limits of a figure; a limit of None is not checked.
 
     Parameters
     ----------

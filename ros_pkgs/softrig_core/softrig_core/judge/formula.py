@@ -58,7 +58,7 @@ def named(reference: str) -> str:
 
 
 def with_names(given: str) -> str:
-    """Return a formula with names in the place of its references: ``$motor.R`` becomes ``motor__R``."""
+    """Return a formula with names in place of its references: ``$motor.R`` becomes ``motor__R``."""
     return REFERENCE.sub(lambda match: named(match[1]), given)
 
 
@@ -262,7 +262,7 @@ def _outline(
 
 @lru_cache(maxsize=256)
 def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[Tree, Mapping[str, Condition]]:
-    """Parse a formula whose times are numbers; of its names only which are signals matters, whatever the numbers are.
+    """Parse a formula whose times are numbers; only which of its names are signals matters, not their numbers.
 
     Parameters
     ----------
@@ -339,7 +339,7 @@ def _negated(tree: Tree) -> bool:
 
 
 def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[str, Condition]]:
-    """Replace conditions by comparisons, since sentil does not know conditions."""
+    """Replace conditions by comparisons, because sentil does not support conditions."""
     tokens = _TOKEN.findall(given)
     conditions: dict[str, Condition] = {}
     out: list[str] = []
@@ -376,7 +376,7 @@ def _is_name(token: str) -> bool:
 
 
 def _stands_alone(before: list[str], following: str, calls: list[bool]) -> bool:
-    """Return whether a name is a condition: nothing is done with it, and nothing is compared."""
+    """Return whether a name is a condition by itself: it is not part of an expression or comparison."""
     last = before[-1] if before else ""
     starts = last in ("", "(", "]", "->", "!", "&", "|", "&&", "||") or last in _WORDS
     return starts and following in _AFTER_CONDITION and not (calls and calls[-1])
@@ -506,7 +506,7 @@ def margin_unit(tree: Tree, units: Mapping[str, str], scale: Mapping[str, float]
 
 
 def _unit(tree: Tree, units: Mapping[str, str]) -> str | None:
-    """Unit of an expression; None for a plain number, which takes any."""
+    """Return the unit of an expression; None for a plain number, which suits any."""
     kind, body = next(iter(tree.items()))
     if kind == "Variable":
         return text(powers(units[body]))

@@ -68,7 +68,7 @@ _T = TypeVar("_T", bound=tuple[Any, ...])
 
 
 class ImpossibleError(ValueError):
-    """A figure that cannot be, as an efficiency above 100 %: it was measured against what the run is not about."""
+    """A figure with an impossible value, as an efficiency above 100 %: its arguments do not belong to the run."""
 
 
 def figure(
@@ -215,7 +215,7 @@ def overshoot(
     start: float | None = None,
     end: float | None = None,
 ) -> float:
-    """Largest value beyond `final` in % of the step size; 0 when there is none."""
+    """Return the largest value beyond `final` in % of the step size; 0 if there is none."""
     _, z = _step(signals, signal, final, initial, start, end)
     return max(0.0, 100.0 * (float(np.max(z)) - 1.0))
 
@@ -242,12 +242,12 @@ def mean_error(
 
 
 def _over_time(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
-    """Create a figure of what is a number of signal - reference and of how long each value holds (ns)."""
+    """Create a figure from a function of signal - reference and of the time for which each value holds (ns)."""
     return _statistic(unit, lambda *given: _held_error(*given))  # which is defined below
 
 
 def _of_samples(unit: str) -> Callable[[Callable[[Array, Array], float]], Function]:
-    """Create a figure of what is a number of the times and samples of signal - reference."""
+    """Create a figure from a function of the times and samples of signal - reference."""
     return _statistic(unit, lambda *given: _error(*given))
 
 
@@ -484,7 +484,7 @@ def begin(t: Array, start: float | None) -> float:
 def held(
     signals: SignalMap, signal: str, start: float | None = None, end: float | None = None
 ) -> tuple[Array, Array, Array]:
-    """Cut a signal to a time window as it is held: with the value from before that the window begins with.
+    """Cut a held signal to a time window, which begins with the value that was valid before it.
 
     Parameters
     ----------
@@ -532,7 +532,8 @@ def _record_end(signals: SignalMap) -> float:
 
 
 def mean_over(x: Array, gaps: Array) -> float:
-    """Average values over the time for which they hold; the last one, if for none, for as long as the shortest.
+    """Average values over the time for which they are valid; a last one without a duration counts as long as the
+    shortest.
 
     Parameters
     ----------
@@ -553,7 +554,7 @@ def _weights(gaps: Array) -> Array | None:
 
 
 def interval(t: Array, signal: str) -> float:
-    """Return the time between two samples, s, for what is computed on an even grid.
+    """Return the time between two samples, s, for computations on an even grid.
 
     Parameters
     ----------
@@ -606,7 +607,9 @@ def places(at: NDArray[np.intp]) -> Places:
 
 
 def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
-    """Return what `newest` does, of two nodes of one period without a search: each instant has its own newest time."""
+    """Return the result of `newest` for two nodes of one period without a search: each instant has its own
+    newest time.
+    """
     first = int(np.searchsorted(times, at[0], side="right")) - 1
     last = first + len(at)
     # Two nodes of one period have one time for each instant. The guess is checked as a whole, else it is searched for.
@@ -727,7 +730,7 @@ _places = once_for_times(places)
 def _held_error(
     signals: SignalMap, signal: str, reference: float | str, start: float | None, end: float | None
 ) -> tuple[Array, Array]:
-    """Return signal - reference, and for how long each value holds (ns); for means over time."""
+    """Return signal - reference, and for how long each value is valid (ns), for means over time."""
     key = "held_error", signal, reference, start, end
     return shared(signals, key, lambda: _new_held_error(signals, signal, reference, start, end))
 

@@ -41,7 +41,7 @@ def _former(point: importlib.metadata.EntryPoint) -> frozenset[str]:
 
 
 def find(name: str) -> Function:
-    """Return a figure function by its registered name; nothing else is ever called.
+    """Return a figure function by its registered name; no other function is ever called.
 
     Raises
     ------

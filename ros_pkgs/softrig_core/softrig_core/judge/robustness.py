@@ -67,7 +67,7 @@ def opposite(values: Array) -> Array:
 
 
 def _each(function: Callable[..., Array], *values: Array) -> Array:
-    """Call a function of numbers; once for all four, where they are known to be one."""
+    """Call a function of numbers; only once for all four if they are known to be equal."""
     if any(any(v.strides[:2]) for v in values):
         return function(*values)
     return np.broadcast_to(function(*(v[0, 0] for v in values)), values[0].shape)
@@ -80,7 +80,7 @@ def _joined(kind: str, a: Array, b: Array) -> Array:
 
 
 def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick, none: float) -> Array:
-    """Return the least or greatest of ``values[..., first..last]`` for each pair of them, `none` where that is empty.
+    """Return the least or greatest of ``values[..., first..last]`` for each pair of them, `none` if that is empty.
 
     Parameters
     ----------
@@ -224,7 +224,9 @@ class Record:
         return self.bounds(tree)[..., k]
 
     def _over_time(self, kind: str, body: Any, times: Array) -> Array:
-        """Return the robustness of what holds always, at some time, and so of the past, at some instants."""
+        """Return the robustness of operators over an interval (always, eventually, and their past forms) at
+        some instants.
+        """
         low, high = limits(body)
         first, last, over = self._window(kind, low, high, times)
         least = kind in ("Always", "Historically")
@@ -263,7 +265,9 @@ class Record:
     def _window(
         self, kind: str, low: float, high: float, times: Array
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """First and last index of the window of each of some instants, and whether it goes beyond the record."""
+        """Return first and last index of the window of each of some instants, and whether it extends beyond the
+        record.
+        """
         known = self.times
         if kind in PAST:
             first = np.searchsorted(known, times - high)
@@ -274,7 +278,9 @@ class Record:
         return first, last, over
 
     def _until(self, held: Array, then: Array, low: float, high: float, *, past: bool = False) -> Array:
-        """Robustness of `held` until `then`; of the past with time reversed, where nothing was before the record."""
+        """Return the robustness of `held` until `then`; for the past with time reversed, where nothing precedes
+        the record.
+        """
         n = len(self.times)
         times = self.times[-1] - self.times[::-1] if past else self.times
         first = np.searchsorted(times, times + low)
@@ -337,7 +343,7 @@ class Record:
         return result
 
     def _decides(self, tree: Tree, arrived: int, lost: int, k: int) -> int:
-        """Index of the instant whose comparison gives a bound of a formula at instant `k`."""
+        """Return the index of the instant whose comparison gives a bound of a formula at instant `k`."""
         ((kind, body),) = tree.items()
         if kind == "Not":
             return self._decides(body, 1 - arrived, 1 - lost, k)
@@ -379,7 +385,7 @@ class Record:
 
 
 def truth(condition: Condition, now: Array | float, before: Array | float) -> Array:
-    """Return infinity if a condition holds, else minus infinity (it decides, but is no distance); NaN: undefined.
+    """Return infinity if a condition holds, else minus infinity (it decides without a distance); NaN: undefined.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ OF_TUPLES = frozenset({"static_getitem", "exhaust_iter", "getattr"})
 
 @register_pass(mutates_CFG=False, analysis_only=True)
 class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
-    """Has a function that makes and returns nothing which is counted be written without counting."""
+    """Lets a function that creates and returns no counted object be compiled without reference counting."""
 
     _name = "softrig_borrowed"
 

@@ -85,7 +85,7 @@ class Cache:
 
 
 def teach(numba: Any, functions: type, power: Callable[[float, float], float]) -> None:
-    """Register our functions with numba, and those of the C library under a name that its optimiser does not know.
+    """Register our functions with numba, and those of the C library under a name that its optimiser does not recognise.
 
     Parameters
     ----------

@@ -206,7 +206,7 @@ def cache_folder() -> Path:
 
 
 def kept(name: str, make: Callable[[Path], object]) -> Path:
-    """Return a file of the cache, made first if it is not there.
+    """Return a file of the cache, created first if it does not exist.
 
     Parameters
     ----------

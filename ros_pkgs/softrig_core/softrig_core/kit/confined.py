@@ -87,7 +87,7 @@ def confine(keep: Iterable[str | Path] = ()) -> None:
 
 
 def _places(keep: Iterable[str | Path]) -> tuple[list[str], list[str]]:
-    """Return the folders to hide, and what of them is to be seen."""
+    """Return the folders to hide, and their parts that stay visible."""
     wanted = sorted({os.path.realpath(p) for p in keep if str(p) and os.path.exists(p)})
     outer = [p for p in wanted if not any(p.startswith(f"{q}/") for q in wanted)]
     home = os.path.realpath(os.path.expanduser("~"))

@@ -123,7 +123,7 @@ class Track:
         self._shared = _Shared(begin, self._count)
 
     def open(self, rows: int = 0) -> Trajectory:
-        """Return it to native loops, with room for so many steps more; with none it is only to be read."""
+        """Return its form for native loops, with space for further steps; with none it is only read."""
         shared, count = self._shared, self._count
         if rows and (count != shared.written or count + rows > len(shared.past.begin)):
             room = max(2 * self._capacity, self._capacity + rows)
@@ -134,7 +134,9 @@ class Track:
         return shared.past
 
     def after(self, past: Trajectory) -> Track:
-        """Return the track with the steps that native loops have put behind this one, in what `open` gave last."""
+        """Return the track with the steps that native loops have appended to this one, in the result of the
+        last `open`.
+        """
         new: Track = Track.__new__(Track)
         new._capacity, new._shared = self._capacity, self._shared
         new._count = new._shared.written = int(past.meta[0])
@@ -166,7 +168,7 @@ class Track:
     __hash__ = None  # type: ignore[assignment]
 
     def _copy(self, room: int) -> Trajectory:
-        """Return the steps that count at the begin of arrays of so many rows."""
+        """Return the valid steps at the start of arrays of the given length."""
         import numpy as np
 
         past, first, size = self._shared.past, self._count - self._capacity, self._capacity
@@ -191,7 +193,7 @@ class TrackRing(NamedTuple):
         return self
 
     def python(self) -> Track:
-        """Return it as Python has it."""
+        """Return its Python form."""
         import numpy as np
 
         past, size = self.past, self.capacity

@@ -65,7 +65,9 @@ def _eliminate(a: Any, b: Any) -> bool:
 
 
 def _run(kernel: Any, terms: int, *arrays: NDArray[np.float64]) -> Any:
-    """Run a kernel; few terms natively only where numba is loaded already, which takes longer; same bits."""
+    """Run a kernel; with few terms natively only if numba is already loaded, because loading takes longer; same
+    bits.
+    """
     plain = terms < FEW and "numba" not in sys.modules and isinstance(kernel, Jit)
     return (kernel.py_func if plain else kernel)(*arrays)
 
@@ -158,7 +160,7 @@ def solve(a: ArrayLike, b: ArrayLike) -> Any:
 
 
 def total(values: Iterable[Number]) -> Number:
-    """Add floats or complex numbers from the first to the last, which is what `sum` did before it compensated rounding.
+    """Add floats or complex numbers from first to last, as `sum` did before it compensated rounding.
 
     Python's `sum` does so for floats since 3.12 and for complex numbers since 3.14: its bits depend on the version.
     """

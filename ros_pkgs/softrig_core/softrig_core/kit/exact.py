@@ -210,7 +210,7 @@ def expm(rows: Rows) -> tuple[tuple[float, ...], ...]:
 
 
 def exponentials(rows: Rows) -> Callable[[int], tuple[tuple[float, ...], ...]]:
-    """Return what computes exp of a matrix with a number of bits: see `expm`, which settles their number."""
+    """Return a function that computes exp of a matrix with a number of bits: see `expm`, which settles their number."""
     balanced, exponents = balance(rows)
     reached = _reached(rows)
     # With so many bits, an entry that is still 0 is 0 in float64 too.

@@ -1,4 +1,4 @@
-"""Tables of the names that a file format knows, and what softrig does with each: used, ignored, or refused."""
+"""Tables of the names that a file format defines, and what softrig does with each: used, ignored, or refused."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of e
 
 
 def number_of(text: str) -> float:
-    """Return a number as C reads it, NaN if it is none: only Python accepts 1_000 and digits of other scripts."""
+    """Return a number as C reads it, NaN if it is invalid: only Python accepts 1_000 and digits of other scripts."""
     try:
         return float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:
@@ -91,7 +91,7 @@ def number_of(text: str) -> float:
 
 
 def text_of(data: bytes) -> str:
-    """Decode what other programs write: UTF-16 or UTF-8 with a byte order mark, UTF-8, else cp1252."""
+    """Decode text of other programs: UTF-16 or UTF-8 with a byte order mark, UTF-8, else cp1252."""
     if data.startswith(UTF_16):
         return data.decode("utf-16", errors="replace")
     try:

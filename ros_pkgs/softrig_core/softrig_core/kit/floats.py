@@ -54,7 +54,7 @@ def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
 
 
 def others(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (name, value) of what `read` leaves out and can be compared: whole numbers, words, switches, nothing."""
+    """Yield (name, value) of comparable parts that `read` leaves out: integers, words, switches, None."""
     for name, leaf in leaves(x, path):
         if leaf is None or isinstance(leaf, int | str | np.integer | np.bool_):
             yield name, leaf

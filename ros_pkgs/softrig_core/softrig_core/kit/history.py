@@ -66,7 +66,7 @@ class History:
 
     @staticmethod
     def rows(step: float, longest: float) -> int:
-        """Return how many samples are kept: around the longest delay, and one where it rounds up."""
+        """Return the number of stored samples: around the longest delay, and one more if it is rounded up."""
         return math.ceil(longest / step - 1e-9) + 3
 
     def put(self, values: Sequence[float]) -> History:
@@ -177,7 +177,7 @@ _new = object.__new__
 
 
 class _Line:
-    """Rows of several histories that follow one another, of which `size` count."""
+    """Rows of several successive histories, of which `size` are valid."""
 
     __slots__ = ("full", "longest", "rows", "size", "step", "width")
 
@@ -240,7 +240,7 @@ class HistoryRing(NamedTuple):
         return tuple([new + part * (old - new) for new, old in zip(newer, older, strict=True)])
 
     def python(self) -> History:
-        """Return it as Python has it."""
+        """Return its Python form."""
         size, width = self.size, len(self.newest)
         table = self.ring.reshape(2 * size, width).tolist()
         rows = [tuple(table[k % (2 * size)]) for k in range(self.written - size, self.written)]

@@ -46,7 +46,7 @@ REFUSED = {
 
 
 def jit(function: F) -> F:
-    """Compile a function of floats and arrays at its first call; kept in a cache across processes.
+    """Compile a function of floats and arrays at its first call; cached across processes.
 
     The function is compiled without fast-math and contraction, and with numpy's rules for division, so its results
     are bit-identical to those of the plain one. The plain one is used, a hundred times slower, if numba is absent or
@@ -127,7 +127,7 @@ class Jit:
         return self._run(*arguments)
 
     def straight(self) -> types.FunctionType:
-        """Return the plain function with plain functions in the place of those of this kind that it calls.
+        """Return the plain function with plain functions in place of the compiled ones that it calls.
 
         A call through such an object costs as much as a line of arithmetic. As in native code, functions of the module
         and of an enclosing function are constants.
@@ -177,7 +177,7 @@ class Jit:
         return cast(Callable[..., Any], scope["call"])
 
     def dispatcher(self, numba: Any) -> Any:
-        """Return numba's own object, with our cache: numba's knows nothing of changes in called functions."""
+        """Return numba's own object with our cache, because numba's cache ignores changes in called functions."""
         if self._dispatcher is None:
             from ._borrowed import Borrowing
             from ._jit_cache import Cache
@@ -195,7 +195,7 @@ class Jit:
         return self._dispatcher
 
     def digest(self) -> str:
-        """Return a digest of all that decides what the native code does: own code, constants, everything it calls."""
+        """Return a digest of everything that affects the native code: its own code, constants, and all its callees."""
         content = hashlib.sha256(HOW)
         for token in _tokens(self.py_func, set()):
             content.update(token.encode() + b"\0")
@@ -329,7 +329,9 @@ def _check(code: types.CodeType, function: Callable[..., Any]) -> None:
 
 
 def _check_call(function: Callable[..., Any], value: Any) -> None:
-    """Refuse a function that is computed differently, whatever it is called here; one's own may be called so."""
+    """Refuse a function that native code computes differently, whatever its name here; a user's own one may
+    have that name.
+    """
     home = getattr(value, "__module__", None) or type(value).__module__
     if isinstance(value, types.ModuleType) or home.partition(".")[0] not in ("builtins", "math", "numpy", "_operator"):
         return
@@ -357,7 +359,7 @@ def _foreign(function: Callable[..., Any], word: str) -> ValueError:
 
 
 def _named(function: Callable[..., Any], word: str) -> Any:
-    """Return what a function finds under a name of its module, of an enclosing function, or of Python."""
+    """Return the object that a function finds under a name of its module, of an enclosing function, or of Python."""
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     if word in cells:
         try:
@@ -399,7 +401,7 @@ def _reached(value: Any, names: list[str], seen: set[int]) -> Iterator[str]:
 
 
 def tokens_of(value: Any, seen: set[int]) -> Iterator[str]:
-    """Yield what of a constant, or of a function and all that it calls, decides what native code does with it."""
+    """Yield everything about a constant, or a function and its callees, that affects their native code."""
     if isinstance(value, Jit) or hasattr(value, "py_func"):  # a function of ours, or one that numba has compiled
         yield from _tokens(value.py_func, seen)
     elif hasattr(value, "tobytes") and not isinstance(value, type):  # an array or a number, not np.int64 itself

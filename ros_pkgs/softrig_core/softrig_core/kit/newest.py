@@ -1,4 +1,4 @@
-"""Answers that are kept: the newest ones of a value of a state, and those that many runs share."""
+"""Cached answers: the newest ones of a value of a state, and those that many runs share."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ _made: dict[tuple[Any, bytes], Any] = {}
 
 
 def shared(function: Callable[[Any, Any], A], of: Any, values: Any) -> A:
-    """Return what a function makes of a class and plain data: the same object as for equal data before.
+    """Return the result of a function of a class and plain data: the same object as for equal data before.
 
     Types count: 1, 1.0 and True are three values.
     """

@@ -27,7 +27,7 @@ def _times(schedule: Schedule, first: int, last: int) -> NDArray[np.int64]:
 
 
 def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
-    """Return what of a step's answers another one reads, and which part of them (`part`)."""
+    """Return which of a step's answers another one reads, and which part of them (`part`)."""
     where = places(source.outputs)
     return [(fill, where[fill.output]) for fill in reader.fed.values() if fill.source is source]
 

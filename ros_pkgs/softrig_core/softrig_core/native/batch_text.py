@@ -52,7 +52,7 @@ class Form:
         return self.parts[-1]
 
     def read(self, program: Program, tree: Any) -> str:
-        """Write what makes a state, or part of one, of row i."""
+        """Write code that reads a state, or a part of one, from row i."""
         if tree is None:
             return "None"
         if len(tree) == 2:
@@ -65,7 +65,7 @@ class Form:
         return f"({table}[i, {at}] != 0)" if kind is bool else f"{table}[i, {at}]"
 
     def write(self, name: str) -> list[str]:
-        """Write what puts a state into row i."""
+        """Write code that stores a state in row i."""
         result = []
         for path, table, at, kind in self.parts:
             value = f"{name}{''.join(f'[{k}]' for k in path)}"
@@ -99,7 +99,7 @@ class Form:
 
 
 def remembered(agent: Step, steps: Sequence[Step], before: Sequence[tuple[Any, tuple[float, ...]]]) -> tuple[Any, Any]:
-    """Return what must be stored of an instance before a tick.
+    """Return the values of an instance that must be stored before a tick.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Calls in a function: of its own kind, of what is made in `setup`, of the standard library."""
+"""Calls in a function: of methods of its block, of objects made in `setup`, of the standard library."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ class Calls(Expressions):
         return Dynamic(self.program.name(result, type(result).__name__), result)
 
     def _made(self, kind: type, given: Sequence[Value], words: Mapping[str, Value], node: ast.AST) -> Value:
-        """Create an object that native code has another type for; what decides its size is fixed."""
+        """Create an object that has another type in native code; everything that decides its size is fixed."""
         bound = inspect.signature(kind).bind(*given, **words).arguments
         of: Any = kind
         sizes = [bound[name] for name in inspect.signature(of.rows).parameters]
@@ -249,7 +249,7 @@ class Calls(Expressions):
         return made(self.program, of.RING.begin, [Static(rows)], bound, self.arrays)
 
     def _age(self, block: Block, wanted: Value) -> Value:
-        """Return how old an input is: known, or written."""
+        """Return the age of an input: a known value, or an expression."""
         age = self.program.age(block, self.program.guard(wanted) if isinstance(wanted, Static) else None)
         if not isinstance(age, str):
             return Static(age)
@@ -309,7 +309,7 @@ class Calls(Expressions):
         )
 
     def _shown(self, value: Value, numbers: list[str], node: ast.AST) -> Callable[[Sequence[float]], Any]:
-        """Return what makes a value of the numbers that are kept of it."""
+        """Return code that makes a value from its stored numbers."""
         if is_made_text(value):
             raise self.unknown("a report of a text that is made elsewhere", node)
         if isinstance(value, Static) and not (
@@ -644,7 +644,7 @@ class Calls(Expressions):
         raise self.unknown(f"{getattr(called, '__qualname__', type(called).__name__)}()", node)
 
     def _extreme(self, called: Any, given: Sequence[Value], node: ast.AST) -> Value:
-        """Write min and max out: the first of equal ones, as Python has it, NaN included."""
+        """Write min and max as comparisons: the first of equal ones, as in Python, including NaN."""
         values = [self.simple(self.dynamic(v)) for v in given]
         best = values[0]
         sign = "<" if called is min else ">"

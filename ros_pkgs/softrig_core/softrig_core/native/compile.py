@@ -1,4 +1,4 @@
-"""Text to native code: numba, kept in the cache of `jit` by content."""
+"""Text to native code: numba, with the cache of `jit`, by content."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
 
 
 def plain(made: RigText) -> Callable[..., Any]:
-    """Return the function of a rig in Python: nothing to wait for, and most of its ticks faster than one by one.
+    """Return the function of a rig in Python, which needs no compilation and is faster than single ticks.
 
     Returns
     -------

@@ -229,7 +229,9 @@ class Engine:
                 return
 
     def _compile_in_thread(self, k: int) -> bool:
-        """Compile the text in a thread if messages must be served in the meantime; return whether that is under way."""
+        """Compile the text in a thread if messages must be served in the meantime; return whether that is in
+        progress.
+        """
         fit = self._fit
         if fit is None or self._alone is None or fit.kept.made or not self._typed:
             return False
@@ -404,7 +406,7 @@ class _Later(Link):
         self.inner.send_all(times, numbers, stamps)
 
     def hand_on(self) -> None:
-        """Apply what was stored."""
+        """Apply the stored results."""
         for call, *arguments in self.kept or ():
             call(self, *arguments)
 

@@ -1,4 +1,4 @@
-"""Expressions of a function, read as what is known of their values."""
+"""Expressions of a function, as known facts about their values."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from .ways import Ways
 
 
 class Expressions(Ways):
-    """Reads expressions that call nothing; see `Ways`."""
+    """Reads expressions without calls; see `Ways`."""
 
     def value(self, node: ast.expr) -> Value:
         """Read an expression."""

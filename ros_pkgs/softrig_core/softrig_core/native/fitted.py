@@ -1,4 +1,4 @@
-"""A text that fits the blocks of a rig as they are now: found or made, called, and its results put in place."""
+"""A text that fits the present blocks of a rig: found or made, called, and its results stored."""
 
 from __future__ import annotations
 
@@ -83,13 +83,15 @@ class Core:
         self.loop = Loop(self.steps)
 
     def forms(self) -> list[Any]:
-        """Return the types of what each member remembers and holds: a text is for these."""
+        """Return the types of each node's state and held inputs: a text is valid for these."""
         forms = [(tuple(map(form, s.values.values())), form(s.x)) for s in self.steps]
         return [*forms, tuple(one.form for one in self.holdings)]
 
 
 def kinds_of(core: Core, recorded: Sequence[Step], make: Make) -> tuple[Any, ...]:
-    """Return the key of a text: classes, how it is made, names, schedules, forms, wiring, and which are recorded."""
+    """Return the key of a text: classes, how it is made, names, schedules, forms, wiring, and which outputs are
+    recorded.
+    """
     return (
         tuple(type(s.block) for s in core.steps),
         make,
@@ -139,7 +141,7 @@ def _worth_another(kinds: Any) -> bool:
 
 
 def known(steps: Sequence[Step], make: Make) -> bool:
-    """Return whether there is a text, made so, for members of such classes, those that only watch left out."""
+    """Return whether there is such a text for nodes of these classes, observers left out."""
     classes = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     return any(kept.kinds[:2] == (classes, make) for kept in _texts)
 
@@ -203,7 +205,7 @@ class Fitted:
 
     @property
     def remade(self) -> bool:
-        """Return whether a block has made constants again, so that the text may be another."""
+        """Return whether a block has recreated constants, so that another text may be needed."""
         return [one.key for one in self._newest] != self._keys
 
     @property
@@ -329,7 +331,7 @@ class Fitted:
             return int(n[0]), after
 
     def compilation(self, k: int) -> Callable[[], None]:
-        """Return what compiles the text: a call that answers no tick, with the arguments of tick k."""
+        """Return a function that compiles the text: a call that answers no tick, with the arguments of tick k."""
         self.kept.made = True
         self.begin(k, k)
         arguments = k, k, *self._handed()

@@ -1,4 +1,4 @@
-"""The reports of blocks in native ticks: native code counts them, Python words them later with the newest numbers."""
+"""The reports of blocks in native ticks: native code counts them, Python formats them later with the newest numbers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Reports:
         return self.places[-1].at
 
     def record(self, table: Sequence[float], held: Sequence[RunningBlock]) -> None:
-        """Record the reports of each block that a table holds, as if they had been reported one by one."""
+        """Record the reports of each block in a table, as if they had been reported one by one."""
         received = [p for p in self.places if table[p.at]]
         newest: dict[tuple[int, str], Place] = {}
         for place in sorted(received, key=lambda p: table[p.at + 2]):
@@ -82,7 +82,7 @@ def wording(node: ast.expr) -> list[str | ast.FormattedValue] | None:
 
 
 def spec_of(part: ast.FormattedValue) -> str:
-    """Return how a value is to be written."""
+    """Return the format specification of a value."""
     parts = part.format_spec.values if isinstance(part.format_spec, ast.JoinedStr) else []
     return "".join(str(one.value) for one in parts if isinstance(one, ast.Constant))
 

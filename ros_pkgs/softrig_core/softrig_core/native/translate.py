@@ -118,7 +118,7 @@ class Program:
     reports: Reports | None = None
 
     def name(self, thing: Any, hint: str) -> str:
-        """Return the name by which the text calls a thing of Python."""
+        """Return the name of a Python object in the text."""
         for name, known in self.names.items():
             if known is thing:
                 return name
@@ -131,7 +131,7 @@ class Program:
         return next(k for k, root in enumerate(self.roots) if root is block)
 
     def age(self, block: Any, name: str | None) -> int | str | None:
-        """Return what `Block.age` answers, or how it is written."""
+        """Return the result of `Block.age`, or an expression for it."""
         number = self.number(block)
         if name is None or (number, name) not in self.ages:
             raise NotNative(f"{block.name}: the age of {name}, which is published less often than its ticks")
@@ -186,12 +186,12 @@ class Program:
         return tuple(as_slot(follow(path, roots)) for path in self.slots)
 
     def tables(self, roots: Sequence[Any]) -> tuple[Any, ...]:
-        """Return their arrays; lists where nothing is typed."""
+        """Return their arrays; lists if nothing is typed."""
         result = (follow(path, roots) for path in self.arrays)
         return tuple(v if isinstance(v, list) and not self.typed else np.ascontiguousarray(v) for v in result)
 
     def differs(self, roots: Sequence[Any]) -> str:
-        """Describe what of other blocks would need another text; nothing where the text serves them."""
+        """Describe which value of other blocks would need another text; empty if the text suits them."""
         for path, wanted in self.guards.items():
             try:
                 value = follow(path, roots)
@@ -207,7 +207,7 @@ class Program:
 
 
 def follow(path: Path, roots: Sequence[Any]) -> Any:
-    """Return what a path leads to."""
+    """Return the object at the end of a path."""
     value = roots[path[0]]
     for kind, key in path[1:]:
         value = getattr(value, key) if kind == "attr" else len(value) if kind == "len" else value[key]
@@ -215,7 +215,7 @@ def follow(path: Path, roots: Sequence[Any]) -> Any:
 
 
 def outside(function: types.FunctionType, name: str) -> Any:
-    """Return what a function finds under a name outside of itself; a LookupError where there is nothing."""
+    """Return the object that a function finds under a name outside of itself; a LookupError if there is none."""
     cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
     if name in cells:
         return cells[name].cell_contents
@@ -240,7 +240,8 @@ class Same:
 
 
 def signature(value: Any, inside: bool = False) -> Any:
-    """Return what must be equal of a value that chooses the text: numbers and texts themselves, of objects the type.
+    """Return the part of a value that must be equal for the same text: numbers and texts themselves, the type of
+    objects.
 
     What is `inside` of another value has no path of its own: it must be the same object.
     """
@@ -323,7 +324,7 @@ def made(
     parameters: list[str] = []
 
     def handed(value: Value, name: str) -> Value:
-        """Create what is known inside of an argument; what is computed becomes a parameter."""
+        """Create the known parts of an argument; computed parts become parameters."""
         if isinstance(value, Static):
             if value.path is not None and is_number_slot(value.value):
                 return handed(program.slot(value), name)

@@ -1,4 +1,4 @@
-"""The turns of a rig's members as native text: what each is asked, what becomes of its answer, how a plant moves on."""
+"""The turns of a rig's nodes as native text: the call of each, the use of its answer, and how a plant advances."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WHEN = "when"
 
 @dataclass(frozen=True)
 class Holding:
-    """A link without a message of its tick at each tick of the native members: its reader holds the newest one.
+    """A link without a message of its tick at each tick of the native nodes: its subscriber holds the newest one.
 
     Attributes
     ----------
@@ -41,13 +41,13 @@ class Holding:
 
     @property
     def value(self) -> Any:
-        """Return what the reader has; nothing in place of what is too long for native code to read."""
+        """Return the subscriber's value; None in place of one that is too long for native code."""
         result = self.fill.reader.values[self.fill.port.name]
         return () if result is not None and self.fill.port.size > LONGEST else result
 
     @property
     def stamp(self) -> int:
-        """Return the stamp of the value that the reader holds, ns; its age counts from there."""
+        """Return the stamp of the held value, ns; its age counts from there."""
         return self.value.stamp if isinstance(self.value, Sample) else self.fill.last_published() or 0
 
     @property
@@ -157,11 +157,11 @@ class Turns:
     # the turns ----------------------------------------------------------------------------------------------------
 
     def acts(self) -> list[tuple[int, Act]]:
-        """Return what the members do at a tick, in order, by their numbers."""
+        """Return the actions of the nodes at a tick, in order, by their numbers."""
         return acts(range(len(self.steps)), lambda k: self.steps[k].plant)
 
     def turn(self, k: int, act: Act) -> list[str]:
-        """Write what a member does: call its block, check and distribute the answer."""
+        """Write the turn of a node: call its block, check and distribute the answer."""
         value = self._asked(k, act, {} if act == "outputs" else self._inputs(k))
         if act != "advance":
             return self._due(k, self._answered(k, value, f"x{k}" * (act == "update")) + self._handed_on(k))
@@ -195,7 +195,7 @@ class Turns:
         return lines if every == 1 else [f"if k % {every} == 0:", *(f"    {line}" for line in lines)]
 
     def _writer(self, k: int) -> Writer:
-        """Return what writes on behalf of a member's method, which an error names."""
+        """Return a writer for a node's method, which is named in errors."""
         step = self.steps[k]
         return Writer(self.program, getattr(type(step.block), "outputs" if step.plant else "update"), {})
 
@@ -244,7 +244,7 @@ class Turns:
         return self._read(fill, f"r{k}", f"z{k}", self.time(f"(k - k % {every})" if every > 1 else "k"), values)
 
     def _read(self, fill: Fill, numbers: str, stamps: str, time: str, values: Any) -> Value:
-        """Write what a reader makes of an output, which has `values` of it now."""
+        """Write the code that stores an output's present `values` in a subscriber's input."""
         before, _, place, _ = places(fill.source.outputs)[fill.output]
         data = values.data if isinstance(values, Sample) else values
         row = [

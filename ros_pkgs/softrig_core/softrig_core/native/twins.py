@@ -63,7 +63,7 @@ def packed(value: Any, typed: bool = True) -> Any:
 
 
 def unpacked(value: Any) -> Any:
-    """Return a state as Python has it."""
+    """Return a state in its Python form."""
     return applied(unpacker(value), value)
 
 
@@ -118,7 +118,7 @@ ARITHMETIC, COMPARISONS, TRUTH = "add radd mul rmul", "eq ne lt le gt ge", "bool
 
 @cache
 def own_operator(kind: Hashable, operators: str) -> str:
-    """Return which of these operators a class of named tuples or dataclasses defines by itself; empty: none."""
+    """Return which of these operators a class of named tuples or dataclasses defines itself; empty: none."""
     own: Any = getattr(kind, OF, kind)
     for base in own.__mro__:
         if base in (tuple, object):

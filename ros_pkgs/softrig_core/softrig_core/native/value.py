@@ -121,7 +121,7 @@ def is_made_text(value: Value) -> bool:
 
 
 def forms(value: Dynamic) -> Any:
-    """Return the keys of what is inside of a value, to its leaves."""
+    """Return the keys of the parts of a value, down to its leaves."""
     return None if value.parts is None else tuple((p.keys, forms(p)) for p in value.parts)
 
 

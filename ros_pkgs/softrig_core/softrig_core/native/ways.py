@@ -62,7 +62,7 @@ class Ways:
         self.left = False  # whether the samples' branch of the last `if` leaves the function or the loop
 
     def unknown(self, what: str, node: ast.AST | None = None) -> NotNative:
-        """Describe what native code does not know, and where."""
+        """Describe what native code does not support, and where."""
         line = self.function.__code__.co_firstlineno + getattr(node, "lineno", 1) - 1
         return NotNative(f"{self.function.__module__}.{self.function.__qualname__}, line {line}: {what}")
 
@@ -167,7 +167,7 @@ class Ways:
         return replace(value, code=self.temporary(value.code))
 
     def outer(self, name: str, node: ast.AST | None = None) -> Any:
-        """Return what the function finds under a name outside of itself."""
+        """Return the object that the function finds under a name outside of itself."""
         try:
             return outside(self.function, name)
         except LookupError:
@@ -238,7 +238,7 @@ class Ways:
             raise self.unknown("an assignment to a part of something", target)
 
     def _written_into(self, target: ast.Subscript, value: Value) -> None:
-        """Write into an array; values that were read from it before are kept under names of their own."""
+        """Write into an array; values that were read from it before are stored under names of their own."""
         table, at = self.value(target.value), self.dynamic(self.value(target.slice))
         if not isinstance(table, Dynamic) or not isinstance(table.sample, np.ndarray) or table.sample.ndim != 1:
             raise self.unknown("an assignment to a part of something", target)
@@ -297,7 +297,7 @@ class Ways:
         self.ended = True
 
     def _fork(self, test: str, used: Any, one: Callable[[], Any], other: Callable[[], Any]) -> tuple[Any, Any]:
-        """Write both ways of a test, and join what is known after them."""
+        """Write both branches of a test, and merge what is known after them."""
         used = used if used is UNKNOWN else bool(used)
         before, lines = dict(self.env), self.lines
         ways: list[tuple[list[str], dict[str, Value], bool]] = []
@@ -431,14 +431,14 @@ COPYING = ("len", "tuple", "list", "sum", "min", "max", "any", "all", "zip", "en
 
 
 def _pairs(target: ast.expr, value: ast.expr) -> list[tuple[ast.expr, ast.expr]]:
-    """Return what an assignment binds, and to what."""
+    """Return the targets of an assignment, and their values."""
     if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
         return list(zip(target.elts, value.elts, strict=True))
     return [(target, value)]
 
 
 def _is_new(node: ast.expr) -> bool:
-    """Return whether an expression makes a list or tuple that nothing else has."""
+    """Return whether an expression makes a new list or tuple without other references."""
     if isinstance(node, ast.BinOp):
         return isinstance(node.op, (ast.Add, ast.Mult))
     if isinstance(node, ast.Subscript):

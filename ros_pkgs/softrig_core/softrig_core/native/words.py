@@ -108,7 +108,7 @@ PLAIN = {name: f"math.{name}" for name in ("atan", "atan2", "tanh", "copysign", 
 
 
 def word(function: Callable[..., Any]) -> str | None:
-    """Return the name under which native code has a function of the standard library; None: it has none."""
+    """Return the native name of a function of the standard library; None: it has none."""
     if function in (bisect_right, bisect_left):
         return function.__name__
     name = getattr(function, "__name__", "")

@@ -1,4 +1,4 @@
-"""One function's text: its statements, read with what is known of its names."""
+"""The text of one function: its statements, read with what is known about its names."""
 
 from __future__ import annotations
 
@@ -318,7 +318,7 @@ def _reports(node: ast.stmt) -> bool:
 
 
 def _reporting(statements: Sequence[ast.stmt]) -> bool:
-    """Return whether something is reported, whatever the statements before that find."""
+    """Return whether something is reported, whatever the earlier statements do."""
     for one in statements:
         if _reports(one):
             return True

@@ -122,7 +122,7 @@ def agreeing(
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Compare with room for the last digits of a product."""
+    """Compare with a tolerance for the last digits of a product."""
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     if isinstance(one, float | int) and isinstance(other, float | int):

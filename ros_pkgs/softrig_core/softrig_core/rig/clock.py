@@ -16,7 +16,7 @@ class ClockParams(BlockParams):
 
 
 class Clock(Plant[ClockParams]):
-    """Has a period and nothing else; a node of it publishes /clock."""
+    """A block with only a period; its node publishes /clock."""
 
     def outputs(self, x: Any, t: int) -> Mapping[str, Any]:
         """Return nothing."""

@@ -89,7 +89,7 @@ def _package(package: str) -> tuple[str, tuple[str, ...]]:
 
 
 def is_ours(module: str) -> bool:
-    """Return whether a package or module is of softrig, whose tests show that blocks keep nothing outside x."""
+    """Return whether a package or module belongs to softrig, whose tests show that blocks store nothing outside x."""
     return module.startswith(OURS)
 
 

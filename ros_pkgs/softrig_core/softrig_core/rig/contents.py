@@ -39,7 +39,7 @@ def contents(block: Block) -> dict[str, str]:
 
 
 def reached(block_class: type[Block]) -> dict[str, str]:
-    """Return a digest of what the code of a block can change beside the block: that outlives a run."""
+    """Return a digest of the objects outside a block that its code can change, because they outlive a run."""
     skipped, result = _RUNNERS | _scratch(block_class), dict[str, str]()
     for of in block_class.__mro__:
         if issubclass(of, Block) and of.__module__.partition(".")[0] != "softrig_core":
@@ -66,7 +66,7 @@ def _outside(of: type) -> Iterator[tuple[str, Any]]:
 
 
 class StartContents:
-    """The contents of blocks at the start, to be compared with their contents later.
+    """The contents of blocks at the start, for comparison with their contents later.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def digest(value: Any) -> str:
 
 
 def _parts(value: Any) -> tuple[str, Iterable[Any]]:
-    """Describe what a value is, and what else it leads to."""
+    """Describe a value, and the further objects that it refers to."""
     if isinstance(value, (list, tuple, deque)):
         return str(len(value)), value
     if isinstance(value, (dict, types.MappingProxyType)):

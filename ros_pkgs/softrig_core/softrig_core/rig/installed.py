@@ -16,7 +16,7 @@ _NO_MEMORY = re.compile("annot allocate memory|failed to map segment")  # of the
 
 
 def load_main(package: str, executable: str) -> Any:
-    """Import the main function of an installed Python executable; None when the package has none of this name.
+    """Import the main function of an installed Python executable; None if the package has none of this name.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def block_of(main: Any) -> type[Block] | None:
 
 
 def load_block(package: str, executable: str) -> type[Block]:
-    """Find the block class behind an installed executable; one that was found stays.
+    """Find the block class behind an installed executable; a class that was found is cached.
 
     Raises
     ------

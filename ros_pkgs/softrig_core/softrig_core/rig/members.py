@@ -51,7 +51,7 @@ class Member:
 
     @property
     def files(self) -> Mapping[str, str]:
-        """Return name to hash of the files that decide what the node does beside its code."""
+        """Return name to hash of the files that affect the node in addition to its code."""
         return self.block_class.contents(self.params) if issubclass(self.block_class, FromFiles) else {}
 
     def block(self, seed: int) -> Block:
@@ -151,7 +151,7 @@ def signal_units(rig: Members) -> dict[str, str]:
 _units: Kept[dict[str, str]] = {}
 
 
-def _units_of(rig: Members) -> dict[str, str]:
+    """Return the unit of every signal of a rig by its name ``topic/channel/field``; empty for a pure number."""
     units = {
         f"{topic}/{label}": unit
         for topic, port in rig.topics.items()
@@ -162,7 +162,8 @@ def _units_of(rig: Members) -> dict[str, str]:
 
 
 def other_names(rig: Members) -> dict[str, dict[str, str]]:
-    """Return, by topic, how outside nodes may call what a port of the rig reads, to the port's own names.
+    """Return, by topic, the names that outside nodes may use for the values of a port of the rig, to the port's own
+    names.
 
     Channels by `Port.also`, and the elements of an array without a shape, which a held port accepts.
     """

@@ -14,7 +14,7 @@ SLOWEST = 1e-12  # pace
 
 
 class RunOptions(Params):
-    """Options of a node's run; the defaults are those of a node started by hand with ``ros2 run``."""
+    """Options of a node's run; the defaults are those of a node started alone with ``ros2 run``."""
 
     mode: Literal["realtime", "lockstep"] = param("realtime", "against the wall clock, or tick by tick with its peers")
     seed: int = param(0, "rig seed of all random numbers", ge=0, le=2**63 - 1)

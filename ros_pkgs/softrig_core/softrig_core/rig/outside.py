@@ -29,7 +29,7 @@ def is_foreign(of: type) -> bool:
 
 
 def outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the mutable things that a method names: variables of its module and of enclosing functions."""
+    """Yield the mutable objects that a method names: variables of its module and of enclosing functions."""
     for name in function.__code__.co_names:
         if isinstance(value := function.__globals__.get(name), CHANGEABLE) and not name.isupper():
             yield name, value
@@ -39,8 +39,8 @@ def outside(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def all_outside(of: type) -> Iterator[tuple[str, Any]]:
-    """Yield what the methods of a class from outside softrig reach, through functions, classes and modules that are no
-    library: variables, values of closures, mutable defaults, attributes of functions, random generators.
+    """Yield the variables, values of closures, mutable defaults, attributes of functions and random generators
+    that the methods of a user's class reach, through functions, classes and modules that are not libraries.
     """
     seen: set[int] = set()
     # An author's package may be installed like a library.
@@ -81,7 +81,7 @@ def is_filled(cell: types.CellType) -> bool:
 
 
 def _function(value: Any) -> types.FunctionType | None:
-    """Return the Python function behind a method, a property, a cached or a partial one; None where there is none."""
+    """Return the Python function behind a method, a property, a cached or a partial one; None if there is none."""
     while not isinstance(value, types.FunctionType):
         inner = next(
             (one for key in ("__wrapped__", "__func__", "fget", "func") if (one := getattr(value, key, None))), None
@@ -93,7 +93,7 @@ def _function(value: Any) -> types.FunctionType | None:
 
 
 def _named(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield what the code of a function can reach by a name."""
+    """Yield the objects that the code of a function can reach by a name."""
     names = list(_names(function.__code__))
     for name in names:
         value = function.__globals__.get(name, None if hasattr(builtins, name) else sys.modules.get(name))
@@ -119,7 +119,7 @@ def _names(code: types.CodeType) -> Iterator[str]:
 
 
 def _of_module(name: str, module: types.ModuleType, names: list[str]) -> Iterator[tuple[str, Any]]:
-    """Yield what a function may use of a module: of a library its random numbers alone."""
+    """Yield the objects that a function may use of a module: only the random numbers of a library."""
     if module is random:
         yield name, random.random.__self__  # type: ignore[attr-defined]
     elif module is np.random or (module is np and "random" in names):

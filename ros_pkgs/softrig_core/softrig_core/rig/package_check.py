@@ -1,4 +1,4 @@
-"""Check what a package offers, using only the package; `colcon test` runs this as the package's own tests."""
+"""Check the executables and figures of a package, using only the package; `colcon test` runs this as its own tests."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ GROUPS = ("console_scripts", "softrig_figures")
 
 
 def entry_points(package: str) -> list[EntryPoint]:
-    """Return the executables and figure functions that a package offers; none of another group counts."""
+    """Return the executables and figure functions of a package; entry points of other groups do not count."""
     result = importlib.metadata.distribution(package).entry_points
     return [p for p in result if p.group in GROUPS]
 
 
 def check_entry_point(point: EntryPoint) -> str:
-    """Load what a package offers and check that it can be used with its own defaults.
+    """Load an executable or figure function and check that it can be used with its own defaults.
 
     A block's ports have distinct names and topics of their own, it can be set up, and a plant's outputs at the start
     are finite and the same after a reset. Two ticks on first values change only its state x, and from the same

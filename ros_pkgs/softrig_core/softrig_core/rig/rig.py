@@ -73,7 +73,7 @@ class Rig(Members):
         return self.having(scenario, members, list(new.values()))
 
     def having(self, scenario: Scenario, members: list[Member], new: list[Member]) -> Rig:
-        """Return the rig of all these members; the new ones are still to be linked."""
+        """Return the rig of all these nodes; the new ones are still to be linked."""
         clock = self.clock
         for m in new:
             try:

@@ -1,4 +1,4 @@
-"""A run that went another way from a time on: as it was before, then with other parameters."""
+"""A branch of a run: as the run before a time, then with other parameters."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def branched(
 
 
 def parted(before: Recording, after: Recording, at: float) -> str:
-    """Describe where two runs in lockstep, which are to be the same before a time (s), are not; empty when they are."""
+    """Describe where two lockstep runs that should be equal before a time (s) differ; empty if they do not."""
     results: list[tuple[int, str]] = []
     for name in sorted(after.topics.keys() & before.topics.keys() - {EVENTS}):
         a, b = (recording.topics[name].before(to_ns(at)) for recording in (before, after))

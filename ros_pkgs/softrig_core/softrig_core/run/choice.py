@@ -33,7 +33,7 @@ _spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a 
 def ticks_of(
     steps: Sequence[Step], runs: int = 1, alone: Callable[[], bool] | None = None
 ) -> tuple[Iterator[int | None], Callable[[], object]]:
-    """Yield an iterator that runs all ticks of a rig: by native code or one text where that pays, else one by one.
+    """Yield an iterator that runs all ticks of a rig: natively or by one text if that pays, otherwise one by one.
 
     The choice depends on the time that Python would take (`cost`). Messages, reports and errors are the same.
 
@@ -100,7 +100,7 @@ def _classes(steps: Sequence[Step]) -> Any:
 
 
 def cost(steps: Sequence[Step]) -> float | None:
-    """Return what a tick of a rig costs in Python, s; None where none of such blocks has run here yet."""
+    """Return the cost of a tick of a rig in Python, s; None if no such blocks have run here yet."""
     return _costs.get(_classes(steps))
 
 

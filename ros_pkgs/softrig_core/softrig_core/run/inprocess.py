@@ -232,7 +232,7 @@ class _Keeper(_ToSink):
                 add(number, t, encode(row.stamp, row.data) if isinstance(row, Sample) else encode(t, row))
 
     def send_all(self, times: NDArray[np.int64], numbers: NDArray[np.float64], stamps: NDArray[np.int64]) -> None:
-        """Record many; what is numbered one by one, by its encoder."""
+        """Record many messages; numbered ones singly, by their encoder."""
         where = places(self._ports)
         if all(p.sporadic for p in self._ports):
             published = numbers[:, where[0][3] :].any(axis=1)

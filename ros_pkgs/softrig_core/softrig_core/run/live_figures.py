@@ -100,7 +100,7 @@ def is_recorded(member: Member) -> bool:
 
 
 def measured(member: Member, signals: Signals) -> Mapping[str, tuple[float, str]]:
-    """Return what `Step.status` of a node of figures would be at the end of a run of which all was recorded."""
+    """Return the `Step.status` that a node of figures would have at the end of a completely recorded run."""
     assert isinstance(member.params, FiguresParams)
     assert member.schedule.last is not None
     since = member.schedule.last - round(member.params.window * SECOND)

@@ -154,7 +154,7 @@ def _watch(member: Member, block: Block, method: str) -> None:
 
 
 def _parts(method: str, value: Any) -> tuple[Any, Mapping[str, Any]]:
-    """Return the state after a call, None where it stays, and what was published."""
+    """Return the state after a call, None if it is unchanged, and the published values."""
     return (None, value) if method == "outputs" else (value, {}) if method == "advance" else value
 
 

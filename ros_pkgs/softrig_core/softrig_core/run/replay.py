@@ -1,4 +1,4 @@
-"""Open loop: feed one member of a rig with recorded inputs, tick by tick, and collect what it answers."""
+"""Open loop: feed one node of a rig with recorded inputs, tick by tick, and collect its answers."""
 
 from __future__ import annotations
 

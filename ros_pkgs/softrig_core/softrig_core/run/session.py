@@ -33,7 +33,7 @@ class _Turned(NamedTuple):
 
 
 class Session:
-    """A run that is under way.
+    """A run in progress.
 
     Parameters
     ----------

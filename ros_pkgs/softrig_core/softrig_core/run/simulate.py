@@ -1,4 +1,4 @@
-"""The front door: run a scenario or a rig in this process and look at what it did."""
+"""The main entry: run a scenario or a rig in this process and read its results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .purity import check_pure, check_same, is_suspect
 
 
 def _view(name: str) -> Callable[..., Any]:
-    """Find a function of the package that draws; the core draws nothing by itself."""
+    """Return a function of the package that draws; the core itself draws nothing."""
     point = next(iter(importlib.metadata.entry_points(group="softrig_views", name=name)), None)
     if point is None:
         raise ScenarioError("nothing that draws is installed: expected the package softrig_bringup")
@@ -92,7 +92,9 @@ class Run:
     kernels: Mapping[str, str] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: the rigs as scenario and classes, without blocks and what is computed on demand."""
+        """Return the pickled form: the rigs as scenario and classes, without blocks and without values computed
+        on demand.
+        """
         kept = {f.name: getattr(self, f.name) for f in fields(self)} | {"blocks": {}, "wanted": None}
         for name in ("rig", "begun"):
             if (rig := kept[name]) is not None:
@@ -143,7 +145,7 @@ class Run:
 
     @property
     def figures(self) -> dict[str, float | None]:
-        """Measured value of each figure by name; None for what could not be measured."""
+        """Measured value of each figure by name; None for one that could not be measured."""
         return {r.name: r.value for r in self.results}
 
     @cached_property
@@ -272,7 +274,7 @@ class Run:
 
     @property
     def missed(self) -> list[Result]:
-        """The figures that are not what is expected."""
+        """The figures that miss their expectations."""
         return [r for r in self.results if not r.passed]
 
 
@@ -351,7 +353,7 @@ def simulate(
 
 
 def _topics(rig: Rig, figures: list[Figure], signals: Collection[str]) -> set[str]:
-    """Return the topics of signals, and of what figures and requirements read."""
+    """Return the topics of signals, and those that figures and requirements read."""
     units = signal_units(rig)
     wanted = {full_name(name, units) for name in ([signals] if isinstance(signals, str) else signals)}
     if unknown := sorted(wanted - units.keys()):

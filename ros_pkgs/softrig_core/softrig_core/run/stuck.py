@@ -44,7 +44,7 @@ _running: Watch | None = None
 
 
 class Watch(threading.Thread):
-    """Looks at the calls of blocks that are under way, until `stop`."""
+    """Checks the running calls of blocks, until `stop`."""
 
     def __init__(self) -> None:
         super().__init__(name="softrig watch", daemon=True)
@@ -99,7 +99,7 @@ class Watch(threading.Thread):
 
 @contextmanager
 def watched() -> Iterator[None]:
-    """Watch the blocks of this process within the ``with`` block; within another one it does nothing."""
+    """Watch the blocks of this process within the ``with`` block; nested ones do nothing."""
     global _running
     if _running is not None:
         yield
@@ -114,7 +114,7 @@ def watched() -> Iterator[None]:
 
 
 def _forget() -> None:
-    """A fork has no thread that watches, and its signals are none of its parent's."""
+    """Forget the parent's watch after a fork, which has no watching thread and other signals."""
     global _running
     if _running is not None:
         _running = None

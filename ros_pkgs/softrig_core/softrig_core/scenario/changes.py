@@ -1,4 +1,4 @@
-"""Changes that a scenario makes to parameters of its nodes while it runs."""
+"""Changes of parameters that a scenario makes during the run."""
 
 from __future__ import annotations
 

@@ -143,6 +143,6 @@ def _unheard(topic: str, reader: str, subscribers: list[str]) -> str:
 
 
 def _remap(given: Mapping[str, str], topic: str, ends: str) -> dict[str, str]:
-    """Return what a reader's own name of a topic is to become."""
+    """Return the new name of a topic that a subscriber knows under its own name."""
     own = [name for name, target in given.items() if target == topic]
     return dict.fromkeys(own or [topic], ends)

@@ -87,7 +87,7 @@ def _folders() -> list[str]:
 
 
 def _kept(place: Path) -> list[Listed] | None:
-    """Return what the index holds, None where it is not of today's folders and files."""
+    """Return the content of the index, None if it does not belong to the present folders and files."""
     with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):  # none, or damaged
         content = json.loads(place.read_text(encoding="utf-8"))
         if content["folders"] == _folders() and content["state"] == _states(_candidates()):

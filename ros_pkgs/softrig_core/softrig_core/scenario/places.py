@@ -65,7 +65,7 @@ def _line(file: Path, keys: Sequence[Any]) -> tuple[int, int]:
 
 
 def explain(error: ValidationError, model: type[BaseModel] | None = None) -> str:
-    """Describe in one line what the first error of a validation is, and where; of an unknown key, which one is near.
+    """Describe in one line the first error of a validation and its place; for an unknown key, also a similar one.
 
     Parameters
     ----------

@@ -191,7 +191,7 @@ class Scenario(Entry):
         return self._changed_from
 
     def changing(self, before: Mapping[str, Any]) -> Scenario:
-        """Remember what was changed of it; what a key was at first counts."""
+        """Record changes of it; the first original value of a key is kept."""
         self._changed_from = {**before, **self._changed_from}
         return self
 
@@ -209,7 +209,7 @@ class Scenario(Entry):
         return int(seed)
 
     def written(self, *keys: str) -> str:
-        """Describe where one of its keys is written, as the end of a message; empty where that is not known."""
+        """Describe where one of its keys is written, as the end of a message; empty if that is not known."""
         at = place(self.name, self._file, keys) if self._file else ""
         return f" ({at})" if "line" in at else ""
 
@@ -363,7 +363,7 @@ def read_draft(name: str) -> Draft:
 
 
 def _before(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the written value of each key that is to be changed; None if the key is not set."""
+    """Return the written value of each key before its change; None if the key is not set."""
     result = {}
     for key, value in overrides.items():
         node, _, parameter = key.partition(".")

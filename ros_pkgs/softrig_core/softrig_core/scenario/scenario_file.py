@@ -23,7 +23,9 @@ OWN = ("expect", "requirements", "claims")  # what a scenario is judged by stand
 
 
 def scenario_folders() -> Iterator[Path]:
-    """Return where scenario files are: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of what is installed."""
+    """Return the folders of scenario files: SOFTRIG_SCENARIOS, then ``share/PACKAGE/scenarios`` of installed
+    packages.
+    """
     own = [Path(p) for p in os.environ.get("SOFTRIG_SCENARIOS", "").split(os.pathsep) if p]
     installed = (folder for prefix in prefixes() for folder in sorted(prefix.glob("share/*/scenarios")))
     return (f for f in chain(own, installed) if f.is_dir())  # looked for as far as somebody asks
@@ -151,7 +153,7 @@ def resolve(name: str, path: Path, seen: tuple[str, ...] = ()) -> dict[str, Any]
 
 
 def _with_whole_paths(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
-    """Return the whole path of a file that a node's parameter or link, or a shared value, names beside this one.
+    """Return the absolute path of a file that a node's parameter or link, or a shared value, names beside this one.
 
     What is found from the current directory is left as it is written.
     """
@@ -200,7 +202,7 @@ def _with_whole_paths(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
-    """Merge a scenario's own entry into what it inherits.
+    """Merge a scenario's own entry into the inherited one.
 
     Mappings merge level by level, null removes, and the keys `OWN` come from the entry alone. A node with another
     executable loses the inherited parameters, a figure with another function all that is inherited: it would mean
@@ -243,7 +245,7 @@ def _by_new_names(below: Any, change: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:
-    """Drop the keys `lost` of an entry when the one that goes over it is about another `what`."""
+    """Drop the keys `lost` of an entry if the overriding one has another `what`."""
     if not isinstance(old, Mapping) or not isinstance(new, Mapping) or new.get(what, old.get(what)) == old.get(what):
         return old
     return {k: v for k, v in old.items() if k not in lost}
@@ -305,7 +307,7 @@ def parent_of(path: Path, parent: Any) -> Path:
 
 
 def find(name: str, first: Path | None = None) -> Path | None:
-    """Find the file of a scenario: that of its own name, else the longest beginning of it that has this variant.
+    """Find the file of a scenario: that of its own name, else the longest prefix of the name with such a variant.
 
     Parameters
     ----------

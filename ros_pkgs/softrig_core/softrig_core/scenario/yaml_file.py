@@ -115,7 +115,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
 
 
 def compose(text: str) -> Any:
-    """Return the nodes of a document that `read_yaml` has read, which know their lines."""
+    """Return the nodes of a document that `read_yaml` has read, with their line numbers."""
     return yaml.compose(text, _Loader)
 
 

@@ -1,4 +1,4 @@
-"""Solver nodes: blocks whose work takes longer than a tick may, in a process of its own.
+"""Solver nodes: blocks whose work may take longer than a tick, in a separate process.
 
 A tick of a `Solver`::
 
@@ -138,7 +138,7 @@ class Solver(Block[S]):
     SCRATCH = frozenset({"worker"})  # the process: what it works on is in `x.jobs`
 
     def request(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Any]:
-        """Return x and what is to be worked on, picklable; None when this tick asks nothing new."""
+        """Return x and the request, which must be picklable; None if this tick makes no new request."""
         raise NotImplementedError
 
     @staticmethod
@@ -183,7 +183,7 @@ class Solver(Block[S]):
         self.worker.release()
 
     def working(self, x: Any) -> bool:
-        """Return whether a request is under way or waits."""
+        """Return whether a request is in progress or pending."""
         return x.jobs.active is not None or x.jobs.waiting is not None
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Values]:
@@ -209,7 +209,7 @@ class Solver(Block[S]):
         return self.worker.state == "working" if self.realtime else t < effect
 
     def carry_on(self, x: Any, t: int) -> Any:
-        """Begin to work on what waits, if nothing is under way; in place of `begin` at a tick without request."""
+        """Start the pending request if none is in progress; called in place of `begin` at a tick without a request."""
         jobs: Jobs = x.jobs
         if jobs.active is None and jobs.waiting is not None:
             jobs = Jobs(None, jobs.waiting, t + to_ns(self.p.latency), jobs.result)
@@ -226,7 +226,7 @@ class Solver(Block[S]):
         return x
 
     def ready(self, x: Any, t: int) -> bool:
-        """Describe whether the answer of a tick can be given now, and kill work that is beyond its limit."""
+        """Return whether the answer of a tick can be given now, and kill work that exceeds its limit."""
         if x.jobs.active is None or (t < x.jobs.effect and not self.realtime):
             return True
         if self.worker.state == "working" and self.worker.elapsed() > self.p.limit:

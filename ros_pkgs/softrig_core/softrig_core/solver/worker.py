@@ -121,7 +121,7 @@ class Worker:
         self._process.write(request)
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Wait until the work is over, at most so many s (None: forever); return whether it is."""
+        """Wait until the work has ended, at most for a time in s (None: forever); return whether it has."""
         with self._changed:
             return self._changed.wait_for(lambda: self.state != "working", seconds)
 

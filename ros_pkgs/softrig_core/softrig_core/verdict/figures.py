@@ -112,7 +112,7 @@ class Result(BaseModel):
         return self.limited and not self.published_for
 
     def not_judged(self, why: str) -> Result:
-        """Return it as one of a changed run: judged no more, unless what is expected follows the machine.
+        """Return it as one of a changed run: no longer judged, unless the expectation follows the machine.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class Result(BaseModel):
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure with its function found, its arguments filled in and its unit known."""
+    """A figure with its function, its resolved arguments and its unit."""
 
     name: str
     function: Function
@@ -344,14 +344,14 @@ def evaluate(
 
 
 def follows(figure: Figure, limits: Expectation | None) -> bool:
-    """Return whether what is expected of a figure follows the machine."""
+    """Return whether the expectation of a figure follows the machine."""
     if isinstance(figure.function, Judge):
         return figure.function.follows
     return bool(limits and limits.follows) or bool(getattr(figure.function, "follows", False))
 
 
 def changed_from(rig: Members) -> str:
-    """Return what the machine of a scenario had that was changed by overrides: ``motor.J = 0.01``; empty for none."""
+    """Return the original values of a machine that overrides have changed: ``motor.J = 0.01``; empty for none."""
     params = {m.name: m.params for m in rig.members}
     parts = []
     for key, before in rig.scenario.changed_from.items():

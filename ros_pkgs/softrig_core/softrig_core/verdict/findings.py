@@ -1,4 +1,4 @@
-"""Claims held against measurements: of one run, or across scenarios."""
+"""Claims compared with measurements: of one run, or across scenarios."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ class Finding(BaseModel):
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """Describe what the paper states and the outcome, over all scenarios, figures and bounds compared."""
+        """Describe the paper's statement and the outcome, over all scenarios, figures and bounds compared."""
         if self.text == _words(self.key):
             return self.scenario, self.key
         return self.text, self.where, str(self.published), self.verdict
 
 
 def values(results: Iterable[Result]) -> dict[str, float]:
-    """Return the measured value of each figure, infinity for what never happened, NaN for what failed."""
+    """Return the measured value of each figure, infinity for an event that never happened, NaN for one that failed."""
     return {r.name: r.number for r in results}
 
 

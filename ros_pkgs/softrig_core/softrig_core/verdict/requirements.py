@@ -86,7 +86,7 @@ class Judge:
         return self.margin(signals).value
 
     def settled(self, signals: SignalMap) -> bool:
-        """Return whether the verdict on a run under way stays as it is, whatever comes."""
+        """Return whether the verdict on a running run can no longer change."""
         if self.figures or self.timed:  # their values change with what comes
             return False
         try:
@@ -164,7 +164,7 @@ def _whole_ns(times: Array) -> Array:
 
 
 def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np.bool_] | None]:
-    """Return for each tick the newest of the values that came at these times, 0 before the first, and where that is."""
+    """Return for each tick the newest value that has arrived, 0 before the first, and its index."""
     at, before = _arrived(times, grid)
     if before is None:
         return values[at], None
@@ -173,7 +173,7 @@ def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np
 
 @once_for_times
 def _arrived(times: Array, grid: Array) -> tuple[Places, NDArray[np.bool_] | None]:
-    """Return which of some times is the newest at each tick, and at which ticks none has come, if there are any."""
+    """Return which of some times is the newest at each tick, and at which ticks none has arrived yet."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
         return slice(0, len(grid)), None
     at = newest(times, grid)

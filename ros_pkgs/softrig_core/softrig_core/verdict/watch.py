@@ -73,7 +73,7 @@ class Kept(NamedTuple):
     dropped: bool = False
 
     def stamps(self, size: int) -> NDArray[np.int64]:
-        """Return the stamps of what is in the window, ns, shape (n,), the oldest first; `size` values a message."""
+        """Return the stamps in the window, ns, shape (n,), oldest first; `size` values for each message."""
         result = self._joined(size, "stamp")
         return result[result.searchsorted(self.since) :]
 
@@ -133,7 +133,7 @@ class Kept(NamedTuple):
 
 
 def packed(messages: Messages) -> bytes:
-    """Return messages as they are kept."""
+    """Return messages in their stored form."""
     stamps, values = (
         (messages.stamps, messages.values) if isinstance(messages, ReceivedMessages) else zip(*messages, strict=True)
     )
@@ -181,11 +181,11 @@ class Watch(Observer[W]):
         return Window(self.nothing)
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
-        """Keep what is new."""
+        """Store new messages."""
         return Window(self.keep(x.seen, t, inputs)), {}
 
     def keep(self, seen: tuple[Kept, ...], t: int, inputs: Mapping[str, Any]) -> tuple[Kept, ...]:
-        """Return what was seen with what is new in the inputs of a tick."""
+        """Return the stored messages with the new ones in the inputs of a tick."""
         reach, age, results = self._reach, self.ages or self.age, []  # a call less for each input
         for (name, row), kept in zip(self._rows.items(), seen, strict=True):
             values = inputs.get(name)
@@ -203,11 +203,11 @@ class Watch(Observer[W]):
         return Figure(name, function, arguments, unit, 1.0)
 
     def figures(self, x: Any) -> Iterable[Figure]:
-        """Return the figures; asked each time, so that they may depend on what was seen."""
+        """Return the figures; called each time, so that they may depend on the messages."""
         raise NotImplementedError
 
     def status(self, x: Any) -> Mapping[str, tuple[float, str]]:
-        """Return the figures that can be measured so far; none of a step that the window has left behind."""
+        """Return the figures that can be measured so far; none of a step before the window."""
         return status_of(self.figures(x), Seen(self._ports, dict(zip(self._ports, x.seen, strict=True))))
 
 
@@ -225,7 +225,7 @@ class Recent(Mapping[str, Signal]):
     @property
     @abstractmethod
     def end(self) -> float:
-        """Time of the newest message, s: up to it the last sample of each signal is held."""
+        """Time of the newest message, s; the last sample of each signal is held up to it."""
 
     @property
     @abstractmethod
@@ -233,7 +233,7 @@ class Recent(Mapping[str, Signal]):
         """Topics that have older messages, too."""
 
     def topic(self, name: str) -> str:
-        """Return the topic of a signal; empty where there is none."""
+        """Return the topic of a signal; empty if there is none."""
         return topic_of(name, self.ports)
 
     def __iter__(self) -> Iterator[str]:
@@ -265,7 +265,7 @@ def status_of(figures: Iterable[Figure], signals: Recent) -> Mapping[str, tuple[
 
 
 def left_behind(since: str, signals: Recent, forgot: Container[str]) -> bool:
-    """Return whether the newest steps of signals were before what is kept of them: a first sample is none then."""
+    """Return whether the newest steps of signals were before the stored messages: then a first sample is not a step."""
     return all(
         signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
         for name in since.split(", ")

@@ -1,4 +1,4 @@
-"""CDR bytes of the suite's messages: prepared layouts for speed, a general reader for everything else.
+"""CDR bytes of softrig's messages: prepared layouts for speed, a general reader for all others.
 
 A `Layout` is a message whose variable-size parts (frame, names, sequence lengths) are fixed; only the stamp and the
 float64 numbers change. One prepared struct packs or unpacks the whole message, fixed bytes included, and decoding
@@ -173,7 +173,7 @@ class Layout:
         self.encode, self.decode = _coders(whole, wire, self.size, [data for _, _, data in self._fixed], numbered)
 
     def __reduce__(self) -> tuple[type[Layout], tuple[Any, ...]]:
-        """Pickle what it was made of, since its functions are generated."""
+        """Pickle the data from which it was made, because its functions are generated."""
         return Layout, self.form
 
     def encode_block(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.uint8]:

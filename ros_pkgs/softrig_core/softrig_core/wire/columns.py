@@ -60,7 +60,7 @@ class Columns(NamedTuple):
 
     @property
     def clock(self) -> object:
-        """Return what all messages have in common that were published together."""
+        """Return the common clock of all messages that were published together."""
         return self.times
 
     def column(self, k: int) -> NDArray[np.float64]:
@@ -152,7 +152,7 @@ class Rows:
 
     @property
     def even(self) -> tuple[int, int] | None:
-        """First time and period in ns if all times are evenly spaced, else None."""
+        """Return first time and period in ns if all times are evenly spaced, else None."""
         if not self._checked:
             self._checked, self._even = True, self._spacing()
         return self._even
@@ -197,7 +197,7 @@ class Stored(NamedTuple):
 
     @property
     def clock(self) -> object:
-        """Return what all messages have in common that were published together."""
+        """Return the common clock of all messages that were published together."""
         return self.rows
 
     @property

@@ -43,7 +43,7 @@ class Sink(Protocol):
         """Append one message of topic number `topic`, published at tick time `t` (ns)."""
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
-        """Return what appends one message of each of some topics, all of one time, by their numbers.
+        """Return a function that appends one message to each of some topics, all at one time, by their numbers.
 
         Parameters
         ----------
@@ -52,7 +52,9 @@ class Sink(Protocol):
         """
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
-        """Return what appends many such rows: their times in ns, shape (n,), and their numbers, (n, size of all)."""
+        """Return a function that appends many such rows: their times in ns, shape (n,), and their numbers, (n,
+        size of all).
+        """
 
     def note(self, t: int, data: bytes) -> None:
         """Append a change of parameters (`parameter_event`), which took effect at tick time `t` (ns)."""
@@ -162,7 +164,7 @@ class Topic:
         self.settle: Callable[[], object] = _nothing  # brings what is still under way
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle all messages; what a tick adds afterwards is not in the copy."""
+        """Pickle all messages; messages that a tick adds afterwards are not in the copy."""
         self.settle()
         return self.__dict__ | {"settle": _nothing}
 
@@ -276,7 +278,7 @@ class Recording:
         self.release: Callable[[], object] = _nothing  # removes the files that it reads from, where it owns some
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle without the files, since topics pickle what they read from them."""
+        """Pickle without the files, because topics pickle the messages that they read from them."""
         return self.__dict__ | {"release": _nothing}
 
     def newest(self, default: int) -> int:
@@ -284,7 +286,7 @@ class Recording:
         return max((t for topic in self.topics.values() if (t := topic.newest()) is not None), default=default)
 
     def before(self, t: int) -> Recording:
-        """Return what was recorded before t, ns; what is added to one of the two is not in the other."""
+        """Return the recording before t, ns; messages added to one of the two are not in the other."""
         result = Recording(())
         result.topics = {name: topic.before(t) for name, topic in self.topics.items()}
         # The topic of changes exists from the first change on only; an empty one would make two equal runs differ.
@@ -556,7 +558,7 @@ class _Clock:
 
     @property
     def left(self) -> bool:
-        """Return whether not all times were taken."""
+        """Return whether some times have not been returned yet."""
         return self.more or len(self._held) > 0
 
     @property
@@ -566,7 +568,7 @@ class _Clock:
 
     @property
     def seen(self) -> int:
-        """Return the newest time that was read; reads on if there is none that was not taken."""
+        """Return the newest time that was read; reads on if all have been returned."""
         if len(self._held) < 2 or self._held[0] == self._held[-1]:
             last = min(self._read + ORDERED, self.number)
             if self._whole is None:
@@ -578,14 +580,14 @@ class _Clock:
         return int(self._newest)
 
     def pop_until(self, limit: int | None) -> NDArray[np.int64]:
-        """Return the times before a limit that were not taken yet; all if there is none."""
+        """Return the times before a limit that have not been returned yet; all if there is no limit."""
         n = len(self._held) if limit is None else int(np.searchsorted(self._held, limit))
         used, self._held = self._held[:n], self._held[n:]
         return used
 
 
 def read_shards(paths: Iterable[Path]) -> Recording:
-    """Return what some shards have together, of those that are there."""
+    """Return the joint recording of some shards, skipping missing ones."""
     results = [path for path in paths if path.exists()]
     recording = Recording({topic: kind for path in results for topic, kind in shard_topics(path).items()}.items())
     for path in results:
@@ -594,7 +596,7 @@ def read_shards(paths: Iterable[Path]) -> Recording:
 
 
 def shard_topics(path: Path) -> dict[str, str]:
-    """Return name and message type of a shard's topics, without changes; nothing if its head is cut off."""
+    """Return name and message type of a shard's topics, without changes; empty if its head is cut off."""
     head, _ = _read_head(memoryview(path.read_bytes()))
     return {} if head is None else {name: msgtype for name, msgtype in head["topics"] if name != EVENTS}
 

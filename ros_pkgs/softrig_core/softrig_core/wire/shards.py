@@ -53,11 +53,11 @@ class Shards:
         self._writer(REST).note(t, data)
 
     def row(self, layouts: Mapping[int, Layout]) -> Callable[[int, Sequence[float]], object]:
-        """Return what appends one message of each of some topics, all of one time, by their numbers."""
+        """Return a function that appends one message to each of some topics, all at one time, by their numbers."""
         return self._of(layouts).add_row
 
     def rows(self, layouts: Mapping[int, Layout]) -> Callable[[NDArray[np.int64], NDArray[np.float64]], object]:
-        """Return what appends many such rows."""
+        """Return a function that appends many such rows."""
         return self._of(layouts).add_rows
 
     def flush(self) -> None:
@@ -66,7 +66,7 @@ class Shards:
             writer.flush()
 
     def recording(self) -> Recording:
-        """Return what is in the shards; long ones stay on the disk."""
+        """Return the recording in the shards; long ones stay on the disk."""
         result = Recording(self._topics)
         for name in self._writers:
             result.read_shard(self._path(name))

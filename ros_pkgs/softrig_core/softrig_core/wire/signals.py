@@ -63,7 +63,7 @@ class _OnDisk(Mapping[str, Array]):
         return column
 
     def renamed(self, name: Callable[[str], str]) -> _OnDisk:
-        """Return the same columns by other labels; what softrig recorded has no two with one name."""
+        """Return the same columns with other labels; in softrig's recordings no two have one name."""
         return _OnDisk(self._stored, [name(label) for label in self._places], self._flags, self._recent)
 
     def __contains__(self, label: object) -> bool:
@@ -91,7 +91,7 @@ class _InParts(Mapping[str, Array]):
         return self._joined[k]
 
     def renamed(self, name: Callable[[str], str]) -> _InParts:
-        """Return the same columns by other labels; what softrig recorded has no two with one name."""
+        """Return the same columns with other labels; in softrig's recordings no two have one name."""
         return _InParts(self._parts, [name(label) for label in self._places], self._flags)
 
     def __contains__(self, label: object) -> bool:
@@ -131,7 +131,7 @@ def short_name(name: str, known: Iterable[str]) -> str:
 
 
 def topic_of(name: str, topics: Iterable[str]) -> str:
-    """Return the topic of a signal; empty when it is of none of them."""
+    """Return the topic of a signal; empty if it belongs to none of them."""
     return max((t for t in topics if name.startswith(f"{t}/")), key=len, default="")
 
 
@@ -177,12 +177,12 @@ class Signals(Mapping[str, Signal]):
 
     @cached_property
     def end(self) -> float:
-        """Time of the newest message of all signals, s: up to it the last sample of each is held."""
+        """Time of the newest message of all signals, s; the last sample of each is held up to it."""
         ends = [topic.newest() for topic in self.recording.topics.values() if topic.msgtype in TYPES]
         return (max((end for end in ends if end is not None), default=0) - self._epoch) / SECOND
 
     def table(self, topic: str) -> Table:
-        """Return all columns of a topic; what a message lacks that others of its topic have is NaN."""
+        """Return all columns of a topic; values that a message lacks are NaN."""
         if topic not in self._also:
             return self._table(topic)
         if topic not in self._named:

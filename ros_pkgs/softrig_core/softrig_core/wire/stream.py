@@ -11,7 +11,7 @@ class CdrError(ValueError):
 
 
 class Writer:
-    """Puts the parts of a message behind each other, little endian.
+    """Writes the parts of a message one after the other, little endian.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Writer:
         self.written: list[tuple[int, int]] = []
 
     def room(self, code: str, n: int) -> int:
-        """Reserve room for `n` values of a struct's code; return where it begins."""
+        """Reserve space for `n` values of a struct's code; return where it begins."""
         size = struct.calcsize(code)
         if n:
             self.data += bytes(-(len(self.data) - 4) % size)
@@ -42,7 +42,7 @@ class Writer:
         self.written.append((at, len(self.data)))
 
     def text(self, text: str, room: int = 0) -> int:
-        """Write a string with room for so many characters at its end; return the position of the room."""
+        """Write a string with space for more characters at its end; return the position of that space."""
         raw = text.encode()
         self.add("I", len(raw) + room + 1)
         at = len(self.data) + len(raw)
@@ -89,7 +89,7 @@ class Reader:
         return self.read(code)[0]
 
     def count(self, what: str, size: int) -> int:
-        """Read how many items follow, of at least so many bytes each.
+        """Read the number of following items, of at least so many bytes each.
 
         Raises
         ------

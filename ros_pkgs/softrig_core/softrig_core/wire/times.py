@@ -1,4 +1,4 @@
-"""Arrays of times that many runs have in common, and what follows from them alone: computed once in a process.
+"""Arrays of times that many runs share, and results that depend only on them: computed once in a process.
 
 The runs of a study publish at the same ticks, so that the places of samples, their distances and windows are the same
 in each of them; only the values differ. Arrays that are kept here are read-only.
@@ -31,7 +31,7 @@ class _Kept:
         self.size = 0
 
     def keep(self, parts: Iterable[Any]) -> None:
-        """Keep the arrays among some parts of a result; what follows from them can then be kept, too."""
+        """Store the arrays among some parts of a result, so that results that depend on them can be stored, too."""
         for array in parts:
             if isinstance(array, np.ndarray) and array.base is None and id(array) not in self.arrays:
                 array.flags.writeable = False
@@ -51,7 +51,7 @@ def _room() -> _Kept:
 
 
 def common(times: _T) -> _T:
-    """Return the array of these times that earlier runs had, if they had one, else this one.
+    """Return the equal array of times of an earlier run if there is one, else this one.
 
     Parameters
     ----------

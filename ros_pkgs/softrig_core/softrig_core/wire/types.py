@@ -1,4 +1,4 @@
-"""The message types of the suite, each described once: fields in wire order, what is named, stamped, shaped, labelled.
+"""The message types of softrig, each described once: fields in wire order, with names, stamps, shapes and labels.
 
 Codec, ports, signals, links and the comparison of bags all ask here; a new type is one entry of `TYPES`.
 """

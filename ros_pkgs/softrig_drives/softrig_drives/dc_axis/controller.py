@@ -86,7 +86,7 @@ def design(poles: Sequence[complex], motor: MotorParams | None = None) -> tuple[
 
 
 class State(NamedTuple):
-    """Nominal loop, commands known (V), set point; times (ns; None before the first) of newest tick and measurement.
+    """Nominal loop, known commands (V), set point; times (ns; None before the first) of newest tick and measurement.
 
     That measurement (v, y), late, and compensated, in mm/s and mm; integral (mm s), command (V).
     """
@@ -192,7 +192,7 @@ class FsfbController(Block[FsfbControllerParams]):
         return self._answer(State(nominal, history, set_point, t, x.stamp, x.measured, state, xi, u))
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """0 V, known to the command history; the last good measurement and the integrator hold."""
+        """Publish 0 V, which enters the command history; the last good measurement and the integrator are held."""
         return self._answer(x._replace(t=t, u=0.0, history=self._replay.record(self._known(x, t), 0.0)))
 
     def _answer(self, x: State) -> tuple[State, Mapping[str, tuple[float, ...]]]:

@@ -27,7 +27,7 @@ class DcAxis(Drawing):
         self.per_turn = self.p.mm_per_rev
 
     def _reach(self) -> float:
-        """Half the scale: what the presses of the buttons may add up to and half of it again, mm."""
+        """Return half the scale: 1.5 times the sum that the presses of the buttons may reach, mm."""
         params = [m.params for m in self.rig.members]
         step = max((p.step_mm for p in params if hasattr(p, "step_mm")), default=10.0)
         presses = [len(getattr(p, name, ())) for p in params for name in ("forward", "reverse")]

@@ -8,7 +8,7 @@ from softrig_core import BlockParams, param
 
 
 class MotorParams(BlockParams):
-    """Motor with its limits, in the paper's unit: a command u_m of 1 mm is what 1 mm of position error gives.
+    """Motor with its limits, in the paper's unit: a command u_m of 1 mm corresponds to 1 mm of position error.
 
     y' = v, v' = -pole v + gain u_m, u_m = mm_per_volt u_V.
     """

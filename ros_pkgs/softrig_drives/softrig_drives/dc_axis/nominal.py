@@ -1,4 +1,4 @@
-"""The loop as designed: what the axis would do without delay, encoder steps and friction."""
+"""The loop as designed: the motion of the axis without delay, encoder steps and friction."""
 
 from __future__ import annotations
 

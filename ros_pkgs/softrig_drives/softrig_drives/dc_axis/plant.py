@@ -35,7 +35,7 @@ class DcAxisParams(MotorParams):
 
 
 class State(NamedTuple):
-    """Position (mm) and speed (mm/s); the encoder's counts of the periods before, oldest first."""
+    """Position (mm) and speed (mm/s); the encoder's counts of the previous periods, oldest first."""
 
     y: float = 0.0
     v: float = 0.0
@@ -81,7 +81,7 @@ class DcAxisPlant(Plant[DcAxisParams]):
         return float(math.floor(y / self._resolution + 1e-9))
 
     def outputs(self, x: State, t: int) -> Mapping[str, tuple[float, float]]:
-        """Return what the encoder reads, and the true state."""
+        """Return the encoder's reading, and the true state."""
         y, v, past = x
         counts = self._counts(y)
         return {"state": (counts * self._resolution, (counts - past[0]) * self._per_count), "true_state": (y, v)}

@@ -1,4 +1,4 @@
-"""The DC motor: its armature circuit and what it turns."""
+"""The DC motor: its armature circuit and its load."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def turning_disc(pen: Pen, centre: Point, radius: float, angle: float) -> None:
 
 
 def speed_arc(pen: Pen, centre: Point, radius: float, share: float) -> None:
-    """Draw an arc from the top as long as the speed is of what is full, to the left when it is positive."""
+    """Draw an arc from the top in proportion to the speed, to the left for a positive speed."""
     end = math.pi / 2 + share * 0.75 * math.pi
     pen.arc(centre, radius, math.pi / 2, end, "second", 3.0)
     tip = polar(centre, radius, end)

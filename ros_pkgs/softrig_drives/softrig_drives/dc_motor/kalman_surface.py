@@ -1,4 +1,4 @@
-"""Sliding mode on the estimates of a Kalman filter that knows of load torque and bridge."""
+"""Sliding mode on the estimates of a Kalman filter that models load torque and bridge."""
 
 from __future__ import annotations
 

@@ -46,7 +46,8 @@ class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
 
 
 class State(NamedTuple):
-    """Angle (rad), speed (rad/s), armature current (A); of the rig what it was before, and the number of the tick.
+    """Angle (rad), speed (rad/s), armature current (A); for the rig also the previous values, and the number of the
+    tick.
 
     That is the voltage (V) that the bridge applied over the period before, and the encoder's count at its begin.
     """

@@ -51,7 +51,7 @@ P = TypeVar("P", bound=SurfaceParams, default=SurfaceParams)
 
 
 class SurfaceControl(SpeedControl[P]):
-    """The sliding mode law on a speed and its derivative, wherever they come from.
+    """The sliding mode controller for a speed and its derivative from any source.
 
     ::
 
@@ -69,7 +69,7 @@ class SurfaceControl(SpeedControl[P]):
 
     @classmethod
     def ports(cls, params: SurfaceParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """The surface is an output when asked for."""
+        """Declare the surface as an output on request."""
         return cls.INPUTS, (COMMAND, SURFACE) if params.publish_surface else cls.OUTPUTS
 
     def setup(self) -> None:

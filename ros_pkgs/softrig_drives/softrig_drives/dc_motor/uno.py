@@ -31,7 +31,7 @@ AVR = ("-mmcu=atmega328p", "-std=gnu11", "-Os", "-ffp-contract=off", "-DF_CPU=16
 
 
 class DcMotorUnoParams(SensorConstants, MotorConstants, BlockParams):
-    """The controller that the firmware has, the motor, and what is between them."""
+    """The controller of the firmware, the motor, and the parts between them."""
 
     scenario: str = param("dc_motor_smc_b1", "scenario whose controller the firmware has, in single precision")
     controller: str = param("dc_motor_smc", "its node")
@@ -211,7 +211,7 @@ def firmware_of(p: DcMotorUnoParams) -> Path:
 
 
 def firmware_files(defined: str) -> dict[str, str]:
-    """Return the firmware's own files, the first lines of the source given."""
+    """Return the firmware's own files, with given first lines of the source."""
     own = {name: (resources.files(__package__) / name).read_text() for name in ("uno_pwm.h", "uno_firmware.c")}
     return own | {"uno_firmware.c": defined + own["uno_firmware.c"]}
 

@@ -43,7 +43,7 @@ class AdcParams(Params):
 
 
 class Converter:
-    """One channel; it remembers nothing.
+    """One channel, without memory.
 
     ::
 
@@ -78,5 +78,5 @@ class Converter:
 
 
 def draw(k: int, channel: int) -> int:
-    """Return the place of sample k of a channel, 0 or 1, in the stream of random numbers: it comes in rows."""
+    """Return the place of sample k of a channel, 0 or 1, in the stream of random numbers, which is made in rows."""
     return (2 * (k // ROW) + channel) * ROW + k % ROW

@@ -90,7 +90,7 @@ class InductionMotor(Drawing):
         return CENTRE[0] + ROTOR * alpha, CENTRE[1] - ROTOR * beta
 
     def _inverter(self, pen: Pen, row: Row) -> None:
-        """Three half bridges: each phase lies at the upper or the lower rail."""
+        """Draw three half bridges: each phase is connected to the upper or the lower rail."""
         left, top, bottom = 420.0, 50.0, 140.0
         pen.text((400.0, 28.0), "Inverter", "muted")
         pen.line([(left - 20, top), (left + 170, top)], "line", 2.0)

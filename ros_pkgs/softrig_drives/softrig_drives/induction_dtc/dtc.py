@@ -43,7 +43,7 @@ class DtcControllerParams(EstimatorParams, BlockParams):
 
 
 class State(NamedTuple):
-    """Fluxes, levels of both comparators, vectors on their way, the one applied; DC link (V), speed (rad/s) as read."""
+    """Fluxes, levels of both comparators, pending vectors, the applied one; DC link (V), speed (rad/s) as read."""
 
     flux: Flux = Flux()
     increase: int = 1

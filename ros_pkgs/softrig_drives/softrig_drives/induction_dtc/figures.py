@@ -145,7 +145,7 @@ def converter_error(
 def _converter_error(
     signals: SignalMap, channel: str, lsb: float, start: float, end: float | None
 ) -> tuple[Array, Array]:
-    """Return measured less true current in LSB, and how long each value holds, ns."""
+    """Return measured minus true current in LSB, and how long each value is valid, ns."""
     t, x, holds = held(signals, f"currents_meas/{channel}", start, end)
     true = f"currents_true/{channel}"
     at, both, _ = _same(signals, true, t)

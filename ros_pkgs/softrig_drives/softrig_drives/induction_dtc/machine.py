@@ -32,7 +32,7 @@ OUTPUTS = 4
 
 
 def numbers(m: MachineConstants, h: float) -> tuple[float, ...]:
-    """Return the constants as `step_function` takes them: R_s, R_R, 1/L_sigma, R_R/L_M, p, 1/J, B, h."""
+    """Return the constants in the order of `step_function`: R_s, R_R, 1/L_sigma, R_R/L_M, p, 1/J, B, h."""
     return (m.R_s, m.R_R, 1.0 / m.L_sigma, m.R_R / m.L_M, float(m.pole_pairs), 1.0 / m.J, m.B, h)
 
 

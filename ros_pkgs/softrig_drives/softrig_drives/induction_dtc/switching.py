@@ -58,7 +58,7 @@ def sector(psi: complex) -> int:
 
 
 def flux_level(level: int, error: float, band: float) -> int:
-    """Two-level hysteresis: 1 to increase the flux above +band, 0 to decrease it below -band, else the level before."""
+    """Two-level hysteresis: 1 to increase the flux above +band, 0 to decrease it below -band, otherwise unchanged."""
     return 1 if error > band else 0 if error < -band else level
 
 

@@ -50,7 +50,7 @@ class ReluctanceMotor(Drawing):
         readings(pen, (400.0, 290.0), rows, 210.0)
 
     def _stator(self, pen: Pen, x: float) -> None:
-        """Two yokes with their teeth, which go to the left when the translator goes to the right."""
+        """Draw two yokes with their teeth, which move to the left when the translator moves to the right."""
         near, depth = (HALF_BODY + GAP) * SCALE, DEPTH * SCALE
         pole, pitch = STATOR_POLE * SCALE, self.pitch * SCALE
         # where pole a is aligned a tooth stands at its place; the pattern repeats with each pitch

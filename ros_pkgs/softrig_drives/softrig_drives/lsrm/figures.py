@@ -124,7 +124,7 @@ def _of(drive: str, signal: str) -> str:
 
 
 def _moving_means(signals: SignalMap, signal: str, width: float, start: float | None, end: float | None) -> Array:
-    """Return the means over time of a held signal over all stretches that begin or end at a sample."""
+    """Return the means over time of a held signal over all windows that begin or end at a sample."""
     t, x, gaps = held(signals, signal, start, end)
     edges = np.append(t, t[-1] + gaps[-1] * NS)
     total = np.append(0.0, np.cumsum(x * np.diff(edges)))
@@ -138,7 +138,7 @@ def _moving_means(signals: SignalMap, signal: str, width: float, start: float | 
 
 
 def _last_pitches(signals: SignalMap, length: float, end: float | None, drive: str) -> tuple[Array, Array]:
-    """Return the force over the last way of some length, and how long (ns) each value holds."""
+    """Return the force over the last distance of some length, and how long (ns) each value is valid."""
     x = window(signals, _of(drive, POSITION), None, end)[1]
     _, F, gaps = held(signals, _of(drive, FORCE), None, end)
     if abs(x[-1] - x[0]) < length:

@@ -50,7 +50,7 @@ class Geometry(Params):
         return self
 
     def numbers(self) -> Array:
-        """Return the constants as `profile` takes them: the parameters, then what it makes of them at each call."""
+        """Return the constants in the order of `profile`: the parameters, then values derived from them."""
         given = [self.tau, self.shift, self.G, self.L_u, self.c, self.h, self.w]
         return np.array([*given, 2.0 * self.w, self.h - self.w, 2.0 * self.w / math.pi, self.G * 0.5])
 

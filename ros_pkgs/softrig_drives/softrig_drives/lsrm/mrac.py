@@ -77,7 +77,7 @@ class LsrmMrac(SpeedControl[LsrmMracParams]):
     def update(
         self, x: State, t: int, *, joint_states: tuple[float, ...], reference: tuple[float, ...]
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Adapt, then give the force command."""
+        """Adapt, then return the force command."""
         p, v = self.p, joint_states[0]
         error = v - reference[1]
         phi = (reference[2] - self.k * error, v, 1.0)

@@ -19,7 +19,7 @@ Step = tuple[float, float, float, float, float, float, float, float, float, floa
 
 @dataclass(frozen=True)
 class Load:
-    """Added mass (kg) and friction (N) of the newest message that was good: an input held, no part of a linear view."""
+    """Added mass (kg) and friction (N) of the newest good message: a held input, not part of a linear view."""
 
     values: tuple[float, float] = (0.0, 0.0)
 
@@ -172,7 +172,7 @@ def step(
 
 @jit
 def held(voltage: float, flux: float, limit: float, fault: bool) -> float:
-    """Return what a half bridge applies to its phase, V."""
+    """Return the voltage that a half bridge applies to its phase, V."""
     if fault:
         return -limit if flux > 0.0 else 0.0
     return min(max(voltage, -limit), limit)

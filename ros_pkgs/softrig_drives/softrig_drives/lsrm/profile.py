@@ -124,7 +124,7 @@ class Profile:
         return self._ramp(self.t_d, self.t_d, self.x_d)[0] + self.v_d * (t - self.t_d), self.v_d, 0.0
 
     def _ramp(self, t: float, T: float, distance: float | None) -> Point:
-        """Acceleration from rest to v_d in T."""
+        """Return the acceleration profile from rest to v_d in T."""
         if self.kind == "jerk":
             return Quintic.between(0.0, 0.0, self.v_d, T, distance).at(t)
         a = self.v_d / T

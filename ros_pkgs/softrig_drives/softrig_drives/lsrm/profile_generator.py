@@ -49,13 +49,13 @@ class ProfileGenerator(Block[ProfileGeneratorParams]):
     OUTPUTS = (REFERENCE,)
 
     def setup(self) -> None:
-        """Create the profile; find what it needs."""
+        """Create the profile; compute its requirements."""
         p = self.p
         self.profile = Profile(p.profile, p.v_d, p.t_d, p.x_d, inf if p.t_b is None else p.t_b, p.t_db)
         self._largest = largest_force(self.profile, p.M, p.C + p.k_p)
 
     def first(self) -> tuple[()]:
-        """Describe what is wrong with the profile; nothing is remembered."""
+        """Report errors of the profile; there is no state."""
         self._judge()
         return ()
 

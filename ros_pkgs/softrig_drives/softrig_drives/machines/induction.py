@@ -23,7 +23,7 @@ class InductionConstants(Params):
     pole_pairs: int = param(2, "pole pairs p", ge=1, le=1000)
 
     def numbers(self, r_on: float) -> Array:
-        """Return the constants as `rates` takes them; the resistance includes that of the inverter."""
+        """Return the constants in the order of `rates`; the resistance includes that of the inverter."""
         return np.array([self.R_s + r_on, self.R_R, 1.0 / self.L_sigma, self.R_R / self.L_M, float(self.pole_pairs)])
 
 

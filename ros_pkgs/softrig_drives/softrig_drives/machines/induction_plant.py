@@ -32,7 +32,7 @@ class InductionPlantParams(InductionConstants, MachineParams):
 
 
 class State(NamedTuple):
-    """Flux linkages of stator and rotor in stator coordinates (Wb); the rest as in `plant.State`."""
+    """Flux linkages of stator and rotor in stator coordinates (Wb); further fields as in `plant.State`."""
 
     psi_s_alpha: float = 0.0
     psi_s_beta: float = 0.0

@@ -1,4 +1,4 @@
-"""The two-level inverter: parameters, and what its legs do within a period."""
+"""The two-level inverter: parameters, and the states of its legs within a period."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NEVER = 1e300
 
 
 class InverterParams(BlockParams):
-    """Inverter, its DC link and the source behind that."""
+    """Inverter, its DC link and the supply of that."""
 
     period: float = param(1e-4, "sampling period T_s of the control", "s", gt=0.0, le=0.1)
     inverter: Literal["averaged", "switched"] = param(

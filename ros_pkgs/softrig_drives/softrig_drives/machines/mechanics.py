@@ -50,7 +50,7 @@ class Mechanics(Params):
         return [(friction / self.J, "friction, w_stick and J"), (shaft, "K_shaft, C_shaft and the inertias")]
 
     def mechanics_numbers(self) -> list[float]:
-        """Return the constants in the order in which `accelerations` takes them."""
+        """Return the constants in the order of `accelerations`."""
         return [
             1.0 / self.J, self.B, self.T_coulomb, max(self.T_static, self.T_coulomb), self.w_stribeck, self.w_stick,
             1.0 / self.J_load if self.J_load else 0.0, self.K_shaft, self.C_shaft, self.load_square,

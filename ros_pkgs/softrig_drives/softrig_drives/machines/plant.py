@@ -1,4 +1,4 @@
-"""Three-phase machines as plants: inverter, machine and what it turns, in one."""
+"""Three-phase machines as plants: inverter, machine and mechanical load in one."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class MachineParams(Mechanics, InverterParams):
     theta_0: float = param(0.0, "initial angle", "rad", ge=-1e6, le=1e6)
 
     def rates(self, L: float = math.inf) -> list[tuple[float, str]]:
-        """Return bounds of the rates, 1/s, with their parameters, as `resolving_step` takes them.
+        """Return bounds of the rates, 1/s, with their parameters, for `resolving_step`.
 
         Parameters
         ----------
@@ -59,7 +59,7 @@ class MachineParams(Mechanics, InverterParams):
         return self
 
     def inverter_numbers(self) -> Array:
-        """Return the constants of the inverter as `step.stepper` takes them."""
+        """Return the constants of the inverter in the order of `step.stepper`."""
         per_C = 1.0 / self.C_dc if self.C_dc else 0.0
         switched = float(self.inverter == "switched")
         return np.array([
@@ -103,7 +103,7 @@ class MachinePlant(Plant[P]):
 
     @abstractmethod
     def nine(self, x: Any) -> Nine:
-        """Return what `step.stepper` moves."""
+        """Return the nine states that `step.stepper` advances."""
 
     def setup(self) -> None:
         """Arrange the constants for the compiled step."""
@@ -155,7 +155,7 @@ class MachinePlant(Plant[P]):
         return result, new, applied, x.fault or self._trips(result)
 
     def _trips(self, vector: Vector) -> bool:
-        """Report what is beyond a trip; return whether something is."""
+        """Report values beyond a trip level; return whether there are any."""
         p = self.p
         i_alpha, i_beta, _ = self._seen(vector[0], vector[1], vector[2], vector[3], vector[5], self._m)
         i_b = -0.5 * i_alpha + 0.5 * SQRT3 * i_beta

@@ -96,7 +96,7 @@ class SynchronousConstants(Params):
         return (i_d[0], i_d[-1], -i_q[-1] if i_q[0] == 0.0 else i_q[0], i_q[-1])
 
     def numbers(self, r_on: float) -> Array:
-        """Return the constants as `linkage` and `rates` take them; the resistance includes that of the inverter."""
+        """Return the constants in the order of `linkage` and `rates`; the resistance includes that of the inverter."""
         i_d, i_q = self.table_i_d, self.table_i_q
         head = [self.R_s + r_on, self.L_d, self.L_q, self.psi_f, float(self.pole_pairs), len(i_d), len(i_q)]
         if not i_d:

@@ -53,7 +53,7 @@ class Account:
             self._log_once(f"{item.port.topic}: {kind}", Level.ERROR, f"refused on {item.port.topic}: {reason}")
 
     def watch(self) -> None:
-        """Log what is new, look for what ends the run, write the status; called every `WATCH_PERIOD`."""
+        """Log new reports, check for reasons to end the run, write the status; called every `WATCH_PERIOD`."""
         node = self._node
         if node.record.shard is not None:
             node.record.shard.flush()
@@ -77,7 +77,7 @@ class Account:
             self.write_status()
 
     def write_status(self) -> None:
-        """Write the status file, if one is wanted."""
+        """Write the status file, if one is requested."""
         if self._node.options.status:
             self._file.write(self.status())
 

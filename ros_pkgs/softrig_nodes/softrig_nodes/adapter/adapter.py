@@ -46,7 +46,7 @@ class Drive(Protocol):
 
     @property
     def t(self) -> int:
-        """Time of the tick under way, ns."""
+        """Time of the current tick, ns."""
 
     def row(self, port: Port) -> Input:
         """Create the row of an input in the table of senders."""
@@ -67,10 +67,10 @@ class Drive(Protocol):
         """Leave if the node waited only for this message after its last tick."""
 
     def busy(self) -> bool:
-        """Return whether peers that wait for this node are to be patient."""
+        """Return whether peers that wait for this node must extend their timeouts."""
 
     def counts(self) -> dict[str, int]:
-        """Return what is counted while it runs: cheap enough for every status file."""
+        """Return the counts of the run: cheap enough for every status file."""
 
     def statistics(self) -> dict[str, Any]:
         """Figures of the run for the last status file."""
@@ -151,11 +151,11 @@ class Adapter:
 
     @property
     def t(self) -> int:
-        """Time of the tick under way, ns."""
+        """Time of the current tick, ns."""
         return self.drive.t
 
     def of_rig(self, name: str) -> str:
-        """Return the whole name of a topic of the rig, which is not the node's own to be remapped."""
+        """Return the full name of a topic of the rig, to which the node's own remapping does not apply."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def _may_stand(self) -> bool:

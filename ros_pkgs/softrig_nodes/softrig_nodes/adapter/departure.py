@@ -119,7 +119,7 @@ class Departure(Reader):
         self._on_words(words)
 
     def announce(self, words: Sequence[str]) -> None:
-        """Publish to all nodes, also those that start later, that the clock of the rig is held or released."""
+        """Publish to all nodes, also to later ones, that the clock of the rig is paused or released."""
         self._words = words
         self._announce_start()
 

@@ -53,7 +53,7 @@ class Handshake:
         self._recorders = Awaited(node.middleware, node.links.recorders) if alone or node.links.public else None
 
     def absent(self) -> list[str]:
-        """Describe the peers that are not there yet; nothing when the node may begin."""
+        """Describe the missing peers; empty when the node may begin."""
         node = self._node
         self.missing = [sender for i, sender in self._awaited if not i.publishers and not i.received_any]
         absent = [

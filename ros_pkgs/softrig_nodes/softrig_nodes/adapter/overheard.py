@@ -158,7 +158,7 @@ class OverheardTopics:
                 self._node.middleware.subscribe(topic, row.port.msgtype, row)
 
     def recorded_reader(self, item: Input) -> Reader:
-        """Return what receives the messages of an input: the record has them, too."""
+        """Return the receiver of an input's messages, which also records them."""
         row = self._rows.get(self._node.middleware.resolve(item.port.topic))
         return item if row is None else _Both(row, item)
 

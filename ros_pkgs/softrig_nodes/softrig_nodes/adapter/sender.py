@@ -55,7 +55,7 @@ class Sender(Input):
         self.accept(stamp, result, data)
 
     def matched(self, count: int) -> None:
-        """Note how many writers there are in other processes, and let the drive react."""
+        """Note the number of writers in other processes, and let the drive react."""
         super().matched(count)
         if self in self.node.inputs:
             self.node.drive.on_matched(self)

@@ -59,7 +59,7 @@ def failure(adapter: Adapter, error: BaseException) -> Exception:
 
 
 def conclude(adapter: Adapter, stopped: bool) -> int:
-    """Store what the node has recorded and how it ended; return the exit status."""
+    """Store the node's recordings and how it ended; return the exit status."""
     if adapter.record.shard is not None:
         try:
             adapter.record.shard.close()

@@ -50,7 +50,7 @@ _Callback = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
 
 
 def library() -> Any:
-    """Return what `Arrival` calls, or None where it is not known to be safe or not there."""
+    """Return the library that `Arrival` calls, or None if it is missing or not known to be safe."""
     if rclpy.get_rmw_implementation_identifier() != RMW or not works("subscriptions"):
         return None
     try:
@@ -119,7 +119,7 @@ class Arrival:
         self._set(self._call)
 
     def end(self) -> None:
-        """Stop reporting; reports under way finish first."""
+        """Stop reporting; current reports finish first."""
         self._set(_Callback())
 
     def _set(self, call: Any) -> None:
@@ -128,7 +128,7 @@ class Arrival:
             raise RCLError(f"{self.subscription.topic_name}: cannot be notified of its messages")
 
     def report_writers(self) -> None:
-        """Report the writers if their number has changed since the last look."""
+        """Report the writers if their number has changed since the last check."""
         if self._rcl.rcl_subscription_get_publisher_count(self._reader, ctypes.byref(self._counted)):
             self._rcl.rcutils_reset_error()
         elif self._counted.value != self._writers:
@@ -136,7 +136,7 @@ class Arrival:
             self._matched(self._writers)
 
     def _receiver(self, receive: Callable[[bytes], object]) -> Callable[[], None]:
-        """Return a callable that takes the oldest message and passes it on; in a full queue a newer one replaced it."""
+        """Return a function that takes the oldest message and passes it on; in a full queue a newer one replaced it."""
         accept, reader, where = self._rcl.rcl_take_serialized_message, self._reader, self._where
         bytes_now = memoryview(self._bytes).cast("B").cast("Q")  # where they are, how many, how many there may be
         room, content = 0, memoryview(b"")

@@ -1,4 +1,4 @@
-"""tf2_msgs/msg/TFMessage where tf2_msgs is not installed: a type to publish and take as bytes.
+"""tf2_msgs/msg/TFMessage without an installed tf2_msgs: a type to publish and receive as bytes.
 
 The package is not available as a wheel. The middleware needs the name of a type, the form of its members, its hash and
 its description when a topic is offered. They are derived from those of geometry_msgs/msg/TransformStamped, of which

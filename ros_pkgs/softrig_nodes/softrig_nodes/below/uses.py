@@ -29,7 +29,7 @@ OF_ROS = ("use_sim_time", "start_type_description_service")  # which every node 
 
 
 class Use(NamedTuple):
-    """One thing below the public interface.
+    """One use of a private interface.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _rcl_error() -> type[Exception]:
 
 @cache
 def works(name: str) -> bool:
-    """Return whether a use of `USES` works as it was seen and the public way is not requested."""
+    """Return whether a use of `USES` works as before and the public way is not requested."""
     asked = os.environ.get(VARIABLE, "").split(",")
     if name in asked or "all" in asked:
         return False
@@ -151,7 +151,7 @@ RCLError: type[Exception] = _rcl_error() if works("error") else RuntimeError
 
 
 def sending(publisher: Any) -> Callable[[bytes], None]:
-    """Return what publishes the bytes of a message."""
+    """Return a function that publishes the bytes of a message."""
     return publisher.handle.publish_raw if works("publish_raw") else publisher.publish  # type: ignore[no-any-return]
 
 
@@ -179,12 +179,12 @@ def endpoints(node: Node, topic: str, *, writers: bool) -> list[TopicEndpointInf
 
 
 def options() -> dict[str, bool]:
-    """Return what a node is made with, so that `keep_overrides` finds what it is given."""
+    """Return the options with which a node is created, so that `keep_overrides` finds its overrides."""
     return {} if works("overrides") else {"automatically_declare_parameters_from_overrides": True}
 
 
 def keep_overrides(node: Node) -> None:
-    """Note what a new node, made with `options`, is given, and leave it to be declared."""
+    """Store the overrides of a new node, created with `options`, and leave them to be declared."""
     if works("overrides"):
         return
     node.softrig_overrides = {n: p for n, p in node.get_parameters_by_prefix("").items() if n not in OF_ROS}
@@ -193,7 +193,7 @@ def keep_overrides(node: Node) -> None:
 
 
 def overrides(node: Node) -> Mapping[str, Parameter]:
-    """Return the parameters that a node is given by arguments and files, declared or not."""
+    """Return the parameters from a node's arguments and files, declared or not."""
     return node._parameter_overrides if works("overrides") else node.softrig_overrides  # type: ignore[no-any-return]
 
 
@@ -249,7 +249,7 @@ def leave_to_executor(node: Node, subscription: Any) -> None:
 
 
 def executor() -> Any:
-    """Return what calls the node's callbacks."""
+    """Return the executor that calls the node's callbacks."""
     if works("events_executor"):
         return importlib.import_module("rclpy.experimental.events_executor").EventsExecutor()
     return importlib.import_module("rclpy.executors").SingleThreadedExecutor()

@@ -137,7 +137,7 @@ def _offer_following(node: ServingNode, adapter: Adapter, port: Port) -> None:
 
 
 def _read(publisher: Any) -> bool:
-    """Return whether a topic has subscribers; work that takes longer than a tick is skipped without one."""
+    """Return whether a topic has subscribers; without them, work that takes longer than a tick is skipped."""
     return bool(publisher.get_subscription_count())
 
 

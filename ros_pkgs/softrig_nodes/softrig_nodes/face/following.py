@@ -104,7 +104,7 @@ class Following(Reader):
     # what is followed --------------------------------------------------------------------------------------------
 
     def _now(self) -> tuple[int, Sequence[float]]:
-        """Return the newest tick, ns, and what the reference answers to it; a BadGoal if it does not run."""
+        """Return the newest tick, ns, and the reference's values at it; a BadGoal if it does not run."""
         step, state = self._adapter.step, self._adapter.state
         if state != "running" or not self._adapter.ticks:
             raise BadGoal("the run has not begun" if state in ("starting", "running") else "the run is over")
@@ -128,7 +128,7 @@ class Following(Reader):
         self._set(hold(len(self._joints), *self._now()))
 
     def _follow_message(self, message: Any) -> None:
-        """Follow what was published, without an answer."""
+        """Follow a published trajectory, without an answer."""
         with self._node.monitor:
             try:
                 _, result = self._motion(message)
@@ -141,7 +141,7 @@ class Following(Reader):
     # the action --------------------------------------------------------------------------------------------------
 
     def _asked(self, goal: Any) -> GoalResponse:
-        """Refuse what cannot be followed: a refusal has no reason on the wire, so it is logged."""
+        """Refuse an impossible goal: the message of a refusal has no reason, so it is logged."""
         with self._node.monitor:
             try:
                 self._checked(goal)
@@ -174,7 +174,7 @@ class Following(Reader):
         return result
 
     def _begin(self, handle: Any) -> tuple[str, str, Future[tuple[str, str]] | None]:
-        """Begin to follow; return why not, or what its end sets."""
+        """Begin to follow; return the reason for a refusal, or the event of its end."""
         try:
             now, result, on_way, at_end, until = self._checked(handle.request)
             self._set(result.values)
@@ -222,7 +222,9 @@ class Following(Reader):
         self._sources = count
 
     def _check(self) -> None:
-        """End what no message ends, and measure the joints of a node in this process: its messages go by no wire."""
+        """End goals that no message ends, and measure the joints of a node in this process, whose messages do
+        not pass DDS.
+        """
         adapter, topic = self._adapter, self._adapter.middleware.resolve("joint_states")
         if self._active is not None and adapter.state != "running":
             self._end("INVALID_GOAL", "the run has ended")

@@ -1,4 +1,4 @@
-"""Trajectories for a reference that follows them: what a message may be, and what parameters it becomes.
+"""Trajectories for a reference: accepted messages, and the parameters that they become.
 
 The rules are those of ros2_controllers' joint_trajectory_controller (Jazzy) with its defaults. Nothing here needs ROS:
 messages are read by the names of their fields.
@@ -46,7 +46,7 @@ def nanoseconds(time: Any) -> int:
 
 
 def motion(message: Any, joints: Sequence[str], now: int, row: Sequence[float], epoch: int, last: int | None) -> Motion:
-    """Return the motion that a trajectory_msgs/JointTrajectory asks for.
+    """Return the motion of a trajectory_msgs/JointTrajectory.
 
     It begins where the reference is now, with its speed and acceleration as far as the points have these fields. A
     joint that the message does not name stays where it is.
@@ -146,7 +146,7 @@ def _spread(
 
 
 class Tolerances:
-    """Bounds on the errors of a motion: one that is not given, zero or erased is not checked.
+    """Bounds on the errors of a motion: a missing, zero or erased one is not checked.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class Tolerances:
         return bool(self._bounds)
 
     def beyond(self, error: Sequence[Sequence[float]]) -> str:
-        """Describe the first error that is out of bounds; empty when none is.
+        """Describe the first error out of bounds; empty if there is none.
 
         Parameters
         ----------

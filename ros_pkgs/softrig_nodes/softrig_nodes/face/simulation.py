@@ -64,7 +64,7 @@ def types() -> dict[str, Any]:
 
 @dataclass
 class _Steps:
-    """Steps that a client waits for: the last tick, and what to do when they are done or impossible."""
+    """Steps that a client waits for: the last tick, and the callbacks for their end or failure."""
 
     first: int
     last: int

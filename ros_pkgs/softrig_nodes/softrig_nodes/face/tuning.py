@@ -1,4 +1,4 @@
-"""Parameters of a running node: what is set by the usual ROS services is checked, and holds from the next tick on."""
+"""Parameters of a running node: values set by the usual ROS services are checked, and take effect at the next tick."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ class _Recorded:
         self.next = 0  # the first that is not used
 
     def set_value(self, t: int) -> None:
-        """Let the input hold what had arrived up to tick t."""
+        """Set the input to the newest message that had arrived up to tick t."""
         row, node = self.row, self._node
         first = self.next
         while self.next < len(self.times) and self.times[self.next] <= t:
@@ -176,7 +176,7 @@ class Comeback:
         self._resume()
 
     def lacks(self, t: int) -> bool:
-        """Let the inputs hold what had arrived up to tick t; return whether the tick lacks something."""
+        """Set the inputs to the messages that had arrived up to tick t; return whether the tick lacks an input."""
         # No timer fires during this loop, so the status by which the runner sees the node alive is written here.
         if time.monotonic() - self._reported_at > WATCH_PERIOD * 1e-9:
             self._reported_at = time.monotonic()
@@ -226,7 +226,9 @@ class Comeback:
                 row.recall(k, data)
 
     def read_earlier(self) -> bool:
-        """Read from the current files what was published before this node was known; return whether nodes have left."""
+        """Read from the current files the messages published before this node was known; return whether nodes
+        have left.
+        """
         files = self._files = self._open_files()
         new = files.gone - self.gone
         self.gone |= new

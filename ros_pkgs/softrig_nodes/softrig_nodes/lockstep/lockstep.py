@@ -160,7 +160,7 @@ class Lockstep(Link):
             self.node.record.sink.add(number, self.t, data)
 
     def on_matched(self, item: Input) -> None:
-        """A second publisher on a paired topic makes the run ambiguous: it ends, naming both."""
+        """End the run, naming both, if a second publisher on a paired topic makes it ambiguous."""
         node = self.node
         if node.links.returns:
             # A second publisher is expected when a killed node is started again: DDS still lists the old process.
@@ -213,7 +213,7 @@ class Lockstep(Link):
         return not self.solving.finished(t)
 
     def await_tick(self, t: int) -> None:
-        """Set what tick `t` needs."""
+        """Set the requirements of tick `t`."""
         self._awaited = t
         self.senders.await_tick(t)
 
@@ -269,7 +269,7 @@ class Lockstep(Link):
 
     @property
     def alone(self) -> bool:
-        """Return whether no other process has a part in its ticks, nor a person."""
+        """Return whether no other process and no person takes part in its ticks."""
         node = self.node
         return (
             node.outgoing.alone
@@ -314,7 +314,9 @@ class Lockstep(Link):
         return result
 
     def progress(self) -> None:
-        """End the run when a peer is gone, stalls or never came; publish again what may have been lost with one."""
+        """End the run if a peer has gone, stalls or never came; publish messages again that may have been lost
+        with a peer.
+        """
         if self.last_published is not None:
             # A rig that answered a tick since the last look has lost nothing, so messages are only repeated while it
             # stands.

@@ -116,13 +116,13 @@ class PairedSenders:
         self.node.middleware.subscribe(row.port.topic, row.port.msgtype, row)
 
     def await_tick(self, t: int) -> None:
-        """Set what tick `t` needs."""
+        """Set the requirements of tick `t`."""
         # Each row sets here what it wants, so all are asked: `any` would skip some.
         self.missing = sum([row.lacks(t) for row in self.rows])
 
 
 class Newest(Sender):
-    """An input of which the newest value is used, at whatever tick it arrives."""
+    """An input that uses the newest value, at whatever tick it arrives."""
 
     def rejected(self, data: bytes) -> None:
         """The next answer would have used it."""
@@ -225,7 +225,7 @@ class Paired(Sender):
         self.want, self._holds, self.have = -_FOREVER, 0, False
 
     def learn(self, reached: int) -> None:
-        """Record that the sender has published up to one of its ticks, and nothing except what has arrived."""
+        """Record that the sender has published up to one of its ticks, and only the messages that have arrived."""
         self.reached = max(self.reached, reached)
         if not self.have and self._complete():
             self._use()
@@ -308,7 +308,7 @@ class Paired(Sender):
         return not self.silent and any(position < p <= self.want for p in self.pending)
 
     def _count_rejected(self, position: int | None) -> None:
-        """The refused message counts as that of its tick."""
+        """Count a rejected message as the one of its tick."""
         if position is not None and self._is_new(position):
             self.rejected_stamp = position
             self._put(position, BAD)
@@ -325,7 +325,7 @@ class Paired(Sender):
         )
 
     def _put(self, position: int, value: Any) -> None:
-        """Store what was published at a tick, and use it if that completes the inputs of our tick."""
+        """Store a message of a tick, and use it if it completes the inputs of our tick."""
         if not self.silent and position < self.want:
             # Of a faster publisher only the newest message up to the wanted tick can be used; older ones are dropped.
             self.pending = {p: kept for p, kept in self.pending.items() if p > position}
@@ -368,7 +368,7 @@ class Counted(Paired):
         self._announced.extend(announced)
 
     def receive(self, data: bytes) -> None:
-        """Receive the bytes of a message, without the number behind them."""
+        """Receive the bytes of a message, without the appended number."""
         if self._behind and not self.deaf():
             number, data = split(data)
             if not self._in_turn(number):
@@ -451,7 +451,7 @@ class Pace(Paired):
 
 
 class Behind(Pace):
-    """The acknowledgements of a node on which nothing depends, by which the clock does not outrun it."""
+    """The acknowledgements of a follower, which keep the clock from running too far ahead of it."""
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)

@@ -48,7 +48,7 @@ class Stalls:
         self._since = self._middleware.steady()
 
     def check(self) -> None:
-        """End the run when a peer is gone, stalls or never came."""
+        """End the run if a peer has gone, stalls or never came."""
         node, senders = self._node, self._senders
         waited = self._middleware.steady() - self._since
         if self.rivals is not None:

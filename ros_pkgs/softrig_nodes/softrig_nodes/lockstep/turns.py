@@ -1,4 +1,4 @@
-"""The ticks of the nodes of one process in lockstep: one loop answers them as far as nothing is missing."""
+"""The lockstep ticks of the nodes of one process: one loop answers them while no input is missing."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Turns:
             self.turn()
 
     def turn(self) -> None:
-        """Run ticks as long as nothing is missing."""
+        """Run ticks while no input is missing."""
         for node in self._nodes:
             if node.state in ("starting", "failed"):
                 return

@@ -1,4 +1,4 @@
-"""The node processes of a run: the files that they write, whether they are held, their end."""
+"""The node processes of a run: the files that they write, whether they are stopped, their end."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Child:
 
 
 def is_held(child: Child) -> bool:
-    """Return whether a process is held by SIGSTOP or a terminal (Linux)."""
+    """Return whether a process is stopped by SIGSTOP or a terminal (Linux)."""
     with suppress(OSError):
         return Path(f"/proc/{child.process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
     return False
 
 
 def stop(children: list[Child]) -> None:
-    """Stop what still runs: SIGINT, then SIGTERM, then SIGKILL."""
+    """Stop the remaining processes: SIGINT, then SIGTERM, then SIGKILL."""
     for child in children:
         child.interrupted = child.process.poll() is None
     for number, patience in STOP_STEPS:

@@ -32,7 +32,7 @@ SHARED = 0x80  # the kind of a mutex that is shared by processes and neither rob
 
 
 class Held(NamedTuple):
-    """A mutex that a dead thread holds."""
+    """A mutex that a dead thread has locked."""
 
     port: str
     inode: int
@@ -56,7 +56,7 @@ class DeadLocks:
         self._held: set[Held] = set()
 
     def release(self, domain: int) -> int:
-        """Unlock each mutex whose owner was already dead at the last look; return how many were unlocked.
+        """Unlock each mutex whose owner was already dead at the last check; return how many were unlocked.
 
         Two looks are needed, because the owner of another PID namespace is not visible here. (A live owner would have
         to be preempted with the mutex locked at both looks. Its port would lose a notification, and no message.)

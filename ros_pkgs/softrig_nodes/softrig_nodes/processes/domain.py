@@ -90,7 +90,7 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
 
 
 def holders(domains: Iterable[int]) -> str:
-    """Describe in brackets which processes hold domains, as far as visible to this user; empty for none."""
+    """Describe in brackets which processes use domains, as far as visible to this user; empty for none."""
     names = {f"@softrig-domain-{number}" for number in domains}
     with suppress(OSError):  # not Linux
         lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]
@@ -148,7 +148,7 @@ def require_loopback() -> None:
 
 
 def inhabited() -> set[int]:
-    """Return the domains in which a participant of DDS lives on this host: each holds UDP ports of its domain."""
+    """Return the domains with a DDS participant on this host: each uses UDP ports of its domain."""
     return {(port - BASE) // GAIN for port in udp_ports()}
 
 

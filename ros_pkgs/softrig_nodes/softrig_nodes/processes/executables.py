@@ -1,4 +1,4 @@
-"""Executables of ROS packages: where they are, in what environment they run, and becoming one."""
+"""Executables of ROS packages: where they are, their environment, and how a process becomes one."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def environment(
 
 
 def patient(profile: Path, directory: Path, silence: float) -> Path:
-    """Write a profile of ours, ``profile.xml``, with a lease that a silence of so many s does not end."""
+    """Write a profile of ours, ``profile.xml``, with a lease longer than a silence of the given seconds."""
     file = directory / "profile.xml"
     file.write_text(leased(profile.read_text(), silence))
     return file

@@ -49,7 +49,7 @@ _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib"
 
 
 class Forked:
-    """A process that the server has forked; what it can do is as `subprocess.Popen` has it."""
+    """A process that the server has forked, with the interface of `subprocess.Popen`."""
 
     def __init__(self, pid: int, server: ForkServer) -> None:
         self.pid = pid
@@ -187,7 +187,7 @@ _choosing = threading.Lock()
 
 
 def prepare(variables: Mapping[str, str]) -> ForkServer:
-    """Return the server of this process for an environment; started when there is none yet, and not waited for."""
+    """Return the server of this process for an environment; it is started if needed, without waiting for it."""
     global _server
     with _choosing:
         if _server is None or not _server.serves(variables):
@@ -281,7 +281,7 @@ def _threads() -> set[str]:
 
 
 def _fork(request: Mapping[str, Any], asleep: set[str]) -> int:
-    """Import what the node needs and fork; returns 0 if that cannot be, its own pid in the new process."""
+    """Import the modules of the node and fork; return 0 if that is impossible, its own pid in the new process."""
     with contextlib.suppress(Exception):
         load_main(request["package"], request["executable"])
     if not _threads() <= asleep:  # another thread may hold a lock that the new process would wait for

@@ -22,7 +22,7 @@ HINT = f"where it runs on Cyclone DDS: export CYCLONEDDS_URI='{CYCLONE}'"
 
 
 class Guests:
-    """The external nodes of a run: reports what is expected of them, and when they have joined."""
+    """The external nodes of a run: reports what they must do, and when they have joined."""
 
     def __init__(self, rig: Rig, announce: Callable[[str], object] | None) -> None:
         self._announce = announce

@@ -91,7 +91,7 @@ def _seconds(member: Member) -> str:
 
 
 def _recorded_inputs(rig: Rig, member: Member) -> list[str]:
-    """Return the inputs from outside the rig of which this member is the first reader."""
+    """Return the inputs from outside the rig whose first subscriber is this node."""
     first: dict[str, Member] = {}
     for m in rig.members:
         for port in m.inputs:

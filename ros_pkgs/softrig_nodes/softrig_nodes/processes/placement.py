@@ -48,7 +48,7 @@ class Placement:
     restart: int = 0
 
     def __str__(self) -> str:
-        """Describe in one word or two where nodes live and what they go by."""
+        """Describe in one word or two the placement and the kind of time."""
         if self.clock == "lockstep":
             return self.mode
         return f"{self.mode}, realtime" if self.mode == "container" else "realtime"

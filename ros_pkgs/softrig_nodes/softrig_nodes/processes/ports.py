@@ -64,7 +64,7 @@ def chosen(domain: int, used: Collection[int] = (), now: float | None = None) ->
 
 
 def _free(numbers: range, at: int, used: Collection[int]) -> int:
-    """Return the first number from the one `at` a place on, round and round, that is not taken; else that one."""
+    """Return the first number that is not in use, counting up from `at` and wrapping around; else that one."""
     at %= len(numbers)
     return next((n for n in (*numbers[at:], *numbers[:at]) if n not in used), numbers[at])
 

@@ -56,7 +56,7 @@ class Outcome:
 def run_processes(
     rig: Rig, seed: int, directory: Path, placement: Placement = PROCESSES, listener: Listener = NOBODY
 ) -> Outcome:
-    """Start all nodes of a rig, wait for them, gather what they recorded.
+    """Start all nodes of a rig, wait for them, gather their recordings.
 
     Parameters
     ----------

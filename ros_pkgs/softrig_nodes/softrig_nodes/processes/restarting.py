@@ -111,7 +111,7 @@ class Restarts:
             )
 
     def why(self, member: Member) -> str:
-        """Describe why a node that was killed is not started again; empty where none is."""
+        """Describe why a killed node is not restarted; empty if restarts are off."""
         if not self.most:
             return ""
         return f"; it was started again {self.counts.get(member.name, 0)} of {self.most} times"

@@ -114,7 +114,7 @@ def listed(folder: Path) -> list[str]:
 
 
 def lacking(processes: int, folder: Path = FOLDER) -> str:
-    """Describe why messages of so many nodes will not all go by shared memory; empty where they will."""
+    """Describe why messages of this number of nodes will not all use shared memory; empty if they will."""
     try:
         left = os.statvfs(folder)
     except OSError as error:
@@ -126,7 +126,7 @@ def lacking(processes: int, folder: Path = FOLDER) -> str:
 
 
 def domain_id() -> int:
-    """Return the ROS_DOMAIN_ID of the environment; what is none is refused by rcl."""
+    """Return the ROS_DOMAIN_ID of the environment; rcl refuses an invalid one."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     return int(text) if text.isdecimal() else 0
 
@@ -155,7 +155,7 @@ class Ears:
         self._places: dict[tuple[Path, int], int] = {}
 
     def lost(self) -> str:
-        """Name a port of ours that was taken away; empty when there is none."""
+        """Name one of our ports that was taken away; empty if there is none."""
         if self._good and not self._since and all(_inode(path) == inode for path, inode in self._good.items()):
             self._judge()
             return ""
@@ -172,7 +172,7 @@ class Ears:
         return next((path.name for path, since in self._since.items() if self._time - since >= self.PATIENCE), "")
 
     def _judge(self) -> None:
-        """Write into each sound port of ours that its readers have just been looked at, as Fast DDS does."""
+        """Write into each sound port of ours that its readers have just been checked, as Fast DDS does."""
         for path, inode in self._good.items():
             with suppress(OSError), path.open("r+b", buffering=0) as file:
                 if (place := self._places.get((path, inode))) is None:
@@ -182,7 +182,7 @@ class Ears:
 
 
 def judged(segment: bytes, path: Path) -> int:
-    """Return where a port stores the time (ms) of the last look at its readers; -1 if this cannot be found.
+    """Return where a port stores the time (ms) of the last check of its readers; -1 if this cannot be found.
 
     In Fast DDS 2.14 and 3.2 (`SharedMemGlobal::PortNode`) the number of the port, its readers, the time after which it
     is judged and a third of that time are stored 20 bytes further on.

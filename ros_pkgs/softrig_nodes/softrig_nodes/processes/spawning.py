@@ -191,5 +191,5 @@ def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Pat
 
 
 def _die_with_parent() -> None:
-    """Linux kills the node when the runner dies, whatever killed the runner."""
+    """Let Linux kill the node when the runner dies, whatever killed the runner."""
     LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Being stopped from outside: SIGINT, SIGTERM, SIGHUP and SIGQUIT end a run in the same orderly way.
+"""Stops from outside: SIGINT, SIGTERM, SIGHUP and SIGQUIT end a run in the same orderly way.
 
 A SIGHUP that is ignored from the start, as by `nohup`, stays ignored.
 """
@@ -16,7 +16,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, *_HUNG_UP, signal.SIGQUIT)
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asks for the end.
+    """A signal has requested the end.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Stopping:
 
 @contextmanager
 def stoppable() -> Iterator[Stopping]:
-    """Turn the first signal into `Stopped` raised in the main thread, and let no later one disturb the clearing up.
+    """Turn the first signal into `Stopped` raised in the main thread, and let no later one disturb the cleanup.
 
     In other threads, which get no signals, it does nothing. A long wait asks `Stopping.check` now and then.
     """

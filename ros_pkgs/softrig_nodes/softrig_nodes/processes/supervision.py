@@ -100,7 +100,7 @@ def supervise(
 
 
 def _stuck(children: Sequence[Child]) -> set[str]:
-    """Return what processes have logged last, if it is what the run waits for: a block's call, a third-party node."""
+    """Return the last log of processes if it shows what the run waits for: a block's call, a third-party node."""
     return {line for line in (last_line(c.log) for c in children) if STUCK in line or WAITS in line}
 
 

@@ -60,7 +60,7 @@ class Answering:
             self._begin(due)
 
     def _begin(self, due: int) -> None:
-        """The tick that `due` belongs to is to be answered."""
+        """Begin the tick that `due` belongs to."""
         node = self._node
         stamp = self._table.grid_time(due)
         # Messages from before t = 0 belong to no tick.
@@ -121,7 +121,7 @@ class Answering:
             self._node.step.note(Level.ERROR, "dropped", text)
 
     def _give_up(self) -> None:
-        """The oldest tick has waited long enough: answer with what is there."""
+        """Answer the oldest tick with the present inputs, because it has waited long enough."""
         node = self._node
         self._deadline.cancel()
         if not self._pending or node.state != "running":
@@ -147,7 +147,7 @@ class Answering:
             self._deadline.again(self._patience)
 
     def count_missed(self, end: int) -> None:
-        """Count the ticks up to the end of the run for which nothing has come."""
+        """Count the ticks up to the end of the run for which no message has arrived."""
         if self._last_stamp is not None and end > self._last_stamp:
             self.missed += self._between(end) + 1
             self._last_stamp = end

@@ -73,7 +73,7 @@ class LiveSenders:
         return row
 
     def record(self, stamp: int) -> None:
-        """Record what the tick of a stamp uses, with that stamp: at it a repetition must bring the same."""
+        """Record the inputs of the tick of a stamp, with that stamp, at which a repetition must provide them."""
         sink = self.node.record.sink
         if sink is not None:
             for due, number, data in self.unrecorded:
@@ -107,7 +107,7 @@ class LiveSenders:
 
 
 class Live(Sender):
-    """A sender of which the newest messages are used.
+    """A sender whose newest messages are used.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class Live(Sender):
     # what has come -------------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes) -> None:
-        """Receive the bytes of a message, and run what is due because of it."""
+        """Receive the bytes of a message, and run the ticks that it completes."""
         super().receive(data)
         self.table.act()
 
@@ -259,7 +259,7 @@ class Live(Sender):
         """Ignore the sender's report whether it published at a tick; this kind of row does not wait for it."""
 
     def _begin(self, stamp: int) -> None:
-        """Set t = 0 of a controller that was started by hand to the tick of its first message."""
+        """Set t = 0 of a controller that was started alone to the tick of its first message."""
         node = self.node
         if not node.epoch and not node.is_plant:
             node.epoch = node.schedule.held(stamp)
@@ -298,7 +298,7 @@ class Live(Sender):
         return not (self.complete(stamp) and (self.ready(stamp) or not self.awaited))
 
     def complete(self, stamp: int) -> bool:
-        """Return whether what is due at the tick of a stamp is there."""
+        """Return whether the inputs due at the tick of a stamp are there."""
         epoch, period = self.node.epoch, self.node.schedule.time(1)
         if not self.awaited and not self.expected:
             return True
@@ -320,7 +320,7 @@ class Live(Sender):
         return bool(self.recent) and (self.by_arrival or self.recent[0][0] <= stamp)
 
     def value_at(self, stamp: int) -> Any:
-        """Return the value of the tick of a stamp: the newest one not after it; None when there is none."""
+        """Return the value at the tick of a stamp: the newest one not after it; None if there is none."""
         self.fresh = False
         self.answered = stamp
         recent = self.recent
@@ -334,7 +334,7 @@ class Live(Sender):
         return recent[0][1]
 
     def held_stamp(self) -> int | None:
-        """Return the stamp of what the block gets, ns from its t = 0."""
+        """Return the stamp of the value that the block gets, ns from its t = 0."""
         stamp = self._used if self._used is not None else self.stamp
         return None if stamp is None else stamp - self.node.epoch
 

@@ -41,7 +41,7 @@ END_GRACE = SECOND  # ns after the end of the run after which a node ends that s
 
 @runtime_checkable
 class Unjudged(Protocol):
-    """A block after some of whose runs there is nothing to judge, such as one on a board that never answered."""
+    """A block whose runs can be impossible to judge, such as one on a board that never answered."""
 
     def void(self, x: Any) -> str:
         """Return why a run that ends with this state must not be judged; empty: it may be."""
@@ -116,7 +116,7 @@ class Realtime(Link):
         return lambda: self._timer.again(SOON)
 
     def join(self, local: Set[str]) -> None:
-        """Begin, or wait for the others if t = 0 is to be agreed; `local` are the other nodes of this process."""
+        """Begin, or wait for the others if t = 0 must be agreed; `local` are the other nodes of this process."""
         node = self.node
         self._begun = self._begun or self._by_itself()
         acknowledgements = listen(
@@ -225,7 +225,7 @@ class Realtime(Link):
     # messages --------------------------------------------------------------------------------------------------
 
     def row(self, port: Port) -> Live:
-        """Create the row of an input: it keeps the good values by stamp; what is due makes a block answer."""
+        """Create the row of an input: it stores the good values by stamp; a due one makes a block answer."""
         link = self.node.links.inputs.get(port.name)
         return self.senders.row(port, Sporadic if link is not None and link.reports_silence else Live)
 

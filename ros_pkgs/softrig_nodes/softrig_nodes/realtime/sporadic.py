@@ -66,7 +66,9 @@ class Sporadic(Live):
         return super().value_at(stamp)
 
     def held_stamp(self) -> int | None:
-        """Return the stamp of what the block gets, ns from its t = 0; None before the first message is used."""
+        """Return the stamp of the value that the block gets, ns from its t = 0; None before the first message
+        is used.
+        """
         return None if self._used is None else self._used - self.node.epoch
 
 

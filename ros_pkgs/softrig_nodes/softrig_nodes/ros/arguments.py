@@ -1,4 +1,4 @@
-"""ROS arguments of a node: what rcl refuses, in one line that states what was expected."""
+"""ROS arguments of a node: those that rcl refuses are reported in one line with the expected form."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FORMS = {
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
-    """Raise what rclpy reports of arguments and names as a ValueError with one line.
+    """Raise errors of rclpy about arguments and names as a ValueError with one line.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def plain_errors() -> Iterator[None]:
 
 
 def non_ros_arguments(argv: Sequence[str]) -> list[str]:
-    """Return the arguments after the first that are none of ROS's.
+    """Return the arguments after the first that are not ROS arguments.
 
     Raises
     ------

@@ -60,7 +60,7 @@ class ContainedMiddleware(RosMiddleware):
         """Do nothing: the loop of the exchange does not sleep, so messages are processed promptly."""
 
     def post(self, call: Callable[[], object]) -> None:
-        """Call a function when whatever is under way has returned."""
+        """Call a function after the current call has returned."""
         self._exchange.post(call)
 
     def timer(self, ns: int, callback: Callable[[], None]) -> ExchangeTimer:  # type: ignore[override]
@@ -69,7 +69,7 @@ class ContainedMiddleware(RosMiddleware):
 
 
 class _Exchanged(Reader):
-    """Passes messages to their reader by the exchange of its container, which knows all writers."""
+    """Passes messages to their subscriber by the exchange of its container, which knows all writers."""
 
     def __init__(self, exchange: Exchange, reader: Reader) -> None:
         self._exchange, self._reader, self.numbered = exchange, reader, reader.numbered

@@ -38,7 +38,7 @@ class Garbage:
             collector.disable()
 
     def step(self) -> None:
-        """Set aside what has been made since the last step; to be called about ten times a second."""
+        """Set aside the objects made since the last step; to be called about ten times a second."""
         self._left -= 1
         if self._left <= 0:
             self._clean = self._gc.collect(self._of) == 0

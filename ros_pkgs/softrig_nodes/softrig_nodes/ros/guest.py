@@ -183,7 +183,7 @@ class Guest:
             raise RunError(f"{self.who} does not follow /clock; start it with -p use_sim_time:=true")
 
     def _lacks(self, lacking: Sequence[str], wanted: Collection[str]) -> str:
-        """Describe what is missing and what to do: of a node that is not there, or of one that has the rest."""
+        """Describe what is missing and what to do: about a missing node, or one that lacks something."""
         if len(lacking) < len(wanted):
             what = f"{self._named()} is there without {', '.join(lacking)}"
             if lacking == [CLOCKED]:
@@ -200,7 +200,9 @@ class Guest:
         return f"{writers[0].node_namespace.rstrip('/')}/{writers[0].node_name}" if writers else "UNKNOWN"
 
     def _settle(self, t: int) -> None:
-        """Wait until its executor has processed all messages that it received; take what it has published by then."""
+        """Wait until its executor has processed all messages that it received; collect what it has published by
+        then.
+        """
         for _ in range(2):  # the first answer may be earlier than a callback, see above
             self._asked("use_sim_time", t)
         for name, subscription in self._subscriptions.items():

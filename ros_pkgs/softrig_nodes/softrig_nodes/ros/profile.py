@@ -1,4 +1,4 @@
-"""Join a domain with a Fast DDS profile of the process's own, derived from the one that it is given.
+"""Join a domain with a process-specific Fast DDS profile, derived from the given one.
 
 Its ports are ones that no recently killed process used (see `processes.ports` for why). In a container its writers are
 not matched with its own readers: messages between two nodes of one process are passed in memory, and DDS would deliver
@@ -165,6 +165,6 @@ def _without_memory(root: ElementTree.Element, space: str) -> None:
 
 
 def _within(element: ElementTree.Element, tag: str) -> ElementTree.Element:
-    """Return the child of a tag, made where it is not there."""
+    """Return the child of a tag, created if needed."""
     result = element.find(tag)
     return ElementTree.SubElement(element, tag) if result is None else result

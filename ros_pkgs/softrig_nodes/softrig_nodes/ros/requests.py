@@ -1,4 +1,5 @@
-"""Answer the requests of a node's services: in order of arrival, within a share of the time, and never to the gone.
+"""Answer the requests of a node's services: in order of arrival, within a share of the time, and not to clients that
+have left.
 
 rclpy's executor calls all that has arrived one after the other. Behind a flood of requests a timer waits for seconds.
 So the requests stay in the queues of the middleware, which keep the newest ones, and a timer takes them.
@@ -63,7 +64,7 @@ class Periodic(Protocol):
 
 @dataclass
 class _Offer:
-    """A service, and its oldest request with its header and whether an earlier look has found it."""
+    """A service, its oldest request with its header, and whether an earlier check has found it."""
 
     service: Any
     answer: Callable[..., Any]

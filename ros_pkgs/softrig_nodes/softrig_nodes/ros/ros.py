@@ -160,7 +160,7 @@ class ServingNode(Node):  # type: ignore[misc]
         return service
 
     def _refusing(self, srv_type: Any, name: str, callback: Callable[[Any, Any], Any]) -> Answer:
-        """Return what answers a request, and refuses it if that fails."""
+        """Return a callback that answers a request, or refuses it if that fails."""
 
         def answering(request: Any, response: Any, wait: float = 0.0) -> Any:
             try:
@@ -182,7 +182,7 @@ class ServingNode(Node):  # type: ignore[misc]
         return answering
 
     def timer(self, ns: int, callback: Callable[[], None]) -> RosTimer:
-        """Call back every `ns`, by a clock that nobody sets."""
+        """Call back every `ns`, by a clock that cannot be set."""
         return RosTimer(self.create_timer(ns / 1e9, callback, clock=Clock(clock_type=ClockType.STEADY_TIME)))
 
     def serve_by(self, timer: Callable[[int, Callable[[], None]], Periodic]) -> None:
@@ -241,7 +241,9 @@ class ServingNode(Node):  # type: ignore[misc]
         return result
 
     def _misfit(self, wanted: Parameter) -> str:
-        """Describe why a value cannot replace the present one: rclpy accepts any kind, and none for a removal."""
+        """Describe why a value cannot replace the present one: rclpy accepts any type, and an empty value for a
+        removal.
+        """
         if wanted.name == "use_sim_time":
             # rclpy makes and destroys a subscription of /clock, which takes Python's lock and those of Fast DDS in the
             # other order than a message that arrives (see `arrival`): the node would hang for ever.
@@ -255,7 +257,7 @@ class ServingNode(Node):  # type: ignore[misc]
         return f"parameter {wanted.name} = {repr(plain(wanted))[:LONG]}: expected {KINDS.get(kind, kind.name)}"
 
     def _meant(self, message: Any) -> Parameter:
-        """Return what is to be set: numbers as real ones where these are expected, whatever they were taken for."""
+        """Return the intended value: numbers as floats if these are expected, whatever type they were given as."""
         given = Parameter.from_parameter_msg(message)
         known = parameters(self).get(given.name)
         if known is None:  # declared without a value, by rclpy without its name
@@ -285,14 +287,14 @@ def plain(parameter: Parameter) -> Any:
 
 
 def whole(value: float) -> int:
-    """Return a real number as the whole one that it is; a ValueError where it is none."""
+    """Return a float as the integer that it equals; a ValueError if it is not one."""
     if not value.is_integer() or abs(value) >= 2.0**63:
         raise ValueError(value)
     return int(value)
 
 
 def guessed(value: Any) -> Any:
-    """Return what `ros2 param load` makes of a value's text: of no value 'None', of an empty list one of bools."""
+    """Return how `ros2 param load` reads a value's text: no value as 'None', an empty list as one of bools."""
     with suppress(YAMLError, AssertionError):
         return get_parameter_value(str(value))
     return None
@@ -545,7 +547,7 @@ class RosMiddleware(Middleware):
             self.log(Level.WARN, f"parameter {name} is ignored: it fits no topic and policy of this node{meant}")
 
     def post(self, call: Callable[[], object]) -> None:
-        """Call a function when whatever is under way has returned: a node by itself has that only of a person's."""
+        """Call a function after the current call has returned."""
         self._posted.append(call)
         if len(self._posted) == 1:
             self.node.executor.create_task(self._in_turn(self._call_posted))

@@ -93,7 +93,7 @@ class Exchange:
     # what is to happen -------------------------------------------------------------------------------------------
 
     def post(self, call: Callable[[], object]) -> None:
-        """Call a function when whatever is under way has returned."""
+        """Call a function after the current call has returned."""
         self._queue.append(call)
 
     def hand(self, receive: Receive, data: bytes) -> None:
@@ -107,7 +107,7 @@ class Exchange:
             self.flush()
 
     def flush(self) -> None:
-        """Publish what is for other processes."""
+        """Publish the messages for other processes."""
         outbox, self._outbox, self._turns = self._outbox, [], 0
         for publish, data in outbox:
             publish(data)
@@ -160,7 +160,7 @@ class Exchange:
             pass
 
     def _drain(self, until: int) -> None:
-        """Process the queue and what follows from it until it is empty or `until` (ns, monotonic) has passed."""
+        """Process the queue and its consequences until it is empty or `until` (ns, monotonic) has passed."""
         queue, now = self._queue, time.monotonic_ns
         accept = queue.popleft
         call: Callable[[], object] | None = None
@@ -176,7 +176,7 @@ class Exchange:
             raise
 
     def next_due(self) -> int:
-        """Time (ns, monotonic) of the next timer; far away when there is none."""
+        """Return the time (ns, monotonic) of the next timer; far in the future if there is none."""
         timers = self._timers
         for timer in self._moved:
             timer.moved = False

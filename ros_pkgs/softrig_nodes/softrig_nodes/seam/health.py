@@ -37,7 +37,7 @@ class StatusFile:
 
 
 def figures(held: RunningBlock) -> dict[str, Any]:
-    """Return what an observer has measured, as far as it is a number."""
+    """Return the measurements of an observer that are numbers."""
     if not isinstance(held.block, Observer):
         return {}
     return {"figures": {k: v for k, v in held.status().items() if math.isfinite(v[0])}}
@@ -56,7 +56,7 @@ def _exchange(new: Path, path: Path) -> None:
 
 
 def percentiles(name: str, samples: Iterable[int], most: int) -> dict[str, float]:
-    """Return p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; nothing without samples.
+    """Return p50, p99 and maximum of times in ns as ``<name>_p50_ms`` and so on; empty without samples.
 
     Parameters
     ----------

@@ -111,7 +111,7 @@ class Middleware(Protocol):
         return lambda mark, values: publish(encode(mark, values))
 
     def post(self, call: Callable[[], object]) -> None:
-        """Call a function when whatever is under way has returned: how nodes of one process follow each other."""
+        """Call a function after the current call has returned; nodes of one process call each other so."""
 
     def timer(self, ns: int, callback: Callable[[], None]) -> Timer:
         """Call back every `ns`."""
@@ -139,16 +139,16 @@ class Middleware(Protocol):
         """Message types under which each topic exists, by its full name."""
 
     def deaf(self) -> str:
-        """Describe why what others send cannot arrive any more; empty while it can."""
+        """Describe why messages cannot arrive any more; empty while they can."""
 
     def log(self, level: Level, text: str) -> None:
         """Log a message for the operator of the node."""
 
     def close(self) -> None:
-        """Stop delivering messages after those under way, or raise a RunError; raise pending errors."""
+        """Stop delivering messages after the current ones, or raise a RunError; raise pending errors."""
 
     def drain(self) -> None:
-        """Wait, in bounded time, until every reader has what was sent."""
+        """Wait, in bounded time, until every subscriber has received the messages."""
 
 
 def other_types(middleware: Middleware, port: Port) -> str:

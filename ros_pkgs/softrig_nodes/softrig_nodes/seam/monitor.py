@@ -1,4 +1,4 @@
-"""A monitor (Hoare): it runs the calls of a node one at a time, from whichever thread they come.
+"""A monitor (Hoare): it runs the calls of a node one at a time, from any thread.
 
 A message may be processed in the thread that received it. This saves the hand-over to another thread, which is half
 of the cost of a tick between two processes. That thread must not wait, because it holds locks of the middleware. So it

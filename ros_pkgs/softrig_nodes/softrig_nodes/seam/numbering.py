@@ -40,7 +40,7 @@ class Numbering:
 
 
 def numbered(number: int, data: bytes) -> bytes:
-    """Return a message with its number behind it."""
+    """Return a message with its number appended."""
     return data + _NUMBER.pack(number)
 
 

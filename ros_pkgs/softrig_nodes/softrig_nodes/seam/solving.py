@@ -53,7 +53,7 @@ class Solving(Link):
 
     @property
     def working(self) -> bool:
-        """Return whether a request is under way or waits."""
+        """Return whether a request is in progress or pending."""
         return self._block.working(self.step.x)
 
     def finished(self, t: int) -> bool:

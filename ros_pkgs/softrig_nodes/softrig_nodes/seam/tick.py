@@ -41,7 +41,7 @@ def _together(schedule: Schedule) -> int:
 
 
 class TickWriter:
-    """Makes acknowledgements; the layouts are few and kept."""
+    """Makes acknowledgements; the few layouts are cached."""
 
     def __init__(self) -> None:
         self._layouts: dict[tuple[str, ...], Layout] = {}
@@ -61,7 +61,7 @@ class TickReader:
         self._known: dict[bytes, frozenset[str]] = {}
 
     def __call__(self, data: bytes) -> tuple[int, frozenset[str]]:
-        """Return the stamp in ns and what was sent.
+        """Return the stamp in ns and the names of what was published.
 
         Raises
         ------

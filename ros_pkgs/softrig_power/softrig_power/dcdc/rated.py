@@ -1,4 +1,4 @@
-"""A buck converter from what it has to do: the parts that follow, and a voltage controller for them."""
+"""A buck converter from its requirements: the parts that follow, and a voltage controller for them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LEAST = 20.0
 
 
 class Converter(NamedTuple):
-    """Parameters of `DcdcPlant` and `PidController`, and what was assumed, in words."""
+    """Parameters of `DcdcPlant` and `PidController`, and a description of the assumptions."""
 
     plant: dict[str, float]
     law: dict[str, float]

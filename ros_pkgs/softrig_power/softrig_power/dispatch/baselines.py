@@ -55,7 +55,7 @@ def without_ripples(units: Units) -> Units:
 
 
 def repaired(units: Units, P: Array, demand: float) -> Array:
-    """Spread what is missing to the demand over all units in proportion to the room that each has left."""
+    """Distribute the missing demand over all units in proportion to their remaining range."""
     P = np.clip(P, units.p_min, units.p_max)
     remaining = demand - float(P.sum())
     room = units.p_max - P if remaining > 0.0 else P - units.p_min

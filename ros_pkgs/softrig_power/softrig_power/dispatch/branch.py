@@ -392,7 +392,7 @@ def _cut(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
 
 @jit
 def _relax(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed, enough: Any) -> Any:
-    """Return the least cost of the relaxation of a box, infinite when nothing in it does, and what the balance lacks.
+    """Return the least cost of the relaxation of a box, infinite if it is infeasible, and the error of the balance.
 
     Write its outputs. With a reserve, its bound is raised until it is `enough`.
     """
@@ -470,7 +470,9 @@ def _widest(problem: Problem, boxes: Boxes, t: Any, relaxed: Relaxed) -> Any:
 
 @jit
 def _split(problem: Problem, boxes: Boxes, t: Any, split: Any, at: Any, lower: Any) -> None:
-    """Split box t where the relaxation puts a unit: what is below stays in t, what is above is put on top of it."""
+    """Split box t where the relaxation puts a unit: the lower part stays in t, the upper part is pushed onto
+    the stack.
+    """
     lo, hi, x, y, count, bound = boxes
     table, groups, narrow, n = problem.table, problem.groups, problem.narrow, lo.shape[1]
     at = min(max(at, lo[t, split]), hi[t, split])

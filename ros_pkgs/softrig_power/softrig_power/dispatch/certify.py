@@ -105,7 +105,7 @@ class Optimiser:
         self.time_limit, self.max_nodes = time_limit, max_nodes
 
     def two_stage(self, demand: float, start: Array | None = None) -> Dispatch:
-        """Stages 1 and 2, as the paper; proves nothing.
+        """Run stages 1 and 2 of the paper, without a proof.
 
         Raises
         ------
@@ -133,7 +133,7 @@ class Optimiser:
         return result
 
     def certified(self, demand: float, start: Array | None = None, progress: Progress | None = None) -> Dispatch:
-        """Two stages, then a proof by branch and bound and, where that takes too many boxes, by adaptive MILPs.
+        """Two stages, then a proof by branch and bound and, if that needs too many boxes, by adaptive MILPs.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class Optimiser:
         return result
 
     def conditioned(self, demand: float, conditions: Conditions, start: Array | None = None) -> Dispatch:
-        """Branch and bound with losses, ramps and reserve; as many boxes as `max_nodes`, whatever they take.
+        """Branch and bound with losses, ramps and reserve, with at most `max_nodes` boxes and no time limit.
 
         Raises
         ------
@@ -241,7 +241,7 @@ class Optimiser:
                 return
 
     def _missing(self, j: int, p: float, points: Array, low: Array) -> tuple[float, float]:
-        """Return where to split the segment that p lies in, and how far the model is below the cost there, $/h."""
+        """Return where to split the segment of p, and how far the model is below the cost there, $/h."""
         if len(points) < 2:
             return p, 0.0
         k = max(0, min(int(np.searchsorted(points, p, "right")) - 1, len(points) - 2))
@@ -259,7 +259,7 @@ class Optimiser:
             raise InfeasibleError(why)
 
     def start(self, demand: float, given: Array | None = None) -> Array:
-        """Return a feasible dispatch to begin with: the given one, or each unit at the same share of its range.
+        """Return a feasible dispatch as a start: the given one, or each unit at the same share of its range.
 
         Returns
         -------
@@ -284,7 +284,7 @@ SMALL = 64  # units up to which the branch and bound goes beyond its first box
 
 
 def lowering(units: Units, j: int, points: Array) -> Array:
-    """By how much each chord of unit j must be lowered to be below the cost, $/h, shape (segments,)."""
+    """Return by how much each chord of unit j must be lowered to be below the cost, $/h, shape (segments,)."""
     ends: Sequence[float] = points.tolist()
     if len(ends) < 2:
         return np.zeros(1)

@@ -110,7 +110,7 @@ class Conditions:
         return float(np.sum(np.minimum(self.ready, units.p_max - P)))
 
     def infeasible(self, units: Units, demand: float) -> str:
-        """Describe why no dispatch can meet the demand; empty when none of the sums forbids it."""
+        """Describe why no dispatch can meet the demand; empty if none of the sums forbids it."""
         for name, low, high in zip(units.ids, self.low.tolist(), self.high.tolist(), strict=True):
             if low > high:
                 return f"infeasible: unit {name} is so far outside its limits that its ramps do not lead into them"

@@ -77,7 +77,7 @@ def enumerate_kinks(units: Units, demand: float, most: int = 50_000_000) -> Arra
 
 @jit
 def _enumerate(fleet: Levels, free: Any, demand: Any, least: Any, best: Any, most: Any) -> Any:
-    """Count through the levels of all units but `free` like an odometer; what cannot meet the demand is skipped."""
+    """Count through the levels of all units but `free` like an odometer, skipping those that cannot meet the demand."""
     table, groups, sizes, levels, costs = fleet
     m = table.shape[0] - 1
     others = np.empty(m, np.int64)

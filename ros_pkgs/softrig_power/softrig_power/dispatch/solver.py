@@ -164,7 +164,7 @@ class DispatchSolver(Solver[DispatchParams]):
         return inputs, outputs
 
     def first(self) -> State:
-        """No demand seen, no dispatch known."""
+        """Return the initial state without demand and dispatch."""
         return State(Units.read(self.p.unit_table))
 
     def request(
@@ -201,7 +201,7 @@ class DispatchSolver(Solver[DispatchParams]):
         return x._replace(requests=x.requests + 1), Request(self.p, x.units, wanted, start, conditions, drawn)
 
     def _conditions(self, units: Units, last: Any) -> Conditions | None:
-        """Return what is to be met now: ramps count from the last dispatch, at first from the table's outputs."""
+        """Return the conditions to meet now: ramps count from the last dispatch, at first from the table's outputs."""
         if not self.p.conditioned(units):
             return None
         losses = Losses.read(self.p.loss_table, units.ids) if self.p.loss_table else None

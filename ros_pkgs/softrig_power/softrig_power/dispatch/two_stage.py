@@ -187,7 +187,7 @@ def _as_columns(P: Array, points: Sequence[Array], segments: int) -> list[float]
 
 
 def arch_bounds(units: Units, P: Array) -> tuple[Array, Array]:
-    """Ends of the arch that each output lies in; a valve point counts to the arch above it. Shapes (n,), MW."""
+    """Return the ends of the arch of each output; a valve point belongs to the arch above it. Shapes (n,), MW."""
     low, high = units.p_min.copy(), units.p_max.copy()
     for j, p in enumerate(P):
         ends = units.valve_points(j)

@@ -58,7 +58,7 @@ class Units:
     more: Array | None = None
 
     def agreed(self) -> dict[str, object]:
-        """Return what the units and their dispatcher must have in common: limits and costs."""
+        """Return the quantities on which the units and their dispatcher must agree: limits and costs."""
         rows = zip(self.ids, self.table.tolist(), strict=True)
         return {"dispatch/units": self.ids} | {f"dispatch/unit {name}": tuple(row) for name, row in rows}
 
@@ -157,17 +157,17 @@ class Units:
 
     @property
     def ramp_up(self) -> Array:
-        """Largest rise to the next dispatch, MW; infinite where the table has none."""
+        """Largest rise to the next dispatch, MW; infinite if the table has none."""
         return self._more(1, np.inf)
 
     @property
     def ramp_down(self) -> Array:
-        """Largest fall to the next dispatch, MW; infinite where the table has none."""
+        """Largest fall to the next dispatch, MW; infinite if the table has none."""
         return self._more(2, np.inf)
 
     @property
     def ready(self) -> Array:
-        """Most reserve that a unit gives, MW; its whole range where the table has none."""
+        """Largest reserve of a unit, MW; its whole range if the table has none."""
         return np.minimum(self._more(3, np.inf), self.p_max - self.p_min)
 
     def cost(self, P: ArrayLike) -> Array:
@@ -278,7 +278,7 @@ def balanced(units: Units, given: ArrayLike, demand: float) -> Array:
 
 
 def marginal_cost(units: Units, P: Array) -> tuple[float, float]:
-    """Return the system's price: what one MW less would save and one MW more would cost, $/MWh.
+    """Return the system's price: the saving of one MW less and the cost of one MW more, $/MWh.
 
     The dual of the balance row of the problem inside the arches. The two are equal where a unit rests on a smooth
     part of its cost; where all units rest on valve points or limits, every price between them supports the dispatch.

@@ -1,4 +1,4 @@
-"""The 48 published cases (Tables II to IV) and what the paper's two swarms gave for them."""
+"""The 48 published cases (Tables II to IV) and the results of the paper's two swarms."""
 
 from __future__ import annotations
 

@@ -44,6 +44,6 @@ def locations(signals: SignalMap) -> float:
 
 @figure("A", reads=tuple(f"line/fault_current/{axis}" for axis in "xyz"))
 def fault_peak(signals: SignalMap, *, phase: Literal["a", "b", "c"] | None = None) -> float:
-    """Return the largest sampled |fault current| of a phase; of the one that has the largest when none is named."""
+    """Return the largest sampled |fault current| of a phase; of all phases if none is named."""
     axes = "xyz" if phase is None else "xyz"["abc".index(phase)]
     return max(float(np.abs(signals[f"line/fault_current/{axis}"][1]).max()) for axis in axes)

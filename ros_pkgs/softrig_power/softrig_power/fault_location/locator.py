@@ -73,7 +73,7 @@ class FaultLocator(Block[FaultLocatorParams]):
         return (*inputs, button("locate", "locate", held=True)), (verdict, location_port(), objective)
 
     def setup(self) -> None:
-        """Compile and import what an answer needs, before the first tick."""
+        """Compile and import everything that an answer needs, before the first tick."""
         import scipy.optimize  # noqa: F401
 
         line, rate = model(self.p.line.aerial, self.p.equations), 1.0 / self.p.period

@@ -29,7 +29,7 @@ def _figure(rows: int, columns: int = 1, *, height: float) -> tuple[Any, Any]:
 
 
 def waveforms(record: Record, p: LocatorParams, path: Path, fault: tuple[float, float] | None = None) -> None:
-    """Draw voltages and currents of both ends, the window shaded and the fault interval, where known, darker."""
+    """Draw voltages and currents of both ends, with the window shaded and a known fault interval darker."""
     figure, axes = _figure(4, height=1.9)
     titles = ("bus S, voltage, kV", "bus S, current, kA", "bus R, voltage, kV", "bus R, current, kA")
     ms = 1e3 * record.t
@@ -71,7 +71,7 @@ def objective(record: Record, p: LocatorParams, location: Location, path: Path, 
 
 
 def methods(rows: Sequence[Row], path: Path) -> None:
-    """Draw |error| of every method over the 48 cases, with what the paper prints for its two swarms."""
+    """Draw |error| of every method over the 48 cases, with the published values of the two swarms."""
     figure, axes = _figure(1, height=4.2)
     axis = axes[0, 0]
     order = list(PUBLISHED)

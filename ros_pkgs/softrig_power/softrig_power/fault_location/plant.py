@@ -72,7 +72,7 @@ class LinePlant(Plant[LinePlantParams]):
 
     @classmethod
     def agreed(cls, params: LinePlantParams) -> Mapping[str, Any]:
-        """Return what its result is compared with: the true place of the fault, and the length of the line, km."""
+        """Return the quantities for the comparison: the true place of the fault, and the length of the line, km."""
         return {"fault_location/x_km": params.fault.x_km, "fault_location/length": params.line.length}
 
     @classmethod
@@ -100,7 +100,7 @@ class LinePlant(Plant[LinePlantParams]):
         return self._new(0, pressed=False)
 
     def go_on(self, x: State, before: LinePlantParams) -> State:
-        """Keep the line as it is: what has been turned acts from the next step on."""
+        """Keep the state of the line; changed parameters act from the next step on."""
         return x._replace(line=Moving(self._begin.parts, x.line.state))
 
     def _new(self, number: int, *, pressed: bool) -> State:

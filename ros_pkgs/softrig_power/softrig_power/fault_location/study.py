@@ -85,7 +85,7 @@ Job = tuple[Case, Settings, Settings]
 
 
 def run(jobs: Sequence[Job], processes: int | None = None) -> list[Row]:
-    """Run jobs on all cores; the rows come in the order of the jobs and do not depend on the number of processes.
+    """Run jobs on all cores; the rows are in the order of the jobs and do not depend on the number of processes.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ NOISE_SEEDS = 10
 
 
 def disturbances() -> Iterator[tuple[str, Settings, Settings]]:
-    """Yield what is changed in each row of the sensitivity table: name, rig settings, locator settings."""
+    """Yield the change of each row of the sensitivity table: name, rig settings, locator settings."""
     l1, r1 = LocatorParams().line.l1, LocatorParams().line.r1
     yield "none", {}, {}
     for us in (1.0, 10.0, -1.0, -10.0):

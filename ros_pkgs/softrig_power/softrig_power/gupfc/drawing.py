@@ -16,7 +16,7 @@ class Gupfc(Drawing):
     bounds = (0.0, 0.0, 680.0, 390.0)
 
     def setup(self) -> None:
-        """Read what the device reports of itself, and what it is commanded to do."""
+        """Read the device's reports and its commands."""
         names = ("p1", "q1", "p2", "q2", "v1", "v_dc", "p_sh", "p12", "p34", "v12", "v34")
         self.s = {name: self.quantity("status", f"{name}/position") for name in names}
         self.wanted = {}

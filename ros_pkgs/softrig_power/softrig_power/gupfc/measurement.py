@@ -1,4 +1,4 @@
-"""What the controllers get: means of space vectors over the control period, turned on to its end.
+"""The inputs of the controllers: means of space vectors over the control period, rotated to its end.
 
 The mean removes what 48 samples a cycle would fold onto the fundamental, the 47th and 49th, down to 2 % of them; it
 lags by half a period, by which it is turned forward, and is divided by its gain for a vector at nominal speed.
@@ -53,11 +53,11 @@ class Weights:
         self._steps = steps
 
     def __call__(self, samples: NDArray[np.complex128]) -> Any:
-        """Return what is measured at the last sample of a period, shape (n,); samples of shape (steps + 1, n)."""
+        """Return the measurement at the last sample of a period, shape (n,); samples of shape (steps + 1, n)."""
         return weigh(self._w, samples)
 
     def record(self, samples: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        """Return what is measured at the end of each of n periods, shape (n,); samples of shape (n steps + 1,)."""
+        """Return the measurement at the end of each of n periods, shape (n,); samples of shape (n steps + 1,)."""
         ends = range(self._steps, samples.size, self._steps)
         return np.asarray(self(np.column_stack([samples[e - self._steps : e + 1] for e in ends])))
 

@@ -46,7 +46,7 @@ class DeviceParams(BlockParams):
         return self
 
     def agreed(self) -> dict[str, Any]:
-        """Return what all nodes of the device must have in common, to start in one steady state."""
+        """Return the quantities on which all nodes of the device must agree, to start in one steady state."""
         network = {f"gupfc/network.{name}": value for name, value in flatten(self.network).items()}
         initial = {f"gupfc/initial.{name}": value for name, value in flatten(self.initial).items()}
         return {**network, **initial, "gupfc/waveform": self.waveform, "gupfc/substeps": self.substeps}
@@ -120,7 +120,7 @@ def conduction(magnitude: float, v_dc: float, limit: float) -> float:
 
 
 def operating_point(params: DeviceParams) -> OperatingPoint:
-    """Find the steady state of the stepped circuit in which what is measured equals the references.
+    """Find the steady state of the stepped circuit in which the measurements equal the references.
 
     The power flow gives the fundamentals; measured over a control period the 47th and 49th leave a trace (1e-3 pu), the
     discrete network differs a little from the exact one (1e-4 pu) and harmonics have losses of their own. What is

@@ -38,7 +38,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The newest period at every step, of which the outputs are means, and its power. It is read-only."""
+    """The newest period at every step, whose means are the outputs, and its power. It is read-only."""
 
     rows: Rows
     power: NDArray[np.float64]
@@ -55,7 +55,7 @@ class State(NamedTuple):
 
 
 class GupfcPlantParams(DeviceParams):
-    """Network, waveform, steps, and what is published."""
+    """Network, waveform, steps, and the published outputs."""
 
     trace: bool = param(False, "publish gupfc/trace, waveforms at every step of the circuit")
 
@@ -90,7 +90,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
 
     @classmethod
     def ports(cls, params: GupfcPlantParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Three commands; six vectors, DC link, status, and the trace if asked for."""
+        """Declare three commands; six vectors, DC link, status, and the trace on request."""
         trace = array("trace", "gupfc/trace", {"step": params.substeps, "part": 2 * len(TRACE)}, "pu")
         outputs = (*(measured(name) for name in VECTORS), DC_LINK, STATUS)
         return (SHUNT, SERIES[1], SERIES[2]), (*outputs, trace) if params.trace else outputs
@@ -114,7 +114,7 @@ class GupfcPlant(Plant[GupfcPlantParams]):
         self._begin = State(begin.state, (shunt, series_1, series_2), Seen(seen, power))
 
     def first(self) -> State:
-        """Steady state at the references of the parameters, as if its last command had always held."""
+        """Return the steady state at the references of the parameters, as if its last command had always acted."""
         return self._begin
 
     def _conduction(self, v: complex, v_dc: float) -> float:

@@ -106,7 +106,7 @@ class PowerFlowNode(Block[PowerFlowParams]):
         return {"operating points": text + (f", the next needs {others[0]:.4g} pu" if others else "")}
 
     def _references(self, *given: tuple[float, ...] | None) -> References | None:
-        """Newest references; None, and a report, when they cannot be meant."""
+        """Return the newest references; None, and a report, if they are impossible."""
         changes: dict[str, float] = {}
         for names, values in zip((("p1", "q1"), ("p2", "q2"), ("v",)), given, strict=True):
             changes |= dict(zip(names, values or (), strict=False))

@@ -54,7 +54,7 @@ class PulseGenerator(Block[PulseGeneratorParams]):
 
     @classmethod
     def agreed(cls, params: PulseGeneratorParams) -> Mapping[str, Any]:
-        """Return the cycle over which its figures look, which is how long a command turns on."""
+        """Return the cycle over which its figures are computed, which is also how long a command is rotated."""
         return {"gupfc/pulses.command_period": params.command_period}
 
     def setup(self) -> None:

@@ -109,7 +109,7 @@ def _area(x: float, sigma: float) -> float:
 
 @jit
 def integral(theta: float, sigma: float) -> complex:
-    """Integral of S48 over its angle up to theta, exact; differences of it over the angle are exact means.
+    """Return the exact integral of S48 over its angle up to theta; its differences over the angle are exact means.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ LEAST_VOLTAGE = 0.1
 
 
 class State(NamedTuple):
-    """Integral and newest error, turned to the voltage asked for (pu); loop; filters of u and i; newest command."""
+    """Integral and newest error, rotated to the requested voltage (pu); loop; filters of u and i; newest command."""
 
     integral: complex
     error: complex
@@ -114,7 +114,7 @@ class SeriesController(Block[SeriesControllerParams]):
     def update(
         self, x: State, t: int, *, reference: tuple[float, ...] | None, **inputs: Any
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Answer one tick; P and Q are those of the parameters until a reference comes."""
+        """Answer one tick; P and Q are those of the parameters until a reference arrives."""
         p = self.p
         asked = self._asked if reference is None else complex(reference[0], reference[1])
         u, i = (complex(s[0], s[1]) for s in (inputs[self._voltage], inputs[self._current]))

@@ -95,7 +95,7 @@ class ShuntController(Block[ShuntControllerParams]):
     def update(
         self, x: State, t: int, *, u1: tuple[float, ...], i_sh: tuple[float, ...], reference: tuple[float, ...] | None
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Answer one tick; v_ref is that of the parameters until a reference comes."""
+        """Answer one tick; v_ref is that of the parameters until a reference arrives."""
         p = self.p
         v_ref = p.initial.v if reference is None else reference[0]
         u = complex(u1[0], u1[1])

@@ -183,7 +183,7 @@ def histories(lines: Lines, ring: Any, k: int, out: Any) -> None:
 
 @jit
 def store(lines: Lines, ring: Any, k: int, voltages: Any, history: Any, currents: Any) -> None:
-    """End steps: terminal currents from the voltages, and what will arrive at the ends after the travel time.
+    """End steps: terminal currents from the voltages, and the waves that arrive at the ends after the travel time.
 
     Parameters
     ----------

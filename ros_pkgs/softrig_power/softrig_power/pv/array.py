@@ -27,7 +27,9 @@ class ArrayParams(Params):
     )
 
     def agreed(self) -> dict[str, Any]:
-        """Return what a string and the nodes that judge it must have in common: its modules and initial conditions."""
+        """Return the quantities on which a string and the nodes that judge it must agree: modules and initial
+        conditions.
+        """
         return {"pv/module": self.module.model_dump(), "pv/conditions": self.irradiance + self.temperature}
 
     def sources(self) -> Newest[tuple[float, ...], Characteristic]:

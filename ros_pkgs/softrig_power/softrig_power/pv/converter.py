@@ -52,7 +52,7 @@ def steady_state(p: ConverterParams, source: Characteristic, d: float) -> Circui
 
 
 class BuckBoostMatching:
-    """The converter's ideal law, all that a tracker may know of it: R = R_L (1 - d)^2 / d^2."""
+    """The converter's ideal equation, which is all that a tracker may use of it: R = R_L (1 - d)^2 / d^2."""
 
     def load(self, command: float, seen: float) -> float:
         """Return R_L in ohm from the duty and the resistance seen."""
@@ -108,7 +108,7 @@ def _advance(v: float, i: float, o: float, h: float, n: int, p: Any) -> tuple[fl
 
 @jit
 def _slopes(v: float, i: float, o: float, line: Line, p: Any) -> tuple[float, float, float, Line]:
-    """Return the derivatives; looks a line of the characteristic up only where the voltage has left the one before."""
+    """Return the derivatives; find a line of the characteristic only if the voltage has left the previous one."""
     a, b, low, scale, per_C, d_C, d_L, e_L, r_L, e_o, g_o = p
     k, at_0, slope = line
     place = (v - low) * scale

@@ -60,7 +60,7 @@ class PvCurves(Block[PvCurvesParams]):
     def update(
         self, x: State, t: int, *, environment: tuple[float, ...] | None, request: tuple[float] | None
     ) -> tuple[State, Mapping[str, tuple[float, ...]]]:
-        """Return the newest curve asked for."""
+        """Publish the newest requested curve."""
         conditions, shown, pressed = x.conditions, x.shown, request == (1.0,)
         if environment is not None and environment != conditions and possible(self, environment):
             conditions = environment

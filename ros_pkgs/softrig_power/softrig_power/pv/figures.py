@@ -49,7 +49,7 @@ class _Run:
         self._rows = [tuple(first), *map(tuple, rows.tolist())]
 
     def source(self, k: int) -> Characteristic:
-        """Characteristic that holds at sample k."""
+        """Return the characteristic that is valid at sample k."""
         return characteristic_of(self._rows[self._at[k]], self.module)
 
     @property

@@ -22,7 +22,7 @@ STATUS = state_port("mppt/status", {"duty": ""})
 
 
 class MpptParams(SearchParams):
-    """The tracker; nothing here is a parameter of the plant."""
+    """Parameters of the tracker, none of which belongs to the plant."""
 
     algorithm: Algorithm | Tracker = param("issa", "name of the algorithm")
     d_min: float = param(0.1, "lower limit of the duty", gt=0.0, lt=1.0)
@@ -77,7 +77,9 @@ class MpptOptimiser(CommandOptimiser[MpptParams]):
         return sample[0] * sample[1]
 
     def no_signal(self, sample: Point, value: float) -> bool:
-        """No power and no current either: a large duty brings little power in dim light, but all of the current."""
+        """Return whether neither power nor current is measured: in dim light a large duty has little power, but
+        all current.
+        """
         return super().no_signal(sample, value) and sample[1] <= 0.1 * (self.p.floor or 0.0)
 
     def characteristic(self, n: int) -> FallingCurve:

@@ -93,5 +93,5 @@ class ShadingSource(Block[ShadingSourceParams]):
         return StepProfile(p.times, values)
 
     def update(self, x: tuple[float, ...], t: int) -> tuple[tuple[float, ...], Mapping[str, tuple[float, ...]]]:
-        """Return the pattern that holds at t."""
+        """Return the pattern that is valid at t."""
         return x, {"environment": self._profile(x).at(t)}

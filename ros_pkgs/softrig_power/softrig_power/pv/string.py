@@ -50,7 +50,7 @@ class Characteristic:
         return float(self.v[1] - self.v[0])
 
     def current(self, v: float) -> float:
-        """Return the current in A; beyond the table the end segments go on."""
+        """Return the current in A; beyond the table the end segments are extrapolated."""
         a, b, low, _ = self.segments
         return _current(v, low, self._width, a, b)
 

@@ -1,4 +1,4 @@
-"""Averaged models: the converter makes the wanted voltage, within its limit, without switching."""
+"""Averaged models: the converter makes the commanded voltage, within its limit, without switching."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def ode_abc(t: float, x: Array, p: tuple[Circuit, Period], dx: Array) -> None:
 
 @jit
 def step_dq(t: float, x: Array, h: float, circuit: Circuit, period: Period) -> None:
-    """One Runge-Kutta step, as `rk4_loop` takes it, on numbers: arrays of its own would take longer than the step."""
+    """Compute one Runge-Kutta step for `rk4_loop`, on numbers: allocating arrays would take longer than the step."""
     a, b, c = x[0], x[1], x[2]
     ends, middles, half = h / 6.0, h / 3.0, 0.5 * h
     k, m, n = slopes_dq(t, a, b, c, circuit, period)
@@ -113,7 +113,7 @@ def seen(sums: Array, t: float, weight: float, x: Array, p: tuple[Circuit, Perio
 
 
 def walk(step: Callable[..., None]) -> Callable[..., float]:
-    """Create the native loop over one period from what moves a state over a piece of it.
+    """Create the native loop over one period from a function that moves a state over a piece of it.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ def phases_of(d: float, q: float, s: float, c: float) -> tuple[float, float, flo
 
 @jit
 def turned(a: float, b: float, c: float, angle: float) -> tuple[float, float]:
-    """Return the dq vector of three phases, the other way round than `phases`."""
+    """Return the dq vector of three phases, the inverse of `phases`."""
     s, k = math.sin(angle), math.cos(angle)
     beta = (b - c) / math.sqrt(3.0)
     alpha = (2.0 * a - b - c) / 3.0

@@ -47,7 +47,7 @@ class RectifierGpcParams(RectifierConstants, GpcLawParams):
 
     @property
     def u_first(self) -> float:
-        """The current itself, or the drop |R + j omega L| i that it makes."""
+        """Return the current itself, or its voltage drop |R + j omega L| i."""
         current = self.current if self.i_start is None else self.i_start
         return current if self.model == "d2" else self.impedance * current
 

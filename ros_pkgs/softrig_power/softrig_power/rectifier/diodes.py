@@ -1,4 +1,4 @@
-"""The switches off: the six diodes beside them are a bridge, which charges the link to the peak between two phases."""
+"""The switches off: their six diodes form a bridge, which charges the link to the peak between two phases."""
 
 from __future__ import annotations
 

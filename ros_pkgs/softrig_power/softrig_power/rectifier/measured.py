@@ -1,4 +1,4 @@
-"""The plant's sums of power quality as a value, and as native code takes them: what moves a state adds to them."""
+"""The plant's sums of power quality as a value, and their native form, to which the integration adds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class How(NamedTuple):
 
 
 class Sums:
-    """Sums of the window under way: they move nothing and are no part of a linear view."""
+    """Sums of the present window: they affect nothing and are not part of a linear view."""
 
     __slots__ = ("kept",)
 

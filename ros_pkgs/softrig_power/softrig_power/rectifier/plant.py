@@ -81,7 +81,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Events:
-    """Inputs held: load (ohm), grid amplitude and its fifth harmonic (V). No part of a linear view."""
+    """Held inputs: load (ohm), grid amplitude and its fifth harmonic (V). Not part of a linear view."""
 
     load: float
     amplitude: float
@@ -106,12 +106,12 @@ class StateDq(NamedTuple):
 
     @property
     def moving(self) -> tuple[float, ...]:
-        """Return what a period moves."""
+        """Return the integrated state of a period."""
         return self.i_d, self.i_q, self.v
 
 
 class StateAbc(NamedTuple):
-    """Phase currents (A), DC voltage (V); the rest as in `StateDq`."""
+    """Phase currents (A), DC voltage (V); further fields as in `StateDq`."""
 
     i_a: float
     i_b: float
@@ -125,7 +125,7 @@ class StateAbc(NamedTuple):
 
     @property
     def moving(self) -> tuple[float, ...]:
-        """Return what a period moves."""
+        """Return the integrated state of a period."""
         return self.i_a, self.i_b, self.i_c, self.v
 
 
@@ -246,7 +246,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         return StateAbc(flows * row[0], flows * row[1], flows * row[2], v, applied, held, end, collapsed, record)
 
     def _move(self, x: State, events: Events, t: int, command: float) -> tuple[tuple[float, ...], Record]:
-        """Return currents and voltage a period after t (ns), and what was measured on the way."""
+        """Return currents and voltage a period after t (ns), and the sums measured in between."""
         record, start = x.record, t / 1e9
         sums = record.sums
         # After a pause of the host in real time the periods are not consecutive, so the sums start again.

@@ -62,7 +62,7 @@ def empty() -> Array:
 
 
 def opened(kept: bytes) -> Array:
-    """Create sums of what was kept of them, to be added to."""
+    """Create sums from stored ones, to add to."""
     import numpy as np
 
     return np.frombuffer(kept).reshape(ROWS, HARMONICS + 1).copy()
@@ -72,7 +72,7 @@ def opened(kept: bytes) -> Array:
 def sample(
     sums: Array, s_1: float, c_1: float, weight: float, state: tuple[float, float, float, float], grid: Three
 ) -> None:
-    """Add signals with the weight (s) that a rule of integration gives them; sine and cosine are those of omega t."""
+    """Add signals with a weight (s) of an integration rule; sine and cosine are those of omega t."""
     i_a, i_b, i_c, v = state
     g_a, g_b, g_c = grid
     plain = sums[PLAIN]
@@ -153,7 +153,7 @@ def turn_over(sums: Array, complete: Array) -> None:
 
 @jit
 def amplitude(sums: Array, cosine: int, sine: int, k: int) -> float:
-    """Amplitude of an order, not yet divided by half the time; the third current is what the others are not."""
+    """Return the amplitude of an order, not yet divided by half the time; the third current follows from the others."""
     a, b = sums[cosine, k], sums[sine, k]
     if cosine == CURRENT_COS + 2:
         a, b = -sums[CURRENT_COS, k] - sums[CURRENT_COS + 1, k], -sums[CURRENT_SIN, k] - sums[CURRENT_SIN + 1, k]

@@ -39,7 +39,7 @@ def slopes(i_a: float, i_b: float, i_c: float, v: float, g: Three, p: Legs) -> t
 
 @jit
 def modulation(t: float, v: float, circuit: Circuit, period: Period, injection: bool) -> Three:
-    """Return m_x = 2 v_rx/v for the measured v: the paper's correction factor, taken from its (13)."""
+    """Return m_x = 2 v_rx/v for the measured v: the paper's correction factor, from its (13)."""
     v_rd, v_rq = wanted(t, circuit, period)
     v_rd, v_rq = limited(v_rd, v_rq, v, period.reach)
     v_a, v_b, v_c = phases(v_rd, v_rq, circuit.omega * t)
@@ -128,7 +128,7 @@ def settle(sums: Array, t: float, x: Array, p: tuple[Circuit, Period]) -> None:
 def compare(
     t: float, v: float, legs: Array, circuit: Circuit, period: Period, frequency: float, half: float, injection: bool
 ) -> None:
-    """Set the legs by comparing with the carrier; where both are equal to rounding, by what comes next."""
+    """Set the legs by comparison with the carrier; if both are equal within rounding, by the next instant."""
     m_a, m_b, m_c = modulation(t, v, circuit, period, injection)
     z = carrier(t, frequency, half)
     legs[0] = 1.0 if m_a > z else 0.0

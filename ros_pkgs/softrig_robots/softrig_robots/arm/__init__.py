@@ -1,1 +1,1 @@
-"""An arm from any URDF, driven by joint torques, and the laws that know its model."""
+"""An arm from any URDF, driven by joint torques, and controllers that use its model."""

@@ -1,4 +1,4 @@
-"""Laws for an arm that know its model: computed torque, PD with gravity, impedance."""
+"""Model-based controllers for an arm: computed torque, PD with gravity, impedance."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .model import ArmParams, Vector, compile_arm
 
 
 class ArmControllerParams(ArmParams):
-    """The law and its gains; the robot as the law knows it."""
+    """The controller and its gains; the robot as the controller assumes it."""
 
     law: Literal["computed_torque", "pd_gravity", "impedance"] = param(
         "computed_torque", "computed torque, PD with compensation of gravity, or impedance of the tool"
@@ -100,5 +100,5 @@ class ArmController(Block[ArmControllerParams]):
         return x, {"joint_torques": tuple(torques)}
 
     def refused(self, x: Any, t: int) -> tuple[Any, Mapping[str, Vector]]:
-        """Return no torque: what a stale state would make may move the robot anywhere."""
+        """Return no torque: the torque for a stale state could move the robot anywhere."""
         return x, {"joint_torques": self._zeros}

@@ -67,7 +67,7 @@ class Adsmc:
         self._T, self._v_max = T, v_max
 
     def first(self) -> AdsmcState:
-        """Remember nothing."""
+        """Return the state without a past."""
         return AdsmcState()
 
     def go_on(self, x: AdsmcState) -> AdsmcState:

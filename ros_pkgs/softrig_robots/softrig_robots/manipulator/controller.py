@@ -21,7 +21,7 @@ class Law(Protocol):
     """Voltage of one motor from the error of its joint; its x has the fields s, sigma and f_hat."""
 
     def first(self) -> Any:
-        """Remember nothing."""
+        """Return the state without a past."""
 
     def go_on(self, x: Any) -> Any:
         """Return the state with which these gains follow others."""
@@ -97,7 +97,7 @@ class VcsController(Block[VcsControllerParams]):
         self._n = len(self.laws)
 
     def first(self) -> State:
-        """Begin with laws that remember nothing."""
+        """Return controllers without a past."""
         return State(tuple(law.first() for law in self.laws))
 
     def go_on(self, x: State, before: VcsControllerParams) -> State:

@@ -33,7 +33,7 @@ class DsmcState(NamedTuple):
 
     @property
     def f_hat(self) -> float:
-        """Zero: the law estimates nothing."""
+        """Return zero: this controller has no estimate."""
         return 0.0
 
 
@@ -64,7 +64,7 @@ class Dsmc:
         self._T, self._v_max = T, v_max
 
     def first(self) -> DsmcState:
-        """Remember nothing."""
+        """Return the state without a past."""
         return DsmcState()
 
     def go_on(self, x: DsmcState) -> DsmcState:

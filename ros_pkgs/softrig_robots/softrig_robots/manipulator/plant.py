@@ -31,7 +31,7 @@ class VoltageStep(Params):
 
 
 class ManipulatorParams(DrivenRobotParams):
-    """Published arm and experiment; `urdf` and `joints` bring another arm."""
+    """Published arm and experiment; `urdf` and `joints` select another arm."""
 
     joints: tuple[str, ...] = param(JOINTS, "joint names, beginning at the base", min_length=1)
     urdf: str = param("", "file or package:// URI of another arm, with a frame `tool`; empty: built from `links`")
@@ -93,7 +93,7 @@ class ManipulatorParams(DrivenRobotParams):
                     )
 
     def start(self, name: Literal["position", "velocity"]) -> Vector:
-        """Return q(0) or its rate, of mimic joints as their constraint has it.
+        """Return q(0) or its rate, for mimic joints by their constraint.
 
         Raises
         ------
@@ -173,7 +173,7 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
         return self._before if t < self._time else self._after
 
     def outputs(self, x: Any, t: int) -> Mapping[str, Vector]:
-        """Return joint and motor states; efforts are what the drives hand over, within the limits where these act."""
+        """Return joint and motor states; efforts are the torques of the drives, within the limits if these act."""
         result = super().outputs(x, t)
         if not self.stops():
             return result
@@ -182,7 +182,7 @@ class ManipulatorPlant(DrivenRobot[ManipulatorParams]):
         return {"joint_states": (*states[: 2 * n], *efforts), "motor_states": result["motor_states"]}
 
     def first(self) -> Any:
-        """Report what the URDF has that has no effect, and begin."""
+        """Report items of the URDF without effect, and begin."""
         for note in self._notes:
             self.report(Level.WARN, note, note)
         return super().first()

@@ -31,7 +31,7 @@ class SmcState(NamedTuple):
 
     @property
     def f_hat(self) -> float:
-        """It estimates nothing."""
+        """Return no estimate."""
         return 0.0
 
 
@@ -56,7 +56,7 @@ class Smc:
         self._T, self._v_max = T, v_max
 
     def first(self) -> SmcState:
-        """Remember nothing."""
+        """Return the state without a past."""
         return SmcState()
 
     def go_on(self, x: SmcState) -> SmcState:

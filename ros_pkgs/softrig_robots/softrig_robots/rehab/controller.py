@@ -35,7 +35,7 @@ class Law(Protocol):
     UNITS: ClassVar[dict[str, str]]  # of the first fields of x, which are shown
 
     def first(self) -> Any:
-        """Remember nothing."""
+        """Return the state without a past."""
 
     def __call__(
         self, x: Any, q: float, qd: float, current: float, ref: float, ref_d: float, ref_dd: float, V: float
@@ -107,7 +107,7 @@ class VoltageController(Block[VoltageControllerParams]):
 
     @classmethod
     def ports(cls, params: VoltageControllerParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """The state has what the law remembers."""
+        """Declare a state output with the controller's memory."""
         units = {"e": "rad", **LAWS[params.law].UNITS}
         applied = (command("applied_voltage", "applied_voltage", JOINTS, "V"),)
         return (
@@ -126,7 +126,7 @@ class VoltageController(Block[VoltageControllerParams]):
 
     @classmethod
     def agreed(cls, params: VoltageControllerParams) -> Mapping[str, Any]:
-        """The robot whose stability limit is reported; the other laws have none."""
+        """Return the robot whose stability limit is reported; the other controllers have none."""
         return params.robot.agreed() if params.law == "emvc" else {}
 
     def setup(self) -> None:
@@ -136,7 +136,7 @@ class VoltageController(Block[VoltageControllerParams]):
         self._stale = self.p.stale_after * to_ns(self.p.period)
 
     def first(self) -> State:
-        """Begin with laws that remember nothing, and warn of an expected-model law that cannot be stable."""
+        """Return controllers without a past, and warn of an expected-model controller that cannot be stable."""
         self._check_stability()
         return State(tuple(law.first() for law in self._laws))
 

@@ -11,7 +11,7 @@ from ..joints import JointGains, PerJoint, require_positive
 
 
 class EmvcGains(JointGains):
-    """Case 1, the motor is known: alpha_hat = K_b/r, resistance = R. Case 2: any other values."""
+    """Case 1, known motor: alpha_hat = K_b/r, resistance = R. Case 2: any other values."""
 
     alpha_hat: PerJoint = param((4.592,), "expected K_b/r", "V s/rad", live=True)
     lam: PerJoint = param((4.0,), "rate lambda at which the error decays", "1/s", live=True)

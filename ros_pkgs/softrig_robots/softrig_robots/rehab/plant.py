@@ -144,7 +144,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
 
     @classmethod
     def agreed(cls, params: RehabParams) -> Mapping[str, Any]:
-        """Return what the stability of a law depends on."""
+        """Return the quantities on which the stability of a controller depends."""
         p, drift = params, RobotDrift(resistance=params.drift.resistance, constants=params.drift.constants)
         robot = LinearRobot(
             segments=p.segments,
@@ -250,7 +250,7 @@ class RehabPlant(DrivenRobot[RehabParams]):
         return entered, safe
 
     def outputs(self, x: State, t: int) -> Mapping[str, Vector]:
-        """Return joint states with the torques behind the gears, currents, and the voltages of the last period."""
+        """Return joint states with the torques after the gears, currents, and the voltages of the last period."""
         return {
             "joint_states": (*x.q, *x.v, *self.gear_torques(x, t, x.force, self.drifted(x.since))),
             "motor_states": x.i,

@@ -48,7 +48,7 @@ class LinearRobot(Params):
         return self
 
     def agreed(self) -> dict[str, Any]:
-        """Return what a plant and the nodes that judge its stability must have in common."""
+        """Return the quantities on which a plant and the nodes that judge its stability must agree."""
         per_joint = {f"rehab/motors.{name}": values for name, values in self.motors.table(2).items()}
         segments = {f"rehab/segments.{name}": value for name, value in flatten(self.segments).items()}
         return {
@@ -130,7 +130,9 @@ def _loops(T: float, robot: LinearRobot) -> list[tuple[Array, Array]]:
 def _sampled(
     q1: float, q2: float, T: float, robot: LinearRobot, resistance: float, constants: float
 ) -> tuple[Array, Array]:
-    """State (q, q', I) and input V of the robot around a pose at rest, sampled; R and constants are multiplied."""
+    """Return the sampled state (q, q', I) and input V of the robot around a pose at rest; R and constants are
+    multiplied.
+    """
     s = robot.segments
     motors = {k: np.array(v) for k, v in robot.motors.table(2).items()}
     (m1, m2), (l1, l2), (d1, d2), (i1, i2) = s.mass, s.length, s.center, s.inertia

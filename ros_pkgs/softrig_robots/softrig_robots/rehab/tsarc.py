@@ -37,7 +37,7 @@ class TsarcGains(JointGains):
 
 
 class TsarcState(NamedTuple):
-    """Coefficients a (V) and b (V/s) of the series under way, and its periods so far."""
+    """Coefficients a (V) and b (V/s) of the present series, and its periods so far."""
 
     a: float = 0.0
     b: float = 0.0

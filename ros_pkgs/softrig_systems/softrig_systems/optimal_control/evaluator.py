@@ -50,7 +50,7 @@ NO_PLAN = Plan()
 
 
 class State(NamedTuple):
-    """The figures so far, when the first sample came (ns), and the newest plan."""
+    """The figures so far, the arrival of the first sample (ns), and the newest plan."""
 
     figures: Figures
     begin: int | None = None
@@ -58,7 +58,7 @@ class State(NamedTuple):
 
 
 class EvaluatorParams(ProblemParams):
-    """Form of the plan, and what residual is too large."""
+    """Form of the plan, and the largest allowed residual."""
 
     form: Literal["power", "time"] = param("power", "coefficients of polynomials, or samples")
     order: int = param(8, "power: highest order of the plan", ge=1, le=60)
@@ -98,7 +98,7 @@ class OcpEvaluator(Observer[EvaluatorParams]):
         self._exact = least_cost(self._problem)
 
     def warm_up(self) -> None:
-        """A plan comes later."""
+        """Do nothing: no plan has arrived yet."""
         polynomials(np.zeros((1, 1, 1)), 0.0)
 
     def first(self) -> State:

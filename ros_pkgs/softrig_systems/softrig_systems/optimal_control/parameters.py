@@ -12,7 +12,7 @@ from .problems import INERTIA, find, spacecraft
 
 
 class ProblemParams(BlockParams):
-    """Statement of the problem; what is left out is the problem's own."""
+    """Statement of the problem; omitted values are the problem's own."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=100.0)
     problem: str = param("spacecraft", "scalar, spacecraft, two_state, reactor, or one that a package has registered")
@@ -28,13 +28,13 @@ class ProblemParams(BlockParams):
         return self
 
     def plant_agreed(self) -> dict[str, Any]:
-        """Return what a plant and the nodes that judge its behaviour must have in common."""
+        """Return the quantities on which a plant and the nodes that judge it must agree."""
         problem = self.statement()
         own = {"ocp/problem": problem.name, "ocp/x0": tuple(problem.x0)}
         return own | ({"ocp/inertia": self.inertia} if problem.name == "spacecraft" else {})
 
     def task_agreed(self) -> dict[str, Any]:
-        """Return what the planner and the nodes that judge a plan must have in common."""
+        """Return the quantities on which the planner and the nodes that judge a plan must agree."""
         p = self.statement()
         return {"ocp/problem": p.name, "ocp/horizon": p.horizon, "ocp/x_end": p.x_end, "ocp/R": self.R}
 

@@ -1,4 +1,4 @@
-"""What every planner node does: when it plans, what it asks, what it makes known; the mathematics is the subclass's."""
+"""The common part of planner nodes: when they plan, their requests and outputs; subclasses do the mathematics."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class State(NamedTuple):
 
 
 class Planner(Solver[P]):
-    """Plans from the first measured state to the end of the horizon, and again from later ones on what is left of it.
+    """Plans from the first measured state to the end of the horizon, and again from later states for the rest of it.
 
     A press on `replan`, or each `k_replan` periods, asks for a new plan, unless less than two periods are left. A state
     that is refused asks for nothing: the last plan stays. A plan that misses the end conditions by more
@@ -108,7 +108,7 @@ class Planner(Solver[P]):
         self._T = self.p.statement().horizon
 
     def first(self) -> State:
-        """Return the initial state: nothing planned."""
+        """Return the initial state without a plan."""
         return State()
 
     def request(
@@ -159,6 +159,6 @@ class Planner(Solver[P]):
         }
 
     def health(self, x: State) -> Mapping[str, str]:
-        """Add what is known of the plan in effect."""
+        """Add the known facts about the present plan."""
         last = x.last
         return {**super().health(x), **(last.details if last else {})}

@@ -33,7 +33,7 @@ class OcpPlantParams(ProblemParams):
 
 
 def step_function(name: str, problem: Problem, substeps: int) -> Compiled:
-    """Compile (x, u, h) to (x after h s, what L has added), by so many steps of the Runge-Kutta method of order 4."""
+    """Compile (x, u, h) to (x after h s, the increase of L), by a number of Runge-Kutta steps of order 4."""
     import casadi as ca
 
     x, u, dx, L = problem.expressions()
@@ -70,7 +70,7 @@ class OcpPlant(Plant[P]):
         return (control(problem),), (state(problem),)
 
     def setup(self) -> None:
-        """Compile the step, once: what is live is no part of it."""
+        """Compile the step once: it does not depend on live parameters."""
         problem = self.p.statement()
         made = self.__dict__.get("_step")
         self._step = step_function("ocp_step", problem, self.p.substeps) if made is None else made

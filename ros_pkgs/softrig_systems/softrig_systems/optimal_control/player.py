@@ -82,7 +82,7 @@ class OcpPlayer(Block[PlayerParams]):
         self._n, self._m = len(problem.states), len(problem.controls)
 
     def warm_up(self) -> None:
-        """A plan comes later."""
+        """Do nothing: no plan has arrived yet."""
         polynomials(np.zeros((1, 1, 1)), 0.0)
 
     def first(self) -> State:

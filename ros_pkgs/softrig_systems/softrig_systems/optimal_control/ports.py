@@ -21,7 +21,7 @@ SUMMARY = {
 
 
 def state(problem: Problem) -> Port:
-    """Return the port of the measured state; with velocities comes the effort that was applied before."""
+    """Return the port of the measured state; with velocities it includes the previously applied effort."""
     units = tuple(problem.states.values())
     limits = [ESCAPED] * len(units)
     if problem.carrier == "velocity":
@@ -44,5 +44,5 @@ def plan(problem: Problem, columns: int, *, stages: int = 1, label: str = "power
 
 
 def summary(*, out: bool = False) -> Port:
-    """Return the port of what is known of a plan."""
+    """Return the port of a plan's summary."""
     return scalars("summary", "ocp/summary", SUMMARY, sporadic=out)

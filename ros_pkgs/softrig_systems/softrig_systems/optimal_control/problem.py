@@ -1,4 +1,4 @@
-r"""An optimal control problem, stated once; Pontryagin's conditions, plant and planners come from the statement.
+r"""An optimal control problem, stated once; Pontryagin's conditions, plant and planners are derived from the statement.
 
 .. math:: \dot x = f(x, u), \quad \min J = \int_0^T L(x, u) dt, \quad x(0) = x_0, \quad x(T) = x_T \text{ or free}
 
@@ -28,7 +28,7 @@ _EXTREMALS: dict[tuple[object, ...], Extremal] = {}
 
 
 class ProblemError(ValueError):
-    """A problem that cannot be stated so; the text names what is wrong."""
+    """An impossible problem; the text names what is wrong."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Problem:
         return tuple(map(float, given))
 
     def weight(self) -> NDArray[np.float64]:
-        """Return R as a matrix, shape (m, m); a ProblemError where it is none or not positive definite."""
+        """Return R as a matrix, shape (m, m); a ProblemError if it is invalid or not positive definite."""
         m = len(self.controls)
         if len(self.R) != m * m:
             raise ProblemError(f"R: expected {m * m} numbers, row by row, not {len(self.R)}")
@@ -130,14 +130,14 @@ class Problem:
 
     @property
     def extremal(self) -> Extremal:
-        """Pontryagin's conditions of it; worked out once, whatever start, end and horizon are."""
+        """Return Pontryagin's conditions, derived once for all starts, ends and horizons."""
         if self.key not in _EXTREMALS:
             _EXTREMALS[self.key] = Extremal(self)
         return _EXTREMALS[self.key]
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Return what the equations depend on; hashable."""
+        """Return a hashable key of the values on which the equations depend."""
         return self.name, self.ode, self.cost, self.R, tuple(self.states), tuple(self.controls)
 
     def end_error(self, end: NDArray[np.float64]) -> NDArray[np.float64]:

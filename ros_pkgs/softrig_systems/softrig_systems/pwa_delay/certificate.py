@@ -54,7 +54,7 @@ class CriterionParams(SystemParams):
         return {name: u.shape for name, u in unknowns.items()}
 
     def padded(self) -> tuple[int, int, int]:
-        """Return the size of the array that holds all matrices, each filled up with zeros."""
+        """Return the size of the array for all matrices, each padded with zeros."""
         shapes = self.shapes().values()
         return len(shapes), max(s[0] for s in shapes), max(s[1] for s in shapes)
 
@@ -100,7 +100,7 @@ class CertificateParams(CriterionParams, SolverParams):
 
     @property
     def tank(self) -> dict[str, float]:
-        """Return what the bound of the level is for."""
+        """Return the quantities that the bound of the level depends on."""
         return {"s": self.switch, "kL": self.k_low, "kR": self.k_high, "c": self.c, "start": self.x0}
 
 
@@ -154,7 +154,7 @@ class CertificateNode(Solver[CertificateParams]):
         return (button("certify", "certify", held=True),), outputs
 
     def first(self) -> State:
-        """Not asked yet."""
+        """Return the state before the first request."""
         return State()
 
     def request(
@@ -191,7 +191,7 @@ class CertificateNode(Solver[CertificateParams]):
         return Answer(certificate, "" if certificate is not None and certificate.valid else "no certificate")
 
     def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Mapping[str, Any]]:
-        """Publish what is new."""
+        """Publish a new result."""
         if result is None or not new:
             return x, {}
         actual, reason = result.answer if result.answer is not None else (None, "no answer before the limit")

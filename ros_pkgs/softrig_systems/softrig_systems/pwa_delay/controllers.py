@@ -36,7 +36,7 @@ class TankController(Block[TankControllerParams]):
 
     @classmethod
     def agreed(cls, params: TankControllerParams) -> Mapping[str, Any]:
-        """The law, and what a command is worth."""
+        """Return the controller, and the effect of a command."""
         return {
             **law_of_the_tank(params.switch, params.k_low, params.k_high),
             "tank/A phi": params.A * params.phi,
@@ -121,7 +121,7 @@ class DelayLine(Block[DelayLineParams]):
         )
 
     def first(self) -> Line:
-        """Remember nothing."""
+        """Return the state without a past."""
         return Line(Delay(self.p.bounded_profile(self), longest=self.p.reach))
 
     def go_on(self, x: Line, before: DelayLineParams) -> Line:

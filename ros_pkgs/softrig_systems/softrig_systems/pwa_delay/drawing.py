@@ -10,7 +10,7 @@ from softrig_core.drawing.shapes import Pen, Point
 
 
 class Tank(Drawing):
-    """A pipe with what is on its way in it, a tank with its level, a drain."""
+    """A pipe with the water in transit, a tank with its level, a drain."""
 
     title = "Water tank at the end of a pipe"
     CELLS = 30
@@ -60,7 +60,7 @@ class Pendulum(Drawing):
     LENGTH = 130.0
 
     def setup(self) -> None:
-        """Angle and speed, the late angle, the torque; at rest it hangs."""
+        """Name angle and speed, the late angle, the torque; at rest it hangs down."""
         self.angle, self.speed = (self.quantity("state", f"joint/{name}") for name in ("position", "velocity"))
         self.late = self.quantity("delayed_state", "joint/position")
         self.torque = self.quantity("torque", "joint/effort")

@@ -28,7 +28,7 @@ def fall(signals: SignalMap, *, delay: float) -> float:
     (0.0, 1.0),
 )
 def level_covered(signals: SignalMap, *, delay: float, hold: float) -> float:
-    """Return whether the newest certificate holds for a pipe of this delay under a law with this hold time.
+    """Return whether the newest certificate is valid for a pipe of this delay and a controller with this hold time.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ class LyapunovMonitor(Block[LyapunovMonitorParams]):
 
     @classmethod
     def agreed(cls, params: LyapunovMonitorParams) -> Mapping[str, Any]:
-        """System and criterion: the matrices mean nothing under another."""
+        """Return system and criterion, because the matrices are valid only with them."""
         criterion = {f"certificate/{k}": getattr(params, k) for k in ("method", "mu", "order", "cell_terms")}
         return {**params.agreed(), **criterion}
 

@@ -62,7 +62,7 @@ class MarginSearch(Solver[MarginSearchParams]):
         return params.agreed()
 
     def first(self) -> State:
-        """Not asked yet."""
+        """Return the state before the first request."""
         return State()
 
     def request(
@@ -91,7 +91,7 @@ class MarginSearch(Solver[MarginSearchParams]):
             return str(reason)
 
     def answer(self, x: State, t: int, result: Result | None, new: bool) -> tuple[State, Mapping[str, Any]]:
-        """Publish what is new."""
+        """Publish a new result."""
         if result is None or not new:
             return x, {}
         answer = result.answer

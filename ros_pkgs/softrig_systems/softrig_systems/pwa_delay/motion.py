@@ -25,7 +25,7 @@ SWITCHES = 16  # most switches located in one step; beyond it is sliding, and ce
 
 
 class PwaConstants(NamedTuple):
-    """A piecewise affine system and its delay for native loops; `cell` holds the one number of the cell in force."""
+    """A piecewise affine system and its delay for native loops; `cell` holds the number of the present cell."""
 
     A: NDArray[np.float64]
     Ad: NDArray[np.float64]
@@ -37,7 +37,7 @@ class PwaConstants(NamedTuple):
 
 
 def constants(system: PwaSystem, profile: Profile) -> PwaConstants:
-    """Pack a system whose cells come from lines."""
+    """Pack a system whose cells are defined by lines."""
     import numpy as np
 
     return PwaConstants(

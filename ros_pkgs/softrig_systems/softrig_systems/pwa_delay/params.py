@@ -47,7 +47,7 @@ class SystemParams(Params):
         return _build(self.system, self.n, self.A, self.Ad, self.lines, self.lines_delayed, self.offsets)
 
     def agreed(self) -> dict[str, Any]:
-        """Return what all nodes of a rig that speak of this system must have in common."""
+        """Return the quantities on which all nodes that use this system must agree."""
         own = {"pwa/system": self.system}
         if self.system == "pendulum":
             gains = {"pendulum/k_negative": self.k_negative, "pendulum/k_positive": self.k_positive}
@@ -103,7 +103,7 @@ def _build(
 
 
 def law_of_the_tank(switch: float, k_low: float, k_high: float) -> dict[str, Any]:
-    """Return what all nodes must have in common that speak of the tank's law."""
+    """Return the quantities on which all nodes that use the tank's controller must agree."""
     return {"tank/switch": switch, "tank/k_low": k_low, "tank/k_high": k_high}
 
 

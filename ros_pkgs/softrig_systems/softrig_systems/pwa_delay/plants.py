@@ -91,7 +91,7 @@ class DelayPlant(Plant[P]):
         return {**seen, "mode": (float(cell), float(delay_at(x.delay.profile, now)))}
 
     def move(self, x: Any, *held: float) -> Any:
-        """Step over one period with the inputs held."""
+        """Advance over one period with the inputs held."""
         size, p = self._size, x.delay.constants
         past = (self._unread if x.past is None else x.past).open(self._rows)
         now = np.array((*x[:size], *held))
@@ -101,7 +101,7 @@ class DelayPlant(Plant[P]):
         return self._state(*now.tolist()[:size], x.k + 1, int(p.cell[0]), x.delay, after)
 
     def names(self) -> Sequence[str]:
-        """Return the names of the state, which comes first in `begin`."""
+        """Return the names of the state values, which come first in `begin`."""
         raise NotImplementedError
 
     def begin(self) -> tuple[float, ...]:
@@ -109,7 +109,7 @@ class DelayPlant(Plant[P]):
         raise NotImplementedError
 
     def constants(self, delay: Profile) -> Any:
-        """Pack what the native loop needs."""
+        """Pack the data of the native loop."""
         raise NotImplementedError
 
 
@@ -126,7 +126,7 @@ class SwitchedDelayPlantParams(SystemParams, DelayPlantParams):
 
 
 class SwitchedDelayPlant(DelayPlant[SwitchedDelayPlantParams]):
-    """x' = A_i x + Ad_i x(t - d) + a_i, any piecewise affine system whose cells come from lines."""
+    """x' = A_i x + Ad_i x(t - d) + a_i, any piecewise affine system whose cells are defined by lines."""
 
     DRAWN_BY = "softrig_core.drawing.state_plane:StatePlane"
     loop = run_pwa
@@ -205,7 +205,7 @@ class TankPlant(DelayPlant[TankPlantParams]):
 
     @classmethod
     def agreed(cls, params: TankPlantParams) -> Mapping[str, Any]:
-        """The law in the pipe, what a command is worth, and what a bound of the level is for."""
+        """Return the controller in the pipe, the effect of a command, and the quantities for the bound of the level."""
         law = law_of_the_tank(params.switch, params.k_low, params.k_high)
         worth = {"tank/A phi": params.A * params.phi}
         return {

@@ -1,4 +1,6 @@
-"""How the delay varies: constant, a sine with a given rate, or a random telegraph between none and all of it."""
+"""How the delay varies: constant, a sine with a given rate, or a random telegraph signal between zero and its
+maximum.
+"""
 
 from __future__ import annotations
 

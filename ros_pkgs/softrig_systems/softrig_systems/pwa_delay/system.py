@@ -74,7 +74,7 @@ class PwaSystem:
         return len(self.A)
 
     def cell(self, x: Array, x_d: Array) -> int:
-        """Return the first cell that holds (x, x_d)."""
+        """Return the first cell that contains (x, x_d)."""
         z = np.concatenate([x, x_d])
         for i in range(self.cells):
             if np.all(dense.product(self.E[i], z) + self.e[i] >= 0.0):

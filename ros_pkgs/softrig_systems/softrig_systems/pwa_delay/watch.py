@@ -1,4 +1,4 @@
-"""The functional of Theorem 1 along a trajectory as a value, and as native code takes it: what a monitor remembers."""
+"""The functional of Theorem 1 along a trajectory as a value, and its native form: the state of a monitor."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Watch:
         self.values, self.counts = np.zeros(fixed.m + 1), np.zeros(2, np.int64)
 
     def seen(self, state: tuple[float, ...], delay: float) -> tuple[Watch, Evaluation]:
-        """Return the record with a sample more, and what the functional is then.
+        """Return the record with one more sample, and the value of the functional then.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class WatchRows(NamedTuple):
         return self, evaluate(self.fixed, self.rows, self.slopes, self.values, self.counts, np.array(state), delay)
 
     def python(self) -> Watch:
-        """Return it as Python has it."""
+        """Return its Python form."""
         new = object.__new__(Watch)
         new.fixed, new.rows, new.slopes = self.fixed, self.rows.copy(), self.slopes.copy()
         new.values, new.counts = self.values.copy(), self.counts.copy()
@@ -180,7 +180,7 @@ def evaluate(
 
 @jit
 def cell_of(p: Fixed, now: Array, then: Array) -> int:
-    """Return the first cell that holds (x, x_d); -1: none does."""
+    """Return the first cell that contains (x, x_d); -1: none does."""
     n = now.shape[0]
     for cell in range(p.E.shape[0]):
         inside = True

@@ -94,7 +94,7 @@ class AqmController(Block[AqmControllerParams]):
 
     @classmethod
     def agreed(cls, params: AqmControllerParams) -> Mapping[str, Any]:
-        """Return what is wanted; its idea of the network is its own."""
+        """Return the references; its assumed network may differ."""
         return {"tcp/set_point": params.set_point}
 
     def setup(self) -> None:
@@ -108,7 +108,7 @@ class AqmController(Block[AqmControllerParams]):
         self._stale = STALE * self._period
 
     def first(self) -> State:
-        """Know nothing, drop nothing."""
+        """Return a state without samples and with no drops."""
         return State(0.0, self.p.set_point)
 
     def go_on(self, x: State, before: AqmControllerParams) -> State:

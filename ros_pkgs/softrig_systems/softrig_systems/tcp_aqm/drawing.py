@@ -19,7 +19,7 @@ class Bottleneck(Drawing):
     LEFT, WIDTH, Y, HEIGHT = 220.0, 280.0, 90.0, 64.0
 
     def setup(self) -> None:
-        """Window and queue as they are, what is dropped, what is wanted."""
+        """Name window and queue, drops, and references."""
         self.window, self.queue, self.rtt = (
             self.quantity("state", f"{name}/position") for name in ("window", "queue", "rtt")
         )

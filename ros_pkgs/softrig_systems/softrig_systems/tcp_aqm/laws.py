@@ -133,7 +133,7 @@ def robust(m: Measured, g: Gains) -> Decision:
 
 
 def integral_gain(law: str, g: Gains) -> float:
-    """Return what a law multiplies the integral of e by; sspd has none."""
+    """Return the factor of the integral of e in a controller; sspd has none."""
     if law == "sspid":
         return g.l2
     if law == "pi":

@@ -8,7 +8,7 @@ from softrig_core import Params, param
 
 
 class Bottleneck(Params):
-    """The link and its sources, as a plant or a controller knows them."""
+    """The link and its sources, as a plant has or a controller assumes them."""
 
     N: int = param(60, "TCP flows N", ge=1, le=2000)
     C: float = param(3750.0, "capacity C of the link", "packet/s", gt=0.0, le=1e7)
@@ -16,7 +16,7 @@ class Bottleneck(Params):
     q_max: float = param(300.0, "room in the queue; what arrives beyond is lost", "packet", gt=0.0, le=1e6)
 
     def agreed(self) -> dict[str, Any]:
-        """Return what a network and the nodes that judge it must have in common."""
+        """Return the quantities on which a network and the nodes that judge it must agree."""
         return {f"tcp/{name}": getattr(self, name) for name in Bottleneck.model_fields}
 
 

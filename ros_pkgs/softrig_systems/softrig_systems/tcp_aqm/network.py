@@ -75,7 +75,7 @@ P = TypeVar("P", bound=NetworkParams, default=NetworkParams)
 
 
 class Network(Plant[P]):
-    """A queue whose drop or mark probability is the command; what is behind it is the subclass's.
+    """A queue whose drop or mark probability is the command; subclasses implement the sources.
 
     The command is held for one period; outside [0, 1] it is clipped. Disturbances and events act at the internal step
     nearest to their time. What the network is made of changes by events on its topic; the parameters are the start.
@@ -93,7 +93,7 @@ class Network(Plant[P]):
 
     @classmethod
     def ports(cls, params: NetworkParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """Events change what the parameters begin with."""
+        """Declare the ports; events change values that begin with the parameters."""
         now = (float(params.N), params.C, params.tau_p, 0.0)
         return (COMMAND, events(now)), cls.OUTPUTS
 
@@ -168,7 +168,7 @@ class Network(Plant[P]):
         raise NotImplementedError
 
     def seen(self, x: Any) -> Seen:
-        """Return what its outputs show."""
+        """Return its outputs."""
         raise NotImplementedError
 
     def moved(self, x: Any, steps: int, p: float) -> Any:

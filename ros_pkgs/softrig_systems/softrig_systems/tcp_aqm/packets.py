@@ -1,4 +1,4 @@
-"""Packet by packet: N window-controlled sources, one FIFO queue, and the heap of what happens next."""
+"""Packet by packet: N window-controlled sources, one FIFO queue, and the heap of future events."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Agenda(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """Per flow: window, packets on the way, propagation time, time of the last halving, and whether it sends.
+    """For each flow: window, packets in flight, propagation time, time of the last halving, and whether it sends.
 
     Besides its propagation time as a part of the nominal one.
     """
@@ -53,7 +53,7 @@ EVENTS, MOST_EVENTS, HEAD, WAITING, SERVED, LOST, CROSSING, DRAWN = range(8)
 
 
 class Inside(NamedTuple):
-    """All that is under way, as native code changes it; `counts` has the places above."""
+    """Everything in flight, as native code changes it; `counts` has the places above."""
 
     sources: Sources
     agenda: Agenda
@@ -77,7 +77,7 @@ class Rules(NamedTuple):
 
 
 class Traffic:
-    """All packets under way, as an immutable value; the next state is computed on a copy.
+    """All packets in flight, as an immutable value; the next state is computed on a copy.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Traffic:
         self.inside = inside
 
     def copy(self) -> Inside:
-        """Return it to be changed."""
+        """Return a copy that may be changed."""
         sources, agenda, fifo, counts = self.inside
         heap, size = Agenda._make([np.empty_like(a) for a in agenda]), counts[EVENTS]
         for new, old in zip(heap, agenda, strict=True):

@@ -1,4 +1,4 @@
-"""The network packet by packet, behind the same topics as the fluid."""
+"""The network packet by packet, with the topics of the fluid model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .packets import (
 
 
 class TcpPacketsParams(NetworkParams):
-    """Network, spread of its sources, and what a congested queue does."""
+    """Network, spread of its sources, and whether a congested queue drops or marks."""
 
     period: float = param(0.01, "control and sampling period", "s", gt=0.0, le=1.0)
     seed: int = param(0, "added to the seed of the run", ge=0, le=2**31 - 1)
@@ -48,7 +48,7 @@ class TcpPacketsParams(NetworkParams):
 
 
 class State(NamedTuple):
-    """Steps so far, the network, packets and events under way; mean window and queue of late, random numbers."""
+    """Steps so far, the network, packets and events in flight; recent mean window and queue, random numbers."""
 
     step: int
     net: Net
@@ -65,7 +65,7 @@ class TcpPackets(Network[TcpPacketsParams]):
     """
 
     def setup(self) -> None:
-        """Allocate room for twice the flows, which events may start."""
+        """Allocate memory for twice the flows, which events may start."""
         p = self.p
         self._h, self._steps = p.period, 1
         self._room = int(p.q_max)
@@ -122,7 +122,7 @@ class TcpPackets(Network[TcpPacketsParams]):
         return State(step + steps, net, Traffic(inside), past, stream)
 
     def jumped(self, x: State, packets: float) -> State:
-        """Add packets that belong to no flow in one batch; what finds no room is lost."""
+        """Add packets without a flow in one batch; those that find no room are lost."""
         inside = x.traffic.copy()
         self._fill(inside, x.step * self._h, packets, x.net.capacity)
         return x._replace(traffic=Traffic(inside))
@@ -132,7 +132,7 @@ class TcpPackets(Network[TcpPacketsParams]):
             arrive(inside, now, NOBODY, 0, capacity, self._room)
 
     def changed(self, x: State, net: Net) -> State:
-        """Start or end flows; new propagation times hold for what leaves the queue from now on."""
+        """Start or end flows; new propagation times apply to packets that leave the queue from now on."""
         inside, now = x.traffic.copy(), x.step * self._h
         s, agenda, _, counts = inside
         s.propagation[:] = net.propagation * s.spread

@@ -24,6 +24,6 @@ EVENT_UNITS = {"flows": "1", "capacity": "packet/s", "propagation": "s", "distur
 
 
 def events(now: tuple[float, float, float, float]) -> Port:
-    """Return the port of the network's changes: any of the channels; `now` is what holds until the first one."""
+    """Return the port of the network's changes: any of the channels; `now` has the values until the first one."""
     units = list(EVENT_UNITS.values())
     return command("events", "network/events", tuple(EVENT_UNITS), units, held=True, partial=True, safe=now)

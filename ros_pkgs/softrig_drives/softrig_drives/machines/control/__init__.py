@@ -1,1 +1,1 @@
-"""Field orientation, voltage over frequency, six steps, and what they are made of."""
+"""Field orientation, voltage over frequency, six steps, and their common parts."""

@@ -13,7 +13,7 @@ Pair = tuple[float, float]
 
 
 class CurrentControlParams(BlockParams):
-    """Bandwidth, modulation, and what is known of the inverter."""
+    """Bandwidth, modulation, and the assumed inverter."""
 
     period: float = param(1e-4, "sampling period T_s", "s", gt=0.0, le=0.1)
     current_bandwidth: float = param(

@@ -23,7 +23,7 @@ SLOWEST = 1e-9  # rad/s, electrical: below it any flux is within the voltage
 
 
 class FocControllerParams(SpeedControlParams, CurrentControlParams):
-    """The machine as the law knows it, its limits, and its references."""
+    """The machine as the controller assumes it, its limits, and its references."""
 
     mode: Literal["speed", "torque", "current"] = param(
         "speed", "follow a speed, a torque, or currents i_d and i_q (topics speed_ref, torque_ref, current_ref)"

@@ -22,7 +22,7 @@ WEAK = 0.02  # share of the flux reference below which slip and torque are not d
 
 
 class ImFocParams(SpeedControlParams, CurrentControlParams):
-    """The machine as the law knows it, flux, limits, and references."""
+    """The machine as the controller assumes it, flux, limits, and references."""
 
     mode: Literal["speed", "torque"] = param("speed", "follow a speed or a torque (topics speed_ref, torque_ref)")
     R_s: float = param(3.7, "stator resistance in the controller", "ohm", gt=0.0, live=True)

@@ -9,7 +9,7 @@ Modulation = Literal["sinusoidal", "third_harmonic", "space_vector", "discontinu
 
 
 def linear_range(modulation: Modulation) -> float:
-    """Return the largest amplitude of a sinusoidal phase voltage that the modulation makes, over the DC voltage."""
+    """Return the largest amplitude of a sinusoidal phase voltage of the modulation, over the DC voltage."""
     return 0.5 if modulation == "sinusoidal" else 1.0 / SQRT3
 
 

@@ -16,7 +16,7 @@ FLUX = vector3("flux", "flux_estimate", "alpha_beta", "Wb")
 
 
 class FluxObserverParams(BlockParams):
-    """The machine as the observer knows it, and its gains."""
+    """The machine as the observer assumes it, and its gains."""
 
     period: float = param(1e-4, "sampling period T_s", "s", gt=0.0, le=0.1)
     R_s: float = param(3.6, "stator resistance of the observer", "ohm", gt=0.0, live=True)

@@ -18,7 +18,7 @@ STEPS = ((0, 1), (0, 2), (1, 2), (1, 0), (2, 0), (2, 1))
 
 
 class SixStepParams(SpeedControlParams):
-    """The machine as the law knows it, bandwidths and limits."""
+    """The machine as the controller assumes it, bandwidths and limits."""
 
     period: float = param(5e-5, "sampling period T_s", "s", gt=0.0, le=0.1)
     R: float = param(0.515, "resistance of a phase", "ohm", gt=0.0, live=True)
@@ -31,7 +31,7 @@ class SixStepParams(SpeedControlParams):
 
 
 class State(NamedTuple):
-    """Integral part of the voltage (V), memory of the speed control, sector held while Hall states are no sector."""
+    """Integral part of the voltage (V), state of the speed control, the sector held while Hall states are invalid."""
 
     u: float = 0.0
     speed: Speed = Speed()

@@ -28,7 +28,7 @@ class Speed(NamedTuple):
 
 
 class SpeedControl:
-    """PI control with active damping; the inner loop makes the torque at once.
+    """PI control with active damping, for an inner loop that makes the torque immediately.
 
     ::
 
@@ -50,7 +50,9 @@ class SpeedControl:
         self._most = p.torque_max
 
     def wanted(self, x: Speed, target: float, speed: float) -> tuple[Speed, float, float]:
-        """Return the state with the slewed reference, the torque asked for, and that cut to the largest, N m."""
+        """Return the state with the slewed reference, the requested torque, and the same limited to the
+        largest, N m.
+        """
         reference = target
         if self._rise > 0.0:
             reference = x.reference + min(max(target - x.reference, -self._rise), self._rise)
@@ -58,6 +60,6 @@ class SpeedControl:
         return Speed(x.integral, reference), torque, min(max(torque, -self._most), self._most)
 
     def closed(self, x: Speed, speed: float, wanted: float, made: float) -> Speed:
-        """Return the state after the machine was asked for a torque and makes another one, N m."""
+        """Return the state after the machine makes another torque than requested, N m."""
         step = self._share * (self._gain * (x.reference - speed) + made - wanted)
         return Speed(x.integral + step, x.reference)

@@ -1,1 +1,1 @@
-"""From the rated values of a data sheet to a drive: what follows, what has to be assumed, and what cannot be."""
+"""From the rated values of a data sheet to a drive: derived values, assumptions, and contradictions."""

@@ -13,7 +13,7 @@ SECONDS = 100.0  # of such a start at most: more is an inertia in another unit
 
 
 class Drive(NamedTuple):
-    """Parameters of plant and controller, a step that the drive can do, and what was assumed, in words."""
+    """Parameters of plant and controller, a step within the drive's ability, and a description of the assumptions."""
 
     plant: dict[str, float]
     law: dict[str, float]

@@ -89,7 +89,7 @@ def _check_orders(
     given: Mapping[str, float], w: float, psi: float, R: float, L: float, U_dc: float, torque: float, peak: float,
     assumed: list[str],
 ) -> None:  # fmt: skip
-    """Refuse values that are off by a unit, and remark what contradicts a little; `w` is electrical, rad/s."""
+    """Refuse values that are wrong by a unit, and remark small contradictions; `w` is electrical, rad/s."""
     made = torque * w / round(given["pole_pairs"])
     reach = U_dc / math.sqrt(3.0) if {"U_dc", "voltage"} & given.keys() else w * psi + R * peak
     lost = 1.5 * R * peak * peak / made

@@ -1,4 +1,4 @@
-"""The data of a line for `ros2 run softrig_power locate`: from a file; nothing is assumed."""
+"""The data of a line for `ros2 run softrig_power locate`, from a file; nothing is assumed."""
 
 from __future__ import annotations
 

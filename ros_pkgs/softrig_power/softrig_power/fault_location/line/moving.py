@@ -1,4 +1,4 @@
-"""The state of the line as a value, and as native code takes it: it moves the arrays in place."""
+"""The state of the line as a value, and its native form, which updates the arrays in place."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Moving:
         self.parts, self.state = parts, state
 
     def measured(self) -> Row:
-        """Return what is sampled now, without noise, 12 values in V and A."""
+        """Return the present samples, without noise, 12 values in V and A."""
         return tuple(self.state.measured.tolist())
 
     def fault_current(self) -> Row:
@@ -54,11 +54,11 @@ class Moving:
         return Moving(self.parts, state)
 
     def native(self) -> MovingRows:
-        """Return it as native code takes it."""
+        """Return its native form."""
         return MovingRows(self.parts, _copied(self.state))
 
     def numbers(self) -> Array:
-        """Return all its numbers in one row: what a linear view takes for states."""
+        """Return all its numbers in one row, which a linear view uses as states."""
         return floats.numbers(self.state)
 
     def with_numbers(self, row: Array) -> Moving:
@@ -93,7 +93,7 @@ class MovingRows(NamedTuple):
         return self
 
     def python(self) -> Moving:
-        """Return it as Python has it."""
+        """Return its Python form."""
         return Moving(self.parts, _copied(self.state))
 
 

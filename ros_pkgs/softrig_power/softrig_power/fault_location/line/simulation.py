@@ -95,7 +95,7 @@ def _sources(net: Network, state: State, first: int, history: Array, voltage: Ar
 
 @jit
 def _fault_point(net: Network, transform: Array, state: State, first: int, history: Array, voltage: Array) -> None:
-    """Solve the node F: what its voltages were without the fault, the currents of the fault, and its voltages."""
+    """Solve the node F: its voltages without the fault, the currents of the fault, and its voltages with it."""
     g, steps = net.lines.conductance, history.shape[2]
     node, phase = np.empty((3, steps)), np.empty((3, steps))
     for mode in range(3):

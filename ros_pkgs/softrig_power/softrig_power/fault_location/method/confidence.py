@@ -1,4 +1,4 @@
-"""How far an estimate can be trusted: its scatter inside the record, and what the instruments allow."""
+"""How far an estimate can be trusted: its scatter inside the record, and the accuracy of the instruments."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _disturbed(record: Record, p: LocatorParams, budget: ErrorBudget) -> Iterato
 
 
 def shifted(record: Record, late: float) -> Array:
-    """Return the samples of end R as a clock that is late by `late` seconds (less than a sample) takes them."""
+    """Return the samples of end R as taken by a clock that is late by `late` seconds (less than a sample)."""
     w = np.empty(6)
     lagrange(late * record.rate, w)
     r = np.pad(record.samples[:, 6:], ((3, 3), (0, 0)), mode="edge")

@@ -33,7 +33,7 @@ EXCHANGES = {
 
 
 def contradiction(work: Objective, limit: float) -> str:
-    """Describe how the ends contradict each other, by more than `limit` of their voltage; nothing when they do not.
+    """Describe how the ends contradict each other by more than `limit` of their voltage; None if they do not.
 
     At the place of a fault all three modes agree, not only the one that locates it: the measure is the least mean of
     F over the modes. Records with a wiring fault at one end can have a sharp minimum in one mode, at a wrong place.
@@ -90,7 +90,7 @@ def _apart(work: Objective, record: Record, stretch: tuple[int, int]) -> Callabl
 
 
 def _least(work: Objective, apart: Callable[[Array], Array], curve: Array | None = None) -> float:
-    """Least value along the line: on the locator's grid, then between its points."""
+    """Return the least value along the line: on the locator's grid, then between its points."""
     from scipy.optimize import minimize_scalar
 
     grid = work.grid
@@ -106,7 +106,7 @@ def _least(work: Objective, apart: Callable[[Array], Array], curve: Array | None
 
 
 def _otherwise(record: Record) -> Iterator[tuple[str, Record]]:
-    """Yield the record as it would be had the ends been wired otherwise, with what is otherwise."""
+    """Yield the record for each wrong wiring of the ends, with a description."""
     for turned in (("i_s",), ("i_r",), ("i_s", "i_r"), ("u_s",), ("u_r",)):
         yield f"{_named(turned)} reversed", _wired(record, dict.fromkeys(turned, (-1.0, (0, 1, 2))))
     for group, phase in product(("i_s", "i_r"), range(3)):

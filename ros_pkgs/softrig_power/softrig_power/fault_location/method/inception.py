@@ -37,7 +37,7 @@ def inception(record: Record, frequency: float) -> float:
 
 
 def windowed(record: Record, p: LocatorParams) -> LocatorParams:
-    """Set the window behind the inception: 1 ms to 19.5 ms after it, shorter where the record ends."""
+    """Set the window after the inception: 1 ms to 19.5 ms after it, shorter if the record ends."""
     begin = inception(record, p.frequency)
     beyond = p.line.aerial.tau + 4.0 / record.rate
     end = min(begin + AFTER + LASTS, record.start + (len(record.samples) - 1) / record.rate - beyond)

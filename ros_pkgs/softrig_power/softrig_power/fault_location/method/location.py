@@ -47,7 +47,7 @@ class Location:
 
 
 class Locator(Objective):
-    """One record, located in any way; see `Objective`."""
+    """One record, located by any method; see `Objective`."""
 
     def choose(self) -> Location:
         """Choose the mode with the largest F and return whether there is a fault, without a position yet."""
@@ -93,7 +93,7 @@ class Locator(Objective):
 
 
 def locate(record: Record, p: LocatorParams | None = None) -> Location:
-    """Locate the fault of a record; a record that is unfit gives its status and no position."""
+    """Locate the fault of a record; an unfit record results in its status and no position."""
     try:
         return Locator(record, p or LocatorParams()).locate()
     except RecordError as error:

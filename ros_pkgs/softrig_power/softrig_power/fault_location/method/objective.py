@@ -1,4 +1,4 @@
-"""A record that is ready to be located: its modes, the window of the objective F(x), F on a grid of the line."""
+"""A prepared record: its modes, the window of the objective F(x), F on a grid of the line."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LocatorParams(Params):
 
 
 class Objective:
-    """One record, ready to be located in any way.
+    """One record, prepared for any method.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Objective:
 
 
 def check_travel(travel: float, rate: float, p: LocatorParams) -> str:
-    """Refuse a line that is passed in too few samples; give a warning where that is the profile's nature."""
+    """Refuse a line with too few samples of travel time; return a warning if that is due to the profile."""
     if travel >= USUAL_TRAVEL:
         return ""
     if travel < p.least_travel:

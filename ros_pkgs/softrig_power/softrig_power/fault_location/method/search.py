@@ -11,7 +11,7 @@ from .objective import Objective
 
 
 def brent(work: Objective, mode: int) -> tuple[float, float]:
-    """Grid on the line, then bounded Brent in the two cells beside its lowest point; gives x (km) and F (V)."""
+    """Search on a grid, then by bounded Brent in the two cells beside its lowest point; return x (km) and F (V)."""
     from scipy.optimize import minimize_scalar
 
     curve = work.curve(mode)

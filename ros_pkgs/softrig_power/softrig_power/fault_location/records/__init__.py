@@ -1,1 +1,1 @@
-"""Fault records: what one is, how it grows, and COMTRADE files (IEEE C37.111)."""
+"""Fault records: their definition, how they grow, and COMTRADE files (IEEE C37.111)."""

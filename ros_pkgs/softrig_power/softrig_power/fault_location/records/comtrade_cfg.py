@@ -168,7 +168,7 @@ def read_settings(text: str) -> Settings:
 
 
 class _Lines:
-    """Lines, one after the other, and what is wrong with the last one."""
+    """Lines, one after the other, and the error in the last one."""
 
     def __init__(self, rows: Sequence[str]) -> None:
         self.rows = rows

@@ -120,7 +120,7 @@ def _binary(settings: Settings, data: bytes, words: int) -> tuple[Array, Array, 
 
 
 def times(settings: Settings, samples: Samples) -> tuple[Array, list[str]]:
-    """Return the time of each sample, s after the first one, and what does not agree.
+    """Return the time of each sample, s after the first one, and contradictions.
 
     A sample is identified by its number, so a missing sample is a gap. If there is a sampling rate, times follow from
     it, as the standard requires, and the stamps of the data are compared with these times.

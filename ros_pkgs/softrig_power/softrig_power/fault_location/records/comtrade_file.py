@@ -175,7 +175,7 @@ def _aligned(files: Sequence[Recorder]) -> tuple[list[float], list[str], float]:
 
 
 def _phases(known: Sequence[Analog]) -> list[int | None]:
-    """Return the phase of each channel, 0 to 2; None where it has none, or letters of two systems are mixed."""
+    """Return the phase of each channel, 0 to 2; None if it has none, or if letters of two systems are mixed."""
     marks = [_PHASE.sub("", c.phase.upper().replace(" ", "")) for c in known]
     whole = [system for system in _SYSTEMS if set(system) <= set(marks)]
     result: list[int | None] = []
@@ -216,7 +216,7 @@ def _pick(file: Recorder, names: Sequence[str], ends: int) -> list[int]:
 
 
 def _end(file: Recorder, order: Sequence[int]) -> tuple[Array, Array]:
-    """Return times (s) and primary V and A of six channels, all brought to the times of the first of them."""
+    """Return times (s) and primary V and A of six channels, all shifted to the times of the first of them."""
     columns = np.column_stack([_scaled(file, k) for k in order])
     skews = [1e-6 * file.settings.analog[k].skew for k in order]
     t = file.t + skews[0]

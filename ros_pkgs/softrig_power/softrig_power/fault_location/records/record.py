@@ -1,4 +1,4 @@
-"""A fault record: time-aligned samples of both line ends, and what makes it unfit."""
+"""A fault record: time-aligned samples of both line ends, and the reasons why one is unfit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples at other times: what brings recorders of other rates, or that sample between each other, together."""
+"""Resampling, which aligns recorders of different rates or sampling times."""
 
 from __future__ import annotations
 

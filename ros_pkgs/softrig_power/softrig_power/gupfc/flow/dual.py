@@ -1,4 +1,4 @@
-"""Numbers with their derivatives, carried along in real arithmetic."""
+"""Numbers with their derivatives, in real arithmetic."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ class Dual:
     __radd__, __rmul__ = __add__, __mul__
 
     def cos(self) -> Dual:
-        """Return the cosine; what `numpy.cos` calls."""
+        """Return the cosine, for `numpy.cos`."""
         return Dual(np.cos(self.value), -_wide(np.sin(self.value)) * self.slope)
 
     def sin(self) -> Dual:
-        """Return the sine; what `numpy.sin` calls."""
+        """Return the sine, for `numpy.sin`."""
         return Dual(np.sin(self.value), _wide(np.cos(self.value)) * self.slope)
 
     def sum(self, axis: int) -> Dual:

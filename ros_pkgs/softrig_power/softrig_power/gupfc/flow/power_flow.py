@@ -81,7 +81,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Diverged:
-    """No operating point was found; there are no voltages to give.
+    """No operating point was found, so there are no voltages.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ def _far_side(a: complex, b: complex, k: complex, s1: complex, s2: complex) -> I
 
 
 def _alone(a: complex, k: complex, s: complex) -> list[complex]:
-    """Roots of S = V (a V + k)*; where there are none, the point between them."""
+    """Return the roots of S = V (a V + k)*; if there are none, the point between them."""
     # k V* = S* - a m with m = |V|^2, so |S* - a m|^2 = |k|^2 m
     half = (a * s).real + 0.5 * abs(k) ** 2
     remaining = half * half - abs(a * s) ** 2
@@ -137,7 +137,7 @@ def _alone(a: complex, k: complex, s: complex) -> list[complex]:
 def _newton(
     a: complex, b: complex, share: float, k: complex, s1: complex, s2: complex, v2: complex, v4: complex
 ) -> tuple[complex, complex, float]:
-    """Solve with a share of the coupling, the rest as if both voltages were equal; return the mismatch too."""
+    """Solve with a share of the coupling, and the rest as if both voltages were equal; return the mismatch too."""
     own, other = a - b * (1.0 - share), -b * share
 
     def mismatch(v2: complex, v4: complex) -> tuple[complex, complex]:

@@ -1,1 +1,1 @@
-"""Methods: modified variational iteration on power series, direct collocation, least costs that are known exactly."""
+"""Methods: modified variational iteration on power series, direct collocation, exactly known least costs."""

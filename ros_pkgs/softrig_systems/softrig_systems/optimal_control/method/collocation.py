@@ -169,7 +169,7 @@ def solve(
 
 
 def sampled(rows: Array, horizon: float, later: float, n: int) -> Callable[[Array], Array]:
-    """Create a guess for what is left of the horizon, `later` s, from the rows of a plan for all of it."""
+    """Create a guess for the rest of the horizon, `later` s from now, from the rows of a plan for all of it."""
     from scipy.interpolate import CubicSpline
 
     spline = CubicSpline(np.linspace(0.0, 1.0, rows.shape[1]), np.delete(rows, np.s_[n : 2 * n], axis=0), axis=1)

@@ -1,4 +1,4 @@
-"""Least costs that are known exactly, and a solver of the two-point boundary value problem to check all others."""
+"""Exactly known least costs, and a solver of the two-point boundary value problem to check all others."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def scalar_cost(problem: Problem) -> float:
 
 
 def spacecraft_cost(problem: Problem, inertia: Sequence[float]) -> float:
-    """Least cost |I w0|^2/(2T) of bringing a spacecraft to rest.
+    """Return the least cost |I w0|^2/(2T) of bringing a spacecraft to rest.
 
     The gyroscopic torque cannot change |h|, h = I w, so |u| integrates to at least |h0|; u = -h/(T - t) does it with
     constant |u|. It holds for every inertia, rate and horizon.
@@ -116,5 +116,5 @@ def tpbvp(problem: Problem, tolerance: float = 1e-9, start: NDArray[np.float64] 
 
 
 def least_cost(problem: Problem) -> float:
-    """Return the least cost: exactly where the problem knows it, else that of the boundary value problem."""
+    """Return the least cost: exactly if the problem has a closed form, else that of the boundary value problem."""
     return problem.exact(problem) if problem.exact is not None else tpbvp(problem).cost

@@ -52,7 +52,7 @@ END = 1e-8  # end error allowed, of the size of the states
 
 @dataclass
 class Solution:
-    """An extremal in polynomials, and how it came about.
+    """An extremal in polynomials, and how it was found.
 
     Parameters
     ----------
@@ -263,7 +263,9 @@ def _series(problem: Problem, alpha: Array, order: int, stages: int) -> tuple[Ar
 
 
 def _judge(problem: Problem, z: Array, u: Array) -> tuple[float, float, float]:
-    """Cost along the polynomials, relative residual of all equations, absolute one of the states' equations."""
+    """Return the cost along the polynomials, the relative residual of all equations, the absolute one of the
+    states'.
+    """
     extremal, stages = problem.extremal, z.shape[0]
     n, T = len(problem.states), problem.horizon / z.shape[0]
     J = 0.0
@@ -369,7 +371,7 @@ def _reason(solution: Solution, eps: float, eps_res: float) -> str:
 
 
 def several(solution: Solution) -> str:
-    """Describe the orders with several roots, and what the plant pays under each, the first chosen one first."""
+    """Describe the orders with several roots, and the plant's cost under each, the first chosen one first."""
     messages = []
     for order, roots in solution.roots.items():
         paid = ", ".join(f"{r.paid:.5g}" if np.isfinite(r.paid) else "without end" for r in roots)
@@ -378,7 +380,7 @@ def several(solution: Solution) -> str:
 
 
 def enough_stages(problem: Problem, order: int, eps_res: float, most: int = 16) -> int:
-    """Return the least power of two of stages, up to `most`, with which the order reaches; 0 when none does."""
+    """Return the least power of two of stages, up to `most`, for which the order suffices; 0 if none does."""
     stages = 2
     while stages <= most:
         solution = solve(problem, order, eps_res=eps_res, stages=stages)

@@ -110,7 +110,7 @@ class Tape(NamedTuple):
 
 
 def _power(add: object, base: int, exponent: float) -> int:
-    """Whole powers as products, which know no singular point at 0; others by their own recursion."""
+    """Compute integer powers as products, which have no singularity at 0; others by a recursion."""
     if exponent != int(exponent) or not 1 <= exponent <= 16:
         return add(POWER, base, constant=exponent)  # type: ignore[operator, no-any-return]
     place = base

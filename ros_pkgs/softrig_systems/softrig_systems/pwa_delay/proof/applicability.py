@@ -50,7 +50,7 @@ def require_equilibrium(system: PwaSystem) -> PwaSystem:
 
 
 def _vanishes(m: Array, z: Array, offset: Array) -> bool:
-    """Return whether m z + offset is zero but for rounding, beside the sizes of its own terms: units do not count."""
+    """Return whether m z + offset is zero within rounding, relative to its own terms, so that units do not matter."""
     size = np.abs(m).sum(axis=1) * np.abs(z).max(initial=0.0) + np.abs(offset)  # z is right beside its largest entry
     return bool(np.all(np.abs(m @ z + offset) <= ROUNDING * size))
 

@@ -1,4 +1,4 @@
-"""Level of the water tank: a bound from below that holds for every delay up to h, however it varies.
+"""Level of the water tank: a lower bound that holds for every delay up to h, however it varies.
 
 The tank x' = -c sqrt(x) + k(x_d) x_d, k = kL for x_d < s and -kR from s on, has no equilibrium at s for any delay, only
 a limit cycle; what can be proven is that it does not run empty. By comparison, for 0 <= d(t) <= h of any rate::
@@ -60,7 +60,7 @@ def level_bound(
 def level_margin(
     *, s: float = 0.5, kL: float = 0.2, kR: float = 0.1, c: float = TANK_C, start: float | None = None
 ) -> float:
-    """Return the largest h (s) with a certified level, 0 when there is none; parameters as of `level_bound`."""
+    """Return the largest h (s) with a certified level, 0 if there is none; parameters as in `level_bound`."""
 
     def certified(h: float) -> bool:
         return level_bound(h, s=s, kL=kL, kR=kR, c=c, start=start).certified

@@ -79,7 +79,7 @@ class Solution(NamedTuple):
 
 
 class Problem:
-    """Inequalities to be met with the largest margin t: each >= t I, the sum of the traces of some fixed."""
+    """Inequalities to be solved with the largest margin t: each >= t I, with a fixed sum of some traces."""
 
     def __init__(self) -> None:
         self.unknowns: dict[str, Unknown] = {}
@@ -100,7 +100,7 @@ class Problem:
         self.size += self.unknowns[name].count
 
     def positive(self, name: str, terms: list[Term], *, traced: bool = False) -> None:
-        """Demand that a sum of terms is positive definite; `traced`: its trace counts in the sum that is fixed."""
+        """Require that a sum of terms is positive definite; `traced`: its trace counts in the fixed sum."""
         self.inequalities.append(Inequality(name, tuple(terms), terms[0].left.shape[0]))
         if traced:
             self.traced.append(self.inequalities[-1])
@@ -199,7 +199,7 @@ class Problem:
         return result
 
     def eigenvalues(self, matrices: Mapping[str, Array]) -> list[Eigenvalues]:
-        """Evaluate every inequality from given matrices alone, in float64, without the solver.
+        """Evaluate every inequality only from given matrices, in float64, without the solver.
 
         An unknown with negative entries that must not have any counts as an inequality that does not hold.
         """

@@ -107,7 +107,7 @@ def _columns(n: int, *blocks: int) -> Array:
 
 
 def _null_space(A: Array, Ad: Array) -> Array:
-    """Columns that span what the dynamics leave of xi: all but x', which follows."""
+    """Return columns that span xi under the dynamics: all but x', which follows from the others."""
     n = A.shape[0]
     basis = _columns(n, 0, 1, 2, 4, 5, 6, 7)
     basis[3 * n : 4 * n, :n], basis[3 * n : 4 * n, n : 2 * n] = A, Ad
