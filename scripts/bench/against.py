@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "ros_pkgs/softrig_bringup/doc/lab/against.md"
 MARKS = r"(<!-- {} -->\n).*?(<!-- end -->)"
 RUN = "run dc_motor_smc_b2 --mode inprocess --out"
-# by what a person waits for: words after scripts/softrig; OUT is a new place, made is what `PREPARED` has left
+# commands that a person waits for: words after scripts/softrig; OUT is a new place, made is the result of `PREPARED`
 COMMANDS = {
     "list": "list",
     "help": "--help",
@@ -198,7 +198,7 @@ def main(arguments: Sequence[str]) -> int:
         parser.error(f"no {kind} begins with {', '.join(options.names)}; there are {', '.join(known)}")
     other, heads = built(options.commit), (kind, "CPU s before", "CPU s now", "ratio")
     if options.runs:
-        # A build of the newest commit: numba imports what a set-up for tests adds (coverage), which takes 0.2 s.
+        # A build of the newest commit: numba imports packages of a set-up for tests (coverage), which takes 0.2 s.
         result = run_rows((other, built("HEAD")), names, options.runs, options.rounds)
     else:
         result = rows(compared(other, names, options.rounds))

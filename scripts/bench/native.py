@@ -32,7 +32,7 @@ RIGS = (
     "gupfc",
     "pv_mppt",
 )
-# by hand: seconds simulated, and topics of its tables: of each tick, and of each 20th
+# hand-written C: seconds simulated, and topics of its tables: of each tick, and of each 20th
 LOOPS: dict[str, tuple[float, list[tuple[str, ...]]]] = {
     "dc_motor_smc": (60.0, [("motor/state", "motor/sensors", "motor/command")]),
     "induction_dtc": (

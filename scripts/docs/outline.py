@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# how-to guides by what one wants to do
+# how-to guides by the reader's purpose
 GUIDES = {
     "Set up and keep up to date": ("set_up", "wheel", "workspace", "upgrade", "distribution"),
     "Run, watch and compare": ("view", "studies", "linear_view", "reports", "ends", "two_machines"),
@@ -20,7 +20,7 @@ GUIDES = {
     "Share, teach and keep correct": ("send", "strangers", "classroom", "continuous_integration"),
 }
 
-# folder of the site: title, what one finds there, pages in order (by file name, wherever a package has them)
+# folder of the site: title, content, pages in order (by file name, in any package)
 KINDS = {
     "tutorials": (
         "Tutorials",
@@ -56,7 +56,7 @@ KINDS = {
 }  # fmt: skip
 
 
-# what people look for by a word that the page does not have
+# search words that are not on the page
 KEYWORDS = {
     "send": "colleague, share, zip, archive, exchange, reproduce, repeat",
     "strangers": "security, trust, sandbox, signature, untrusted, confirm",

@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 LOCKS = Path(__file__).resolve().parents[1] / "locks"
-# what a text is, by words that only it has; the first that fits
+# licences by words that only their text has; the first match counts
 TEXTS = (
     ("EPL-2.0", r"Eclipse Public License.{0,12}2\.0"),
     ("EPL-1.0", "Eclipse Public License"),

@@ -14,7 +14,7 @@ from softrig_core.rig.installed import load_block
 
 PACKAGES = ("control", "drives", "power", "robots", "systems", "optim", "core", "bags")
 
-# what the field calls it; a test holds that every executable is here
+# the field's term; a test checks that every executable is here
 NODES: Mapping[str, str] = {
     "control/c_controller": "C function, S-function in C, MEX",
     "control/c_plant": "C function, S-function in C, MEX",
@@ -142,7 +142,7 @@ VERBS: Mapping[str, str] = {
     "bench": "benchmark",
 }
 
-# what the field calls it, what it is called here, and why that name
+# the field's term, softrig's name, and the reason for it
 PARAMETERS: tuple[tuple[str, str, str], ...] = (
     ("T_s, sampling time, 1/f_s", "period", "of every node, in s; also as a fraction `1/16000`"),
     (

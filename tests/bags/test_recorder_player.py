@@ -553,7 +553,7 @@ def test_names_that_ros_does_not_have_are_not_played(tmp_path, capsys, name):
     writer.write(writer.add_topic(BagTopic(name, "std_msgs/msg/Header")), 5, bytes(16))
     writer.close()
     assert main_play([str(tmp_path / "odd")]) == 2
-    assert "not played, ROS has no such names, --remap gives others" in capsys.readouterr().err
+    assert "not played, invalid names in ROS; rename them by --remap" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -274,5 +274,5 @@ def test_a_system_that_cannot_be_animated_is_named(words, text, tmp_path, capsys
 def test_a_run_without_the_drawn_signals_is_named(shorted):
     from softrig_core import Recording, ScenarioError
 
-    with pytest.raises(ScenarioError, match="nothing was recorded of what is drawn: joint_states/shaft/position"):
+    with pytest.raises(ScenarioError, match="no drawn signal was recorded: joint_states/shaft/position"):
         film(drawing_for(shorted.rig), Signals(Recording([])), 0.0, 0.1)

@@ -612,7 +612,7 @@ def test_only_sources_of_a_package_are_packed(tmp_path):
     [
         (0, False, {}, ""),
         (5, False, {}, "in real time"),
-        (0, True, {"stopped": "x"}, "messages came from outside, it ended early"),
+        (0, True, {"stopped": "x"}, "there were messages from outside, it ended early"),
         (0, False, {"error": "x"}, "it ended early"),
     ],
 )

@@ -669,7 +669,7 @@ KIND = {
         ({"pace": 1.0}, "1.5 of 6 s, running", "soft"),
         ({"held": True}, "1.5 of 6 s, paused", "soft"),
         ({"held": True, "awaited": ["a", "b"], "waited": 2.6}, "1.5 of 6 s, starting for 3 s, waits for a, b", "soft"),
-        ({"held": False, "pace": 0.0}, "1.5 of 6 s, running as fast as it goes", "soft"),
+        ({"held": False, "pace": 0.0}, "1.5 of 6 s, running as fast as possible", "soft"),
         ({"held": False, "pace": 1.0}, "1.5 of 6 s, running at the wall's pace", "soft"),
         ({"held": False, "pace": 0.5, "speed": 0.0}, "1.5 of 6 s, running at 0.5 of the wall's pace", "soft"),
         ({"held": False, "pace": 2.0, "speed": 1.61}, "1.5 of 6 s, running at 2 of the wall's pace", "soft"),

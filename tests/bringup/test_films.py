@@ -80,7 +80,7 @@ def test_a_trail_has_the_sixty_rows_before_each_frame():
 def test_a_run_with_some_of_the_drawn_signals_is_drawn():
     nothing, some = Signal(np.array([]), np.array([])), Signal(np.array([0.0]), np.array([1.0]))
     assert film(shows(), {"a": nothing, "b": some}, 0.0, 1.0).frames[0][0][0] == {"b": 1.0}
-    with pytest.raises(ScenarioError, match=r"^nothing was recorded of what is drawn: a, b$"):
+    with pytest.raises(ScenarioError, match=r"^no drawn signal was recorded: a, b$"):
         film(shows(), {"a": nothing}, 0.0, 1.0)
 
 

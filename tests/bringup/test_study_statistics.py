@@ -217,7 +217,9 @@ def test_seeds_of_a_draw_belong_together():
     assert line.n == 30
     assert line.mean == pytest.approx(singly, abs=1e-5)
     assert line.median.high - line.median.low > 0.1
-    assert result.notes == ["n counts draws: the 5 seeds of a draw belong together, and the intervals go by draws"]
+    assert result.notes == [
+        "n counts draws: the 5 seeds of a draw are not independent, and the intervals are those of draws"
+    ]
 
 
 @pytest.mark.parametrize("draws", [{}, {"draws": {"count": 4, "method": "random", "parameters": {"n.x": UNIFORM}}}])

@@ -330,7 +330,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     source.session.go(0.05)
     source.read_new()
     source.read_new()
-    assert capsys.readouterr().err.count("nothing is kept in case that this process is killed: [Errno 28]") == 1
+    assert capsys.readouterr().err.count("nothing can be repaired if this process is killed: [Errno 28]") == 1
     source.control.go_back("me", 0.0)
     assert re.match(r"back to 0 s refused: .*No space left on device", source.control.entries[-1].text)
     assert (source.session.t, source.branched) == (0.05, [])

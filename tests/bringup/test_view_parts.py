@@ -894,7 +894,7 @@ def test_answers_of_nodes_go_to_whoever_asked(piped, tmp_path):
 
     process.stdin.write = broken
     asks.ask({"node": "n"}, lambda ok, why: results.append((9, ok, why)))
-    assert results[-1] == (9, False, "what asks the nodes has ended")
+    assert results[-1] == (9, False, "the process that sends requests to the nodes has ended")
     assert list(asks._asked) == [1]
 
 

@@ -165,7 +165,7 @@ def test_hidden_state_gives_the_same_run_as_declared_state_and_is_reported() -> 
 def test_state_that_no_file_shows_is_found_by_repeated_ticks() -> None:
     runs = [simulate(rig_with(faulty("RANDOM"))) for _ in range(2)]
     assert runs[0].recording.topics == runs[1].recording.topics
-    assert "has other answers when it comes again" in runs[0].blocks["dc_motor_pid"].reports["hidden_state"][1]
+    assert "has different answers when it is repeated" in runs[0].blocks["dc_motor_pid"].reports["hidden_state"][1]
 
 
 def test_its_state_is_kept_by_an_fmu_and_by_a_restarted_node() -> None:

@@ -321,7 +321,7 @@ def test_a_run_in_real_time_whose_board_is_silent_at_its_end_is_not_judged(ticks
     assert result["command"] == (0.0,)
     assert messages == [""]
     since = "at any time" if not ticks else f"after {(29 + ticks) * 0.01:g} s"
-    assert block.void(x) == f"no answer came from wire {since}, so the run says nothing of this node"
+    assert block.void(x) == f"no answer came from wire {since}, so the run is no evidence about this node"
 
 
 def test_a_port_that_opens_slowly_delays_no_tick_in_real_time(firmware, tmp_path):

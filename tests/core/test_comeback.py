@@ -183,7 +183,7 @@ def test_a_node_that_failed_by_itself_is_not_restarted(watched):
         ({"mode": "inprocess"}, "expected a run in lockstep whose nodes have a process each"),
         ({"containers": [["plant", "gain"]]}, "expected a run in lockstep whose nodes have a process each"),
         ({"only": ["gain"]}, "expected a run in lockstep whose nodes have a process each"),
-        ({"record": False}, "expected a record"),
+        ({"record": False}, "expected --restart without --no-record"),
     ],
 )
 def test_impossible_restarts_are_refused_before_the_run(keys, message, lag_rig):

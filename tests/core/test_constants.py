@@ -111,8 +111,7 @@ def test_a_tick_that_writes_an_attribute_is_refused_at_its_line(block, method, n
     lines, first = getsourcelines(Law if block is Again else block)
     line = next(k for k, text in enumerate(lines, first) if text.endswith("# here\n"))
     assert str(message.value) == (
-        f"law: `{method}` writes self.{name} ({__file__}, line {line}); make what the block remembers a field of x "
-        "and return the new x"
+        f"law: `{method}` writes self.{name} ({__file__}, line {line}); make it a field of x and return the new x"
     )
     assert message.value.node == "law"
 
@@ -190,8 +189,8 @@ def test_a_tick_that_changes_an_attribute_in_place_is_named_after_the_second(hab
     with pytest.raises(RunError) as text:
         Session(rig).go() if session else simulate(rig)
     assert str(text.value) == (
-        f"law: its ticks change {name} in place (Bad); make what the block remembers a field of x, or name the "
-        "attribute in SCRATCH if no answer depends on it"
+        f"law: its ticks change {name} in place (Bad); make its state a field of x, or name the attribute in "
+        "SCRATCH if no answer depends on it"
     )
     assert not session or done == [0, 100_000_000]  # and not at the end of the run
 

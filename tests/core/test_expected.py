@@ -36,17 +36,17 @@ NAN, INF = math.nan, math.inf
         ("-4 +- -1%", "a tolerance is not negative"),
         (
             "8 +- 26 %",
-            "the tolerance is 26% of the value and judges little; say what is meant: 'between 5.92 and 10.08', "
+            "the tolerance is 26% of the value, which is a weak test; state the limits: 'between 5.92 and 10.08', "
             "'at most ...' or 'at least ...'",
         ),
         (
             "-4 +- 2",
-            "the tolerance is 50% of the value and judges little; say what is meant: 'between -6 and -2', "
+            "the tolerance is 50% of the value, which is a weak test; state the limits: 'between -6 and -2', "
             "'at most ...' or 'at least ...'",
         ),
         (
             "1 +- 0.2500001",
-            "the tolerance is 25% of the value and judges little; say what is meant: 'between 0.75 and 1.25', "
+            "the tolerance is 25% of the value, which is a weak test; state the limits: 'between 0.75 and 1.25', "
             "'at most ...' or 'at least ...'",
         ),
         ("between 2 and 1", "between 2 and 1: nothing is"),

@@ -348,7 +348,7 @@ def test_a_text_with_another_answer_than_the_run_is_refused(monkeypatch):
         return replace(law, texts={name: text.replace(" - ", " + ") for name, text in law.texts.items()})
 
     monkeypatch.setattr(c_files, "law_of", wrong)
-    with pytest.raises(ScenarioError, match=r"another answer than Python at .* s: a defect of softrig"):
+    with pytest.raises(ScenarioError, match=r"another result than Python at .* s: a defect of softrig"):
         c_of(rig_of("dc_motor_smc_b2"), "dc_motor_smc", rows=20, drawn=2)
 
 

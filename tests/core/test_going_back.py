@@ -221,7 +221,7 @@ def test_a_run_that_broke_can_go_back():
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda s: s.rewind(0.06), r"^t = 0.06 s: expected a time that the run has come to, at most 0.05 s$"),
+        (lambda s: s.rewind(0.06), r"^t = 0.06 s: expected a time that the run has reached, at most 0.05 s$"),
         (lambda s: s.rewind(-1.0), r"^t = -1.0 s: expected a time of at least 0$"),
         (lambda s: s.go(float("nan")), r"^t = nan s: expected a time of at least 0$"),
         (lambda s: s.set({"nobody.delta": 1.0}), r"^'nobody.delta': expected node.parameter with node one of "),
@@ -279,7 +279,7 @@ def test_a_branch_of_another_run_says_where_they_differ():
 
 @pytest.mark.parametrize("t", [0.2, -0.1, float("nan")])
 def test_a_branch_from_a_time_outside_the_run_is_refused(t):
-    with pytest.raises(ScenarioError, match=r"expected a time that the run has come to, 0 to 0\.1 s$"):
+    with pytest.raises(ScenarioError, match=r"expected a time that the run has reached, 0 to 0\.1 s$"):
         simulate("dc_motor_smc", duration=0.1).branch(t, SOFTER)
 
 

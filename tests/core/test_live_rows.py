@@ -263,7 +263,7 @@ def test_ticks_older_than_the_window_are_dropped():
     node.hand.time = START + 1_200 * MS  # a second is believed: those before 200 ms are too old
     node.rows["a"].receive(node.rows["a"].port.layout().encode(START + 400 * MS, (1.0,)))
     assert node.drive.counts()["dropped_ticks"] == 20
-    assert node.reports() == {"dropped": "ERROR 20 ticks dropped: the law is too slow, or was held (1)"}
+    assert node.reports() == {"dropped": "ERROR 20 ticks dropped: the controller is too slow, or was stopped (1)"}
     node.hear("b", START + 400 * MS, 1.0)
     for _ in range(20):  # nothing of b is as old as the ticks that have begun, but the last
         assert not SEEN

@@ -652,7 +652,7 @@ def test_a_rig_that_often_discards_ticks_stays_in_python(monkeypatch: pytest.Mon
     monkeypatch.setattr(engine, "SELDOM", 100)
     native = the_same(rig, monkeypatch)
     assert native.given_up == 4
-    assert native.reason == "many ticks are given up"
+    assert native.reason == "many ticks are discarded"
 
 
 @pytest.mark.long

@@ -166,7 +166,7 @@ def test_with_external_subscribers_ticks_run_in_python_and_each_64th_asks_again(
         {"body": Body(), "law": Law()}, 0.4, alone=lambda: asked.append(run.steps[0].t // 1_000_000) or len(asked) > 3
     )
     began = [run.native.reason for _ in zip(run.run(), range(3), strict=False)][-1]
-    assert began == "somebody outside of this process, or a person, has a part in its ticks"
+    assert began == "another process, or a person, takes part in its ticks"
     run = going(
         {"body": Body(), "law": Law()}, 0.4, alone=lambda: asked.append(run.steps[0].t // 1_000_000) or len(asked) > 3
     )

@@ -687,7 +687,7 @@ def test_impossible_restarts_are_refused():
         (
             rig,
             Placement(restart=1, record=False),
-            "--restart: a node comes back from what the others have recorded, expected a record",
+            "--restart: a node restarts from the recordings of the others, expected --restart without --no-record",
         ),
     ):
         with pytest.raises(ScenarioError) as error:

@@ -144,7 +144,7 @@ def test_facts_that_a_user_should_know_of_a_run_are_logged(stage):
     one.run()
     assert one.said == [
         "domain 120: 1 to 100 are taken (by x)",
-        "/dev/shm has 1 MB left: messages go by UDP, which takes longer",
+        "/dev/shm has 1 MB left: messages use UDP, which is slower",
     ]
     assert one.started.variables == {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}  # so that no node uses what room there is
     given = stage()

@@ -502,7 +502,7 @@ def test_a_controller_far_behind_drops_messages_older_than_the_window_and_report
     assert stamps[-1] > world.now - run.epoch - 30 * MS
     dropped = gain.drive.statistics()["dropped_ticks"]
     assert dropped > 190
-    assert gain.step.reports["dropped"][1] == f"{dropped} ticks dropped: the law is too slow, or was held"
+    assert gain.step.reports["dropped"][1] == f"{dropped} ticks dropped: the controller is too slow, or was stopped"
     assert gain.drive.missed >= dropped
 
 

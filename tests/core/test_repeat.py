@@ -209,7 +209,7 @@ def test_a_branch_is_repeated_from_its_bag_alone(tmp_path, capsys):
         (["--from", "first@x"], "argument --from: 'first@x': expected RUN@T"),
         (["--from", "first@-1"], "argument --from: 'first@-1': expected RUN@T"),
         (["--from", "nowhere@1"], "softrig: nowhere: expected the directory of a run"),
-        (["--from", "first@0.2"], "--from first: t = 0.2 s: expected a time that the run has come to, 0 to 0.1 s"),
+        (["--from", "first@0.2"], "--from first: t = 0.2 s: expected a time that the run has reached, 0 to 0.1 s"),
         (["--from", "first@0.05", "dc_motor_smc"], "--from repeats a run as it was: expected no scenario beside it"),
         (["--from", "first@0.05", "--seed", "3"], "--from repeats a run as it was: expected no --seed beside it"),
         (["--from", "first@0.05", "--set", "dc_motor_plant.J=1"], "parameter J may not change while running"),

@@ -316,7 +316,7 @@ def test_sets_are_applied_at_the_next_tick_all_or_none():
     assert said(gain=5.0) == (True, "")
     assert node.remark == ""
     assert said(gain=4.0, limit=1.0) == (True, "")
-    assert node.remark == "in place of gain, limit that was set before and had not come into effect"
+    assert node.remark == "in place of gain, limit that was set before and had not taken effect"
     assert set_them([Parameter("gain", Parameter.Type.NOT_SET)]).reason == "parameter gain has no value, expected one"
 
     def refuse(values):
@@ -1055,7 +1055,7 @@ def test_messages_are_passed_on_unchanged_whatever_their_length(monkeypatch):
     one.report_writers()
     assert (matched, rcl.resets) == ([2, 1], 1)
     for call, message in (
-        (works[0], "a message cannot be taken (rcl reports 5)"),
+        (works[0], "a message cannot be received (rcl reports 5)"),
         (one.begin, "cannot be notified of its messages"),
     ):
         with pytest.raises(ros.RCLError) as error:

@@ -119,7 +119,7 @@ def test_a_session_that_goes_back_and_branches_at_random_is_the_run_with_the_sam
         elif act == "rewind":
             k = draw.randrange(LAST + 2)
             if k > min(model.at, LAST):
-                with pytest.raises(ScenarioError, match="expected a time that the run has come to, at most"):
+                with pytest.raises(ScenarioError, match="expected a time that the run has reached, at most"):
                     session.rewind(0.01 * k)
             else:
                 undone = [value for at, value in model.turned if at >= k]
@@ -197,7 +197,7 @@ def test_changes_of_a_branch_are_those_before_its_time_those_of_the_scenario_and
     for at, text in ((0.2000001, "0.2000001"), (-0.1, "-0.1"), (math.nan, "nan")):
         with pytest.raises(ScenarioError) as error:
             changes(at, {})
-        assert str(error.value) == f"t = {text} s: expected a time that the run has come to, 0 to 0.2 s"
+        assert str(error.value) == f"t = {text} s: expected a time that the run has reached, 0 to 0.2 s"
     with pytest.raises(ScenarioError, match=r"0 to 0 s$"):
         branched(rig, Recording([]), 0.1, {}, 7)
     later = Kept([("lag/state", STATE.msgtype)])

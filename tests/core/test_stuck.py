@@ -83,7 +83,7 @@ def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypa
         killer.join()
     assert ended[0] == 143
     assert lines[0].startswith("gain: `update` at t = 0.02 s has not returned 0.2 s after SIGTERM (")
-    assert lines[0].endswith("): the process is ended, and what it has not written is lost")
+    assert lines[0].endswith("): the process is ended, and unwritten data are lost")
 
 
 class Ends(Gain):
@@ -140,7 +140,7 @@ def test_code_of_a_block_that_raises_anything_is_named_and_does_not_end_python(w
 def test_a_verb_whose_code_ends_python_or_closes_its_output_says_so(monkeypatch, capsys):
     for error, message in (
         (SystemExit(0), "code that `softrig list` called has ended it: SystemExit: 0 ("),
-        (None, "standard output: closed by code that ran; what it prints is lost"),
+        (None, "standard output: closed by a user's code; the output is lost"),
     ):
 
         def verb(options, error=error):
@@ -164,7 +164,7 @@ def test_a_thread_that_goes_on_is_not_waited_for():
         end_within(0.05, 1)
         sys.exit(1)"""
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE, check=False)
-    line = "softrig: law, started by code that ran, goes on; softrig ends without waiting for it\n"
+    line = "softrig: law, started by a user's code, still runs; softrig ends without waiting for it\n"
     assert (done.returncode, done.stderr) == (1, line)
 
 

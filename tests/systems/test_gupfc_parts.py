@@ -759,7 +759,7 @@ def test_the_node_answers_new_requests():
     ]
     assert node.reports["diverged"][:2] == (Level.ERROR, "diverged: mismatch 0.123 pu after 7 iterations")
     changes = {"p1": 1.1, "q1": -0.2, "p2": 0.9, "q2": -0.1, "v": -1.0}
-    assert node.reports["references"][1] == f"references {changes} cannot be meant: nothing is solved"
+    assert node.reports["references"][1] == f"references {changes} are impossible: nothing is solved"
     assert x.sizes == ()
 
 

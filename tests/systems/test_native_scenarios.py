@@ -94,7 +94,7 @@ STAYS = {
         rectifier_mpc_certificate_signs""",
     "GupfcPlant.outputs: slice": "gupfc_s2",
     "pulses.gates: an array of something else than numbers": "gupfc_s5 gupfc_s5_sweep",
-    "many ticks are given up": "manipulator_adsmc_stretch_minus manipulator_adsmc_stretch_plus",
+    "many ticks are discarded": "manipulator_adsmc_stretch_minus manipulator_adsmc_stretch_plus",
     # searches that see each sample: Python's until they are over
     "gives up": "pv_mppt_certified_transients pv_mppt_s2_certified_transients pv_mppt_s5_certified_transients",
     "Track.open: an assignment to a part of something": """

@@ -454,7 +454,7 @@ def test_the_equilibrium_is_at_rest():
 def test_a_collapsing_voltage_stops_the_converter():
     plant = ByHand(RectifierPlant(v_least=401.0))
     plant.advance(0, command=(CONSTANTS.drop,), events=None)
-    assert plant.reports == {"collapse": (Level.ERROR, "DC voltage 400 V, below 401 V: converter given up", 1)}
+    assert plant.reports == {"collapse": (Level.ERROR, "DC voltage 400 V, below 401 V: converter shut down", 1)}
     assert moving(plant) == (0.0, 0.0, 401.0)
     plant.advance(NS, command=(CONSTANTS.drop,), events=None)  # whatever is commanded
     assert plant.reports["off"] == (Level.WARN, "switches off: the diodes carry the current", 1)

@@ -247,7 +247,7 @@ def test_an_input_of_the_largest_allowed_age_is_not_lost(name, answer):
 def test_ticks_that_are_rejected_before_the_first_good_one_are_not_answered():
     robot = ByHand(VoltageController(stale_after=2))
     assert [robot.refused(k) for k in range(4)] == [None] * 4
-    assert robot.reports["SAFE"][:2] == (Level.ERROR, "SAFE: 2 ticks of which something was refused: 0 V")
+    assert robot.reports["SAFE"][:2] == (Level.ERROR, "SAFE: 2 ticks with a rejected input: 0 V")
     robot.update(5, **TICK)  # a good one, and they are counted anew
     assert [robot.refused(k) is None for k in range(6, 10)] == [True, True, False, False]
     bent = ByHand(Impedance(stale_after=2))

@@ -96,7 +96,7 @@ def _bag(text: str) -> Path:
     return inside if (path / "metrics.json").is_file() and inside.exists() else path
 
 
-# what people type, and what does it
+# verbs and options of other tools, and what they are called here
 MEANT = {
     "ls": "softrig bag info BAG",
     "list": "softrig bag info BAG",
@@ -124,7 +124,7 @@ def main_record(argv: list[str]) -> int:
     parser.add_argument("--storage", "-s", choices=("mcap", "sqlite3"), default="mcap")
     parser.add_argument("--compression", choices=("none", "zstd"), default="none", help="zstd: mcap only")
     parser.add_argument(
-        "--max-size", type=Number(float, 0, 1e9), default=0.0, metavar="MB", help="begin a new file after so much"
+        "--max-size", type=Number(float, 0, 1e9), default=0.0, metavar="MB", help="start a new file at this size"
     )
     parser.add_argument(
         "--max-duration", type=Number(float, 0, 1e9), default=0.0, metavar="S", help="begin a new file after so long"
@@ -192,7 +192,7 @@ def main_play(argv: list[str]) -> int:
         metavar="NODE_TOPIC",
         help="topics that the node under test publishes; the next tick waits for them",
     )
-    lockstep.add_argument("--answers", type=Path, metavar="DIR", help="write what the node answered as a bag")
+    lockstep.add_argument("--answers", type=Path, metavar="DIR", help="write the node's answers as a bag")
     lockstep.add_argument(
         "--timeout", type=Number(float, 0.1, 1e6), default=30.0, metavar="S", help="wall-clock time without an answer"
     )
@@ -227,7 +227,7 @@ def main_compare(argv: list[str]) -> int:
         action="append",
         default=[],
         metavar="PATTERN=ABS[,REL]",
-        help="tolerance of the signals topic/channel/field that fit; the first counts",
+        help="tolerance of the matching signals topic/channel/field; the first match counts",
     )
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these (default: all)")
     parser.add_argument(
@@ -235,7 +235,7 @@ def main_compare(argv: list[str]) -> int:
         action="append",
         default=[],
         metavar="NS",
-        help="only topics in it, named without it; given twice: of A and of B, / for topics as they are named",
+        help="only topics in it, shown without it; twice: of A and of B, / for full names",
     )
     parser.add_argument("--ignore", nargs="+", default=[], metavar="PATTERN", help="topics to leave out")
     parser.add_argument("--bitwise", action="store_true", help="demand equal bytes and bag times")
@@ -300,7 +300,7 @@ def main_bag(argv: list[str]) -> int:
     """Tools for a bag: info, repair, export; record, play and compare have parsers of their own."""
     parser = Parser(
         prog="softrig bag",
-        description="Record, play, compare, look into, repair or export rosbag2 bags.",
+        description="Record, play, compare, inspect, repair or export rosbag2 bags.",
         meant=MEANT,
     )
     verbs = parser.add_subparsers(required=True, metavar="VERB", dest="verb")
@@ -310,7 +310,9 @@ def main_bag(argv: list[str]) -> int:
         return TOOLS[argv[0]][0](argv[1:])
     info = verbs.add_parser("info", help="what is in a bag")
     info.add_argument("bag", type=_bag)
-    mend = verbs.add_parser("repair", help="save what a crash left, restore index and metadata; status 1: some is lost")
+    mend = verbs.add_parser(
+        "repair", help="save the messages after a crash, restore index and metadata; status 1: some are lost"
+    )
     mend.add_argument("bag", type=Path, help="bag directory, single file, or directory with shards of a killed run")
     mend.add_argument("--out", type=Path, metavar="DIR", help="new bag (default: in place, the old one is kept beside)")
     table = verbs.add_parser("export", help="signals as tables, one file a topic")

@@ -218,7 +218,7 @@ def compare(
                 if number in places[k]:
                     places[k][number].add(k, block.select(np.flatnonzero(block.topic == number)))
         results = [pair.finish() for pair in gathered]
-    # Two bags without a message on these topics would count as equal, but nothing is no agreement.
+    # Two bags without a message on these topics would count as equal, but an empty comparison proves nothing.
     if topics != [] and not any(r.count_a or r.count_b for r in results):
         raise BagError("nothing to compare: neither has a message on the topics that are compared")
     notes = [f"{pair.result.topic}: {pair.pairing.note}" for pair in gathered if pair.pairing.note]

@@ -95,7 +95,7 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
             for line in columns.untold():
                 print_line(f"{path}: {line}")
             if not whole:
-                raise BagError(f"{path}: not one topic of it can be decoded, there is nothing to export")
+                raise BagError(f"{path}: none of its topics can be decoded, so there is nothing to export")
             written = [file(i).close() for i in whole]
             return [*map(_mat, written)] if file_format == "mat" else written
         finally:

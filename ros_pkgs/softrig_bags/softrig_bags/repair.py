@@ -129,7 +129,7 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
         reports, saved = _rewrite(result, temporary, target.name)
         # Definitions or names in it may be damaged too; such a bag must not replace the files it was made of.
         if not _is_sound(temporary):
-            raise BagError(f"{place}: what is left of it makes no readable bag")
+            raise BagError(f"{place}: the rest of it is not a readable bag")
         if original is not None:
             place.rename(original)
         temporary.rename(target)

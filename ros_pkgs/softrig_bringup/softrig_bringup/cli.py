@@ -36,7 +36,7 @@ FOREIGN = {
     "export c": (
         "softrig_core.export.command",
         "main",
-        "nodes of a scenario as C99 that is held against Python bit for bit",
+        "nodes of a scenario as C99, compared with Python bit for bit",
     ),
     "export arduino": ("softrig_core.firmware.command", "arduino", "a node as an Arduino sketch that joins a rig"),
     "export cortex-m": (
@@ -88,7 +88,7 @@ FORMER = {
     "colcon": "env colcon",
     "pages": "docs pages",
 }
-# what people type who know other tools, and what does it here
+# verbs and options of other tools, and what they are called here
 MEANT = {
     "show": "softrig view RUN",
     "open": "softrig view RUN",

@@ -44,12 +44,16 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
     "duration": ("", (), "s, instead of the scenario's"),
     "seed": ("", (), "instead of the scenario's"),
     "params_file": ("", (), "parameters in the form of ros2 param dump, instead of the scenario's"),
-    "external": ("", (), "nodes that somebody else starts, names parted by spaces"),
+    "external": ("", (), "nodes that another process starts, names separated by spaces"),
     "wait_for": ("", (), "recorders that are to have all from t = 0 and do not ask for it, as rosbag2_recorder"),
     "frames": ("true", ("true", "false"), "/tf and /tf_static from the rig's nodes; false for publishers of your own"),
     "record": ("false", ("true", "false", "all"), "results at the end, as `softrig run` writes; all: with diagnostics"),
     "out": ("", (), "folder for them (default: runs/SCENARIO and what was changed, below the working folder)"),
-    "judge": ("false", ("true", "false"), "table of the figures at the end; status 1 of the launch where they miss"),
+    "judge": (
+        "false",
+        ("true", "false"),
+        "table of the figures at the end; the launch ends with status 1 if one misses",
+    ),
     "use_rviz": ("false", ("true", "false"), "RViz with a file for this rig; the launch ends when it is closed"),
 }
 

@@ -45,7 +45,7 @@ def check(
         )
     for one, other in same:
         if one in given and other in given:
-            raise ValueError(f"{one} and {other} say the same: give one of them")
+            raise ValueError(f"{one} and {other} mean the same: give one of them")
 
 
 def whole(given: Given, name: str) -> int:
@@ -82,7 +82,7 @@ def head(given: Given, asked: Asked, assumed: Sequence[str], what: str) -> str:
     ]
     noted = [f"#   {line}" for line in assumed]
     return "\n".join([f"# {what} from the values of a data sheet:", *messages,
-                      "# Assumed, to be replaced by what you know:", *noted])  # fmt: skip
+                      "# Assumptions, to be replaced by known values:", *noted])  # fmt: skip
 
 
 def text(value: float) -> str:

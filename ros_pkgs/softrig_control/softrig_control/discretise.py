@@ -90,8 +90,8 @@ def augmented(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]]) -> Mat
 def _exponential(a: Matrix, period: float) -> Matrix:
     entries = exact.exponentials(exact.fractions(a, period))
     quick = _series([[x * period for x in row] for row in a])
-    # Nearly always a single evaluation shows that the floats are right: it could confirm wrong ones only if what it
-    # cuts off were equal to what they round, in each entry. The bits of golden bags are those of the series.
+    # Nearly always a single evaluation shows that the floats are right: it could confirm wrong ones only if its
+    # truncation error equalled their rounding error in each entry. The bits of golden bags are those of the series.
     with suppress(ArithmeticError):
         if _near(quick, entries(exact.BITS[0])):
             return quick

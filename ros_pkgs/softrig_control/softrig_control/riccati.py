@@ -37,7 +37,7 @@ def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
     E. K.-W. Chu et al., Int. J. Systems Science 35, 2004.
     """
     A, G, H = (np.array(x, dtype=float) for x in (a, g, h))
-    # what has no solution grows beyond all numbers, or goes on for ever
+    # A problem without a solution grows beyond all numbers, or iterates forever.
     with np.errstate(over="ignore", invalid="ignore"), suppress(np.linalg.LinAlgError):
         for _ in range(60):
             W = solve(np.eye(len(A)) + product(G, H), np.eye(len(A)))

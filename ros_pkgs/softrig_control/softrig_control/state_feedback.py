@@ -135,7 +135,7 @@ def require_stable(poles: Sequence[complex]) -> None:
     UnstableDesign
         Names all the poles, the unstable ones first.
     """
-    # A pole at zero comes out of an eigenvalue routine as a few rounding errors of the largest pole.
+    # An eigenvalue routine returns a pole at zero as a few rounding errors of the largest pole.
     edge = -1e-12 * max((abs(p) for p in poles), default=0.0)
     if bad := [p for p in poles if not complex(p).real < edge]:
         raise UnstableDesign(f"the closed loop is not stable: pole {_names(bad)} among {_names(poles)} 1/s")

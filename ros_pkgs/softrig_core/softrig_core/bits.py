@@ -14,7 +14,7 @@ from functools import cache
 CORE, SIMD = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
 PINS = {CORE: "Haswell", SIMD: "X86_V4 AVX512_ICL AVX512_SPR"}
 ARGUMENTS = 1000  # of each function in the digest
-# what decides numbers calls these: of `math`, each with its interval; of `cmath`; of two arguments
+# functions that decide numbers: of `math`, each with its interval; of `cmath`; of two arguments
 FUNCTIONS = {
     "sin": (-40.0, 40.0),
     "cos": (-40.0, 40.0),

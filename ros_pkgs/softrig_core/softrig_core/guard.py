@@ -20,18 +20,18 @@ from typing import Any
 
 from .errors import RunError, ScenarioError
 
-# of terminals, all but tab and new line, and those that turn the direction of writing
+# control characters of terminals, except tab and new line, and those that change the direction of writing
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 LINE = 1000  # characters of a failure that are shown
 _quiet = False
 _incomplete = False
-# where its wheels are not to be had (they are for Linux on x86-64), everything else is as it is anywhere
+# on machines without rclpy's wheels (they are for Linux on x86-64), everything else works as usual
 WITHOUT_ROS = (
     "nodes, topics, recording and playing need ROS 2 (rclpy), which is not here: source a Jazzy installation; runs "
     "with --mode inprocess, studies, falsification, reports and bags need none"
 )
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-# the caller has named what cannot be read or written: bad input, nothing that broke
+# the caller has named a file that cannot be read or written: bad input, not a broken run
 _NAMED = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError, FileExistsError)
 
 
@@ -73,7 +73,8 @@ def _guarded(work: Callable[[], int]) -> int:
         finally:
             _flush()  # while there is still somebody to tell that the disk is full
     except ScenarioError as error:
-        # from another exception: code of a user's package, whose traceback tells more than a line (a bag's does not)
+        # the error has a cause: it is from a user's package, whose traceback explains more than a line (a bag's does
+        # not)
         ours = type(error) is not ScenarioError or error.__cause__ is None
         print_line(error if ours else f"{error}; the traceback is in {keep_traceback()}")
         return 2
@@ -122,7 +123,7 @@ def end_within(seconds: float, status: int) -> None:
         return
 
     def end() -> None:
-        print_line(f"{names}, started by code that ran, goes on; softrig ends without waiting for it")
+        print_line(f"{names}, started by a user's code, still runs; softrig ends without waiting for it")
         os._exit(status)
 
     last = threading.Timer(seconds, end)
@@ -244,11 +245,11 @@ def _need_directory() -> None:
 def _flush() -> None:
     try:
         if sys.stdout is None or sys.stdout.closed:
-            raise OSError(errno.EBADF, "closed by code that ran; what it prints is lost", "standard output")
+            raise OSError(errno.EBADF, "closed by a user's code; the output is lost", "standard output")
         sys.stdout.flush()
     except OSError as error:
         error.filename = error.filename or "standard output"
-        # what is still in the buffer would be tried, and fail, again when Python ends
+        # the rest of the buffer would be written, and fail, again when Python ends
         with suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise

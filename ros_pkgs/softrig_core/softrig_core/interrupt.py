@@ -82,7 +82,7 @@ def _while_importing(number: int, frame: FrameType | None) -> None:
     while at is not None:
         frames.append(at)
         at = at.f_back
-    # what the script itself imports, or setuptools for it; an import in a function means that the program is under way
+    # imports of the script itself, or of setuptools for it; an import in a function means that the program is running
     first = frames[-2].f_code if len(frames) > 1 else None
     if first is not None and (
         first.co_filename.startswith("<frozen importlib") or first.co_name == "importlib_load_entry_point"

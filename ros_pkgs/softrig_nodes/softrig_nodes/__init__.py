@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .processes.placement import Listener as Listener, Placement as Placement
     from .processes.processes import Outcome as Outcome, run_processes as run_processes
 
-# imported when asked for: the process of a node starts without what starts processes
+# imported on first use, so that a node's process starts without the modules that start processes
 _HOME = {"Listener": "placement", "Placement": "placement", "Outcome": "processes", "run_processes": "processes"}
 
 

@@ -104,7 +104,7 @@ class Container:
         exchange, garbage, limit = self.exchange, Garbage(), 0.0
         next_step = time.monotonic_ns() + LOOK
         while rclpy.ok():
-            # Someone outside who writes is heard as soon as nothing is left to do; everybody else now and then.
+            # External publishers are processed as soon as the loop has nothing to do, and otherwise now and then.
             awake = 0 if exchange.listens else SPIN
             remaining = exchange.serve(time.monotonic_ns() + LOOK, awake)
             states = {a.state for a in self.adapters}

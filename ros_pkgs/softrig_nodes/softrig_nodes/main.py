@@ -39,7 +39,7 @@ from .ros.profile import joining
 from .ros.ros import OF_QOS, RosMiddleware, ServingNode
 from .seam.middleware import Middleware
 
-# read by a node and no parameters of it afterwards: what `ros2 param dump` gives is to fit another run
+# arguments that a node reads and that are no parameters of it afterwards, so that a `ros2 param dump` suits another run
 RUNNERS = ("run.shard", "run.status", "run.links", "run.changes", "run.again")
 HERE = "; reached from this host only (from others with ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET)"
 ARRAYS = {
@@ -150,7 +150,7 @@ def usage(name: str, block_class: type[Block]) -> str:
 
 def _parameters(node: Node, block_class: type[Block]) -> tuple[Any, RunOptions]:
     """Declare all parameters with descriptions and ranges, and validate the given values."""
-    # an empty list in a file has no type for rclpy, so that nothing may be declared from what is given as it is
+    # rclpy gives an empty list in a file no type, so nothing can be declared from the raw override
     absent = {d.name for d in declarations(block_class.Params) if d.default is None}  # those that may have no value
     given = {name: [] if p.type_ == Parameter.Type.NOT_SET else p.value for name, p in overrides(node).items()}
     given = {name: value for name, value in given.items() if not (name in absent and value in ([], "null"))}
@@ -171,7 +171,7 @@ def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -
     for declaration in wanted:
         descriptor = range_descriptor(declaration)
         value = values.get(declaration.name)
-        # a live one that has no value yet may get one
+        # an optional live parameter may get its first value
         if value is not None or declaration.live:
             node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
         if value == []:  # rclpy takes it for bytes

@@ -55,7 +55,7 @@ class FallingCurve:
         """
         n = self.n
         v, i = (*self.v, max(sample[0], SMALL))[-n:], (*self.i, max(sample[1], SMALL))[-n:]
-        # With fewer measurements a corner would not contain the noise and would prove a change that is none.
+        # With fewer measurements a corner would not contain the noise and would prove a change that did not happen.
         if len(v) < n:
             return 0.0, FallingCurve(n, v, i)
         least_v, least_i, most_v, most_i = min(v), min(i), max(v), max(i)

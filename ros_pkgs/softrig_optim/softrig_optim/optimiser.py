@@ -21,8 +21,7 @@ from .search import Point, Search, SearchHistory
 CONSECUTIVE = 2
 # A value that still moves is no reference for changes: in a hold_time it may move by this share of the threshold.
 STEADY = 0.1
-# Duration of a scan of the range in hold_times. No point of it need settle: a transient lies on the characteristic,
-# too.
+# Duration of a scan of the range in hold_times. No point of it need settle: a transient is on the characteristic, too.
 SCAN_HOLDS = 2
 # A pass spends SCAN_HOLDS hold_times off the best point; this pause, in hold_times, keeps that share below a tenth.
 SCAN_PAUSE = 25
@@ -44,7 +43,9 @@ class SearchParams(AlgorithmParams, BlockParams):
     """Parameters of a search on a plant."""
 
     period: float = param(0.001, "sampling period of the measurement", "s", gt=0.0, le=100.0)
-    hold_time: float = param(0.04, "how long a candidate is applied before its value counts", "s", gt=0.0, live=True)
+    hold_time: float = param(
+        0.04, "time for which a candidate is applied before its value is measured", "s", gt=0.0, live=True
+    )
     measure_window: float = param(0.002, "the value is the mean of the last samples in this time", "s", gt=0.0)
     settle_time: float = param(
         0.12, "the value held is the reference for changes only after this time", "s", gt=0.0, live=True
@@ -364,7 +365,7 @@ class CommandOptimiser(Block[P], ABC):
             x = x._replace(target=search.ask(), since=NEVER)
         # A best value at the floor or below is no optimum, so it is not held.
         elif self.p.floor is not None and search.expected <= self.p.floor:
-            self.report(Level.WARN, "no signal", "no candidate gave a value above the floor: searching on")
+            self.report(Level.WARN, "no signal", "no candidate had a value above the floor: the search continues")
             x = self._begin(x, t)
         elif x.curve is not None and self.p.restart_threshold > 0.0:
             x = x._replace(scanning_since=t)
@@ -428,7 +429,7 @@ class CommandOptimiser(Block[P], ABC):
 
     def _withdraw(self, x: State) -> State:
         if x.search.now.bound is not None:
-            self.report(Level.WARN, "proof", "the plant is not the one of the proof any more: the bound is withdrawn")
+            self.report(Level.WARN, "proof", "the plant has changed since the proof: the bound is withdrawn")
         return self._note(x._replace(void=True))
 
     def _refuted(self, x: State, t: int, value: float) -> tuple[State, bool]:
@@ -456,7 +457,7 @@ class CommandOptimiser(Block[P], ABC):
         held, value = t - x.since, _mean(x)
         # The next look counts from this one, so that looks are a whole hold_time apart after bad samples too.
         x, changed = self._changed(x._replace(next_sample=held + self._hold), t, value, held)
-        # Before the value has settled a deviation from the expected one proves nothing.
+        # Before the value has settled, a deviation from the expected one proves nothing.
         judged, expected = x.lost or x.reference < math.inf, x.search.expected
         if judged and not x.void and abs(value - expected) > x.search.gap * abs(expected):
             x = self._withdraw(x)
@@ -500,7 +501,7 @@ class CommandOptimiser(Block[P], ABC):
             x = x._replace(phase=Phase.STOPPED)
             if x.search.now.best is not None:
                 x = x._replace(target=x.search.now.result, since=NEVER)
-        # A person asked for this search, so its result is judged without those that were refuted before.
+        # A person requested this search, so its result is judged without those that were refuted before.
         elif restart or (start and x.phase == Phase.STOPPED):
             x = self._begin(x._replace(unconfirmed=0), t)
         return self._note(x)

@@ -97,7 +97,7 @@ class ImprovedSalpSwarm(SalpSwarm):
         return 0.5 * np.sqrt(own**2 + 3.0 * ahead**2)
 
     def moves(self) -> Moves:  # noqa: D102
-        # The root in equation (9) loses the sign, so a follower could never come to a negative value.
+        # The root in equation (9) loses the sign, so a follower could never reach a negative value.
         if (self.lower <= 0.0).any():
             raise ValueError(f"lower = {self.lower.tolist()}: the improved salp swarm needs positive variables")
         return super().moves()

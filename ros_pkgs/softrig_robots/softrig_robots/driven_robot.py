@@ -247,7 +247,7 @@ class DrivenRobot(Plant[P]):
             flat = self._step((*flat, *inputs, *torque, *force, *plant, self._h))
         speeds = flat[n : 2 * n]
         limit = self.p.speed_limit
-        # written so that NaN fails it, wherever it is in the state
+        # written so that NaN fails it, at any place of the state
         if not (max(speeds) <= limit and min(speeds) >= -limit and all(math.isfinite(v) for v in flat)):
             raise RunError(
                 f"joint speeds {[float(f'{v:.6g}') for v in speeds]} rad/s, limit {limit:g}: integration "

@@ -162,7 +162,7 @@ class SymbolicRobot:
         pin.computeJointJacobians(model, data, pin.neutral(model))
         self._axes = [ca.DM.zeros(6)]
         for i in range(1, model.njoints):
-            # of one joint alone pinocchio returns a vector
+            # for a single joint pinocchio returns a vector
             jacobian = np.reshape(pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL), (6, model.nv))
             self._axes.append(ca.DM(np.round(jacobian[:, i - 1], 12)))
 

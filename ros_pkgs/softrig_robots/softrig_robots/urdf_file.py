@@ -310,7 +310,7 @@ def _limits(joint: ElementTree.Element, where: str) -> tuple[float, float, float
         if not endless:
             raise ValueError(f"{where}: a {joint.get('type')} joint needs <limit>; an endless one is continuous")
         return -math.inf, math.inf, math.inf, math.inf
-    # Exporters write 1e16 or 1e300 for what has no limit, so these may be larger than any quantity.
+    # Exporters write 1e16 or 1e300 for a missing limit, so these may be larger than any quantity.
     velocity, effort = (
         _number(limit, key, where, math.inf if endless else None, most=math.inf) for key in ("velocity", "effort")
     )

@@ -28,7 +28,7 @@ FILE = "first_run.svg"
 MONO = "font-family:ui-monospace,'DejaVu Sans Mono',Menlo,Consolas,monospace"
 WIDTH, HEIGHT, FILM, LEFT, RIGHT = 960.0, 560.0, 470.0, 536.0, 940.0
 DEGREES = 180.0 / np.pi
-# signal, factor, role, label: what one picture shows, its unit, where it stands, its axis
+# signal, factor, role, label: of one picture its signal, unit, place and axis
 HIP = [
     ("reference/hip/position", DEGREES, "reference", "reference"),
     ("joint_states/hip/position", DEGREES, "accent", "hip of the robot"),

@@ -27,8 +27,8 @@ LONGEST_OCTETS = 64  # elements of arrays of uint8, byte or char, which are imag
 # The most values of a message. Each is a column of a table, and more make no table.
 MANY = 20_000
 PADDING = 3  # bytes that may follow the last field: DDS fills up to four
-# and so many for each empty sequence of numbers of eight bytes: Fast CDR counts the alignment of its elements into the
-# length of a message, and `serialize_message` of rclcpp and rclpy gives buffers of that length
+# plus this many bytes for each empty sequence of eight-byte numbers: Fast CDR counts the alignment of its elements into
+# the length of a message, and `serialize_message` of rclcpp and rclpy returns buffers of that length
 ALIGNMENT = 4
 _LAST_LETTER = 0x10FFFF
 _KINDS = {

@@ -39,7 +39,7 @@ class StorageFile(Protocol):
         """Append one message."""
 
     def flush(self) -> None:
-        """Make everything written so far safe against a crash."""
+        """Flush everything written so far to the disk, safe against a crash."""
 
     def discard(self) -> int:
         """Drop messages that are not flushed, and return their number."""
@@ -186,7 +186,7 @@ class BagWriter:
         self._open_file()
 
     def flush(self) -> None:
-        """Make everything written so far safe against a crash."""
+        """Flush everything written so far to the disk, safe against a crash."""
         self._file.flush()
 
     @property

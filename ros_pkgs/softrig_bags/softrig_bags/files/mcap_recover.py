@@ -26,7 +26,7 @@ def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
     """Return the records in a chunk's content up to the first incomplete one, and the number of their bytes."""
     file, good = BytesIO(content), 0
     records: list[McapRecord] = []
-    # A chunk has no footer, so its end raises; the other errors come of damage that no checksum covers.
+    # A chunk has no footer, so its end raises; the other errors are due to damage that no checksum covers.
     with suppress(McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError):
         for record in StreamReader(file, skip_magic=True, record_size_limit=len(content)).records:
             records.append(record)
@@ -111,7 +111,7 @@ def _chunk_head(body: bytes) -> tuple[int, int, str, int, int] | None:
         return None
     _, _, size, checksum, letters = _CHUNK.unpack_from(body)
     start = _CHUNK.size + letters + 8
-    # Names of compressions are short; a longer one comes of damage.
+    # Names of compressions are short; a longer one is due to damage.
     if letters > 16 or len(body) < start:
         return None
     compression = body[_CHUNK.size : start - 8].decode(errors="replace")

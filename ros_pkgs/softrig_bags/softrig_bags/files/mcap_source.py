@@ -207,7 +207,7 @@ class McapSource:
             return _block(view, message_run(record, view, 0, len(record))[0])
         content = _content(record)
         view = np.frombuffer(content, np.uint8)
-        # The index is a hint only: what it does not name is read record by record in the gaps.
+        # The index is only a hint: chunks that it does not name are read record by record in the gaps.
         starts, gaps = self._indexed(part, view) if part.hint else (np.empty(0, np.int64), [(0, len(content))])
         results = [starts]
         for at, stop in gaps:

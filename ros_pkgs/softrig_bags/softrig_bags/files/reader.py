@@ -34,7 +34,7 @@ from .sqlite_source import SqliteSource
 # Bytes of a block, about: blocks bound the memory, and numpy needs many messages at a time to pay off.
 BATCH = 1 << 22
 _SQLITE = b"SQLite format 3\0"
-# People take files that begin so for bags; the message then names what the file is and what to do.
+# These files are often mistaken for bags; the message then names what the file is and what to do.
 _OTHERS = {
     b"#ROSBAG V": "a bag of ROS 1; convert it by rosbags-convert of the Python package rosbags",
     b"ULog": "a log of PX4 (ULog), not a bag",

@@ -135,7 +135,7 @@ def _rows(database: sqlite3.Connection, size: int, lost: list[str]) -> Iterator[
                     break
                 if row[0] > last:
                     yield row
-                    # A larger jump comes of a damaged number, and going on behind it would skip the rows in between.
+                    # A larger jump is due to a damaged number, and continuing after it would skip the rows in between.
                     if row[0] < last + _GAP:
                         last, step = row[0], 1
             else:

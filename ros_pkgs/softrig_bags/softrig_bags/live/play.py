@@ -97,7 +97,7 @@ def _obstacle(topic: BagTopic, live: str, named: bool) -> str:
         return "their messages are no CDR"
     if not named and not installed(topic.msgtype):
         return "their types are not installed here"
-    return "" if is_topic_name(live) else "ROS has no such names, --remap gives others"
+    return "" if is_topic_name(live) else "invalid names in ROS; rename them by --remap"
 
 
 def installed(msgtype: str) -> bool:

@@ -197,7 +197,7 @@ class Player:
         while wait and not self._session.stopped and self._publishers.unheard(list(self._publishers.names.values())):
             self._session.spin(0.02)
         gc.collect()
-        # What exists by now lives until the end; a collection that looks at it would delay messages.
+        # Objects that exist now live until the end; a collection that visits them would delay messages.
         gc.freeze()
         while not self._session.stopped:
             self._once()

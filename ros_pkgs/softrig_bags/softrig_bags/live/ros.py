@@ -72,7 +72,7 @@ class Session:
             non_ros_arguments([name, *argv])
             with joining(), plain_errors():
                 rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-                # whose parameters may be set to what they are, as `ros2 param load` of its own dump does
+                # Their parameters may be set to their present values, as `ros2 param load` of their own dump does.
                 self.node = ServingNode(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
         # An argument is invalid, or the profile of the middleware could not be read.
         except ValueError as error:

@@ -129,7 +129,7 @@ def search(
     start = result.point or (0.0,) * size
     while not over():
         if _climb(start, known, tell, over) == 0 and sum(set(p) <= {0.0, 1.0} for p in known) == 2**size:
-            # No corner is left to climb from, so the rest of the budget goes to the sampler.
+            # No corner is left to search from, so the rest of the budget goes to the sampler.
             _sample(sampler, size, seed + 1, tell, over, result)
         start = _corner(size, rng)
     return result

@@ -92,7 +92,7 @@ def film(drawing: Drawing, signals: Mapping[str, Signal], start: float, end: flo
         raise ScenarioError(f"{end - start:g} s at a speed of {speed:g} are less than two frames of 1/{FRAMES} s")
     known = {name: signals[name] for name in drawing.signals if name in signals and signals[name].t.size}
     if not known:
-        raise ScenarioError(f"nothing was recorded of what is drawn: {', '.join(drawing.signals)}")
+        raise ScenarioError(f"no drawn signal was recorded: {', '.join(drawing.signals)}")
     times = start + (end - start) * np.arange(count) / (count - 1)
     result = rows(known, times)
     if not drawing.trail:

@@ -14,7 +14,7 @@ from softrig_core.block.params import flatten
 from softrig_core.wire.recording import CHUNK, Recording
 
 HALF = 16  # letters for what was recorded; as many for what was asked follow
-# This node repeats what came from outside. It belongs to a repetition, so it must not change the identity of the run.
+# This node repeats external messages. It belongs to a repetition, so it must not change the identity of the run.
 NOT_NODES = ("recorded_inputs",)
 
 

@@ -32,7 +32,7 @@ from ..pack.packed import METRICS, SCENARIO, STUDY, Digest, about, is_pack, need
 #: Of the versions of a run, what decides its bits, the likeliest first.
 DECIDE = ("math", "casadi", "pin", "daqp", "numpy", "scipy", "machine", "blas", "simd", "libc", "python")
 MADE_WITH = ("versions", "code", "contents")
-# The name of the node that publishes what came from outside.
+# The name of the node that publishes the external messages again.
 TAPE = "recorded_inputs"
 #: What a node in real time counts when a tick is not what it would be in lockstep, in words.
 LATE = {
@@ -184,7 +184,7 @@ def repeated(scenario: Scenario, run: Recalled) -> Scenario:
         by_time.setdefault(t / SECOND, {}).update({f"{node}.{name}": value for name, value in values.items()})
     rig = rig_of(scenario.having(changes=[]))
     if rig.clock.external:
-        raise ScenarioError(f"{run.path}: {rig.clock.name} was outside, and gave the ticks: it alone can repeat them")
+        raise ScenarioError(f"{run.path}: {rig.clock.name} was outside and set the ticks, so only it can repeat them")
     nodes: dict[str, Any] = {name: entry for name, entry in scenario.nodes.items() if not entry.external}
     nodes |= tape(rig, run)
     return scenario.having(nodes=nodes, changes=[{"at": at, "set": values} for at, values in by_time.items()])
@@ -218,7 +218,7 @@ def _text(port: Port) -> str:
     return written(port)
 
 
-# what a repetition has brought -----------------------------------------------------------------------------------
+# the results of a repetition -------------------------------------------------------------------------------------
 
 
 def compared(before: Recalled, run: Run, made_with: Mapping[str, Any]) -> tuple[bool, list[str]]:

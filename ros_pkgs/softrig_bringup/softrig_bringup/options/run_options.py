@@ -65,7 +65,9 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
     )
     parser.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     parser.add_argument("--seed", type=Number(int, 0, 2**63 - 1), metavar="N", help="instead of the scenario's")
-    parser.add_argument("--external", action="append", default=[], metavar="NODE", help="somebody else starts this one")
+    parser.add_argument(
+        "--external", action="append", default=[], metavar="NODE", help="another process starts this node"
+    )
     parser.add_argument(
         "--only",
         action="append",
@@ -97,7 +99,7 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         metavar="PERCENT",
         help="in real time: status 1 when a node misses more of its deadlines",
     )
-    parser.add_argument("--label", default="", metavar="TEXT", help="what reports call this run")
+    parser.add_argument("--label", default="", metavar="TEXT", help="name of this run in reports")
     recorded = parser.add_mutually_exclusive_group()
     recorded.add_argument("--no-record", action="store_true", help="no bag")
     recorded.add_argument(
@@ -105,12 +107,12 @@ def arguments(parser: argparse.ArgumentParser, scenario: str = "name or YAML fil
         action="store_true",
         help="the bag has robot_description, diagnostics and figures of observers, too",
     )
-    parser.add_argument("--format", choices=("pdf", "png"), default="", help="pictures of this kind beside the SVG")
+    parser.add_argument("--format", choices=("pdf", "png"), default="", help="pictures in this format beside the SVG")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="what was judged, as JUnit XML")
     parser.add_argument("--no-plots", action="store_true", help="only metrics.json and the bag")
     parser.add_argument("--connect", action="store_true", help="print how nodes of your own see the rig")
     parser.add_argument(
-        "--trust", action="store_true", help="with --like FILE or --from FILE@T: let the code in that file run"
+        "--trust", action="store_true", help="with --like FILE or --from FILE@T: allow the code in that file to run"
     )
     parser.set_defaults(
         words=(), view=False, paused=False, pace=0.0, address="", recalled=None

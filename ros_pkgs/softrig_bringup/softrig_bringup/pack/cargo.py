@@ -32,7 +32,7 @@ GROUPS = ("console_scripts", "softrig_figures", "softrig_policies", "softrig_pro
 LETTERS = 16  # of a SHA-256 that are shown
 # In bytes. A setup.cfg is read as a whole, and a stranger's may be of any size.
 SETUP = 1 << 20
-# Python imports these by itself when it starts, so a package of this name would run without being asked for.
+# Python imports these by itself when it starts, so a package of this name would run without a request.
 _STARTS = {"sitecustomize", "usercustomize"}
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)|find_spec\(\"(\w+)\"\)", re.MULTILINE)
 _POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")

@@ -59,7 +59,7 @@ def crate(
         "@id": "#license",
         "@type": "CreativeWork",
         "name": "not stated",
-        "description": "ask the person who gave you this file",
+        "description": "ask the author of this file",
     }
     authors = list({author["@id"]: author for author in publication.authors}.values())  # each entity once
     people = [*authors, *([publication.publisher] if publication.publisher else [])]

@@ -257,7 +257,7 @@ def _reference(port: Port, label: str) -> bool:
 def _held(rig: Rig) -> set[str]:
     """Topics whose values stay until the next message."""
     sampled = {p.topic for m in rig.members for p in (m.inputs if m.is_plant else m.outputs)}
-    # commands applied by a plant come from it, but they are as held as those that it got
+    # Commands applied by a plant come from it, but they are held just as those that it received.
     return sampled | {t for t, port in rig.topics.items() if port.fields == ("effort",)}
 
 

@@ -89,7 +89,7 @@ def write_figure(figure: Printed, path: Path, **how: Any) -> None:
     """Write a picture, whole or not at all, its letters as letters in every format, equal figures as equal files."""
     from matplotlib import rc_context
 
-    # through memory: where a disk is full, writers of matplotlib leave half a file, and the one of PDF hides why
+    # First to memory: on a full disk, writers of matplotlib leave half a file, and the one of PDF hides the reason.
     content, form = BytesIO(), path.suffix[1:]
     with rc_context(look.FONTS):
         figure.savefig(content, format=form, metadata=UNDATED.get(form), **how)

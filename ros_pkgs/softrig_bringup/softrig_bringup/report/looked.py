@@ -137,7 +137,7 @@ def _content(folder: Path) -> dict[str, Any]:
     return content
 
 
-# a rig of nothing but what was recorded ------------------------------------------------------------------------------
+# a rig made only of recorded topics --------------------------------------------------------------------------------
 
 
 def _shown(scenario: Scenario, folder: Path, result: BagSignals, ours: Mapping[str, NodeEntry]) -> Rig:

@@ -69,7 +69,7 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
     body = [
         e(
             "header",
-            e("h1", "What the papers say, and what holds"),
+            e("h1", "Claims of the papers, and which hold"),
             e("p", counts(rows), class_="what"),
             *([e("p", without, class_="what")] if without else []),
         ),
@@ -112,7 +112,7 @@ def html(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = 
 def markdown(scenarios: Sequence[Scenario], rows: Sequence[Finding], without: str = "") -> str:
     """Create the Markdown page; see `html`."""
     lines = [
-        "# What the papers say, and what holds",
+        "# Claims of the papers, and which hold",
         "",
         f"{counts(rows)}. Made by `scripts/softrig check --claims`.",
         "",

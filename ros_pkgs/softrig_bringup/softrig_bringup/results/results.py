@@ -153,7 +153,7 @@ def gather(
     scenarios = list(scenarios)
     names = sorted(set().union(*(needed(s) for s in scenarios)))
     if not is_quiet():
-        print_line(f"{len(names)} scenarios are run, or taken from the last time where nothing has changed")
+        print_line(f"{len(names)} scenarios are run, or read from the cache if nothing has changed")
     runs = sweep(measure, [(name, keep) for name in names], title="scenarios", workers=workers)
     measured = {result.name: result for result in runs}
 

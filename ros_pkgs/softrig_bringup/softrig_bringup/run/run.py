@@ -62,7 +62,7 @@ from ..plots.pictures import plot_run
 from ..report.report import write_report
 
 # The reasons why a run cannot be repeated from its scenario.
-CHANGED, OUTSIDE = "parameters were changed while it ran", "messages came from outside"
+CHANGED, OUTSIDE = "parameters were changed while it ran", "there were messages from outside"
 
 
 def execute(rig: Rig, placement: Placement, directory: Path, listener: Listener = NOBODY) -> Run:

@@ -136,8 +136,8 @@ class Log:
         known = self._known.get(case.number)
         if known is not None and known != _content(case._asdict()):
             raise ScenarioError(
-                f"{self.path}: run {case.number} has other parameters than this search asks for (is it "
-                "by another version of optuna?); choose another --out, or remove it"
+                f"{self.path}: run {case.number} has other parameters than this search asks for (another "
+                "version of optuna?); choose another --out, or remove it"
             )
         return known is not None
 

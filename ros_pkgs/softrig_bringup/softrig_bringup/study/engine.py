@@ -149,7 +149,7 @@ class OtherContentError(ScenarioError):
 
 def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str, Any]:
     """Return the inputs of rows besides the text of a study: its scenarios, their code, files that blocks read."""
-    # of which a run in process knows nothing
+    # counters that do not occur in a run in process
     free = {"title", "source", "cites", "claims", "plots", "timeout", "start_timeout", "containers", "record"}
     rigs = list(rigs)
     members = [member for rig in rigs for member in rig.members if not member.external]

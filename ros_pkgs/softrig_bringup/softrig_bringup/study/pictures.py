@@ -92,7 +92,7 @@ def numeric(rows: Sequence[Row]) -> list[str]:
         for name, value in row["overrides"].items():
             number = isinstance(value, int | float) and not isinstance(value, bool)
             seen.setdefault(name, []).append(value if number else None)
-    # what one case alone sets has no place on an axis for the others
+    # Parameters that only one case sets have no place on an axis for the others.
     every = {name: {*values} for name, values in seen.items() if len(values) == len(rows)}
     return [name for name, values in every.items() if None not in values and len(values) > 1]
 

@@ -268,7 +268,7 @@ def _differences(study: Study, samples: Mapping[str, Sample], figure: str, unit:
     """Hold each case against the first one, at the same grid point, run by run."""
     first = next(iter(study.cases), "")
     for group, sample in samples.items():
-        # Cases are compared at equal draws and seeds, which removes what these contribute to the spread.
+        # Cases are compared at equal draws and seeds, which removes their contribution to the spread.
         case = sample.rows[0]["case"]
         other = samples.get(first + group[len(case) :])
         if case == first or other is None or len(sample.rows) != len(other.rows) or len(sample.rows) < 2:
@@ -327,7 +327,7 @@ def _notes(study: Study, samples: Mapping[str, Sample], result: Statistics) -> I
         where = "" if len(same) == len(samples) else f" of {', '.join(same)}"
         yield f"the {seeds} seeds{where} are one run: its nodes draw no random number that a figure depends on"
     if any(sample.seeds > 1 and not sample.one_run and len(sample.rows) > sample.seeds for sample in samples.values()):
-        yield f"n counts draws: the {seeds} seeds of a draw belong together, and the intervals go by draws"
+        yield f"n counts draws: the {seeds} seeds of a draw are not independent, and the intervals are those of draws"
     if study.draws and study.draws.method != "random" and result.lines:
         yield "the draws fill the space evenly; the intervals are those of independent draws, which are no narrower"
     if study.draws and study.draws.method == "sensitivity":
@@ -345,7 +345,10 @@ def _needed(result: Statistics, widths: Mapping[str, float]) -> Iterator[str]:
             raise ScenarioError(f"--width {name}: nothing of that name is estimated{closest(name, known)}")
         for line in (line for line in result.lines if line.figure == name):
             if math.isnan(line.deviation.value):
-                yield f"mean {name} of {line.group}: {line.n} runs give no spread, so nothing follows for a width"
+                yield (
+                    f"mean {name} of {line.group}: {line.n} runs have no spread, so no number of runs can be "
+                    "computed from a width"
+                )
                 continue
             n = estimate.runs_for_mean(line.deviation.value, width)
             yield _more(f"mean {name} of {line.group}", line.mean, line.n, n, width)

@@ -55,12 +55,10 @@ def verbs(verb: Verb) -> None:
         action="append",
         default=[],
         metavar="NAME [ORCID]",
-        help="for archives: who made it; repeat it for each author",
+        help="for archives: author; repeat it for each one",
     )
-    pack.add_argument("--publisher", type=publisher, metavar="NAME [URL]", help="for archives: who publishes it")
-    pack.add_argument(
-        "--license", type=license_of, metavar="SPDX", help="for archives: what others may do with it, as CC-BY-4.0"
-    )
+    pack.add_argument("--publisher", type=publisher, metavar="NAME [URL]", help="for archives: publisher")
+    pack.add_argument("--license", type=license_of, metavar="SPDX", help="for archives: licence, as CC-BY-4.0")
     pack.add_argument("--no-bag", action="store_true", help="without what was recorded: digests are compared")
     pack.add_argument("--sign", type=Path, metavar="KEY", help="sign it with an SSH key (ssh-keygen -Y), as FILE.sig")
     env = verb(
@@ -77,7 +75,7 @@ def _run_and_view(verb: Verb) -> None:
     view = verb(
         "view",
         "verbs.view_verb:view",
-        "look at a run or a bag in the browser, or run a scenario that begins paused there",
+        "show a run or a bag in the browser, or run a scenario there that starts paused",
         **ONE,
     )
     run_options.arguments(view, "name or YAML file; or a run: its folder, its bag, or a file of `pack`")
@@ -93,8 +91,8 @@ def _run_and_view(verb: Verb) -> None:
         type=_pace,
         default=1.0,
         metavar="X",
-        help="simulated by wall-clock time: 1 (default), "
-        "0.1, 10, ..., or full: as fast as it goes; the page changes it",
+        help="ratio of simulated to wall-clock time: 1 (default), "
+        "0.1, 10, ..., or full: as fast as possible; the page can change it",
     )
     view.set_defaults(mode="container")
     report = verb("report", "verbs.report_verb:main", "one self-contained HTML page from one or more runs")
@@ -118,7 +116,7 @@ def _run_and_view(verb: Verb) -> None:
         "what",
         nargs="+",
         metavar="RUN|SIGNAL",
-        help="folder of a run, its bag, or a file of `pack`; of several what they share, over one another. Signals: "
+        help="folder of a run, its bag, or a file of `pack`; of several runs the common plots, overlaid. Signals: "
         "one picture of these (default: the scenario's plots)",
     )
     plot.add_argument("--out", type=Path, metavar="DIR", help="they go here (RUN/pictures; of several: pictures/NAMES)")
@@ -136,7 +134,7 @@ def _run_and_view(verb: Verb) -> None:
     plot.add_argument("--font", type=Number(float, 3, 40), metavar="PT", help="size of the letters")
     plot.add_argument("--no-title", action="store_true", help="as figures of a paper have their captions")
     plot.add_argument("--window", type=Number(float, -1e9, 1e9), nargs=2, metavar=("FROM", "TO"), help="s")
-    plot.add_argument("--csv", action="store_true", help="the data beside each picture, units in the head")
+    plot.add_argument("--csv", action="store_true", help="the data beside each picture, with units in the header")
     animate = verb("animate", "verbs.animate:animate", "a run's plant in motion: a short SVG, GIF, WebP or PNG", kinds)
     animate.add_argument(
         "what",
@@ -174,7 +172,7 @@ def _run_and_view(verb: Verb) -> None:
     listed.add_argument(
         "--parameters",
         metavar="SCENARIO",
-        help="parameters of a scenario: value, unit, bounds, whether they change in a run, what they are",
+        help="parameters of a scenario: value, unit, bounds, whether they may change during a run, description",
     )
     listed.add_argument(
         "--figures",
@@ -207,7 +205,7 @@ def _vary(verb: Verb) -> None:
         "study", nargs="?", default="", help="name or file of a study, or a scenario; `study list` shows the studies"
     )
     study.add_argument("--like", type=Path, metavar="FILE", help="instead: the study of a file of `pack`, row for row")
-    study.add_argument("--trust", action="store_true", help="with --like FILE: let the code in that file run")
+    study.add_argument("--trust", action="store_true", help="with --like FILE: allow the code in that file to run")
     study.add_argument(
         "--grid",
         action="append",
@@ -230,7 +228,7 @@ def _vary(verb: Verb) -> None:
         type=pair,
         default=[],
         metavar="SCENARIO|NAME=VALUE",
-        help="held against the same draws and seeds of another scenario, or of this one changed",
+        help="compare with another scenario, or this one changed, for the same draws and seeds",
     )
     study.add_argument("--draws", type=Number(int, 1, RUNS), metavar="N", help="how many points are drawn (100)")
     study.add_argument(
@@ -269,11 +267,13 @@ def _vary(verb: Verb) -> None:
     study.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     study.add_argument("--figures", nargs="+", default=[], metavar="FIGURE", help="only these")
     study.add_argument("--signals", nargs="+", default=[], metavar="SIGNAL", help="keep and draw these")
-    study.add_argument("--format", choices=("pdf", "png"), default="", help="pictures of this kind beside the SVG")
+    study.add_argument("--format", choices=("pdf", "png"), default="", help="pictures in this format beside the SVG")
     study.add_argument("--out", type=Path, metavar="DIR", help="results go here (runs/study_NAME and what is varied)")
     _workers(study)
     falsify = verb(
-        "falsify", "verbs.falsify_verb:main", "look for the run that violates a requirement, made small and kept"
+        "falsify",
+        "verbs.falsify_verb:main",
+        "search for a run that violates a requirement; the violation is reduced and stored",
     )
     falsify.add_argument("what", metavar="SCENARIO", help="or the name of a falsification in config/studies; `list`")
     falsify.add_argument(
@@ -281,7 +281,7 @@ def _vary(verb: Verb) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="also a figure of which a bound is expected; default: all requirements that follow the machine",
+        help="also a figure with an expected bound; default: all requirements that follow the machine",
     )
     falsify.add_argument(
         "--strict",
@@ -303,7 +303,7 @@ def _vary(verb: Verb) -> None:
     falsify.add_argument("--sampler", choices=("cmaes", "tpe", "random"), help="after the corners (cmaes)")
     falsify.add_argument("--duration", type=Number(float, 1e-9, 1e9), metavar="S", help="instead of the scenario's")
     falsify.add_argument("--first", action="store_true", default=None, help="end at the first violation")
-    falsify.add_argument("--format", choices=("pdf", "png"), default="", help="pictures of this kind beside the SVG")
+    falsify.add_argument("--format", choices=("pdf", "png"), default="", help="pictures in this format beside the SVG")
     falsify.add_argument("--no-plots", action="store_true", help="scenario files and bags only")
     falsify.add_argument("--out", type=Path, metavar="DIR", help="results go here (default runs/falsify_NAME)")
     _workers(falsify)
@@ -318,7 +318,7 @@ def _judge(verb: Verb) -> None:
     check = verb(
         "check",
         "verbs.check:main",
-        "judge many scenarios, for continuous integration: what they expect, the claims of papers, golden bags",
+        "judge many scenarios, for continuous integration: their expectations, claims of papers, golden bags",
     )
     check.add_argument(
         "scenarios",
@@ -327,15 +327,13 @@ def _judge(verb: Verb) -> None:
         help="names or files; with --claims systems or shipped scenarios",
     )
     kinds = check.add_mutually_exclusive_group()
-    kinds.add_argument(
-        "--claims", action="store_true", help="every claim of the papers (all systems where none is named)"
-    )
-    kinds.add_argument("--golden", action="store_true", help="golden bags, see `golden` (all where none is named)")
+    kinds.add_argument("--claims", action="store_true", help="every claim of the papers (all systems if none is named)")
+    kinds.add_argument("--golden", action="store_true", help="golden bags, see `golden` (all if none is named)")
     check.add_argument(
         "--against",
         default="",
         metavar="FILE",
-        help="what is measured and expected is that of this scenario, whatever the others say; names what else differs",
+        help="judge by the figures and expectations of this scenario; also names other differences",
     )
     check.add_argument(
         "--marks", type=Path, metavar="FILE", help="a row of CSV a scenario: how much holds, and each value"
@@ -366,10 +364,10 @@ def _judge(verb: Verb) -> None:
 
 
 def _analyse(verb: Verb) -> None:
-    linear = verb("linearise", "verbs.linear:linearise", "state space, poles and margins, where a run of a scenario is")
+    linear = verb("linearise", "verbs.linear:linearise", "state space, poles and margins at a time of a scenario's run")
     linear.add_argument("--open", metavar="LINK", help="signal at which to open a loop (the only command of a plant)")
     linear.add_argument(
-        "--input", action="append", metavar="SIGNAL", help="input of the state space (what sources say)"
+        "--input", action="append", metavar="SIGNAL", help="input of the state space (outputs of sources)"
     )
     linear.add_argument("--out", type=Path, metavar="DIR", help="numbers and pictures go here")
     linear.add_argument(
@@ -379,12 +377,17 @@ def _analyse(verb: Verb) -> None:
         help="matrices at each of N periods from --at on: a rig in motion, outputs that turn",
     )
     remaining = verb(
-        "steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 when there is none"
+        "steady", "verbs.linear:print_steady", "the operating point of a scenario; status 1 if there is none"
     )
     for sub in (linear, remaining):
         sub.add_argument("scenario", help="name or YAML file")
         sub.add_argument("--at", type=Number(float, 0, 1e9), metavar="S", help="when (the scenario's end)")
-        sub.add_argument("--output", action="append", metavar="SIGNAL", help="signal that counts (what plants say)")
+        sub.add_argument(
+            "--output",
+            action="append",
+            metavar="SIGNAL",
+            help="output signal (default: outputs of plants)",
+        )
         sub.add_argument("--set", action="append", type=pair, default=[], metavar="NAME=VALUE", help="as in run")
 
 

@@ -123,9 +123,7 @@ def linearise(options: argparse.Namespace) -> int:
         name = max(view.output_errors, key=view.output_errors.__getitem__)
         rows += [("outputs", f"{most:.1e} from the rig within 40 periods, the worst is {name}")]
     if view.state_error > ANOTHER:
-        rows += [
-            ("so", "this is not the rig: something in it goes in steps, or it is another one each period (--along)")
-        ]
+        rows += [("so", "this is not the rig: it contains steps, or it changes every period (--along)")]
     for name, text in rows:
         out.print(f"  {name:20} {text}", markup=False)
     if options.out:

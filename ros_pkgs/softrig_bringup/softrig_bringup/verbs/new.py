@@ -23,7 +23,7 @@ from ..new.controller import Replaced, replaced
 from ..new.native import new_native, next_steps
 from ..new.rated import from_data_sheet
 
-# template, and where it goes; $name below stands for the package's name
+# template, and its destination; $name below stands for the package's name
 FILES = {"package.xml": "package.xml", "setup.py": "setup.py", "setup.cfg": "setup.cfg", "README.md": "README.md"}
 EMPTY = ("$name/__init__.py", "resource/$name")
 REMEMBERED = " (a folder given as `--workspace` is remembered; `--workspace none` forgets it)"
@@ -48,7 +48,7 @@ KINDS = {
         "${name}_controller.r=0.1",
     ),
     "law": Kind("a control law for a plant that is there", {"law.py": LAW}, ("softrig_drives",), "dc_motor_smc.kp=1.5"),
-    "for": Kind("a controller in place of the one of a scenario", {"for_law.py": LAW}, (), ""),
+    "for": Kind("a controller that replaces the one of a scenario", {"for_law.py": LAW}, (), ""),
     "plant": Kind("a plant", {"plant.py": PLANT}, ("softrig_control",), "${name}_plant.m=0.3"),
 }
 

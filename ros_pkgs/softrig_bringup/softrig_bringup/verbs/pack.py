@@ -170,7 +170,7 @@ def collect(run: Path, aside: Path, *, bag: bool = True) -> _Pack:
     """
     if is_pack(run) and (names := brings(unpacked := opened(run), about(unpacked))):
         raise ScenarioError(
-            f"{run}: it brings {', '.join(names)}, which packing would run; send the original file instead"
+            f"{run}: it brings {', '.join(names)}, which packing would execute; send the original file instead"
         )
     before = recall(run, Again().parse_args)
     content = _known_of_run(before.bag)
@@ -348,7 +348,7 @@ def _digests(before: Recalled, scenario: Scenario, content: Mapping[str, Any]) -
     rig = rig_of(scenario.having(changes=[]))
     why = [
         "in real time" if before.epoch else "",
-        "messages came from outside" if from_outside(rig, before.recording) else "",
+        "there were messages from outside" if from_outside(rig, before.recording) else "",
         "it ended early" if content.get("stopped") or content.get("error") else "",
     ]
     if any(why):

@@ -83,7 +83,7 @@ class Here(Growing):
         session.step()
         self.read_new()
 
-    # what the page asks for ----------------------------------------------------------------------------------------
+    # requests of the page ------------------------------------------------------------------------------------------
 
     def _ask(self, request: Mapping[str, Any], answered: Answer) -> None:
         def do() -> None:
@@ -200,7 +200,7 @@ class Here(Growing):
                 self._write(self._place)
             except OSError as error:
                 self._full = error
-                text = f"from here on nothing is kept in case that this process is killed: {error}"
+                text = f"from here on nothing can be repaired if this process is killed: {error}"
                 print_line(text)
                 self.control.add_entry("the run", text, True)
 
@@ -277,7 +277,7 @@ def here(rig: Rig, placement: Placement, address: str, folder: ResultsFolder, co
                 status = conclude(run, into)
             except OSError as error:  # it is all in memory: who makes room and goes back a little has it
                 status, written = 3, None
-                outcome = f"it is not written: {error}; make room, go back a little and let it end again"
+                outcome = f"it is not written: {error}; free some space, go back a little and let it end again"
                 print_line(outcome)
             except KeyboardInterrupt as interrupt:
                 wrong, outcome = interrupt, "stopped while it was written"

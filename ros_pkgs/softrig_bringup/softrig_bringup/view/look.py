@@ -62,7 +62,7 @@ summary small { color: var(--soft); font-weight: normal; }
 """
 # the name of a number beside it
 BESIDE = ".bk-input-group { display: grid; grid-template-columns: minmax(0, 1fr) 110px; white-space: normal; }"
-# within the widgets, each of which is a world of its own
+# styles within the widgets, each of which has a shadow DOM of its own
 WIDGETS = """
 :host { color: var(--ink); font: inherit; }
 .bk-input, .bk-btn-default, .bk-btn-primary { background: var(--field); color: var(--ink); border-color: var(--line); }

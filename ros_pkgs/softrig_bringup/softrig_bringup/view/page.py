@@ -94,7 +94,7 @@ class Page:
         self._tables = {name: self._div(name) for name in ("figures", "health", "log")}
         self._sliders: dict[str, Slider] = {}
         self._knobs = {key: self._knob(knob) for key, knob in control.knobs.items()}
-        # a browser that has not shown the last state gets no further one: it loses pictures, and nothing piles up
+        # A browser that has not shown the last state gets no further one: it skips pictures, and no queue grows.
         self._beat, self._echo = self._div("beat", visible=False), self._div("echo", visible=False)
         shown = CustomJS(args={"beat": self._beat, "echo": self._echo}, code="echo.text = beat.text")
         self._beat.js_on_change("text", shown)
@@ -123,7 +123,7 @@ class Page:
                 "groups": [(name, title, what, opened) for name, _, title, what, opened in groups],
             }
         )
-        # by itself Bokeh would take up the session again, of which a server that was started anew knows nothing
+        # Bokeh alone would resume the session, which a restarted server does not know.
         document.config.update(reconnect_session=False, notify_connection_status=False)
         document.js_on_event("connection_lost", CustomJS(code=RECONNECT))
         document.theme = Theme(json=theme(look))
@@ -131,7 +131,7 @@ class Page:
         document.title = f"{rig.scenario.name} - softrig"
         document.add_periodic_callback(self.update, FRAME)
 
-    # what it is made of --------------------------------------------------------------------------------------------
+    # the parts of a page --------------------------------------------------------------------------------------------
 
     def _div(self, name: str, visible: bool = True) -> Div:
         return Div(name=name, visible=visible, sizing_mode="stretch_width", stylesheets=[self._sheet])

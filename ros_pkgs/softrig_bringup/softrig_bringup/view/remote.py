@@ -55,7 +55,7 @@ class Remote:
             self._process.stdin.flush()
         except OSError:
             del self._asked[number]
-            answered(False, "what asks the nodes has ended")
+            answered(False, "the process that sends requests to the nodes has ended")
 
     def _listen(self) -> None:
         assert self._process.stdout is not None

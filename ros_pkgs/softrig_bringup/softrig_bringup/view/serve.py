@@ -242,7 +242,7 @@ class Pages:
     def left(self) -> bool:
         """Update the connections; return whether a browser has shown a page and all have left without reloading."""
         sessions = self.server.get_sessions(PAGE)
-        # what was only asked for, without its websocket, may be a slow machine's
+        # A page that was requested, but has no websocket yet, may belong to a slow machine.
         self.visited = self.visited or any(session.connection_count > 0 for session in sessions)
         return self.visited and not sessions
 

@@ -158,7 +158,7 @@ class Live(Growing):
             return
         self.read()
         for name in self._names:
-            # half written, or being replaced: what it said before stands
+            # The file is half written, or being replaced: its previous content stays valid.
             self.status[name] = read_status(self._directory / f"{name}.status") or self.status[name]
         if not self.awaited:
             self._complete = time.monotonic()

@@ -54,7 +54,7 @@ def _going(source: Source, control: Control) -> str:
     if control.held is None or control.pace is None:
         return "running"
     if not control.pace:
-        return "running as fast as it goes"
+        return "running as fast as possible"
     late = f", of which this machine reaches {source.speed:.2g}" if 0 < source.speed < 0.8 * control.pace else ""
     return f"running at {f'{control.pace:g} of ' if control.pace != 1 else ''}the wall's pace{late}"
 

@@ -34,9 +34,9 @@ PROTOTYPES = {
 }
 STEP, PLANT = ("step",), ("outputs", "advance")
 ELSEWHERE = {"g++": ".cpp .cc .cxx .C", "gfortran": ".f90 .F90 .f95 .f .F"}  # compilers of other suffixes than .c
-# what a linker, a C library or another language's runtime keeps in a library, beside the user's
+# objects that a linker, a C library or another language's runtime keeps in a library, beside the user's
 _RUNTIME = ("completed", "__dso_handle", "__TMC_END__", "_edata", "_end", "__bss_start", "__data_start", "_GLOBAL_")
-# Rust's standard library (a crate's name in a symbol has its length in front), and what Fortran keeps of types
+# Rust's standard library (a crate's name in a symbol is preceded by its length), and Fortran's type descriptors
 _CRATES = (
     "std core alloc memchr gimli addr2line object miniz_oxide adler2 adler rustc_demangle hashbrown std_detect unwind "
     "panic_unwind panic_abort compiler_builtins"
@@ -44,7 +44,8 @@ _CRATES = (
 _OTHERS = ("__rust", "rust_", "___def_init_", "___vtab_", *(f"{len(crate)}{crate}" for crate in _CRATES.split()))
 
 
-# what would end softrig itself, or change it for all of its nodes: a library that calls such functions runs apart
+# Functions that would end softrig itself, or change it for all of its nodes: a library that calls one runs in a process
+# of its own.
 INTRUSIVE = frozenset(
     ("exit", "_exit", "_Exit", "quick_exit", "pthread_exit", "execl", "execle", "execlp", "execv", "execve", "execvp")
     + ("execvpe", "fork", "vfork", "kill", "raise", "signal", "sigaction", "setrlimit", "chdir", "setlocale")
@@ -396,7 +397,7 @@ def _generated(header: Path, prefix: str, methods: Sequence[str], values: dict[s
             for m in methods
         )
         + "};",
-        # a prototype that is another one is an error of the compiler here, not a crash in a run
+        # A wrong prototype is an error of the compiler here, not a crash in a run.
         f"static void sr_prototypes(void) {{ sr_init_type i = {prefix}_init; (void)i; "
         + " ".join(f"{types[m].replace('(*)', f'(*p_{m})')} = {prefix}_{m}; (void)p_{m};" for m in methods)
         + " }",

@@ -146,7 +146,8 @@ class Apart:
         for descriptor in (writing, printed, saying):  # a library that reads nothing or prints much must not block
             os.set_blocking(descriptor, False)
         command = [str(built.program), str(built.library), str(ours), str(theirs)]
-        # a group of its own: Ctrl-C is for the run, and what the library starts ends with it
+        # The library has its own process group: Ctrl-C is for the run, and processes that the library starts end with
+        # it.
         self._process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=2, stderr=saying, pass_fds=[ours, theirs], process_group=0
         )

@@ -50,7 +50,7 @@ class CParams(BlockParams):
         False, "run it in a process of its own in any case: one that hides state runs there by itself"
     )
     timeout: float = param(
-        10.0, "wall-clock time after which a call of an isolated library is given up", "s", gt=0.0, le=1e6
+        10.0, "wall-clock time after which a call of an isolated library is aborted", "s", gt=0.0, le=1e6
     )
 
     @property

@@ -68,8 +68,8 @@ def _tried(key: _Key, methods: tuple[str, ...], params: Row, seconds: float) -> 
     if not known and not straight == back == again:
         value = next(v for v in TRIED if not _same(straight[v], back[v], again[v]))
         known = (
-            f"the same tick from the same struct, all inputs {value:g}, has other answers when it comes again or in "
-            "another order (a static variable, allocated memory, random numbers or a clock)"
+            f"the same tick from the same struct, all inputs {value:g}, has different answers when it is repeated "
+            "or in another order (a static variable, allocated memory, random numbers or a clock)"
         )
     return Trial("", known)
 

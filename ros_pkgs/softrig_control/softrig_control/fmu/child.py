@@ -49,7 +49,7 @@ class Isolated:
         self._pipe, theirs = Pipe()
         code = "from softrig_control.fmu.child import main; main()"
         with theirs:
-            # -P: nothing is imported from the current directory, which is anybody's
+            # -P: nothing is imported from the current directory, which may belong to anybody.
             command = [sys.executable, "-P", "-c", code, str(theirs.fileno()), str(os.getpid())]
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
         self._poll = select.poll()

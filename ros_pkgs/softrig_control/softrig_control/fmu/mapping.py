@@ -17,7 +17,7 @@ _ENTRY = re.compile(
 )
 
 
-# An array's size is read before the FMU runs, so what sets it stays as it is.
+# An array's size is read before the FMU runs, so the parameter that sets it must not change.
 UNSET = ("independent", "calculatedParameter", "structuralParameter")
 
 

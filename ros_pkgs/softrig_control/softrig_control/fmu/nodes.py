@@ -43,10 +43,10 @@ class FmuParams(BlockParams):
         "interface that is used; model_exchange: with the Runge-Kutta method of fourth order, `steps` a period",
     )
     steps: int = param(1, "communication steps, or steps of the integrator, in one period", ge=1, le=100_000)
-    log: bool = param(False, "ask the FMU to log what it does: some say only then why they refuse a step")
+    log: bool = param(False, "ask the FMU to write its log: some explain only there why they refuse a step")
     isolated: bool = param(True, "run it in a process of its own: a crash of the FMU then ends the run by name")
     timeout: float = param(
-        60.0, "wall-clock time after which a call of an isolated FMU is given up", "s", gt=0.0, le=1e6
+        60.0, "wall-clock time after which a call of an isolated FMU is aborted", "s", gt=0.0, le=1e6
     )
 
     @model_validator(mode="after")

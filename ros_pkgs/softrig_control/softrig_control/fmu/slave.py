@@ -86,7 +86,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._numbers = {p.name: list(p.safe) for p in (*self._inputs, *self._outputs)}
         for name, row in self._what["start"].items():
             self._numbers[name][:] = row
-        # what may stay without a value, and is said by nobody in the scenario: until the tool sets it
+        # an optional input that no node of the scenario publishes has no value until the tool sets it
         self._silent = {p.name for p in self._inputs if p.held} - self._what["start"].keys()
         for port in self._inputs:
             self._register(port, Fmi2Causality.input)

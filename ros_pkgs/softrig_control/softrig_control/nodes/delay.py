@@ -257,7 +257,7 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
             newest = sent.stamp
             line, k = self._send(line, k, t, sent)
         elif sent.stamp < newest:
-            self.report(Level.WARN, "order", "a message older than the one before it was dropped")
+            self.report(Level.WARN, "order", "a message older than the previous one was dropped")
         return self._deliver(newest, line, held, k, t)
 
     def refused(self, x: State, t: int) -> tuple[State, Mapping[str, Sample | tuple[float, ...]] | None]:

@@ -39,7 +39,7 @@ class FaultParams(LinkParams):
     )
     start: float = param(0.0, "time from which the fault is there", "s", ge=0.0, live=True)
     stop: float = param(0.0, "time from which it is gone; 0: it stays", "s", ge=0.0, live=True)
-    every: float = param(0.0, "it comes and goes with this period; 0: it stays", "s", ge=0.0, live=True)
+    every: float = param(0.0, "period with which it is switched on and off; 0: it stays on", "s", ge=0.0, live=True)
     lasts: float = param(0.0, "how long it is there in each period", "s", ge=0.0, live=True)
     probability: float = param(
         1.0, "of `spike`, `loss`, `repeat` and `invalid`, for each message", ge=0.0, le=1.0, live=True
@@ -63,7 +63,7 @@ class FaultParams(LinkParams):
     overtaking: bool = param(
         True, "whether a message may arrive before one sent earlier, which is then dropped", live=True
     )
-    delayed: bool = param(False, "whether the stamps are times of acquisition, as behind a `fieldbus_delay`")
+    delayed: bool = param(False, "whether the stamps are times of acquisition, as after a `fieldbus_delay`")
     holds: bool = param(
         False,
         "publish the held value again instead of silence, for subscribers that cannot see it; at first `initial`",

@@ -23,9 +23,9 @@ class LinearPlantParams(BlockParams):
     den: tuple[float, ...] = param(
         (1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first", min_length=2, max_length=50
     )
-    command: str = param("command/u/effort", "signal that comes in, topic/channel/field")
+    command: str = param("command/u/effort", "input signal, topic/channel/field")
     command_unit: str = param("V", "its unit")
-    output: str = param("output/v_dc/position", "signal that goes out, topic/channel/field")
+    output: str = param("output/v_dc/position", "output signal, topic/channel/field")
     output_unit: str = param("V", "its unit")
 
     @model_validator(mode="after")

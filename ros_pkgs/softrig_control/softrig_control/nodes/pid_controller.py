@@ -37,7 +37,9 @@ class PidControllerParams(BlockParams):
     u_min: float = param(-1e9, "smallest command", live=True)
     u_max: float = param(1e9, "largest command", live=True)
     anti_windup: Literal["none", "conditional", "back_calculation"] = param(
-        "conditional", "at a limit: none; stop the integral while the error drives it further; lead it back", live=True
+        "conditional",
+        "at a limit: none; stop the integral while the error drives it further; track the limited command",
+        live=True,
     )
     t_t: float = param(0.0, "back-calculation: tracking time; 0: one period", "s", ge=0.0, live=True)
     manual: bool = param(False, "the command is `manual_command`; the change back to automatic is bumpless", live=True)
@@ -133,7 +135,7 @@ class PidController(Block[PidControllerParams]):
         """Continue with other gains, weight or bias without a jump of the output."""
         p = self.p
         old, was = x.proportional, before.gains()[0]
-        # P = Kp (b r - y) = Kp (e + (b - 1) r); r is left out, it is known at the next tick alone
+        # P = Kp (b r - y) = Kp (e + (b - 1) r); r is left out, because it is known only at the next tick
         new = old + (self._kp - was) * x.error if p.weight == before.weight else self._kp / was * old if was else old
         if self._ki_t:
             return x._replace(integral=x.integral + old - new + before.bias - p.bias, proportional=new)

@@ -217,7 +217,7 @@ class Policy(Block[PolicyParams]):
         given = x.act(self.observation(inputs))
         if len(given) != len(self._bounds):
             raise ValueError(f"the policy gave {len(given)} actions, expected {len(self._bounds)}")
-        # of a NaN neither comparison holds: it goes on and is refused as any block's
+        # Both comparisons are false for NaN: it is passed on and refused as that of any block.
         action = [low if a < low else high if a > high else a for a, (low, high) in zip(given, self._bounds)]
         messages: dict[str, tuple[float, ...] | Sample | None] = {}
         for port, places in self._acted:

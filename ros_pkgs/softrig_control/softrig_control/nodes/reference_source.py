@@ -23,7 +23,7 @@ class ReferenceSourceParams(ProfileParams):
     unit: str = param("rad", "unit of a position; velocities and accelerations are in this unit per s and s^2")
     positions: tuple[float, ...] = param((), "position of every axis from each time on", live=True)
     velocities: tuple[float, ...] = param(
-        (10.0,), "velocity of every axis from each time on; none when only others are given", live=True
+        (10.0,), "velocity of every axis from each time on; empty if only other fields are used", live=True
     )
     accelerations: tuple[float, ...] = param((), "acceleration of every axis from each time on", live=True)
 

@@ -15,7 +15,7 @@ from .certificate import Certificate, assess, certify, companion
 class CertificateParams(BlockParams):
     """Model, weights, and optionally an externally computed K and Qbar."""
 
-    period: float = param(0.1, "time between looks at the button", "s", gt=0.0, le=100.0)
+    period: float = param(0.1, "time between checks of the button", "s", gt=0.0, le=100.0)
     num: tuple[float, ...] = param((2.8286, 2.8286 * 175100.0), "numerator, highest power of s first", max_length=50)
     den: tuple[float, ...] = param(
         (1.0, 51.17 + 125.7, 51.17 * 125.7), "denominator, highest power of s first", max_length=50

@@ -262,7 +262,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     def _texted(self, steps: list[Step], agent: Step, state: Any) -> None:
         """Create the text for the states as they are."""
         if not self._tries:
-            raise NotNative("what it remembers changes its type")
+            raise NotNative("its state changes its type")
         odd = [s.name for s in steps if s.changes or any(p.sporadic or p.delayed or p.unchecked for p in s.outputs)]
         if odd:
             raise NotNative(f"{odd[0]}: its messages do not come at each tick, or its parameters change")

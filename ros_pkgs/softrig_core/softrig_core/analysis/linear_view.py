@@ -337,7 +337,7 @@ class LinearView:
             with suppress(np.linalg.LinAlgError):
                 parts = [*(c * np.linalg.solve(z * np.eye(len(b)) - A, b)).tolist(), d]
                 back = math.fsum(parts)
-                # A smaller sum is zero but for rounding, and a larger one means a pole of the opened loop at z.
+                # A smaller sum is zero within rounding, and a larger one means a pole of the opened loop at z.
                 if NOTHING * math.fsum(map(abs, parts)) < back < 1.0 / NOTHING:
                     result.append((1.0 / back, complex(z)))
         return result
@@ -622,7 +622,7 @@ class Differences:
         whole = self._square(on)
         received = np.array([self.columns[i][1] for i in on]).T.reshape(len(self.measured), len(on))
         counts = _reach(whole.T, (received != 0.0).any(axis=0))
-        # What nothing moves here is as good as a parameter.
+        # A value that nothing moves acts like a parameter here.
         held = (whole == np.eye(len(on))).all(axis=1)
         # So is a plant's copy of its command, which is replaced in each period.
         held |= self.map.resting[on] & (whole == 0.0).all(axis=1)
@@ -731,7 +731,7 @@ class Differences:
             if (k.source.name, k.port.name) == (member.name, port.name)
         }
         if not readers:
-            return f"{member.name} hears nothing of what {link} does: no loop"
+            return f"{member.name} does not depend on {link}: no loop"
         size = _power(abs(self.published[link]) or 1.0)
 
         def back(height: float) -> list[float]:
@@ -747,7 +747,7 @@ class Differences:
                         "not: on the way something goes in steps (a quantised sensor, a switch, a search), and "
                         "that has no linear view; remove the steps, or choose another link"
                     )
-        return f"no change of {link} comes back there {after}: on the way something rests on a limit, or waits"
+        return f"no change of {link} comes back there {after}: on the way something is at a limit, or waits"
 
     def _signal(self, name: str) -> None:
         if math.isnan(self.published[name]):
@@ -794,7 +794,7 @@ class Differences:
             except RunError:
                 before = None
                 continue
-            # This step is too large as well: no column would show what follows from values that are no floats.
+            # This step is too large as well: no column would show effects that pass through values that are not floats.
             if parted := up[3] or down[3]:
                 before, stepping = None, parted
                 continue
@@ -879,7 +879,7 @@ class Differences:
             with suppress(RunError):
                 far_off = self._apart(kept, FOLLOWED - LATER - 1, 1.0 / NEARER)
                 late = np.array([y for _, y in far_off]).any(axis=0)
-            why = "goes in steps (counts, a quantised sensor) or belongs to other ticks: what the states do comes later"
+            why = "goes in steps (counts, a quantised sensor) or belongs to other ticks: the states act later"
             result = {self.outputs[k]: why for k in quiet if late[k]}
         if not far:
             return result

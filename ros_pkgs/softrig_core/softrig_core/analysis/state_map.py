@@ -118,7 +118,7 @@ class _Probe(Link):
         if row is None:
             return value
         data = tuple(row.data if isinstance(row, Sample) else row)
-        # The first message of a period is what the linear view is about; NaN marks that it has not come.
+        # The linear view is about the first message of a period; NaN marks that it has not arrived.
         if math.isnan(self.value):
             self.value = data[k]
         new = (data[k] if self.fixed is None else self.fixed) + self.added
@@ -246,13 +246,13 @@ class StateMap:
             own = sum(len(row) for _, row in read(step.x))
             self.resting[here.start : here.start + own] = name in plants
         self.resting &= ~self.moved
-        # A block that keeps something outside of its state goes on differently the second time.
+        # A block that keeps something outside of its state continues differently the second time.
         again, _ = self(self.start, {})
         if not np.array_equal(once, again):
             bad = sorted({n.partition(".")[0] for n, a, b in zip(self.names, once, again, strict=True) if a != b})
             raise RunError(
                 f"{self.rig.scenario.name}: {', '.join(bad)} cannot be put back to where it was at "
-                f"{self.t:g} s: what it remembers is not in its state"
+                f"{self.t:g} s: part of its state is not in x"
             )
 
     def step_names(self) -> list[str]:
@@ -361,8 +361,7 @@ class StateMap:
             result = np.concatenate(self._now())
             if len(result) != len(self.start):
                 raise RunError(
-                    f"{self._grown()}: what it remembers has another length one period after {self.t:g} s; "
-                    "choose a later time"
+                    f"{self._grown()}: its state has another length one period after {self.t:g} s; choose a later time"
                 )
             yield result, {name: probe.value for name, probe in self.probes.items()}
 

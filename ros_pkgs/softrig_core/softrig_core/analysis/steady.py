@@ -115,7 +115,7 @@ def steady(
     whole: dict[str, Member] = {}
     for name in observed:
         upstream(place_of(rig, name).member, whole)
-    # What controllers command counts as heard, so that an integrator which moves a plant is not taken for one that
+    # Commands of controllers count as observed, so that an integrator which moves a plant is not taken for one that
     # drifts unread.
     commands = [
         f"{p.topic}/{x}"

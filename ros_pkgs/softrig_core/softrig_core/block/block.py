@@ -38,9 +38,9 @@ Values = Mapping[str, "Sequence[float] | Sample | None"]
 P = TypeVar("P", bound=BlockParams, default=Any)
 
 
-# what makes or remakes a block's constants
+# methods that make or remake a block's constants
 _OPEN = frozenset({"__init__", "setup", "change", "reset"})
-# attributes of whoever runs the block
+# attributes that the code running the block sets
 _RUNNERS = frozenset({"ages", "unanswered", "realtime", "_seed", "_Block__first"})
 
 
@@ -65,7 +65,7 @@ def _check_writer(block: Block, name: str, writer: FrameType) -> None:
     if method and method not in _OPEN:
         raise RunError(
             f"{block.name or type(block).__name__}: `{method}` writes self.{name} ({writer.f_code.co_filename}, line "
-            f"{writer.f_lineno}); make what the block remembers a field of x and return the new x"
+            f"{writer.f_lineno}); make it a field of x and return the new x"
         )
 
 
@@ -134,8 +134,8 @@ class Block(Generic[P]):
             code = getattr(cls.__dict__.get(name), "__code__", None)
             if code is not None and code.co_varnames[1:2] == ("t",):
                 raise TypeError(
-                    f"{cls.__qualname__}.{name}(self, t, ...): expected {name}(self, x, t, ...), where x "
-                    "is what the block remembers, made by `first`"
+                    f"{cls.__qualname__}.{name}(self, t, ...): expected {name}(self, x, t, ...), where x is the "
+                    "block's state, made by `first`"
                 )
         for base in cls.__dict__.get("__orig_bases__", ()):
             for argument in get_args(base):

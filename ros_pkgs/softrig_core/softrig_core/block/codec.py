@@ -166,7 +166,7 @@ def selection(source: Port, sink: Port) -> Pick | None:
     missing = [f for f in sink.fields if f not in source.fields]
     if missing:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
-    # what this source never sends, of a partial sink, stays as it is
+    # values that this source never sends, of a partial sink, stay as they are
     places = tuple([source.places.get(x, safe) for x, safe in zip(sink.labels, sink.safe, strict=True)])
     return None if places == tuple(range(source.size)) else places
 

@@ -14,8 +14,8 @@ from ..wire.types import TYPES, Dims, MessageType, element_labels
 XYZ = ("x", "y", "z")
 WORLD = "world"  # the frame of a rig that does not move: of every message that is of no other one
 
-# Magnitude up to which a value can be meant, by unit: what lies beyond is no measurement, and its square or exponential
-# would overflow in a law. The last is that of any other unit.
+# Largest plausible magnitude by unit: a value beyond it is not a measurement, and its square or exponential would
+# overflow in a controller. The last is that of any other unit.
 PLAUSIBLE = {"V": 1e7, "A": 1e7, "N": 1e8, "N m": 1e8, "rad": 1e9, "rad/s": 1e7, "m": 1e9, "m/s": 1e7, "s": 1e10}
 PLAUSIBLE_OTHER = 1e12
 LARGEST = 1e150  # whose square is a number

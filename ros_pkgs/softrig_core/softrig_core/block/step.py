@@ -104,7 +104,7 @@ class Step(RunningBlock):
         self.begun: int | None = None
         self.counts = {p.name: 0 for p in outputs}
         self.plain = not any(p.sporadic or p.delayed for p in outputs)
-        # if it is not plain: when each output published last
+        # for a step that is not plain: when each output published last
         self.published_at: list[int | None] = [None] * len(outputs)
         self.numbers: tuple[float, ...] = ()
         self.last_answer: Rows = ()  # the newest answer that was admitted; it is held when an input is rejected

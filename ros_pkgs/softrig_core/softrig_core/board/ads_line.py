@@ -79,7 +79,7 @@ class AdsLine(RemoteLine):
 
     def begin(self, params: bytes) -> None:
         """Begin a session with the next request; the program has its own parameters, so `params` is empty."""
-        # by chance, so that neither is what the program has answered last
+        # Both are random, so that neither equals the last answer of the program.
         self._number, self._session = (int.from_bytes(os.urandom(4), "little") or 1 for _ in range(2))
         self._first, self.joined = True, False
         self._missing.clear()

@@ -51,7 +51,7 @@ class PortDescription(_Checked):
     def _fits(self) -> Self:
         if self.type not in TYPES:
             raise ValueError(f"port {self.name} has messages of {self.type}, which no port can have")
-        # as many numbers as are described: a port of more would be made before it is refused
+        # The numbers must be as many as described: a port of more would be allocated before it is refused.
         if math.prod(size for _, size in self.dims) > max(1, len(self.values)):
             raise ValueError(f"port {self.name} has {len(self.values)} values, expected as many as its dims give")
         return self

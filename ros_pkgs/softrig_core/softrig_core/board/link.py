@@ -104,7 +104,7 @@ class Linked(Elsewhere):
         if last >= 0 and (x.k - 1 - last) * self.p.period <= self.ENTRY.timeout:
             return ""
         since = f"after {last * self.p.period:.6g} s" if last >= 0 else "at any time"
-        return f"no answer came from {line.port} {since}, so the run says nothing of this node"
+        return f"no answer came from {line.port} {since}, so the run is no evidence about this node"
 
     def asked(self, x: LinkState, t: int, row: list[Any]) -> Mapping[str, Any]:
         """Return the answer of the board to a tick.

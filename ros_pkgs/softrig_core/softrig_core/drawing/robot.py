@@ -43,7 +43,7 @@ class Robot(Drawing):
         pushed = next((p.name for p in self.plant.inputs if "force/x" in p.labels), "")
         self.push = [self.quantity(pushed, f"force/{axis}") for axis in "xyz"] if pushed else []
         self.fixed = scene.fixed()
-        # from the base to the tip; what hangs on nothing known is drawn from the base
+        # from the base to the tip; a link without a known parent is drawn from the base
         chain = [*scene.moving([0.0] * len(names)), *self.fixed]
         self.links = [(pose.parent, pose.child) for pose in chain]
         self.base = scene.base

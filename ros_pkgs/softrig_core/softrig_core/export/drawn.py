@@ -16,7 +16,7 @@ from ..block.port import Port, Sample
 from ..rig.members import Member
 from .golden import Call, Changed, answer_of, kept_of, keys_of, methods
 
-# zeros of both signs, the smallest numbers, large ones, and what no port lets in but C may be handed
+# zeros of both signs, the smallest numbers, large ones, and numbers that no port accepts but C may receive
 ODD = (0.0, -0.0, 5e-324, -5e-324, 1e-308, 1e-30, 1.0, -1.0, 1e30, -1e300, math.inf, -math.inf, math.nan)
 SHARE_ODD = 0.04  # of the numbers
 SHARE_WIDE = 0.1  # of the numbers: a thousand times what the run had

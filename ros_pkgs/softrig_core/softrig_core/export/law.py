@@ -211,7 +211,7 @@ def _name(text: str) -> str:
     return text[4 : text.index("(")]
 
 
-# Against the run: C discards what the text discards, which may be no call of the run --------------------------------
+# Compared with the run: C discards what the text discards, which may be no call of the run ----------------------------
 
 
 class _Row:
@@ -268,9 +268,9 @@ def check_text(text: Text, calls: Sequence[Call | Changed], outputs: Sequence[Po
             result = text.answer(call)
         except Exception as error:  # whatever it raises discards the call
             why = "; ".join(sorted(set(text.law.program.seldom))) or _reason(error, text.law)
-            raise NotNative(f"its run takes a way that has no C at {call.t / 1e9:g} s: {why}") from None
+            raise NotNative(f"its run takes a branch that has no C at {call.t / 1e9:g} s: {why}") from None
         if not _answers(result, call, outputs):
-            raise NotNative(f"its text gives another answer than Python at {call.t / 1e9:g} s: a defect of softrig")
+            raise NotNative(f"its text has another result than Python at {call.t / 1e9:g} s: a defect of softrig")
 
 
 def as_answered(text: Text, drawn: Sequence[Sequence[Call | Raised]]) -> tuple[list[list[Call | Raised]], set[str]]:

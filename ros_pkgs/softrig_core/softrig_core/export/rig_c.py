@@ -191,7 +191,7 @@ class _RigFiles:
             "    int64_t t_ns; /**< time of the newest tick */",
         ]
         for one in self.files_of.values():
-            # C++ takes a member with the name of its type only behind `struct`
+            # C++ accepts a member with the name of its type only after `struct`
             lines += [f"    struct {part} {part};" for part in (one.name, f"{one.name}_in", f"{one.name}_out")]
         lines += [
             f"}} {n};",

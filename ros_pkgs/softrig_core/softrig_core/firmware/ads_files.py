@@ -135,6 +135,6 @@ def main(arguments: Sequence[str]) -> int:
     for name, text in written([*units, *link], member.name, "tcpou").items():
         with naming(folder / name):
             (folder / name).write_text(text, encoding="utf-8")
-    what = "your code goes into it" if empty else f"calls {units[-1].name}"
+    what = "add your code to it" if empty else f"calls {units[-1].name}"
     print(f"{folder}: {len(units) + len(link)} files; {link[-1].name}.TcPOU {what} and is the firmware of a link")
     return 0

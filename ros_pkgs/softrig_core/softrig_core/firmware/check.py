@@ -24,7 +24,7 @@ from ..export.check import BOARDS, FLAGS, TOOLS
 
 DEBIAN = f"{SIMAVR} gcc-avr avr-libc arduino-core-avr"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr")
-# what a sketch with a serial port needs; WString.cpp does not compile with Debian's avr-gcc 5.4
+# the parts that a sketch with a serial port needs; WString.cpp does not compile with Debian's avr-gcc 5.4
 CORE_FILES = ("wiring.c", "hooks.c", "HardwareSerial.cpp", "HardwareSerial0.cpp", "Print.cpp", "main.cpp", "abi.cpp")
 AVR = ("-mmcu=atmega328p", "-Os", "-ffp-contract=off", "-ffunction-sections", "-fdata-sections")
 ARDUINO = ("-DF_CPU=16000000UL", "-DARDUINO=10819", "-DARDUINO_AVR_UNO", "-DARDUINO_ARCH_AVR")

@@ -43,7 +43,7 @@ ARITHMETIC: Mapping[str, Callable[..., Array]] = {
 }  # fmt: skip
 
 
-# Operations of which a number results from numbers alone: what is none stays visible in the result.
+# Operations whose result is a number only if all operands are: NaN stays visible in the result.
 _CARRY = frozenset({"Add", "Sub", "Mul", "abs", "sqrt", "floor", "ceil"})
 
 

@@ -14,12 +14,12 @@ from ..entry import Entry
 Verdict = Literal["reproduced", "fitted", "corrected", "refuted", "not_checkable"]
 VERDICTS: dict[Verdict, str] = {
     "reproduced": "what was measured agrees with it",
-    "fitted": "agrees, but a parameter was identified from it, so it confirms nothing",
+    "fitted": "agrees, but a parameter was identified from it, so it is no confirmation",
     "corrected": "agrees after a correction that the reason names",
     "refuted": "what was measured disagrees",
     "not_checkable": "cannot be decided, for the reason given",
 }
-# Written in the place of the number of what does not happen.
+# Written in place of the number of an event that does not happen.
 NEVER = "never"
 # The share of the published value that agrees where a claim states no tolerance of its own.
 TOLERANCE = 0.05

@@ -18,7 +18,7 @@ _TWO_SIDED = re.compile(rf"{_NUMBER}\s*\+-\s*{_NUMBER}\s*(%?)")
 _BOUND = re.compile(rf"at (most|least) {_NUMBER}")
 _RANGE = re.compile(rf"between {_NUMBER} and {_NUMBER}")
 _FOLLOWING = re.compile(r"(?:at (most|least)|between) (.+)")  # of forms with $ references
-# A tolerance beyond this share of its value judges nothing, so it has to be written as bounds.
+# A tolerance beyond this share of its value is no test, so it has to be written as bounds.
 WIDEST = 0.25
 FORMS = "expected a number, 'X +- T', 'X +- P %', 'at most X', 'at least X' or 'between A and B'"
 
@@ -120,7 +120,7 @@ def parse(given: Any) -> Any:
         # The factor leaves room for the rounding of a tolerance that is written as exactly the limit.
         if value and tolerance > WIDEST * abs(value) * (1.0 + 1e-9):
             raise ValueError(
-                f"the tolerance is {tolerance / abs(value):.0%} of the value and judges little; say what is meant: "
+                f"the tolerance is {tolerance / abs(value):.0%} of the value, which is a weak test; state the limits: "
                 f"'between {value - tolerance:.6g} and {value + tolerance:.6g}', 'at most ...' or 'at least ...'"
             )
         return Expectation(expected=value, tolerance=tolerance)

@@ -401,7 +401,7 @@ def _ns(seconds: float) -> float:
 def nodes(tree: Tree) -> list[tuple[str, Any]]:
     """Return every operator, function, variable and number of a formula with its operands, from the root on."""
     result: list[tuple[str, Any]] = []
-    # A stack in place of recursion: a study asks this of every run.
+    # A stack in place of recursion, because a study evaluates this in every run.
     stack: list[tuple[str, Any]] = [("", tree)]
     while stack:
         kind, body = stack.pop()

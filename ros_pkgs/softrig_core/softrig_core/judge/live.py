@@ -113,7 +113,7 @@ class _Part:
             self.low, self.high = limits(body)
             self.trees = body[1:]
         else:
-            # What is asked at the first instant only is "always" over this one instant, so that one rule serves all.
+            # An operator at the first instant only is "always" over this one instant, so that one rule serves all.
             self.kind, self.low, self.high, self.trees = "Always", 0.0, 0.0, [tree]
         spans = [span(each) for each in self.trees]
         self.back, self.ahead = max(s[0] for s in spans), max(s[1] for s in spans)

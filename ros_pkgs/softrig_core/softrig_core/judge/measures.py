@@ -51,7 +51,7 @@ __all__ = [
 
 NS = 1e-9
 UNMEASURED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)  # what figure functions raise
-# A figure that is less than this beyond what is possible comes of rounding and is no error.
+# A figure that exceeds its possible range by less than this is due to rounding and is no error.
 ROUNDING = 1e-9
 # Below so many instants a binary search is faster than the check whether each has its own newest time.
 SIDE_BY_SIDE = 64
@@ -178,7 +178,7 @@ def settling_time(
         return float("inf")
     if at == "sample":
         return float(t[k + 1] - zero)
-    # The signal leaves the band on the side of its last error, so it is that edge which it crosses.
+    # The signal leaves the band on the side of its last error, so it crosses that edge.
     edge = np.copysign(band, error[k])
     return float(t[k] + (t[k + 1] - t[k]) * (error[k] - edge) / (error[k] - error[k + 1]) - zero)
 

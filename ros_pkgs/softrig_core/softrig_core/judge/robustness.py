@@ -251,7 +251,7 @@ class Record:
             return np.broadcast_to(values, (2, 2, len(values)))
         result = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
         for those in late:
-            # What compares a signal that has not come yet is false there, not undefined, so that the formula is judged
+            # A comparison with a signal that has not arrived yet is false, not undefined, so that the formula is judged
             # all the same.
             result[:, those] = -INF
         return np.array((result, result))

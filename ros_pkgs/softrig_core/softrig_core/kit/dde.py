@@ -264,7 +264,7 @@ def delayed(past: Trajectory, t: float, channel: int) -> float:
     # While the ring is not full, it has fewer steps than rows.
     oldest = max(newest - size + 1, 0)
     k = max(newest - max(guess, 0), oldest)
-    # The last stage of a step is at its border but still belongs to the time before a jump that comes back there.
+    # The last stage of a step is at its border but still belongs to the time before a jump that returns there.
     edge = 1e-9 * usual if past.meta[1] == 1 else -1e-9 * usual
     while k > oldest and t < past.begin[k % size] + edge:
         k -= 1
@@ -318,7 +318,7 @@ def integrator(rhs: Callable[..., None], limit: Callable[..., None] | None = Non
             for j in range(width):
                 start[j] = stage[j] = total[j] = x[j]
             for i in range(4):
-                # of each stage: its time, its weight, and how far its slope reaches to the next one
+                # for each stage: its time, its weight, and how far its slope extends to the next one
                 past.meta[1] = 1 if i == 3 else 0
                 at = now if i == 0 else (now + h if i == 3 else now + 0.5 * h)
                 weight = h / 6.0 if i == 0 or i == 3 else h / 3.0

@@ -172,7 +172,7 @@ def exponential(rows: Rows, bits: int) -> Integers:
     unit = math.lcm(*(x.denominator for row in rows for x in row))
     norm = max(sum(abs(x.numerator) * (unit // x.denominator) for x in row) for row in rows)
     squarings = max(0, norm.bit_length() - unit.bit_length() + 1 + SMALL) if norm else 0
-    # Each squaring doubles the error of what was cut off, so it needs a bit more.
+    # Each squaring doubles the truncation error, so it needs one more bit.
     wide = bits + squarings + 2 * SMALL
     scaled = integers(rows, wide - squarings)
     one = np.empty_like(scaled)

@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-# rate times step: one step of order 4 then errs by 0.1^5/120 = 8e-8 of what it moves; the method diverges from 2.8 on
+# rate times step: the error of one step of order 4 is then 0.1^5/120 = 8e-8 of its change; the method diverges from 2.8
+# on
 RESOLVED = 0.1
 STEPS = 50  # in one period at most, unless a person asks for more: a rate that needs more is as a rule a wrong unit
 
@@ -109,7 +110,7 @@ def rk4_loop(ode: Callable[..., None], limit: Callable[..., None] | None = None)
             for j in range(x.size):
                 start[j] = stage[j] = x[j]
             for i in range(4):
-                # of each stage: its time, its weight, and how far its slope reaches to the next one
+                # for each stage: its time, its weight, and how far its slope extends to the next one
                 at = now if i == 0 else (now + h if i == 3 else now + 0.5 * h)
                 weight = h / 6.0 if i == 0 or i == 3 else h / 3.0
                 ahead = h if i == 2 else (0.0 if i == 3 else 0.5 * h)

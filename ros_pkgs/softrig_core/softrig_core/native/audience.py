@@ -62,7 +62,7 @@ def answered(
         newest = [(published or {}).get(j, step.t) for j, _ in enumerate(step.outputs)]
         step.published_at = [None if t == NEVER else t for t in newest]
     for fill in step.readers:
-        # A silent tick must not overwrite what the reader holds; `Fitted.apply` fills it where something was published.
+        # A silent tick must not overwrite the held value; `Fitted.apply` fills it if something was published.
         if not (fill.checked or step.outputs[fill.output].sporadic):
             fill.set_value(answers[fill.output])  # type: ignore[arg-type]
 
@@ -191,7 +191,7 @@ class Audience:
         for s in recorded:
             result = self._seen(s, watcher, self._plan.own(s.schedule, first, last), values[id(s)].numbers)
             if result is None:
-                # What cannot be shown in one batch once cannot be later, so it is not tried again.
+                # Results that cannot be shown in one batch now cannot be later, so it is not tried again.
                 self.tick_by_tick.add(watcher.name)
                 return False
             messages |= result

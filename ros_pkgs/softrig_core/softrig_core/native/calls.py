@@ -563,7 +563,7 @@ class Calls(Expressions):
         if path is not None:
             parent = type(follow(path[:-1], self.program.roots))
             if getattr(parent, str(path[-1][1]), None) is not called.__func__:
-                # A method that stands under another name: a block with other parameters may have another one there.
+                # A method stored under another name: a block with other parameters may have another one there.
                 self.program.guard(Static(called, path))
         if path and own is not follow(path[:-1], self.program.roots):
             home = (*path, ("attr", "__self__"))  # a method that another object has lent, or that stands in a table

@@ -157,8 +157,8 @@ class Engine:
                 failures += not fits
                 if fresh := fits and self._compile_in_thread(k):
                     continue
-            # A state may change its type in the first ticks, as None until a message has come; later it is taken to
-            # keep its type.
+            # A state may change its type in the first ticks, as None until a message has arrived; later it is assumed
+            # to keep its type.
             if not fits and (k > LATEST or failures > TRIES):
                 break
             fit = self._fit
@@ -190,7 +190,7 @@ class Engine:
                 elif k < until:
                     self.native.given_up += 1
                     if self._often():
-                        self.native.reason = "many ticks are given up"
+                        self.native.reason = "many ticks are discarded"
                         break
             # Python applies the change in this tick, and with it constants and guards of the text may be others.
             fresh = self._next_change(k) <= k
@@ -221,7 +221,7 @@ class Engine:
 
     def _not_free(self, k: int) -> Iterator[int | None]:
         """Run ticks in Python until native code may continue."""
-        outside = "somebody outside of this process, or a person, has a part in its ticks"
+        outside = "another process, or a person, takes part in its ticks"
         self.native.reason = "its text is being compiled" if self._is_compiling() else outside
         for number, t in enumerate(self.loop.run(k), 1):
             yield t
@@ -313,8 +313,8 @@ class Engine:
             return first
         if self._smooth and self._decided(reached):
             return self._on(first, reached, last, after)
-        # An observer may fail at a tick at which the members have long been further. Nothing of the members is put into
-        # their steps before all observers have seen it, so it is enough to take the observers back.
+        # An observer may fail at a tick that the nodes have long passed. No results are stored in their steps before
+        # all observers have seen them, so it is enough to take the observers back.
         answers = fit.answers(reached)
         begun = self._watching.keep()
         published = [s.published_at for s in self._core.steps]

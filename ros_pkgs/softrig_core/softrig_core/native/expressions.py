@@ -253,7 +253,7 @@ class Expressions(Ways):
     def binary(self, op: ast.operator, left: Value, right: Value, node: ast.AST) -> Value:
         """Compute with two values."""
         both = [v for v in (left, right) if isinstance(v, Static)]
-        # Numbers of a block are handed in, so that one text serves all its variants; only others are computed here.
+        # Numbers of a block are passed in, so that one text serves all its variants; only others are computed here.
         folded = len(both) == 2 and not any(v.path is not None and is_number_slot(v.value) for v in both)
         if folded and type(op) in (*BINARY, ast.Pow, ast.LShift, ast.RShift):
             function = BINARY[type(op)][1] if type(op) in BINARY else FOLDED[type(op)]
@@ -351,8 +351,8 @@ class Expressions(Ways):
                 return stop if other is stop else first
             self.sampled = self._either(stop, sampled, self.sampled)
             return f"({first} {'or' if stop else 'and'} {other})"
-        # Python computes the right side only where it is needed, so its lines must stand inside a test: it is read
-        # again there.
+        # Python computes the right side only if it is needed, so its lines must be inside a test: it is read again
+        # there.
         del self.lines[at:]
         self.env, self.ended = before, False
         name = self._fresh()

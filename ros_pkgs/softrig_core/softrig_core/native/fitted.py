@@ -28,8 +28,8 @@ from .value import NotNative
 SHORTEST = 1 << 10  # ticks that are answered in one call, at least
 RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
 KEPT = 8  # texts that are kept for rigs to come
-# What discards a tick: Python answers it, and reports what is wrong with it, if anything is. A block's values cannot
-# cause a NameError (except for a local variable without a value): that is a defect of the text and ends the run.
+# Errors that discard a tick: Python answers it, and reports the error, if there is one. A block's values cannot cause a
+# NameError (except for a local variable without a value): that is a defect of the text and ends the run.
 NATIVE = (RuntimeError, ArithmeticError, ValueError, LookupError, UnboundLocalError, TypeError)
 DEFECT = "a defect of softrig's native code, please report it with the scenario"
 
@@ -191,7 +191,8 @@ class Fitted:
         self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
         tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         self._tables = tables
-        # These hold as long as states have these forms; the way back is known with the first states that come back.
+        # These are valid as long as states have these forms; the conversion back is known with the first returned
+        # states.
         self._pack = [packer(s.x, typed) for s in core.steps]
         self._unpack: list[Way] = []
         self._newest = [follow(path, roots) for path in program.newest]
@@ -303,8 +304,8 @@ class Fitted:
                 after = kept.function(first, last, *handed)
             except NATIVE as error:
                 self.odd = _with_line(error) if isinstance(error, TypeError) else ""
-                # The text stops at its tick: tables of numpy have no row of it, lists have grown by those of the ticks
-                # before. All is computed again up to that tick, as states are handed back at the end only.
+                # The text stops at its tick: numpy tables have no row of it, lists have grown by the earlier ticks. All
+                # is computed again up to that tick, because states are returned at the end only.
                 for key, count, *_ in self._tables_of(first) if not self._typed else ():
                     for table in self.rows[key]:
                         del table[count:]
@@ -323,7 +324,7 @@ class Fitted:
             except NameError as error:
                 raise RunError(f"{_with_line(error)}: {DEFECT}; until then run with SOFTRIG_JIT=0") from error
             except Exception as error:
-                # numba compiles at the first call, so what it does not know is raised here.
+                # numba compiles at the first call, so unsupported constructs raise here.
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
                 _texts[:] = [other for other in _texts if other is not kept]

@@ -319,7 +319,7 @@ def made(
     """
     inner: dict[str, Value] = {}
     outer: list[str] = []
-    # Read aside, a function may discard ticks where it is unknown; such a text must not serve the usual branch.
+    # Read on trial, a function may discard ticks in unsupported parts; such a text must not serve the usual branch.
     key: list[Any] = [function, program.aside]
     parameters: list[str] = []
 
@@ -360,7 +360,7 @@ def made(
             program.under_way.discard(whole)
     done = program.known[whole]
     if done is NEVER:
-        raise GivesUp(f"{function.__qualname__} gives each tick up")
+        raise GivesUp(f"{function.__qualname__} discards each tick")
     # A result that is fixed needs no call.
     if not isinstance(done.result, Dynamic):
         return done.result

@@ -262,7 +262,7 @@ class Turns:
     def _asked(self, k: int, name: str, inputs: Mapping[str, Value]) -> Value:
         step, program = self.steps[k], self.program
         state: Value = Dynamic(f"x{k}", packed(step.x, program.typed))
-        # The state that is at hand may be the one by which it decides, so no branch counts as the usual one.
+        # The present state may decide the branch, so no branch counts as the usual one.
         program.aside = decides(step)
         # The sample of a time is never 0: a branch for the first tick would pass for the usual one.
         given = [Static(step.block, (k,)), state, Dynamic("t", step.t or 1)]
@@ -380,7 +380,7 @@ def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bou
     return [
         f"{q} = ({', '.join(numbers)},)",
         f"squares_ = sum_of_products({q}, {q})",
-        # Whole numbers among those of an answer show by the type of the sum, and are made floats.
+        # Integers in an answer are found by the type of the sum, and are converted to floats.
         "if type(squares_) is not float:",
         f"    {q} = tuple(map(float, {q}))",
         f"    squares_ = sum_of_products({q}, {q})",

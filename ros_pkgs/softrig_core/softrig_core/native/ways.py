@@ -126,7 +126,7 @@ class Ways:
     def _literal(self, value: Static) -> str:
         result = value.value
         # Numbers and tables of a block are arguments of the text, so one compiled text serves all values of a study.
-        # Small integers, texts and booleans are written out and guarded: they decide on branches and lengths of loops.
+        # Small integers, texts and booleans are literals and guarded: they decide branches and lengths of loops.
         if value.path is not None and (
             isinstance(result, (float, complex, np.ndarray, np.floating, list))
             or (isinstance(result, tuple) and result)

@@ -122,7 +122,7 @@ class Writer(Calls):
             and call.func.attr == "append"
             and (isinstance(call.func.value, ast.Name) and call.func.value.id in self.env)
         ):
-            # A list is written as a tuple, so one with one more item is another value.
+            # A list becomes a tuple, so one with one more item has another type.
             self._check_own_list(call.func.value.id, node)
             before = self.parts(self.env[call.func.value.id], node)
             self.assign(

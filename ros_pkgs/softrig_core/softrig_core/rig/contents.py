@@ -18,7 +18,7 @@ from ..block.step import Step
 from ..errors import Impure
 from .outside import CHANGEABLE, all_outside, is_filled, is_foreign, outside
 
-# written by whoever runs a block
+# attributes that the code running a block writes
 _RUNNERS = frozenset(
     {"p", "name", "ages", "unanswered", "events", "realtime", "_seed", "_Block__first", "_open", "SCRATCH"}
 )
@@ -135,8 +135,8 @@ def differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
 def in_place(of: type[Block], changed: Sequence[str]) -> str:
     """Describe which attributes the ticks of a block change, and what to do."""
     return (
-        f"its ticks change {', '.join(changed)} in place ({of.__name__}); make what the block remembers a "
-        "field of x, or name the attribute in SCRATCH if no answer depends on it"
+        f"its ticks change {', '.join(changed)} in place ({of.__name__}); make its state a field of x, or name the "
+        "attribute in SCRATCH if no answer depends on it"
     )
 
 

@@ -104,7 +104,7 @@ class Members:
         """Members that no other waits for at each tick; they acknowledge ticks so that no other runs ahead of them."""
 
         def awaited(m: Member) -> bool:
-            # what an outside node reads and waits for is not known
+            # the inputs and conditions of an outside node are not known
             readers = [r for p in m.outputs for r, _ in self.readers(m, p) if not r.external]
             return any(r.schedule.every <= m.schedule.every for r in readers)
 
@@ -139,7 +139,7 @@ class Members:
 
 
 def signal_units(rig: Members) -> dict[str, str]:
-    """Return the unit of every signal of a rig by its name ``topic/channel/field``; of a pure number none.
+    """Return the unit of every signal of a rig by its name ``topic/channel/field``; empty for a pure number.
 
     The variants of a rig share it, and what follows from it.
     """
@@ -151,7 +151,7 @@ def signal_units(rig: Members) -> dict[str, str]:
 _units: Kept[dict[str, str]] = {}
 
 
-    """Return the unit of every signal of a rig by its name ``topic/channel/field``; empty for a pure number."""
+def _units_of(rig: Members) -> dict[str, str]:
     units = {
         f"{topic}/{label}": unit
         for topic, port in rig.topics.items()

@@ -29,7 +29,7 @@ class RunOptions(Params):
     start_timeout: float = param(
         30.0, "wall-clock time to wait for all peers of a rig, 0 = for ever", "s", ge=0, le=1e6
     )
-    paired: tuple[str, ...] = param((), "lockstep by hand: held inputs that are to be paired by stamp like the others")
+    paired: tuple[str, ...] = param((), "lockstep, started alone: held inputs that are paired by stamp like the others")
     watchdog: float = param(
         0.0, "realtime: age at which a command is stale, 0 = the plant's number of periods", "s", ge=0, le=1e6
     )
@@ -43,12 +43,12 @@ class RunOptions(Params):
     paused: bool = param(False, "the node of the clock: holds the run at t = 0 until it is resumed")
     pace: float = param(
         0.0,
-        "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as it goes, else from 1e-12 on",
+        "lockstep, the node of the clock: simulated by wall-clock time, 0 = as fast as possible, else at least 1e-12",
         ge=0,
         le=1e3,
         live=True,
     )
-    again: str = param("", "lockstep: folder of the files of a run in which this node died, and comes back")
+    again: str = param("", "lockstep: folder of the files of a run in which this node died and is restarted")
     link: str = param("", "JSON of a scenario's `link`: a board answers the ticks", max_length=1 << 12)
     changes: str = param("", "JSON of changes of parameters while it runs, written by the runner", max_length=1 << 20)
 

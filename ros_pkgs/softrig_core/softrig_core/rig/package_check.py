@@ -85,8 +85,8 @@ def _check_ticks(name: str, block: Block, inputs: Sequence[Port]) -> None:
     for (t, first), (_, second) in zip(once, again, strict=True):
         if digest(first) != digest(second):
             raise ValueError(
-                f"{name} answers the tick at t = {t} ns with {first}, and a second time, from the same state x, with "
-                f"{second}; what it remembers must be in x, random numbers must come from self.uniform(k)"
+                f"{name} answers the tick at t = {t} ns with {first}, and a second time, from the same state x, "
+                f"with {second}; its state must be in x, random numbers must come from self.uniform(k)"
             )
     if changed := differing(begun, contents(block)):
         raise ValueError(f"{name}: {in_place(type(block), changed)}")

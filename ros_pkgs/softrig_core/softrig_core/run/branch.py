@@ -44,7 +44,7 @@ def branched(
     reached = recording.newest(epoch) - epoch
     start = to_ns(at) if at >= 0.0 else -1
     if not 0 <= start <= reached:
-        raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has come to, 0 to {reached / SECOND:.9g} s")
+        raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has reached, 0 to {reached / SECOND:.9g} s")
     results = [(t, node, own) for t, node, own in recorded(recording, epoch) if t < start]
     results += [
         (change.at, member.name, dict(change.values))

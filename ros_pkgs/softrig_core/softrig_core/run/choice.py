@@ -16,7 +16,7 @@ from ..native.compile import compiled, plain
 from ..native.engine import Engine
 from ..native.fitted import known
 
-# In s of Python that are left: compiling takes seconds, so it pays off beyond this only.
+# Remaining s of Python: compiling takes seconds, so it pays off only beyond this.
 MAKING = 6.0
 # In s: the same where the native code is cached and only has to be loaded.
 READY = 0.01

@@ -22,7 +22,7 @@ from .stuck import watched
 # Hidden state shows in the first ticks of the rig's clock, and each of them costs twice the time.
 TICKS = 20
 ADVICE = (
-    "what it remembers must be in x, not in a variable of a module, a closure, a list or a library, and random numbers "
+    "its state must be in x, not in a variable of a module, a closure, a list or a library, and random numbers "
     "come from self.uniform(k)"
 )
 HIDDEN = "hidden_state"  # key of the report of a block whose library keeps state outside of x

@@ -251,7 +251,7 @@ class Session:
         """Return the first tick that is not before t; the run must have reached t."""
         k = self._tick(t)
         if k > min(self._k, self.ticks):
-            raise ScenarioError(f"t = {t:.9g} s: expected a time that the run has come to, at most {self.t:.9g} s")
+            raise ScenarioError(f"t = {t:.9g} s: expected a time that the run has reached, at most {self.t:.9g} s")
         return k
 
     def _tick(self, t: float) -> int:

@@ -84,7 +84,7 @@ class Watch(threading.Thread):
                 ends = 0, 0.0, None
             elif ends[2] is not None and now >= ends[1]:
                 who, text = report(ends[2], f"{LAST:g} s after {signal.Signals(ends[0]).name}")
-                print_for(who, f"{text}: the process is ended, and what it has not written is lost")
+                print_for(who, f"{text}: the process is ended, and unwritten data are lost")
                 os._exit(128 + ends[0])
 
     def stop(self) -> None:

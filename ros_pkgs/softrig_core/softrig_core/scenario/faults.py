@@ -77,7 +77,7 @@ def insert(
     """
     result = {name: {**entry, "remap": dict(entry["remap"])} for name, entry in nodes.items()}
     sources = {port.topic: (name, port) for name, (_, outputs) in ports.items() for port in outputs}
-    # where each reader reads what: (node, its own topic) to the topic that it is at now and the one that it began with
+    # the present link of each subscriber: (node, its own topic) to its present topic and the original one
     readers = {(name, port.topic): port.topic for name, (inputs, _) in ports.items() for port in inputs}
     for name, fault in faults.items():
         topic, _, reader = fault.link.partition(" -> ")

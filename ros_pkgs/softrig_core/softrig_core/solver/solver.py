@@ -38,7 +38,9 @@ UNFINISHED = "unfinished"  # what is reported under it counts the ticks that wen
 class SolverParams(BlockParams):
     """The parameters of every solver node."""
 
-    period: float = param(0.1, "sampling period: how often it looks for a request and answers", "s", gt=0.0, le=3600.0)
+    period: float = param(
+        0.1, "sampling period, at which it checks for a request and publishes", "s", gt=0.0, le=3600.0
+    )
     latency: float = param(
         0.0,
         "simulated time from a request to the tick at which its result takes effect; 0: the loop waits",
@@ -48,7 +50,7 @@ class SolverParams(BlockParams):
     )
     limit: float = param(
         300.0,
-        "wall-clock time after which work is killed and its best answer so far taken, not repeatable",
+        "wall-clock time after which work is killed and its best answer so far used, not repeatable",
         "s",
         gt=0.0,
         le=86400.0,

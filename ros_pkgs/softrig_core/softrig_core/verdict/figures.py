@@ -139,7 +139,7 @@ class Figure:
     def reads(self) -> list[str]:
         """Names of the signals that it reads, or patterns of them."""
         given, reads = [a for a in self.arguments.values() if isinstance(a, str)], getattr(self.function, "reads", ())
-        # of one of several drives in a rig, whose name is an argument, too
+        # the machine is one of several drives in a rig, so its name is an argument, too
         return [*given, *reads, *(f"{one}/{name}" for one in given for name in reads), *self.since.split(", ")]
 
     def __call__(self, signals: SignalMap) -> float:

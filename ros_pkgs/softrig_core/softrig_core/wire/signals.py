@@ -223,7 +223,7 @@ class Signals(Mapping[str, Signal]):
     def _clock(self, parts: Sequence[Columns | Stored]) -> Array:
         """Return the times of messages in s; one array for all topics that were published together."""
         key: tuple[object, ...] = tuple(id(part.clock) for part in parts)
-        # Several nodes of one period have files of their own with the same times, which take much memory.
+        # Several nodes of one period have files with the same times, which take much memory.
         if len(parts) == 1 and isinstance(parts[0], Stored) and parts[0].rows.even:
             key = (*parts[0].rows.even, parts[0].number)
         if key not in self._times:

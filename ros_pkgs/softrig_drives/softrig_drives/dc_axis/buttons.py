@@ -14,10 +14,10 @@ class StepButtonsParams(BlockParams):
     """Parameters of the buttons: the times at which each is pressed, counted from the first tick."""
 
     forward: tuple[float, ...] = param(
-        (0.0,), "times at which the forward button goes down", "s", each=(0.0, 1e9), live=True
+        (0.0,), "times at which the forward button is pressed", "s", each=(0.0, 1e9), live=True
     )
     reverse: tuple[float, ...] = param(
-        (), "times at which the reverse button goes down", "s", each=(0.0, 1e9), live=True
+        (), "times at which the reverse button is pressed", "s", each=(0.0, 1e9), live=True
     )
     hold: float = param(0.1, "how long a press lasts", "s", gt=0.0, live=True)
 

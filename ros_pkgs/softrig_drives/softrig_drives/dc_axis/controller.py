@@ -239,7 +239,7 @@ class FsfbController(Block[FsfbControllerParams]):
                 xi=self._law.settle((0.0, y + self._half_count), y),
             )
         if stamp < x.stamp:
-            self.report(Level.WARN, "feedback order", "feedback older than the one before it was dropped")
+            self.report(Level.WARN, "feedback order", "feedback older than the previous one was dropped")
         return x._replace(stamp=stamp, measured=measured) if stamp > x.stamp else x
 
     def _compensate(self, x: State, t: int, history: Commands) -> tuple[bool, tuple[float, ...]]:

@@ -41,7 +41,7 @@ class DcMotorPlantParams(SensorConstants, MotorConstants, BlockParams):
         except ValueError as error:
             raise ValueError(f"load_times, load_torques: {error}") from None
         if self.bridge_drop >= self.vmax:
-            raise ValueError(f"bridge_drop = {self.bridge_drop:g} V leaves nothing of vmax = {self.vmax:g} V")
+            raise ValueError(f"bridge_drop = {self.bridge_drop:g} V leaves no voltage of vmax = {self.vmax:g} V")
         return self
 
 

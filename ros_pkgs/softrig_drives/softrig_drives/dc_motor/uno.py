@@ -104,7 +104,7 @@ class DcMotorUno(Plant[DcMotorUnoParams]):
         if self._period % to_ns(MOTOR_STEP):
             raise ScenarioError(f"period = {p.period:g} s, expected a multiple of {MOTOR_STEP:g} s")
         if p.bridge_drop >= p.vmax:
-            raise ScenarioError(f"bridge_drop = {p.bridge_drop:g} V leaves nothing of vmax = {p.vmax:g} V")
+            raise ScenarioError(f"bridge_drop = {p.bridge_drop:g} V leaves no voltage of vmax = {p.vmax:g} V")
         self._program = simulator_of(p)
         self._firmware = firmware_of(p)
         self._boards: list[Simulator] = []

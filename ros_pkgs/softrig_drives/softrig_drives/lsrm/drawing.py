@@ -53,7 +53,7 @@ class ReluctanceMotor(Drawing):
         """Draw two yokes with their teeth, which move to the left when the translator moves to the right."""
         near, depth = (HALF_BODY + GAP) * SCALE, DEPTH * SCALE
         pole, pitch = STATOR_POLE * SCALE, self.pitch * SCALE
-        # where pole a is aligned a tooth stands at its place; the pattern repeats with each pitch
+        # the tooth pattern is at pole a when it is aligned; it repeats with each pitch
         first = self._place(0) - (x % self.pitch) * SCALE
         first -= math.floor((self._place(0) - LEFT) / pitch) * pitch
         for side in (-1.0, 1.0):

@@ -19,7 +19,7 @@ State = tuple[float, float, float, float, float, float]
 N_PHASES = 4
 STATES = 6  # flux linkages of the phases a to d (Wb), then position (m) and speed (m/s)
 
-# Within so much of a pole pitch around the aligned position the number of pitches that lie before it is sure without a
+# Within this part of a pole pitch around the aligned position the number of earlier pitches is known without a
 # division, which a step would wait for: `distance` rounds a quotient that is at least a thousandth away from its edges.
 NEAR = 0.499
 FAR = 1e9  # pitches; there a rounded quotient may be that wrong

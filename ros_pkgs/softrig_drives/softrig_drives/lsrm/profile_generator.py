@@ -33,7 +33,7 @@ class ProfileGeneratorParams(Mechanics, BlockParams):
         le=100.0,
         live=True,
     )
-    t_b: float | None = param(None, "begin of the braking; none when absent", "s", ge=0.0, le=1e4, live=True)
+    t_b: float | None = param(None, "start of the braking; absent: none", "s", ge=0.0, le=1e4, live=True)
     t_db: float = param(0.4, "duration of the braking", "s", gt=0.0, le=100.0, live=True)
     F_max: float = param(40.0, "largest force of the motor", "N", gt=0.0, le=1e4, live=True)
 

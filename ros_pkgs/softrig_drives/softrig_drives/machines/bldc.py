@@ -142,7 +142,7 @@ def advance(
     """Move by one period; a current of a phase that is off ends at zero, in a step that is cut there."""
     t = 0.0
     cuts = 0
-    # what becomes faster with the speed: the electrical angle, the torque of a fan
+    # rates that grow with the speed: the electrical angle, the torque of a fan
     step = finer(step, abs(w) * max(m[3], 2.0 * m[10] * m[4]))
     while t < period:
         on_a, u_a = leg(gates[0], i_a, U, v_diode)
@@ -197,7 +197,8 @@ def advance(
                 break
             cuts += 1
             h = share * h
-        # what has come to zero within the rounding of the cut is zero, the others share what is left of the sum
+        # a current that has reached zero within the rounding of the cut is zero, and the others share the rest of the
+        # sum
         small = 1e-3 * (abs(i_a) + abs(i_b) + abs(i_c)) if h < step and h < period - t else 0.0
         zero_a = gates[0] < 0.0 and i_a != 0.0 and (i_a * n_a <= 0.0 or abs(n_a) < small)
         zero_b = gates[1] < 0.0 and i_b != 0.0 and (i_b * n_b <= 0.0 or abs(n_b) < small)

@@ -101,7 +101,7 @@ def stepper(machine: Any, seen: Any) -> Callable[..., Vector]:
             Constants of `SynchronousConstants.numbers` or another machine's, of `numbers` of the plant, of `Mechanics`.
         """
         period, largest, updates = inv[0], inv[10], int(inv[6])
-        # what becomes faster with the speed: the electrical angle, the torque of a fan
+        # rates that grow with the speed: the electrical angle, the torque of a fan
         pull = 2.0 * mech[9] * max(abs(x[4]) * mech[0], abs(x[6]) * mech[6])
         largest = finer(largest, max(m[4] * abs(x[4]), pull))
         switched = inv[5] > 0.0 and not tripped

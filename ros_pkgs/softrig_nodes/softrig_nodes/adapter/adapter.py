@@ -162,7 +162,7 @@ class Adapter:
         """Return whether it has the clock of a real-time rig that can be stopped: all nodes follow it and are ours."""
         links = self.links
         own = links.owns_clock and links.starter == self.middleware.name and not links.guests
-        # With a given epoch there is no common start, and so no topic on which the others learn that the clock stands.
+        # With a given epoch there is no common start, and so no topic that announces that the clock is paused.
         return own and self.options.mode == "realtime" and not self.options.epoch
 
     def _files(self) -> Callable[[], Files] | None:

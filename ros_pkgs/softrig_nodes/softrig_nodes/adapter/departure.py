@@ -114,7 +114,7 @@ class Departure(Reader):
             self._epoch = epoch
             clock = next((int(word) for word in words if word.isdigit()), 0)
             ahead = clock - self._node.middleware.now() if clock else 0
-            # A smaller difference is the time that the message took, and leaves the own clock as it is.
+            # A smaller difference is the transit time of the message, and does not change the own clock.
             self._begin(epoch, ahead if abs(ahead) > CLOCKS else 0)
         self._on_words(words)
 

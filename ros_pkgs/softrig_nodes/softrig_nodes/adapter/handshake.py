@@ -59,7 +59,7 @@ class Handshake:
         absent = [
             f"no publisher on {i.port.topic} (expected from {sender}{self._other_type(i)})"
             for i, sender in self._awaited
-            # A publisher that was heard and is gone has published everything.
+            # A publisher that was matched and has gone has published everything.
             if not i.publishers and not i.received_any
         ]
         results: list[tuple[str, str]] = []

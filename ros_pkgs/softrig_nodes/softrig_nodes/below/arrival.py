@@ -106,7 +106,8 @@ class Arrival:
 
         def call(nothing: int, count: int) -> None:
             if (thread := threading.get_ident()) not in known:
-                # once more than is let go of: else all that Python knows of this thread is made anew at each message
+                # Taken once more than it is released: otherwise Python would create its data of this thread again at
+                # each message.
                 ctypes.pythonapi.PyGILState_Ensure()
                 known.add(thread)
             for _ in range(count):
@@ -160,4 +161,4 @@ class Arrival:
     def _failed(self, code: int) -> None:
         if code != TAKE_FAILED:
             self._rcl.rcutils_reset_error()
-            raise RCLError(f"{self.subscription.topic_name}: a message cannot be taken (rcl reports {code})")
+            raise RCLError(f"{self.subscription.topic_name}: a message cannot be received (rcl reports {code})")

@@ -52,7 +52,7 @@ class Tuning:
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         if replaced:
-            self._node.remark = f"in place of {', '.join(replaced)} that was set before and had not come into effect"
+            self._node.remark = f"in place of {', '.join(replaced)} that was set before and had not taken effect"
         return SetParametersResult(successful=True)
 
 

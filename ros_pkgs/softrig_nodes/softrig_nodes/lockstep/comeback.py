@@ -98,8 +98,8 @@ class _Recorded:
         first = self.next
         while self.next < len(self.times) and self.times[self.next] <= t:
             self.next += 1
-        # Only the newest message counts, unless each leaves something behind: channels of a partial port, or an entry
-        # in the record of what came from outside.
+        # Only the newest message counts, unless each has a lasting effect: channels of a partial port, or an entry in
+        # the record of external messages.
         for k in range(first if row.port.partial or self._outside else max(first, self.next - 1), self.next):
             try:
                 stamp, result = row.read(self.data[k])

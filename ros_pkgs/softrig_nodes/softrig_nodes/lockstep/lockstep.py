@@ -318,8 +318,8 @@ class Lockstep(Link):
         with a peer.
         """
         if self.last_published is not None:
-            # A rig that answered a tick since the last look has lost nothing, so messages are only repeated while it
-            # stands.
+            # A rig that answered a tick since the last check has lost nothing, so messages are only repeated while it
+            # waits.
             stands, self._ticks_before = self._ticks_before == self.node.ticks, self.node.ticks
             if stands and self.ready:
                 self.last_published.again()

@@ -21,7 +21,7 @@ from .turns import Turns
 KEEP = object()  # a sporadic sender was silent at a tick
 BAD = object()  # a message of a tick was rejected
 _FOREVER = 1 << 62
-# This bounds the memory that a publisher takes which runs far ahead of us.
+# This bounds the memory for a publisher that runs far ahead of us.
 AHEAD = 100_000  # messages that a sender may be ahead
 
 
@@ -117,7 +117,7 @@ class PairedSenders:
 
     def await_tick(self, t: int) -> None:
         """Set the requirements of tick `t`."""
-        # Each row sets here what it wants, so all are asked: `any` would skip some.
+        # Each row sets its awaited stamp here, so all are called: `any` would skip some.
         self.missing = sum([row.lacks(t) for row in self.rows])
 
 
@@ -221,7 +221,7 @@ class Paired(Sender):
     def resume(self, used: int, reached: int) -> None:
         """Continue after the sender's tick in use and the tick up to which its silences are known; -1: none."""
         self.used, self.reached = max(self.used, used), max(self.reached, reached)
-        # A want that no tick has makes the next `lacks` look at everything again.
+        # An awaited stamp that no tick has makes the next `lacks` check everything again.
         self.want, self._holds, self.have = -_FOREVER, 0, False
 
     def learn(self, reached: int) -> None:

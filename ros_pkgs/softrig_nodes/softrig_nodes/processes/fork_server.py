@@ -33,7 +33,7 @@ LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread ma
 PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 LARGEST = 100_000  # bytes of a request
 ROOM = 8_000  # bytes for the command line of a node, as /proc shows it
-# what a node reads when it starts; everything else in the environment has been read by then
+# variables that a node reads when it starts; all others have been read before the fork
 OWN = (
     "ROS_DOMAIN_ID",
     "ROS_LOG_DIR",
@@ -110,7 +110,7 @@ class ForkServer:
         self._asked = 0
         self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            # the last argument is room for what the nodes are called
+            # the last argument reserves space for the names of the nodes
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), "-" * ROOM],
                 env=dict(variables),

@@ -30,7 +30,7 @@ def links(rig: Rig, member: Member) -> Links:
     pacers = _pacers(rig, member)
     acknowledging = [m for m in _acknowledging(rig) if m is not member] if member is _gatherer(rig) else []
     by_readers = rig.clock.external and bool(pacers or member.links)
-    # an outside plant that nobody commands has nothing else to pace itself by
+    # an outside plant without commands has nothing else to follow
     unheard = rig.clock.external and _gatherer(rig) is None and member in _acknowledging(rig)
     clocked = member in _clocked(rig)
     return Links(

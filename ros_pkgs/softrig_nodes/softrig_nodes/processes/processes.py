@@ -100,7 +100,7 @@ def run_processes(
         if why := lacking(len(members)):
             variables |= NO_MEMORY
             if listener.announce is not None:
-                listener.announce(f"{why}: messages go by UDP, which takes longer")
+                listener.announce(f"{why}: messages use UDP, which is slower")
         options = {
             "run.mode": placement.clock,
             "run.start_timeout": wait,
@@ -127,8 +127,8 @@ def run_processes(
                 try:
                     guests.invite(domain)
                     for group in members:
-                        # A signal waits until it is known who has been started; what Python does at a fork would
-                        # swallow it with a traceback, besides.
+                        # A signal waits until it is known which processes have been started; besides, Python's fork
+                        # code would swallow it with a traceback.
                         with unstopped():
                             children += start(run, group)
                     error = supervise(

@@ -33,7 +33,9 @@ def check_restart(rig: Rig, placement: Placement) -> None:
     if outside:
         raise ScenarioError(f"--restart: {', '.join(outside)} is an outside node, whose past messages are unknown")
     if not placement.record:
-        raise ScenarioError("--restart: a node comes back from what the others have recorded, expected a record")
+        raise ScenarioError(
+            "--restart: a node restarts from the recordings of the others, expected --restart without --no-record"
+        )
 
 
 class _Progress(NamedTuple):

@@ -53,7 +53,7 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     stems |= {name for name, number in ports.items() if domain is not None and number in of_domain(domain)}
     for stem in sorted(stems):
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
-        # the locks last, and held until then: a node that starts now must not take the port meanwhile
+        # the locks last, and held until then: a node that starts now must not take the port in the meantime
         with ExitStack() as held:
             if not all(_is_abandoned(lock, held) for lock in locks):
                 continue
@@ -144,8 +144,8 @@ class Ears:
     a process that checks its ports writes the time of the check into them, and Fast DDS does not judge them.
     """
 
-    # s, of which a pause between two looks, where the host has no time for this process, counts as one at most: Fast
-    # DDS itself replaces a port that is damaged, when its reader stirs (see fastdds_loopback.xml)
+    # s, of which a pause between two checks, when the host has no time for this process, counts as one at most: Fast
+    # DDS itself replaces a damaged port when its reader runs (see fastdds_loopback.xml)
     PATIENCE = 10.0
 
     def __init__(self) -> None:

@@ -86,7 +86,7 @@ def undisturbed() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield arrived
         return
-    # not blocked: another thread would take them
+    # not blocked: another thread would receive them
     before = {number: signal.signal(number, lambda number, frame: arrived.append(number)) for number in SIGNALS}
     try:
         yield arrived

@@ -94,8 +94,8 @@ def supervise(
                 announce(line)
                 logged.add(line)
         last = t
-        # A child's end wakes the wait; otherwise look at the progress ten times a second. (Popen.wait with a limit
-        # wakes up all the time, and each time takes a node's core.)
+        # A child's end wakes the wait; otherwise the progress is checked ten times a second. (Popen.wait with a limit
+        # wakes up all the time, each time on a node's core.)
         select.select([c.end for c in running], [], [], 0.1)
 
 
@@ -181,11 +181,11 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
         deadline = time.monotonic() + GRACE
         while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
             time.sleep(0.02)
-        # on a busy host one that has said why takes its time to end, and is the cause all the same
+        # on a busy host a process that has reported its error may end late, and is still the cause
         failed = [
             c for c in children if c.process.poll() not in (None, 0) or read_status(c.status).get("state") == "failed"
         ]
-    # a container fails as one, but some of its nodes may have finished before
+    # a container fails as a whole, but some of its nodes may have finished before
     failed = [c for c in failed if read_status(c.status).get("state") != "done"] or failed
     waits = {c.member.name: read_status(c.status).get("waits_for", []) for c in failed}
     held = _asleep([c for c in children if any(c.member.name in names for names in waits.values())])

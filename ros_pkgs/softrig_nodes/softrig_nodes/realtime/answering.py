@@ -117,7 +117,7 @@ class Answering:
             self._complete = 0
             self.dropped += 1
         if self.dropped > before:
-            text = f"{self.dropped} ticks dropped: the law is too slow, or was held"
+            text = f"{self.dropped} ticks dropped: the controller is too slow, or was stopped"
             self._node.step.note(Level.ERROR, "dropped", text)
 
     def _give_up(self) -> None:
@@ -133,8 +133,8 @@ class Answering:
             self.incomplete += 1
             lacking = [f for f in self.awaited if not f.complete(stamp)]
             for row in lacking:
-                # A held input that did not come in time is not waited for again until it has come, or each tick would
-                # be late.
+                # A held input that did not arrive in time is not waited for again until it has arrived, or each tick
+                # would be late.
                 row.expected = False
             topics = ", ".join(f.port.topic for f in lacking)
             node.step.note(Level.WARN, "incomplete", f"answered without what was due on {topics}")

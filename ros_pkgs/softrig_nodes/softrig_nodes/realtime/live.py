@@ -165,7 +165,7 @@ class Live(Sender):
         self._used: int | None = None  # stamp of the value that the last tick used
         self._interval = 0 if self.schedule is None else self.schedule.time(1)
         self._rivals = Rivals()
-        # Only a publisher that should publish at each tick shows by its silence that it is gone.
+        # Only a publisher that should publish at each tick can be noticed as gone by its silence.
         if self.awaited and unreported:
             self.numbered = self._numbered
 
@@ -373,7 +373,7 @@ class Live(Sender):
         """Reject both of two publishers on one input until one of them has left or has been silent for long."""
         self._rivals.change()
         if not self.port.held and self._refuses():
-            # The newest value may come from either publisher, and neither is believed.
+            # The newest value may come from either publisher, and neither is accepted.
             self.node.values[self.name] = self.port.safe
             self.arrived = None
 

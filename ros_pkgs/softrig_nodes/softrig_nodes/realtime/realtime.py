@@ -289,7 +289,8 @@ class Realtime(Link):
         # The first tick is the next point of the grid, or the common start that was given.
         node.epoch = node.epoch or schedule.next(now)
         self._idle = self._idle and any(row.stamp is None for row in self._commands)
-        # Until it is commanded, a plant by hand publishes its t = 0 at each period, and t = 0 moves with the clock.
+        # Until it gets a command, a plant started alone publishes its t = 0 at each period, and t = 0 moves with the
+        # clock.
         if self._idle:
             node.epoch, self.tick_number = schedule.held(now), -1
         due = newest(self._timer, schedule, now - node.epoch)
@@ -306,7 +307,7 @@ class Realtime(Link):
                 self._leave()
         if number <= self.tick_number or node.state != "running" or self._over:
             return
-        # With two publishers on an input neither is believed, so there is nothing to answer with.
+        # With two publishers on an input neither is accepted, so there is nothing to answer with.
         if self._rivals and any(f.deaf() for f in self._rivals) and not node.is_plant:
             return
         late = now - node.epoch - due
@@ -332,8 +333,8 @@ class Realtime(Link):
             for k in range(number - behind, number):
                 t = node.schedule.time(k)
                 self._use(t)
-                # Staleness is judged at the time of the tick: a plant that is late itself must not take its controllers
-                # for silent.
+                # Staleness is judged at the time of the tick: a plant that is late itself must not declare its
+                # controllers silent.
                 node.step.advance(t, self._fresh_inputs(node.epoch + node.schedule.time(k + 1)))
             node.step.answer(due)
         except RunError as error:

@@ -67,7 +67,7 @@ class Stand:
         """Pause or resume the rig as its `Hold` requires."""
         node, now, ahead = self._node, self._clock(), self._ahead
         hold, epoch, schedule = node.hold, node.epoch, node.schedule
-        # The clock stands and is to go on: it continues from where it stands, not from the wall clock's time.
+        # The clock stands and is to continue: from where it stands, not from the wall clock's time.
         if now >= self._until and (hold.steps or not hold.held):
             ahead = now - self._own() - LEAD
         soon = schedule.next(now + LEAD - epoch) if now + LEAD > epoch else 0

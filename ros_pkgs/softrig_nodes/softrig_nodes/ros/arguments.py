@@ -15,7 +15,7 @@ FLAGS = "-p NAME:=VALUE, -r FROM:=TO, --params-file FILE, --log-level LEVEL, --e
 _PLACE = re.compile(r", at /\S+:\d+")  # of rcl's source, one for each caller
 _LEXER = re.compile(r"\.? Error: (error not set|Expected lexeme|Expecting token).*")  # states no form
 _PREFIX = re.compile(r"^(Failed to parse ROS arguments|failed to initialize rcl|error creating node): ")
-# the first that is in the text: what rcl and rmw report of it does not help, or is about another rule
+# the first match counts; these texts of rcl and rmw do not help, or are about another rule
 _FORMS = {
     "remap rule: '-r __ns:": "expected __ns:=/NAMESPACE, which begins with a slash",
     "remap rule": "expected FROM:=TO or __node:=NAME, names of letters, digits and _ that begin with no digit",
@@ -33,7 +33,7 @@ def plain_errors() -> Iterator[None]:
         An argument is unknown or has another form, or a name is none.
     """
     with warnings.catch_warnings():
-        # rclpy warns about what it cannot undo of a node, before the error that is the reason
+        # rclpy warns about cleanup that it cannot do for a node, before the error that is the reason
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
             yield

@@ -66,8 +66,8 @@ class Guest:
     def __init__(self, name: str, inputs: Sequence[Port], outputs: Sequence[Port], entry: ClockEntry) -> None:
         self._name, self._inputs, self._outputs, self._seconds = name, inputs, outputs, entry.timeout
         self._context = Context()
-        # without this profile Fast DDS replaces a port whose reader has not stirred for 1 s, and a loaded host starves
-        # a process for longer: the node that is there would hear nothing
+        # without this profile Fast DDS replaces a port whose reader has not run for 1 s, and a loaded host starves a
+        # process for longer: the present node would receive nothing
         with joining(silence=entry.timeout):
             rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
             self._node = Node(f"{name}_gate", namespace=name, context=self._context, start_parameter_services=False)

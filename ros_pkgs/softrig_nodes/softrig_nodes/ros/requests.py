@@ -137,7 +137,7 @@ class Requests:
             with self._credit.spent():
                 self._refuse(wait)
         else:
-            # To look costs time, too: a reader that receives a flood keeps its lock for up to a second.
+            # A check costs time, too: a reader that receives a flood keeps its lock for up to a second.
             with nullcontext() if paused else self._credit.spent():
                 self._serve(time.time_ns(), time.monotonic_ns() + TURN)
         return time.monotonic_ns() < self._answered + SOON

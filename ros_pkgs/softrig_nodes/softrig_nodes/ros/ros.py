@@ -62,8 +62,9 @@ from .requests import BUSY, IDLE, MOST, Credit, Periodic, Requests
 # Depth 10: in lockstep at most two messages of a topic are ever under way; outside readers get some slack.
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
-# A writer of Fast DDS whose history is full asks all readers at each message what they have, and they answer; by itself
-# it asks every 50 ms, in which a lockstep loop sends some hundred: a seventh of the processor time of a tick.
+# A Fast DDS writer with a full history asks all readers for an acknowledgement at each message, and they answer;
+# otherwise it asks every 50 ms, in which a lockstep loop sends some hundred messages: a seventh of the processor time
+# of a tick.
 WRITTEN = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
 OF_QOS = "qos_overrides."  # how the names of parameters of the QoS begin
@@ -331,7 +332,7 @@ def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
     """Return a callback of a subscription that passes the number of each message on before the message."""
 
     def receive_numbered(*value: Any) -> None:
-        # this executor hands both over as one (rclpy 7.1), which is not what it asks the signature for
+        # this executor passes both as one argument (rclpy 7.1), which differs from the signature that it checks
         data, info = value if len(value) == 2 else value[0]
         numbered(info["publication_sequence_number"])
         receive(data)
@@ -386,7 +387,7 @@ class RosMiddleware(Middleware):
 
     def __init__(self, node: ServingNode) -> None:
         self.node = node
-        # else a late reader may be owed what was published before
+        # otherwise a late subscriber could miss earlier messages
         self.mute = not any(name.startswith(OF_QOS) for name in overrides(node))
         self._overridable: list[str] = []  # topics with the kind of endpoint, as names of parameters begin
         self.monitor = node.monitor
@@ -612,8 +613,8 @@ class RosMiddleware(Middleware):
         """Log by the node's logger: terminal, log file and /rosout."""
         logger, severity = self.node.get_logger(), SEVERITY[level]
         if logger.is_enabled_for(severity):
-            # by itself rclpy reads source files to name the caller: 13 to 30 ms at the first text, 0.25 ms at each
-            # other one, and a node says something when it is late already
+            # rclpy would read source files to name the caller: 13 to 30 ms at the first text, 0.25 ms at each further
+            # one, and a node logs when it is late already
             log(logger, severity, text)
 
     def drain(self) -> None:

@@ -43,7 +43,7 @@ class Buttons:
         """Move the buttons; called after each tick."""
         for port in list(self.pressed):
             if self._values[port.name] == (1.0,):
-                # The block must see the button up for one tick, or two presses would be one to it.
+                # The block must see the button up for one tick, or two presses would be one.
                 self._push(port, False)
                 continue
             self.pressed[port] -= 1

@@ -155,7 +155,7 @@ class Exchange:
     def _wait(self, limit: int) -> None:
         """Stay awake until a time (ns, monotonic)."""
         now = time.monotonic_ns
-        # Sleeping and waking up takes longer than what is left here.
+        # Sleeping and waking up takes longer than the remaining time.
         while now() < limit:
             pass
 

@@ -59,8 +59,8 @@ class Solving(Link):
     def finished(self, t: int) -> bool:
         """Begin a tick (ns) if it has not begun; return whether its answer is available."""
         step, block = self.step, self._block
-        # This is asked again and again until the answer is there, but a tick begins once. After a rejected input there
-        # is no new request, only the work under way.
+        # This is called repeatedly until the answer is there, but a tick begins once. After a rejected input there is
+        # no new request, only the work in progress.
         if step.begun != t:
             step.begun = t
             step.x = block.carry_on(step.x, t) if step.bad else block.begin(step.x, t, **step.values)

@@ -155,8 +155,8 @@ class Optimiser:
             if progress is not None:
                 progress(result.cost, result.bound)
 
-        # Half of the tolerance, for what is proven is the search's own best, which the NLP then betters a little. Of
-        # many units only the first box: its bound costs nothing, the boxes to come would be too many.
+        # Half of the tolerance, because the proven value is the search's own best, which the NLP then improves a
+        # little. Of many units only the first box: its bound costs nothing, the further boxes would be too many.
         boxes = self.max_nodes if len(self.units) <= SMALL else 1
         proof = branch_and_bound(self.units, demand, result.P, 0.5 * self.tol, boxes)
         self._better(result, nlp(self.units, demand, proof.P)[0])

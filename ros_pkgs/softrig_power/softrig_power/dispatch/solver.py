@@ -40,7 +40,7 @@ class DispatchParams(SolverParams):
         "units_13",
         "table of the units: a name of this package's, a file or a package:// URI; 25*units_40: each unit 25 times",
     )
-    demand: float = param(0.0, "demand until a message comes; 0: none", "MW", ge=0.0, le=1e7)
+    demand: float = param(0.0, "demand until a message arrives; 0: none", "MW", ge=0.0, le=1e7)
     method: Method = param("certified", "two_stage (the paper's), certified, enumeration or baseline")
     algorithm: Baseline = param("pso", "search of the baseline")
     n_pop: int = param(50, "population of the baseline", ge=4, le=10_000)

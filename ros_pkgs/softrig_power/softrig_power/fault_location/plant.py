@@ -90,7 +90,7 @@ class LinePlant(Plant[LinePlantParams]):
         self._last, self._rate = p.samples - 1, RATES[p.measurement.profile]
         self._begin.moved(0, 1)
         self._level = line.noise_level().tolist()
-        # by what seeds it: nothing but those numbers decides it
+        # by the numbers that seed it: nothing else decides it
         self._noise: Newest[int, Draws] = Newest(
             lambda seed: Draws(lambda: np.random.default_rng([p.measurement.seed, seed]), "standard_normal")
         )
@@ -135,7 +135,7 @@ class LinePlant(Plant[LinePlantParams]):
         if pressed and not x.pressed:
             self.report(Level.OK, "run", "a new record begins")
             return self._new(x.number + 1, pressed=True)
-        # as long as the record is not full, what the instruments measure is kept
+        # until the record is full, the measurements of the instruments are stored
         rows = x.rows.put(x.line.measured()) if x.k < self._last else x.rows
         line = x.line.moved(x.k * self._steps, self._steps)
         return State(line, x.k + 1, x.number, x.seed, rows, pressed)

@@ -183,7 +183,7 @@ def advance(
                 v[m] = 0.0
         histories(lines, ring, k, history)
         e = _unit(c.omega * c.step * k)
-        # companion currents of the branches, without what the new bus voltages add
+        # companion currents of the branches, without the contribution of the new bus voltages
         j_a = g_s * (c.source_a * e + e_a - u[A] + c.source.keep * i[SOURCE_A])
         j_b = g_s * (c.source_b * e + e_b - u[B] + c.source.keep * i[SOURCE_B])
         e_a, e_b = c.source_a * e, c.source_b * e

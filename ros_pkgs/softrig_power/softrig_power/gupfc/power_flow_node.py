@@ -113,7 +113,7 @@ class PowerFlowNode(Block[PowerFlowParams]):
         try:
             return References(**{**self.p.initial.model_dump(), **changes})
         except ValueError:
-            self.report(Level.ERROR, "references", f"references {changes} cannot be meant: nothing is solved")
+            self.report(Level.ERROR, "references", f"references {changes} are impossible: nothing is solved")
             return None
 
     def _tables(self, solution: Solution) -> dict[str, tuple[float, ...]]:

@@ -79,7 +79,7 @@ class SeriesController(Block[SeriesControllerParams]):
         self._asked = complex(p.initial.p1, p.initial.q1) if first else complex(p.initial.p2, p.initial.q2)
         self._voltage, self._current, _ = (port.name for port in self.ports(p)[0])
         self._name = SERIES[p.circuit].name
-        # the direction of the voltage that an error of the current asks for
+        # the direction of the voltage that reduces an error of the current
         self._turn = 1j if p.law == "integral" else 1.0
         self._kp = self._gain(p)
         self._pll = PhaseLockedLoop(p.pll, p.network.omega, p.period)

@@ -19,7 +19,7 @@ from .flow.power_flow import Solution
 from .network import BUSES, HALVES, NetworkParams, admittance
 
 Complex = NDArray[np.complex128]
-# Rounds for the ripple of the DC voltage; each changes a thousandth of what the one before did.
+# Rounds for the ripple of the DC voltage; each changes a thousandth of the previous change.
 ROUNDS = 4
 
 

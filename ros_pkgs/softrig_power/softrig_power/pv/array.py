@@ -20,10 +20,10 @@ class ArrayParams(Params):
 
     module: ModuleParams = ModuleParams()
     irradiance: tuple[float, ...] = param(
-        (1000.0, 800.0, 600.0, 400.0), "irradiance of each module until pv/environment comes", "W/m^2", min_length=1
+        (1000.0, 800.0, 600.0, 400.0), "irradiance of each module until pv/environment arrives", "W/m^2", min_length=1
     )
     temperature: tuple[float, ...] = param(
-        (25.0, 25.0, 25.0, 25.0), "cell temperature of each module until pv/environment comes", "degC", min_length=1
+        (25.0, 25.0, 25.0, 25.0), "cell temperature of each module until pv/environment arrives", "degC", min_length=1
     )
 
     def agreed(self) -> dict[str, Any]:

@@ -44,7 +44,7 @@ class _Run:
         names = [f"pv/environment/{kind}{k}/position" for kind in "gt" for k in range(1, len(first) // 2 + 1)]
         changes = signals[names[0]][0]
         rows = np.column_stack([signals[name][1] for name in names])
-        # what holds at a sample is what was published at the tick before it; at the first, what the string begins in
+        # the characteristic at a sample is that published at the tick before it; at the first, the initial one
         self._at = np.searchsorted(changes, self.t - HALF_NS)
         self._rows = [tuple(first), *map(tuple, rows.tolist())]
 

@@ -37,7 +37,7 @@ class RectifierPlantParams(RectifierConstants, BlockParams):
     i_start: float | None = param(
         None, "current i_d at the start (peak), i_q is 0; that of the operating point when absent", "A", ge=-1e4, le=1e4
     )
-    v_least: float = param(1.0, "DC voltage at which the converter is given up", "V", gt=0.0, le=1e3, live=True)
+    v_least: float = param(1.0, "DC voltage at which the converter is shut down", "V", gt=0.0, le=1e3, live=True)
     waveform: bool = param(False, "send the waveforms of each period")
 
     @model_validator(mode="after")
@@ -235,7 +235,7 @@ class RectifierPlant(Plant[RectifierPlantParams]):
         v = row[-1]
         if not collapsed and not p.v_least < v < math.inf:
             collapsed = True
-            self.report(Level.ERROR, "collapse", f"DC voltage {v:g} V, below {p.v_least:g} V: converter given up")
+            self.report(Level.ERROR, "collapse", f"DC voltage {v:g} V, below {p.v_least:g} V: converter shut down")
             v = p.v_least
         applied = (command[0],) if x.applied else ()
         end = t + self._period

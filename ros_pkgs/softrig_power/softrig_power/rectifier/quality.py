@@ -93,7 +93,7 @@ def sample(
     sums[GRID_SIN, 1] += s * g_a
     sums[GRID_SIN + 1, 1] += s * g_b
     sums[GRID_SIN + 2, 1] += s * g_c
-    # Four orders side by side, because one after the other would wait for the result of the last.
+    # Four orders side by side, because each one after the other would wait for the previous result.
     c_2, s_2 = c_1 * c_1 - s_1 * s_1, 2.0 * c_1 * s_1
     c_4, s_4 = c_2 * c_2 - s_2 * s_2, 2.0 * c_2 * s_2
     cb, sb = c * c_1 - s * s_1, s * c_1 + c * s_1

@@ -202,7 +202,7 @@ class VoltageController(Block[VoltageControllerParams]):
         refusals = x.refusals + 1
         if refusals <= self.p.stale_after:
             return x._replace(refusals=refusals), None
-        self.report(Level.ERROR, "SAFE", f"SAFE: {self.p.stale_after} ticks of which something was refused: 0 V")
+        self.report(Level.ERROR, "SAFE", f"SAFE: {self.p.stale_after} ticks with a rejected input: 0 V")
         if x.errors is None:
             return x._replace(refusals=refusals), None
         return self._answer(x.laws, NOTHING, x.errors, refusals)

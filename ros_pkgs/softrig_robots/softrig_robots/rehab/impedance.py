@@ -141,10 +141,10 @@ class Impedance(Block[ImpedanceParams]):
         if not q:
             q, v = reference[:n], reference[n : 2 * n]
         if patient_force is not None and t - patient_force.stamp > self._stale:
-            self.report(Level.ERROR, "patient", "the patient's force has stopped coming: the reference stands still")
+            self.report(Level.ERROR, "patient", "no more messages of the patient's force: the reference is held")
             return _stand(B, K, q, 0)
         if (self.age("reference") or 0) > self._stale:
-            self.report(Level.ERROR, "reference", "the reference has stopped coming: what is regenerated stands still")
+            self.report(Level.ERROR, "reference", "no more messages of the reference: the regenerated one is held")
             return _stand(B, K, q, 0)
         fx, _, fz = clip_force(self, patient_force and patient_force.data, self.p.force_limit)
         x1, x2, z1, z2 = foot_jacobian(joint_states[0], joint_states[1], *self.p.length)
@@ -162,7 +162,7 @@ class Impedance(Block[ImpedanceParams]):
         refusals = x.refusals + 1
         if not x.q or refusals <= self.p.stale_after:
             return x._replace(refusals=refusals), None
-        self.report(Level.ERROR, "refused", f"{self.p.stale_after} ticks of which something was refused: stands still")
+        self.report(Level.ERROR, "refused", f"{self.p.stale_after} ticks with a rejected input: the reference is held")
         return _stand(x.damping, x.stiffness, x.q, refusals)
 
 

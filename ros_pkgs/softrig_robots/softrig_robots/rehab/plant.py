@@ -58,7 +58,7 @@ class RehabParams(DrivenRobotParams):
     """Published robot in experiment R1; the README lists the values that the paper does not print."""
 
     v_max: float = param(24.0, "voltage limit V_max of each motor", "V", gt=0.0, live=True)
-    # not live: what the stability of a law is told for, see `RehabPlant.agreed`
+    # not live: the stability of a law depends on it, see `RehabPlant.agreed`
     payload: float = param(0.0, "point mass at the foot", "kg", ge=0.0)
     segments: Segments = Segments()
     motors: RehabMotors = RehabMotors()

@@ -251,8 +251,8 @@ class Tuner(Solver[TunerParams]):
         actual = x.search
         if actual is None:
             return x, {"result": (0.0, 0.0, 0.0)}
-        # a candidate whose exercise took longer than the limit is worth nothing; one of a search that the button ended
-        # is nobody's
+        # a candidate whose exercise took longer than the limit has no value; one of a search that the button ended is
+        # dropped
         if new and result is not None and result.request[0] == x.candidate:
             actual = actual.tell(math.inf if result.answer is None else result.answer)
             x = x._replace(search=actual, candidate=None)

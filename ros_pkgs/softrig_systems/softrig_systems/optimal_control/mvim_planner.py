@@ -69,7 +69,7 @@ class MvimPlanner(Planner[MvimParams]):
         )
         values = np.zeros((p.stages, solution.coefficients.shape[1], p.last + 1))
         values[:, :, : solution.order + 1] = solution.coefficients
-        # a frozen alpha is what somebody claims: its plan is given out to be judged
+        # a frozen alpha is a published claim: its plan is published to be judged
         accurate = solution.accurate or p.alpha_mode == "frozen"
         reason = solution.reason
         missed = not solution.accurate or solution.residual[-1] >= p.eps_res

@@ -19,7 +19,9 @@ class PlannerParams(SolverParams, ProblemParams):
     """Parameters of a planner: the times of planning, and the requirements on a plan."""
 
     period: float = param(1.0, "sampling period", "s", gt=0.0, le=100.0)
-    k_replan: int = param(0, "plan again from the measured state each so many periods; 0: once", ge=0, le=1_000_000)
+    k_replan: int = param(
+        0, "number of periods after which it plans again from the measured state; 0: only once", ge=0, le=1_000_000
+    )
     eps_res: float = param(
         1e-4, "largest residual, T |dz/dt - F| relative to the largest state or costate", gt=0.0, le=1e3
     )

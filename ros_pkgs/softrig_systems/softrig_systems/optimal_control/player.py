@@ -25,7 +25,7 @@ class PlayerParams(ProblemParams):
     stages: int = param(1, "power: stages of the plan", ge=1, le=64)
     samples: int = param(101, "time: columns of the plan", ge=4, le=10_001)
     sampling: Literal["middle", "start"] = param(
-        "middle", "where in the period the control is taken; middle: 2nd order", live=True
+        "middle", "point of the period at which the control is evaluated; middle: 2nd order", live=True
     )
     allow_unconverged: bool = param(False, "also play plans whose residual is too large", live=True)
 
@@ -94,7 +94,8 @@ class OcpPlayer(Block[PlayerParams]):
     ) -> Answer:
         """Return the command of a period."""
         age = self.age("summary")
-        # in real time a plan may come ticks after its stamp; its two messages belong together when they are of one age
+        # in real time a plan may arrive ticks after its stamp; its two messages belong together if they have the same
+        # age
         if age is not None and age == self.age("plan") and summary != x.plan.seen:
             x = State(self._with_plan(replace(x.plan, seen=summary), t, state, plan))
         return x, self._play(x.plan, t)

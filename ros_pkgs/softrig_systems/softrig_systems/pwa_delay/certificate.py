@@ -82,11 +82,11 @@ class CertificateParams(CriterionParams, SolverParams):
     """The request to the worker."""
 
     h: float = param(0.0, "delay bound; 0: the largest that can be certified", "s", ge=0.0, le=1e6)
-    low: float = param(0.0, "where the search begins; 0: found by itself", "s", ge=0.0, le=1e6)
+    low: float = param(0.0, "start of the search; 0: automatic", "s", ge=0.0, le=1e6)
     high: float = param(0.0, "where it ends at first; 0: found by itself", "s", ge=0.0, le=1e6)
     width: float = param(1e-4, "relative width at which the search ends", ge=1e-9, le=0.1)
     at_start: bool = param(True, "ask once at the start; later at each press of the button")
-    switch: float = param(0.5, "level: where the law changes its gain", ge=0.0, le=10.0)
+    switch: float = param(0.5, "level: level at which the controller changes its gain", ge=0.0, le=10.0)
     k_low: float = param(0.2, "level: gain below it", "1/s", ge=0.0, le=10.0)
     k_high: float = param(0.1, "level: gain above it, taken away", "1/s", ge=0.0, le=10.0)
     c: float = param(TANK_C, "level: drain c of c sqrt(x)", gt=0.0, le=1.0)

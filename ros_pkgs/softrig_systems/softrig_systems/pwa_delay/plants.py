@@ -35,7 +35,9 @@ class DelayPlantParams(DelayParams, BlockParams):
     """Delay, step and period."""
 
     period: float = param(0.001, "sampling period", "s", gt=0.0, le=100.0)
-    step: float = param(1e-4, "largest integration step; a whole part of the period is taken", "s", gt=0.0, le=100.0)
+    step: float = param(
+        1e-4, "largest integration step; rounded to a whole fraction of the period", "s", gt=0.0, le=100.0
+    )
 
     @model_validator(mode="after")
     def _few_steps(self) -> Self:

@@ -154,7 +154,7 @@ def evaluate(
         rows[count % size, j] = now[j]
     counts[0] = count + 1
     back = round(delay / p.period)
-    # Before the record is that long, the oldest sample stands for what was before it.
+    # Before the record is that long, the oldest sample stands for the time before it.
     held = min(count + 1, size)
     then = rows[(count - min(back, held - 1)) % size]
     cell = cell_of(p, now, then)

@@ -22,7 +22,7 @@ class AqmControllerParams(Gains, Bottleneck, BlockParams):
 
     period: float = param(0.001, "control period", "s", gt=0.0, le=1.0)
     law: LawName = param("sspd", "the law")
-    set_point: float = param(120.0, "queue q_d wanted, until a reference comes", "packet", gt=0.0, le=1e6)
+    set_point: float = param(120.0, "wanted queue q_d until a reference arrives", "packet", gt=0.0, le=1e6)
     phi_form: Literal["corrected", "printed"] = param(
         "corrected", "Phi as derived or as the paper prints it", live=True
     )

@@ -13,7 +13,7 @@ class Bottleneck(Params):
     N: int = param(60, "TCP flows N", ge=1, le=2000)
     C: float = param(3750.0, "capacity C of the link", "packet/s", gt=0.0, le=1e7)
     tau_p: float = param(0.2, "propagation delay tau_p of a round trip (printed tau_d)", "s", gt=0.0, le=10.0)
-    q_max: float = param(300.0, "room in the queue; what arrives beyond is lost", "packet", gt=0.0, le=1e6)
+    q_max: float = param(300.0, "size of the queue; packets beyond it are lost", "packet", gt=0.0, le=1e6)
 
     def agreed(self) -> dict[str, Any]:
         """Return the quantities on which a network and the nodes that judge it must agree."""

@@ -47,8 +47,8 @@ class Fifo(NamedTuple):
     sent: Floats
 
 
-# places in `Inside.counts`: events that wait and the most that ever did, head of the ring and packets in it, packets
-# served and lost, whether packets of nobody arrive, and random numbers drawn
+# places in `Inside.counts`: pending events and the largest number of them, head of the ring and packets in it, packets
+# served and lost, whether unowned packets arrive, and random numbers drawn
 EVENTS, MOST_EVENTS, HEAD, WAITING, SERVED, LOST, CROSSING, DRAWN = range(8)
 
 

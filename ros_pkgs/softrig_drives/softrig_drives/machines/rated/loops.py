@@ -51,7 +51,7 @@ def loops(
     alpha_s = min(alpha_c / 40.0, 0.8 * torque / (0.2 * w * J))
     assumed.append(f"bandwidths of {alpha_c:.4g} (current) and {alpha_s:.4g} rad/s (speed): chosen by the period and J")
     speed = min(0.2 * w, 0.8 * torque / (alpha_s * J))
-    # a load step T lowers the speed by T/(e J alpha_s): by less than half of what it is
+    # a load step T lowers the speed by T/(e J alpha_s): by less than half of its value
     return alpha_c, alpha_s, {"speed": speed, "torque": min(0.5 * torque, 0.4 * math.exp(1.0) * J * alpha_s * speed)}
 
 

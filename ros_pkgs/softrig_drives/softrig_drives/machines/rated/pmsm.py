@@ -9,7 +9,7 @@ from softrig_control.data_sheet import check, head, plausible, whole
 
 from .loops import Drive, inertia, loops, most, written
 
-# name: (what it is, unit); the first four are needed, of torque and power one
+# name: (description, unit); the first four are needed, and one of torque and power
 ASKED = {
     "speed": ("rated speed", "1/min"),
     "current": ("rated current, rms", "A"),

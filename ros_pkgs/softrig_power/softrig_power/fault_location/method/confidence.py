@@ -17,7 +17,7 @@ from .location import Location, Locator, locate
 from .objective import LocatorParams
 
 Array = NDArray[np.float64]
-# The window is cut into so many stretches; their locations show the scatter within the record.
+# The window is cut into this many parts; their locations show the scatter within the record.
 STRETCHES = 8
 
 

@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 WIRED = 1e-3
 # There are many wirings, so each is tried on this fraction of the window first.
 SHARE = 4
-# On that part the ends must agree so many times better; only then the whole window is evaluated.
+# On that part the ends must agree this many times better; only then the whole window is evaluated.
 LIKELY = 3.0
-# The ends must agree so many times better under another wiring. Right wirings with usual errors reach 3 at most.
+# The ends must agree this many times better under another wiring. Right wirings with usual errors reach 3 at most.
 BETTER = 10.0
 FINE = 1e-2  # km
 EXCHANGES = {
@@ -39,7 +39,7 @@ def contradiction(work: Objective, limit: float) -> str:
     F over the modes. Records with a wiring fault at one end can have a sharp minimum in one mode, at a wrong place.
     """
     curve = work.curves.mean(axis=0)
-    # At an end of the line the voltage follows from that end alone, whatever the current of the other one is.
+    # At an end of the line the voltage follows from that end alone, whatever the current of the other end.
     if int(np.argmin(curve)) in (
         0,
         len(curve) - 1,

@@ -256,7 +256,7 @@ def _rates(lines: _Lines) -> tuple[tuple[float, int], ...]:
         results.append((rate if count else 0.0, last))
     if len(results) > 1 and any(rate == 0.0 for rate, _ in results):
         raise lines.wrong("one of several sampling rates is 0")
-    # stretches of one rate are one
+    # parts of one rate are joined
     return tuple(pair for pair, after in zip(results, [*results[1:], (-1.0, 0)], strict=True) if pair[0] != after[0])
 
 
