@@ -574,6 +574,7 @@ def test_a_server_is_configured_for_its_address(pages, monkeypatch):
         "unused_session_lifetime_milliseconds": 5000,
         "allow_websocket_origin": [f"localhost:{port}", f"127.0.0.1:{port}"],
         "websocket_max_message_size": 1 << 20,
+        "websocket_ping_interval": 30.0,
     }
     assert (guard._token, guard._names) == ("word", serve.LOOPBACK)
     assert pages.url == f"http://127.0.0.1:{port}/?token=word"

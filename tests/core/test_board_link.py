@@ -229,6 +229,24 @@ def test_a_board_that_is_silent_ends_a_lockstep_run(firmware, drawn):
         lockstep(firmware, QuietWire(), firmware[3][:1])
 
 
+class EchoWire(QuietWire):
+    """A half-duplex adapter, which receives what it sends."""
+
+    def write(self, data):
+        self.waiting += data
+        super().write(data)
+
+
+def test_requests_that_come_back_are_no_answers(firmware, tmp_path, drawn):
+    """The echo of a hello was taken for that of a board with another firmware."""
+    line, result = lockstep(firmware, EchoWire(Board(firmware[0] / "board.so", tmp_path)), firmware[3][:10])
+    assert result == firmware[4][:10]
+    assert "echoed" in line.remarks()
+    assert (line.counts.damaged, line.counts.strays) == (0, 0)
+    with pytest.raises(RunError, match="no board answers at wire; the port returns what it is sent"):
+        lockstep(firmware, EchoWire(), firmware[3][:1])
+
+
 def linked_rig(firmware, port, **more):
     folder, name, *_ = firmware
     link = {"port": port, "firmware": str(folder / f"{name}.json")} | more

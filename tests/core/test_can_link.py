@@ -228,6 +228,7 @@ def test_a_number_that_is_not_finite_is_refused(own, value):
         ("24|32@1-", "8|32@1-", "overlapping"),
         ("24|32@1-", "24|99@1-", "is no DBC"),
         ("[-12.0|12.0]", "[12|-12]", "expected the smaller number first"),
+        ("[-12.0|12.0]", "[0|0.0]", r"range 0 to 0.0, .* or \[0\|0\] for none"),
         (f"[{int(BUILD, 16)}|{int(BUILD, 16)}]", "[1|1]", "of another block or of other parameters"),
         ("VERSION", "\0\0", "is no DBC"),
         ("n_to_1: 8", "n_to_1: 64", "longer than 8 bytes"),

@@ -43,6 +43,9 @@ LARGEST = 1 << 20  # bytes of what a browser may say at once: pages of ours say 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 PAGE = "/view"
 AWAY = 5000  # ms that a browser may be gone: it may be loading the page again
+# s in which a browser answers a ping, or its connection is closed: what is sent to one that was suspended or has lost
+# its network would be kept in memory
+GONE = 30.0
 SHARE = 10.0  # figures take at most one part in so many of the time
 
 
@@ -219,6 +222,7 @@ class Pages:
                 unused_session_lifetime_milliseconds=AWAY,
                 allow_websocket_origin=origins,
                 websocket_max_message_size=LARGEST,
+                websocket_ping_interval=GONE,
                 auth_provider=_Token(token, LOOPBACK if host in LOOPBACK else ()),
             )
         except OSError as error:

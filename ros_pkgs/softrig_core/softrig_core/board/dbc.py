@@ -300,8 +300,8 @@ def _unfit(signal: Any) -> str:
     if not all(abs(x) <= LARGEST_FLOAT[64] for x in numbers) or signal.scale == 0:  # an int may be beyond all floats
         return f"has the scale {signal.scale} and the offset {signal.offset}, expected finite numbers and a scale not 0"
     low, high = signal.minimum, signal.maximum
-    if low is not None and high is not None and low > high:
-        return f"has the range {low} to {high}, expected the smaller number first"
+    if low is not None and high is not None and low >= high:  # [0|0], which is none, has no numbers here
+        return f"has the range {low} to {high}, expected the smaller number first, or [0|0] for none"
     if signal.is_float and signal.length not in LARGEST_FLOAT:
         return f"is a float of {signal.length} bits, expected 16, 32 or 64"
     return ""

@@ -44,6 +44,8 @@ class Counts:
         Frames that did not pass their checksum, or belong to another session.
     strays : int
         Unexpected answers: duplicates, and answers to an older request.
+    echoed : int
+        Requests that came back, as from a half-duplex adapter.
     late, lost : int
         Real time: answers after their deadline, and those that never arrived.
     reopened : int
@@ -56,6 +58,7 @@ class Counts:
     repeated: int = 0
     damaged: int = 0
     strays: int = 0
+    echoed: int = 0
     late: int = 0
     lost: int = 0
     reopened: int = 0
@@ -227,7 +230,10 @@ class Line:
         if self._doubled:
             return f"two boards answer at {self.port}; connect one board to a port"
         strays = self.counts.strays - before
-        return f"no board answers at {self.port}" + (f" ({strays} frames are answers to others)" if strays else "")
+        what = f" ({strays} frames are answers to others)" if strays else ""
+        return f"no board answers at {self.port}{what}" + (
+            "; the port returns what it is sent" * bool(self.counts.echoed)
+        )
 
     def _restarted(self) -> str:
         """Report, if it is so, that the board answers and has restarted."""
@@ -422,12 +428,18 @@ class Line:
             return
         for piece in self._splitter.split_frames(data):
             frame = read(piece, self._session)
-            if frame is None or frame.kind not in (Kind.HELLO, Kind.ANSWER):
+            if frame is None:
                 self.counts.damaged += 1
+            elif frame.kind not in (Kind.HELLO, Kind.ANSWER) or self._is_ours(frame):
+                self.counts.echoed += 1
             elif self._greeted is not None:
                 self._stray(frame)
             else:
                 self._inbox.append(frame)
+
+    def _is_ours(self, frame: Frame) -> bool:
+        """Return whether a hello is the request: the board's has its build in it."""
+        return frame.kind == Kind.HELLO and frame.values == self._session.to_bytes(2, "little")
 
     def _stray(self, frame: Frame) -> None:
         """Count an unexpected answer; a second answer to one request indicates a second board."""
