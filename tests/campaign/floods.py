@@ -2,8 +2,8 @@
 ends.
 
 A case is a rig in processes, in a container or in real time, and what its clients call: refused sets, valid ones,
-pauses, steps, resumes, lists, and the services of simulation_interfaces where it is installed. `doc/lab/tests.md` has a
-table.
+pauses, steps, resumes, lists, trajectories, and the services of simulation_interfaces and goals of control_msgs where
+these are installed. `doc/lab/tests.md` has a table.
 """
 
 from __future__ import annotations
@@ -32,39 +32,32 @@ LENGTH = 8.0  # s of a flood
 PACE = 5.0  # of a container in lockstep: by itself it writes some GB in the time of a case
 STANDS = 2.0  # s of a rig without a tick after which it has to say why
 CLIENT = """
-import os, random, sys, time
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import ListParameters, SetParameters
-from std_srvs.srv import Trigger
+import importlib, os, random, sys, time
 import rclpy
-what, node, clock, seed = sys.argv[1:]
-SERVICES = ("GetEntities", "GetEntityState", "GetSimulationState", "GetSimulatorFeatures", "ResetSimulation")
-SERVICES += ("SetSimulationState", "StepSimulation")
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+what, clock, node, seed = sys.argv[1:]
 chance = random.Random(int(seed))
 rclpy.init()
 stranger = rclpy.create_node(f"stranger{seed}")
-kinds = {
-    "set": (SetParameters, f"{node}/set_parameters"), "refused": (SetParameters, f"{node}/set_parameters"),
-    "list": (ListParameters, f"{node}/list_parameters"),
-    **{name: (Trigger, f"{clock}/{name}") for name in ("pause", "resume", "step")},
-}
-if what == "simulation":
-    import simulation_interfaces.srv
-    for name in SERVICES:
-        snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)[1:]
-        kinds[name] = getattr(simulation_interfaces.srv, name), f"/{snake}"
-calls = {"pauses": ("pause", "step", "resume"), "steps": ("step",), "simulation": SERVICES}.get(what, (what,))
-clients = {name: stranger.create_client(*kinds[name]) for name in calls}
-for client in clients.values():
-    client.wait_for_service(20.0)
 
-def request(name):
-    asked = kinds[name][0].Request()
-    if name in ("set", "refused"):
+def calls(package, names, prefix):
+    for name in names:
+        kind = getattr(importlib.import_module(package + ".srv"), name)
+        snake = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)[1:]
+        yield name, stranger.create_client(kind, f"{prefix}/{snake}"), kind
+
+def presses(*names):
+    from std_srvs.srv import Trigger
+    for name in names:
+        yield name, stranger.create_client(Trigger, f"{clock}/{name}"), Trigger
+
+def request(name, kind):
+    asked = kind.Request()
+    if name == "SetParameters":
         number = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=chance.uniform(1.0, 60.0))
         text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="x" * 1000)
-        named, value = ("k", number) if name == "set" else ("no.such", text)
-        asked.parameters = [Parameter(name=named, value=value)]
+        asked.parameters = [Parameter(name="k", value=number) if what == "set" else Parameter(name="no", value=text)]
     if name == "GetEntityState":
         asked.entity = chance.choice(("", "shaft", "x" * 1000))
     if name == "SetSimulationState":
@@ -73,58 +66,103 @@ def request(name):
         asked.steps = chance.choice((0, 1, 2**64 - 1))
     return asked
 
+def trajectory():
+    names = chance.choice((["joint1", "joint2", "joint3"], ["joint2"], ["no"], [], ["x"] * 9999))
+    made = JointTrajectory(joint_names=names)
+    for k in range(chance.choice((0, 1, 1, 2, 5000 if len(names) < 9 else 1))):
+        point = JointTrajectoryPoint(positions=[chance.uniform(-1.0, 1.0) for _ in names])
+        point.time_from_start.sec = k + 1
+        made.points.append(point)
+    return made
+
+SIMULATION = ("GetEntities", "GetEntityState", "GetSimulationState", "GetSimulatorFeatures", "ResetSimulation",
+              "SetSimulationState", "StepSimulation")
+if what == "trajectories":
+    publisher = stranger.create_publisher(JointTrajectory, f"{node}/joint_trajectory", 10)
+    some = [trajectory() for _ in range(20)]
+    senders = [lambda: publisher.publish(chance.choice(some))]
+elif what == "goals":
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action import ActionClient
+    client = ActionClient(stranger, FollowJointTrajectory, f"{node}/follow_joint_trajectory")
+    client.wait_for_server(20.0)
+    some = [FollowJointTrajectory.Goal(trajectory=trajectory()) for _ in range(20)]
+    senders = [lambda: client.send_goal_async(chance.choice(some))]
+else:
+    made = {
+        "set": lambda: calls("rcl_interfaces", ("SetParameters",), node),
+        "refused": lambda: calls("rcl_interfaces", ("SetParameters",), node),
+        "list": lambda: calls("rcl_interfaces", ("ListParameters",), node),
+        "pauses": lambda: presses("pause", "step", "resume"),
+        "steps": lambda: presses("step"),
+        "simulation": lambda: calls("simulation_interfaces", SIMULATION, ""),
+    }[what]()
+    senders = []
+    for name, client, kind in made:
+        client.wait_for_service(20.0)
+        senders.append(lambda name=name, client=client, kind=kind: client.call_async(request(name, kind)))
 end = time.monotonic() + chance.uniform(0.5, 2.0)
 while time.monotonic() < end:
-    name = chance.choice(calls)
-    clients[name].call_async(request(name))
+    chance.choice(senders)()
 os._exit(0)  # with all answers under way
 """
+PYTHON = "in Python"  # a container without native code
 REASONS = ("stands", "services", "paused")
-KINDS = ("refused", "set", "list", "pauses", "steps")
-KINDS += ("simulation",) if find_spec("simulation_interfaces") else ()
-PLACES: tuple[tuple[str, ...], ...] = (("processes",), ("container",), ("container", "--realtime"))
+MOTOR = ("dc_motor_smc", "/dc_motor_plant", "/dc_motor_smc")  # scenario, its clock, the node that is called
+ARM = ("manipulator_adsmc", "/manipulator_plant", "/trajectory_source")
+KINDS = dict.fromkeys(("refused", "set", "list", "pauses", "steps"), MOTOR) | {"trajectories": ARM}
+KINDS |= {"simulation": MOTOR} if find_spec("simulation_interfaces") else {}
+KINDS |= {"goals": ARM} if find_spec("control_msgs") else {}
+STOP = ("pauses", "steps", "simulation")  # which leave a rig paused
+PLACES: tuple[tuple[str, ...], ...] = (
+    ("processes",),
+    ("container",),
+    ("container", "--realtime"),
+    ("processes", "--realtime"),
+    ("container", PYTHON),
+)
 
 
 def attack(seed: int, directory: Path) -> None:
     """One rig under one kind of flood."""
-    what, place = KINDS[seed % len(KINDS)], PLACES[seed // len(KINDS) % len(PLACES)]
+    what, place = list(KINDS)[seed % len(KINDS)], PLACES[seed // len(KINDS) % len(PLACES)]
+    scenario, clock, node = KINDS[what]
     (directory / "case").write_text(f"{what} {' '.join(place)}\n")
     with free_domain() as domain:
         pass  # the run reserves it
     os.environ.update(environment(domain, directory))
-    command = [sys.executable, "-m", "softrig_bringup", "run", "dc_motor_smc", "--duration", "20000", "--no-record"]
-    command += ["--mode", *place, "--domain", str(domain), "--no-plots", "--out", str(directory / "run")]
+    os.environ["SOFTRIG_JIT"] = "0" if PYTHON in place else "1"
+    options = [option for option in place if option != PYTHON]
+    command = [sys.executable, "-m", "softrig_bringup", "run", scenario, "--duration", "20000", "--no-record"]
+    command += ["--mode", *options, "--domain", str(domain), "--no-plots", "--out", str(directory / "run")]
     text = directory / "said"
     with text.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)
     call = Client(domain)
     try:
-        watch = Watch(call)
+        watch = Watch(call, clock)
         watch.until(lambda: watch.ticks > 10, 120.0, "the first ticks")
-        if place == ("container",):
+        if place[0] == "container" and "--realtime" not in place:
             pace = Parameter(name="run.pace", value=value("DOUBLE", double_value=PACE))
-            call(SetParameters, "/dc_motor_plant/set_parameters", parameters=[pace])
+            call(SetParameters, f"{clock}/set_parameters", parameters=[pace])
         before = watch.rate(4.0)
         clients: list[subprocess.Popen] = []
-        during = watch.rate(LENGTH, lambda: _flood(clients, what, random.Random(seed)))
+        arguments = [what, clock, node]
+        during = watch.rate(LENGTH, lambda: _flood(clients, arguments, random.Random(seed + len(clients))))
         watch.until(lambda: all(c.poll() is not None for c in clients), 60.0, "the end of a flooding client")
-        if what in ("pauses", "steps", "simulation"):
-            call(Trigger, "/dc_motor_plant/resume")
+        if what in STOP:
+            call(Trigger, f"{clock}/resume")
         after = watch.rate(4.0)
         with (directory / "case").open("a") as case:
             rates = f"{before:.0f} before, {during:.0f} during, {after:.0f} after"
-            case.write(
-                f"ticks a second: {rates}; {len(clients)} clients left; the longest stand {watch.longest:.1f} s; "
-            )
-            case.write(f"said {sorted(watch.said)}\n")
+            left = f"{len(clients)} clients left; the longest stand {watch.longest:.1f} s"
+            case.write(f"ticks a second: {rates}; {left}; said {sorted(watch.said)}\n")
         assert process.poll() is None, text.read_text()[-2000:]
         assert after > 0.2 * before, f"{before:.0f} ticks a second before, {after:.0f} after"
-        assert what in ("pauses", "simulation") or during > 0.05 * before, (
-            f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
-        )
-        late = STANDS * max(
-            1.0, os.getloadavg()[0] / (os.cpu_count() or 1)
-        )  # a loaded machine is slow, and says so late
+        if what not in STOP or what == "steps":
+            assert during > 0.05 * before, f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
+        # a loaded machine is slow, and says so late
+        late = STANDS * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
         assert watch.unexplained < late, f"it stood for {watch.unexplained:.1f} s and did not say why"
         process.send_signal(signal.SIGINT)
         assert process.wait(60.0) == 130, text.read_text()[-2000:]
@@ -137,17 +175,18 @@ def attack(seed: int, directory: Path) -> None:
     assert logs < 200_000, f"{logs} characters of logs"
 
 
-def _flood(clients: list[subprocess.Popen], what: str, chance: random.Random) -> None:
+def _flood(clients: list[subprocess.Popen], arguments: list[str], chance: random.Random) -> None:
     """Keep two clients busy, each of which leaves soon."""
     if sum(c.poll() is None for c in clients) < 2:
-        arguments = [what, "/dc_motor_smc", "/dc_motor_plant", str(chance.randrange(10**9))]
-        clients.append(subprocess.Popen([sys.executable, "-c", CLIENT, *arguments]))
+        seed = str(chance.randrange(10**9))
+        clients.append(subprocess.Popen([sys.executable, "-c", CLIENT, *arguments, seed]))
 
 
 class Watch:
     """Ticks of a rig and its reports, as /diagnostics shows them."""
 
-    def __init__(self, call: Client) -> None:
+    def __init__(self, call: Client, clock: str) -> None:
+        self._clock = clock
         self.ticks, self.longest, self.unexplained, self.said = 0, 0.0, 0.0, set[str]()
         self._call, self._moved, self._reasons = call, time.monotonic(), {}
         call.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 100)
@@ -158,7 +197,7 @@ class Watch:
             reasons = [f"{k}: {re.sub('[0-9.]+', 'N', v)}" for k, v in values.items() if k in REASONS]
             self._reasons[status.name] = reasons
             self.said.update(reasons)
-            if status.name == "/dc_motor_plant":
+            if status.name == self._clock:
                 ticks = int(values["ticks"])
                 if ticks != self.ticks:
                     self.ticks, self._moved = ticks, time.monotonic()

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 from builtin_interfaces.msg import Duration, Time
+from rclpy.serialization import serialize_message
 from simulated import SimulatedRig, World
 from softrig_core import Level, load_scenario, rig_of
 from softrig_core.block.params import ParameterError
@@ -14,6 +15,7 @@ from softrig_core.timebase import SECOND, to_ns
 from softrig_nodes.face import following
 from softrig_nodes.face.following import Following, followed
 from softrig_nodes.face.goals import BadGoal, hold, motion
+from softrig_nodes.ros.requests import Credit
 from softrig_nodes.ros.ros import plain
 from softrig_robots.manipulator.trajectory import TrajectorySource
 from softrig_robots.rehab.prom import PromReference
@@ -224,9 +226,12 @@ class Rig:
         monkeypatch.setattr(
             following, "ActionServer", lambda node, kind, name, run, **calls: self.served.update(calls, run=run)
         )
+        self.wait = 0.0
         node = SimpleNamespace(
             monitor=self.node.monitor,
-            create_subscription=lambda kind, topic, accept, qos: self.served.update({topic: accept}),
+            credit=Credit(),
+            wanting=lambda: self.wait,
+            create_subscription=lambda kind, topic, accept, qos, raw: self.served.update({topic: accept}),
             set_parameters_atomically=self.set,
         )
         self.following = Following(node, self.adapter, followed(self.adapter), kind)
@@ -254,6 +259,9 @@ class Rig:
         self.world.match()  # the subscription of the first
         return flight
 
+    def publish(self, message):
+        self.served["~/joint_trajectory"](serialize_message(message))
+
     def reference(self):
         return self.adapter.step.newest("reference")
 
@@ -280,8 +288,9 @@ class Flight:
 def test_a_goal_is_followed_reported_and_reached(monkeypatch):
     rig = Rig(monkeypatch)
     assert rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))))) is None  # it has not begun
-    assert rig.node.logs[-1] == (Level.WARN, "follow_joint_trajectory: a goal is refused: the run has not begun")
     rig.until(10 * MS)
+    refused = "follow_joint_trajectory: a goal is refused: the run has not begun"
+    assert rig.adapter.step.reports["follow_joint_trajectory"] == (Level.WARN, refused, 1)
     before = rig.reference()
     tolerance = [bound(joint, 0.01) for joint in JOINTS]
     flight = rig.send(goal(trajectory(point(50 * MS, (0.001, 0.002, 0.003), (0, 0, 0))), tolerance, tolerance, 50 * MS))
@@ -357,13 +366,32 @@ def test_a_new_trajectory_replaces_the_goal_from_where_the_reference_is(monkeypa
     rig.until(50 * MS)
     assert first.code == (-1, "abort")
     assert first.answer.error_string == "replaced by a new goal"
-    rig.served["~/joint_trajectory"](trajectory(point(10 * MS, (0.5, 0.5, 0.5))))
+    rig.publish(trajectory(point(10 * MS, (0.5, 0.5, 0.5))))
     rig.until(70 * MS)
     assert second.code == (-1, "abort")
     assert rig.reference() == (0.5, 0.5, 0.5, *[0.0] * 6)
-    rig.served["~/joint_trajectory"](trajectory())
+    rig.publish(trajectory())
     rig.until(71 * MS)
     assert rig.adapter.step.reports["joint_trajectory"][1] == "a trajectory is refused: the trajectory has no points"
+
+
+def test_in_a_flood_the_newest_trajectories_wait_and_goals_are_refused(monkeypatch):
+    monkeypatch.setattr(following, "LOOK", 1_000)  # simulated time passes by a latency a message
+    rig = Rig(monkeypatch)
+    rig.until(10 * MS)
+    rig.wait = 1e-6
+    for k in range(following.WAITING + 5):
+        rig.publish(trajectory(point(MS, (0.1 * k, 0.0, 0.0))))
+    assert rig.send(goal(trajectory(point(90 * MS, (1, 1, 1))))) is None
+    rig.until(30 * MS)
+    reports = rig.adapter.step.reports
+    assert reports["joint_trajectory"] == (Level.WARN, f"a trajectory is dropped: {following.OVERDRAWN}", 5)
+    assert following.OVERDRAWN in reports["follow_joint_trajectory"][1]
+    assert rig.reference() != (0.1 * (following.WAITING + 4), *[0.0] * 8)
+    rig.wait = 0.0
+    rig.until(60 * MS)
+    assert rig.reference() == (0.1 * (following.WAITING + 4), *[0.0] * 8)
+    assert rig.send(goal(trajectory(point(90 * MS, (1, 1, 1))))) is not None
 
 
 def test_an_unmeasured_joint_is_not_reported_as_within_a_tolerance(monkeypatch):
@@ -408,7 +436,8 @@ def test_a_goal_that_cannot_be_followed_is_refused_with_its_reason_in_the_log(re
     rig = Rig(monkeypatch)
     rig.until(10 * MS)
     assert rig.send(request_) is None
-    assert reason in rig.node.logs[-1][1]
+    rig.until(100 * MS)
+    assert reason in rig.adapter.step.reports["follow_joint_trajectory"][1]
 
 
 def test_the_reference_of_the_rehabilitation_robot_follows_a_trajectory_as_well(monkeypatch):

@@ -22,6 +22,9 @@ LARGEST_STEP = 60.0  # mm: what the amplifier can do without anti-windup, and on
 LARGEST_GAP = 5  # periods without an answer after which the drive's watchdog has taken the command to zero
 
 
+MOST = 100_000  # commands that the predictor keeps: with so many its set-up takes 1 s
+
+
 class FsfbControllerParams(MotorParams):
     """Gains in the paper's unit (command in mm of set point), and the treatment of the delay."""
 
@@ -50,6 +53,8 @@ class FsfbControllerParams(MotorParams):
     def _works(self) -> Self:
         if self.delay_from == "fixed" and self.delay > self.max_age:
             raise ValueError(f"delay = {self.delay:g} s is beyond max_age = {self.max_age:g} s")
+        if self.max_age > MOST * self.period:
+            raise ValueError(f"max_age = {self.max_age:g} s: expected at most {MOST} periods of {self.period:g} s")
         if self.poles and (len(self.poles) != 3 or not self.integral):
             raise ValueError(f"poles = {list(self.poles)}: expected three, and the integrator that the third is of")
         kv, kp, ki = self.gains()

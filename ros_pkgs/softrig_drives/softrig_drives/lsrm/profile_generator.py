@@ -24,7 +24,7 @@ class ProfileGeneratorParams(Mechanics, BlockParams):
         "jerk", "jerk: jerk-minimal polynomial; trapezoid: constant acceleration; step: immediate", live=True
     )
     v_d: float = param(0.5, "cruise speed v_d", "m/s", ge=-10.0, le=10.0, live=True)
-    t_d: float = param(0.4, "duration of the acceleration t_d", "s", gt=0.0, le=100.0, live=True)
+    t_d: float = param(0.4, "duration of the acceleration t_d", "s", ge=1e-6, le=100.0, live=True)
     x_d: float | None = param(
         None,
         "distance of the acceleration (jerk); the jerk-minimal v_d t_d/2 when absent",
@@ -34,7 +34,7 @@ class ProfileGeneratorParams(Mechanics, BlockParams):
         live=True,
     )
     t_b: float | None = param(None, "start of the braking; absent: none", "s", ge=0.0, le=1e4, live=True)
-    t_db: float = param(0.4, "duration of the braking", "s", gt=0.0, le=100.0, live=True)
+    t_db: float = param(0.4, "duration of the braking", "s", ge=1e-6, le=100.0, live=True)
     F_max: float = param(40.0, "largest force of the motor", "N", gt=0.0, le=1e4, live=True)
 
 

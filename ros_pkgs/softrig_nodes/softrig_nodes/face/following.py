@@ -7,6 +7,7 @@ becomes a change of the block's live parameters ``goal.*``, and so it is recorde
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -33,6 +34,9 @@ TRAJECTORY, STATES = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/Joi
 LOOK = SECOND // 50  # ns of the wall between two looks at a goal whose joints are not measured
 FEEDBACK = SECOND // 20  # ns of the wall between two messages of feedback, as action_monitor_rate is by default
 LEAVE = SECOND // 10  # ns of the run: before its end, so that the result of a goal is sent while the node is there
+WAITING = 10  # trajectories of the topic that wait for their share of the time
+KEPT = 10  # s: for a client that asks for the result of a goal later; each change of a goal publishes all that are kept
+OVERDRAWN = "more arrive than fit between the ticks"
 
 
 def followed(adapter: Adapter) -> Port | None:
@@ -73,6 +77,9 @@ class _Active:
 class Following(Reader):
     """Accepts trajectories for a reference, on ``~/joint_trajectory`` and by ``~/follow_joint_trajectory``.
 
+    They share the time of the node with its services: in a flood, the newest messages of the topic wait and goals are
+    refused.
+
     Parameters
     ----------
     port : Port
@@ -88,8 +95,11 @@ class Following(Reader):
         self._sources: int | None = None  # publishers of joint states; None: not subscribed yet
         self._timer = adapter.middleware.timer(LOOK, self._check)
         self._timer.cancel()
-        accept = quiet_after_shutdown(self._follow_message)
-        node.create_subscription(message_class(TRAJECTORY), "~/joint_trajectory", accept, QOS)
+        self._waiting: deque[bytes] = deque(maxlen=WAITING)
+        self._later = adapter.middleware.timer(LOOK, self._follow_waiting)
+        self._later.cancel()
+        accept = quiet_after_shutdown(self._accept)
+        node.create_subscription(message_class(TRAJECTORY), "~/joint_trajectory", accept, QOS, raw=True)
         if kind is not None:
             self._kind = kind
             self._server = ActionServer(
@@ -99,6 +109,7 @@ class Following(Reader):
                 self._follow,
                 goal_callback=self._asked,
                 cancel_callback=self._cancel,
+                result_timeout=KEPT,
             )
 
     # what is followed --------------------------------------------------------------------------------------------
@@ -127,26 +138,47 @@ class Following(Reader):
         """Stay where the reference is now."""
         self._set(hold(len(self._joints), *self._now()))
 
-    def _follow_message(self, message: Any) -> None:
-        """Follow a published trajectory, without an answer."""
+    def _accept(self, data: bytes) -> None:
+        """Follow a published trajectory, without an answer, as soon as there is time."""
         with self._node.monitor:
-            try:
-                _, result = self._motion(message)
-                self._set(result.values)
-            except BadGoal as error:
-                self._adapter.step.note(Level.WARN, "joint_trajectory", f"a trajectory is refused: {error}")
-            else:
-                self._end("INVALID_GOAL", "replaced by a trajectory from ~/joint_trajectory")
+            if len(self._waiting) == WAITING:
+                self._report("joint_trajectory", f"a trajectory is dropped: {OVERDRAWN}")
+            self._waiting.append(data)
+            self._follow_waiting()
+
+    def _follow_waiting(self) -> None:
+        self._later.cancel()
+        while self._waiting:
+            if wait := self._node.wanting():
+                self._later.again(max(LOOK, round(wait * SECOND)))
+                return
+            with self._node.credit.spent():
+                self._follow_message(deserialize_message(self._waiting.popleft(), message_class(TRAJECTORY)))
+
+    def _follow_message(self, message: Any) -> None:
+        try:
+            _, result = self._motion(message)
+            self._set(result.values)
+        except BadGoal as error:
+            self._report("joint_trajectory", f"a trajectory is refused: {error}")
+        else:
+            self._end("INVALID_GOAL", "replaced by a trajectory from ~/joint_trajectory")
+
+    def _report(self, key: str, text: str) -> None:
+        self._adapter.step.note(Level.WARN, key, text, anew=True)
 
     # the action --------------------------------------------------------------------------------------------------
 
     def _asked(self, goal: Any) -> GoalResponse:
-        """Refuse an impossible goal: the message of a refusal has no reason, so it is logged."""
+        """Refuse an impossible goal: the message of a refusal has no reason, so it is reported."""
         with self._node.monitor:
             try:
-                self._checked(goal)
+                if self._node.wanting():
+                    raise BadGoal(OVERDRAWN)
+                with self._node.credit.spent():
+                    self._checked(goal)
             except BadGoal as error:
-                self._adapter.middleware.log(Level.WARN, f"follow_joint_trajectory: a goal is refused: {error}")
+                self._report("follow_joint_trajectory", f"follow_joint_trajectory: a goal is refused: {error}")
                 return GoalResponse.REJECT
             return GoalResponse.ACCEPT
 
@@ -163,7 +195,7 @@ class Following(Reader):
         return now, result, on_way, at_end, min(until, default=None)
 
     async def _follow(self, handle: Any) -> Any:
-        with self._node.monitor:
+        with self._node.monitor, self._node.credit.spent():
             code, text, over = self._begin(handle)
         if over is not None:
             code, text = await over

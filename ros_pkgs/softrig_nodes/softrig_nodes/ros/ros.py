@@ -125,13 +125,15 @@ class ServingNode(Node):  # type: ignore[misc]
         Monitor of all calls of the node: no service is answered during a tick.
     paused : callable
         Returns whether the rig is paused here.
+    credit : Credit
+        Time that services and other calls from outside may use.
     """
 
     remark = ""
     paused: Callable[[], bool] = staticmethod(lambda: False)
     overdrawn: Callable[[str], object] = staticmethod(lambda text: None)
     dropped: Callable[[], object] = staticmethod(lambda: None)
-    _credit = Credit()  # one for all nodes of a process
+    credit = Credit()  # one for all nodes of a process
     _requests: Requests | None = None
 
     def __init__(self, *names: Any, **options: Any) -> None:
@@ -186,6 +188,10 @@ class ServingNode(Node):  # type: ignore[misc]
         """Call back every `ns`, by a clock that cannot be set."""
         return RosTimer(self.create_timer(ns / 1e9, callback, clock=Clock(clock_type=ClockType.STEADY_TIME)))
 
+    def wanting(self) -> float:
+        """Return how long a call from outside has to wait until there is time for it, s; zero if there is."""
+        return 0.0 if self.paused() else self.credit.wanting()
+
     def serve_by(self, timer: Callable[[int, Callable[[], None]], Periodic]) -> None:
         """Answer requests when a timer fires, so that a flood of them delays neither other timers nor ticks.
 
@@ -196,7 +202,7 @@ class ServingNode(Node):  # type: ignore[misc]
         """
         if not works("requests"):
             return
-        requests = self._requests = Requests(self, self._credit, lambda: self.paused(), lambda: self.dropped())
+        requests = self._requests = Requests(self, self.credit, lambda: self.paused(), lambda: self.dropped())
         for service in services(self):  # that of type descriptions is rclpy's own
             answering = self._answering.get(service)
             requests.add(service, answering or self._refusing(service.srv_type, service.srv_name, service.callback))

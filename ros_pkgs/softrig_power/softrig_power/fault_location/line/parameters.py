@@ -135,7 +135,7 @@ class RigParams(Params):
     fault: FaultParams = FaultParams()
     measurement: MeasurementParams = MeasurementParams()
     duration: float = param(0.060, "length of the record", "s", gt=0.0, le=60.0)
-    step: float = param(1e-6, "internal step", "s", gt=0.0, le=1e-3)
+    step: float = param(1e-6, "internal step", "s", ge=1e-8, le=1e-3)
 
     @property
     def decimation(self) -> int:
