@@ -45,7 +45,7 @@ class Table:
             marks=pytest.mark.long,
         ),
         (["bag", "export", "RUN/bag", "--out", "OUT"], ("softrig_bags.export", "_writer"), "OUT"),
-        (["export", "c", "dc_motor_smc_b2", "dc_motor_smc", "--out", "OUT"], (Path, "write_text"), "OUT/"),
+        (["export", "c", "dc_motor_smc_b2", "dc_motor_smc", "--out", "OUT"], (Path, "write_bytes"), "OUT/"),
     ],
 )
 def test_a_full_disk_names_the_file_and_leaves_no_part_of_it(words, place, name, run, tmp_path, capsys, monkeypatch):

@@ -21,6 +21,7 @@ from softrig_bringup.pack import brought, cargo, packed, sandbox, signature, tru
 from softrig_bringup.pack.packed import About
 from softrig_bringup.verbs import pack
 from softrig_bringup.verbs.new import new_package
+from softrig_control.c_member import build
 from softrig_core import ScenarioError, rig_of
 from softrig_core.kit import confined
 
@@ -257,6 +258,10 @@ def test_a_path_out_of_the_folder_is_refused(place, old, new, message, sources, 
         ({"metrics.json": "x", "pack.json": about(files={"metrics.json": "0" * 64})}, "is not the file that pack.json"),
         ({f"scenario/{NAME}.yaml": None}, "no scenario/stranger_rig.yaml in it"),
         ({"scenario/zeros": bytes(packed.SMALL + 1)}, "expected at most 100 times its own size"),
+        ({f"scenario/{'é' * 150}": "x"}, "expected plain files below"),
+        ({f"scenario/{'é' * 100}/{'/'.join(['é' * 120] * 15)}": "x"}, "expected plain files below"),
+        ({"bag/metadata.yaml": "[" * 100_000}, "metadata.yaml is no YAML: nested deeper than 40 levels"),
+        ({"pack.json": "["}, "pack.json: invalid json"),
     ],
 )
 def test_a_refused_pack_leaves_nothing_behind(more, text, sources, tmp_path, capsys):
@@ -265,6 +270,24 @@ def test_a_refused_pack_leaves_nothing_behind(more, text, sources, tmp_path, cap
     assert text in capsys.readouterr().err
     left = [f for f in (tmp_path / "cache").rglob("*") if f.is_file()]
     assert left == [] or "sources alone" in text
+
+
+def test_what_a_killed_process_has_left_is_removed(tmp_path, sources):
+    """Half an unpacked file of up to 4 GiB, but not one that another process unpacks now."""
+    for name, age in ((".new_old", 2 * packed._ABANDONED), (".new_now", 0.0)):
+        (folder := tmp_path / "cache/packs" / name / "new").mkdir(parents=True)
+        (folder / "x").write_text("x")
+        os.utime(folder.parent, (folder.stat().st_mtime - age,) * 2)
+    packed.opened(zipped(tmp_path / "x.zip", {"pack.json": about()} | sources))
+    assert [f.name for f in (tmp_path / "cache/packs").glob(".new_*")] == [".new_now"]
+
+
+@pytest.mark.parametrize("words", [["run"], ["linearise"], ["steady"], ["study"]])
+def test_verbs_that_take_no_pack_say_what_it_is(words, sources, tmp_path, capsys):
+    file = zipped(tmp_path / "x.softrig.zip", {"pack.json": about()} | sources)
+    assert main([*words, str(file)]) == 2
+    assert "pack" in (printed := capsys.readouterr().err), printed
+    assert NAME not in sys.modules
 
 
 def test_a_list_of_entries_is_limited_before_it_is_read(tmp_path):
@@ -357,6 +380,25 @@ def test_flags_that_stay_in_a_pack_are_listed(sources, tmp_path):
     flags = ['-DNAME="a b"', "-DREAL=float", "-UNDEBUG", "-O3", "-Ofast", "-std=gnu++17", "-Iinclude", "-Wall", "-g1"]
     flags += ["-Wno-unused", "-Werror=format", "-march=x86-64-v3", "-msse2", "-ffp-contract=off", "-fno-builtin", "-lm"]
     assert with_law(tmp_path, sources, flags=flags)[-1].endswith(", ".join(f"flag {flag}" for flag in flags))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt-get install gcc")
+def test_looking_at_a_folder_compiles_nothing_of_it(tmp_path, capsys, monkeypatch):
+    """The scenario may have come with the folder; units and plots are those of its metrics.json and of the scenario."""
+    monkeypatch.chdir(tmp_path)
+    new_native("law", tmp_path / "law", "c", "softrig")
+    assert main(["run", "law/law.yaml", "--mode", "inprocess", "--no-plots", "--out", "run"]) == 0
+    (tmp_path / "law/law.yaml").write_text(
+        (tmp_path / "law/law.yaml").read_text().replace("      header: ", "      flags: [-DX=1]\n      header: ", 1)
+    )
+    monkeypatch.setattr(build, "_ran", lambda *_: pytest.fail("a compiler was started"))
+    assert main(["draw", "plot", "run", "--format", "svg", "--out", "pictures"]) == 0
+    assert main(["draw", "plot", "run/bag", "--format", "svg", "--out", "pictures"]) == 0
+    assert main(["report", "run"]) == 0
+    assert "without its rig" not in capsys.readouterr().err
+    pictures = list((tmp_path / "pictures").glob("*.svg"))
+    assert pictures
+    assert "rad/s" in "".join(p.read_text() for p in pictures)
 
 
 @pytest.mark.parametrize(
@@ -472,6 +514,51 @@ def test_figures_are_computed_and_inconsistencies_reported(place, change, text, 
 
 
 def test_bag_and_figures_of_two_different_runs_are_refused(sent, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda t: "[" * 100_000, "metrics.json: not valid JSON: nested too deeply"),
+        (lambda t: "{}", "metrics.json: scenario: field required"),
+    ],
+)
+def test_metrics_that_cannot_be_read_are_said_beside_the_result(change, text, sent, tmp_path, capsys):
+    """The run is repeated all the same: its numbers are compared with the bag."""
+    file = zipped(tmp_path / "x.zip", forged(sent, "metrics.json", change))
+    assert main(["report", str(file), "--out", str(tmp_path / "r.html")]) == 2
+    assert f"x.zip: {text}" in capsys.readouterr().err
+    assert run(file, out=str(tmp_path / "again")) == 0
+    printed = capsys.readouterr().err.splitlines()
+    assert f"x.zip: {text}" in printed[-2]
+    assert "number for number" in printed[-1]
+
+
+def test_control_characters_of_a_scenario_are_refused_by_their_line(sent, tmp_path, capsys):
+    """A terminal obeys them, and a picture with them is no XML."""
+    change = "title: Speed, true"
+    files = forged(sent, "scenario/mine.yaml", lambda t: t.replace(change, 'title: "\\e[31m" #'))
+    assert main(["report", str(zipped(tmp_path / "x.zip", files))]) == 2
+    assert "mine.yaml: not valid YAML: line " in (printed := capsys.readouterr().err)
+    assert r"control character in '\x1b[31m'; remove it" in printed
+
+
+def test_an_edited_figure_of_a_run_is_not_packed(sent, tmp_path, capsys, monkeypatch):
+    """Nor a run whose scenario was edited, if only its bag still has the digest."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("title: Mine\nextends: dc_motor_smc_b2\nduration: 0.2\n")
+    assert main(["run", "mine.yaml", "--mode", "inprocess", "--no-plots", "--out", "run"]) == 0
+    metrics = tmp_path / "run/metrics.json"
+    right = metrics.read_text()
+    metrics.write_text(first_figure(right))
+    assert main(["pack", "run"]) == 2
+    assert "run: rise_time: 0.125 in metrics.json, the bag gives none; run it again" in capsys.readouterr().err
+    metrics.write_text(json.dumps({k: v for k, v in json.loads(right).items() if k != "run"}))
+    assert main(["pack", "run"]) == 0
+    (tmp_path / "mine.yaml").write_text("title: Mine\nextends: dc_motor_smc_b2\nduration: 0.21\n")
+    assert main(["pack", "run"]) == 2
+    assert "its scenario gives another duration, seed or parameters" in capsys.readouterr().err
+
+
+def test_bag_and_figures_of_two_runs_are_no_run(sent, tmp_path, capsys):
     folder = tmp_path / "run"
     (folder / "bag").mkdir(parents=True)
     for place in sent:

@@ -23,7 +23,7 @@ from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.scenario.references import fill, fill_parameters, parameter_of, pick
 from softrig_core.scenario.scenario import Draft, Scenario
 from softrig_core.scenario.scenario_file import inherit, list_scenarios, locate, merge, names, resolve
-from softrig_core.scenario.yaml_file import DEPTH, NODES, SIZE, read_mapping, read_yaml
+from softrig_core.scenario.yaml_file import DEPTH, NODES, SIZE, read_mapping, read_yaml, write_yaml
 
 
 def said(function, *given, **words):
@@ -591,3 +591,12 @@ def test_parameters_of_nodes_may_refer_to_those_of_others():
         with pytest.raises(ScenarioError) as error:
             parameters(**nodes)("a")
         assert str(error.value) == reported
+
+
+@pytest.mark.parametrize(
+    "text", ["1e5", "0o17", "-1e3", ".5e3", "1_000", "on", "1:30", "2026-11-26", "~", "<<", "é: x"]
+)
+def test_a_text_that_is_written_is_read_as_that_text(text):
+    """YAML 1.1 writes 1e5 without quotes, for it is a text there; the reader takes it for a number."""
+    content = {"v": text, text: [text, 1e5, 1e-5, 0x1F]}
+    assert read_yaml(write_yaml(content), "x") == content

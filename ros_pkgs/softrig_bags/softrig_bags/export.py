@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from softrig_core import SECOND
 from softrig_core.extras import need
-from softrig_core.guard import naming, print_line
+from softrig_core.guard import print_line
 
 from .errors import BagError
 from .files.reader import BagReader
@@ -69,7 +71,7 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
     need("pyarrow", "an export")
     if file_format not in FORMATS:
         raise BagError(f"format {file_format!r}: expected {', '.join(FORMATS)}")
-    with BagReader(path, namespace=namespace) as bag, naming(Path(directory)):
+    with BagReader(path, namespace=namespace) as bag:
         columns, epoch = Columns(bag), epoch_of(bag)[0]
         columns.texts = {}
         Path(directory).mkdir(parents=True, exist_ok=True)
@@ -82,6 +84,7 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
             return files[topic]
 
         names: list[str] = []
+        written: list[Path] = []
         try:
             for block in bag.blocks():
                 # A file may declare a topic only where its first message is.
@@ -96,11 +99,15 @@ def export(path: Path | str, directory: Path | str, file_format: str, namespace:
                 print_line(f"{path}: {line}")
             if not whole:
                 raise BagError(f"{path}: none of its topics can be decoded, so there is nothing to export")
-            written = [file(i).close() for i in whole]
+            for topic in whole:
+                with _named(file(topic).path):
+                    written.append(file(topic).close())
             return [*map(_mat, written)] if file_format == "mat" else written
         finally:
             for opened in files.values():
                 opened.abort()
+            for table in written if file_format == "mat" else ():
+                table.unlink(missing_ok=True)
 
 
 def _file_names(labels: list[str], known: list[str]) -> Iterator[str]:
@@ -128,7 +135,7 @@ class _TopicFile:
     """One table that grows; if columns are added later, it is written in parts that are joined at the end."""
 
     def __init__(self, path: Path, epoch: int) -> None:
-        self._path, self._epoch = path, epoch
+        self.path, self._epoch = path, epoch
         self._parts: list[Path] = []
         self._kinds: dict[str, Any] = {}  # types by label
         self._waiting: list[Piece] = []
@@ -140,7 +147,8 @@ class _TopicFile:
         self._waiting.append(piece)
         self._rows += len(piece.t)
         if self._rows >= ROWS:
-            self._flush()
+            with _named(self.path):
+                self._flush()
 
     def _flush(self) -> None:
         # Imported here, because the import takes half a second.
@@ -163,8 +171,8 @@ class _TopicFile:
     def _next_part(self) -> None:
         if self._writer is not None:
             self._writer.close()
-        self._parts.append(self._path.with_name(f".{self._path.name}.{len(self._parts)}.part"))
-        self._writer = _writer(self._parts[-1], self._path.suffix, self._schema)
+        self._parts.append(self.path.with_name(f".{self.path.name}.{len(self._parts)}.part"))
+        self._writer = _writer(self._parts[-1], self.path.suffix, self._schema)
 
     @property
     def _schema(self) -> Any:
@@ -182,10 +190,10 @@ class _TopicFile:
         self._writer.close()
         if len(self._parts) > 1:
             schema = self._schema
-            joined = self._path.with_name(f".{self._path.name}.part")
-            writer = _writer(joined, self._path.suffix, schema)
+            joined = self.path.with_name(f".{self.path.name}.part")
+            writer = _writer(joined, self.path.suffix, schema)
             for part in self._parts:
-                for rows in _batches(part, self._path.suffix, schema):
+                for rows in _batches(part, self.path.suffix, schema):
                     none = {pyarrow.float64(): pyarrow.array(np.full(rows.num_rows, np.nan))}
                     arrays = [
                         rows[field.name] if field.name in rows.schema.names
@@ -196,14 +204,23 @@ class _TopicFile:
             writer.close()
             self.abort()
             self._parts = [joined]
-        self._parts[0].replace(self._path)
+        self._parts[0].replace(self.path)
         self._parts = []
-        return self._path
+        return self.path
 
     def abort(self) -> None:
         """Delete everything that has not been moved to its place."""
         for part in self._parts:
             part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Name the file of an OSError that pyarrow has written its own text for."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, os.strerror(error.errno) if error.errno else str(error), str(path)) from error
 
 
 def _headings(labels: Iterable[str]) -> list[str]:
@@ -253,13 +270,13 @@ def _mat(table: Path) -> Path:
     file = table.with_suffix(".mat")
     part = table.with_name(f".{file.name}.part")
     try:
-        savemat(part, variables, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+        with _named(file):
+            savemat(part, variables, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
         part.replace(file)
     except (ValueError, OverflowError) as error:
         raise BagError(f"{file}: {error}; a variable of MATLAB 5 has at most 2 GB: export csv or parquet") from None
     finally:
         part.unlink(missing_ok=True)
-    table.unlink()
     return file
 
 

@@ -15,6 +15,7 @@ from pydantic import model_validator
 from softrig_core import Block, BlockParams, Port, Recording, Sample, param, to_ns
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
+from softrig_core.kit.file_format import json_of
 
 from .files.reader import BagReader
 from .read import read_bag
@@ -28,7 +29,7 @@ def written(port: Port) -> str:
 
 def port_of(text: str) -> Port:
     """Create an output that publishes what a port has read; `text` is from `written`."""
-    results = {name: _tuples(value) for name, value in json.loads(text).items()}
+    results = {name: _tuples(value) for name, value in json_of(text).items()}
     return replace(Port(**results), held=False, partial=False, sporadic=True)
 
 
@@ -85,7 +86,7 @@ class Tape(Block[TapeParams]):
         self._rows = {}
         for text in self.p.inputs:
             port = port_of(text)
-            self._rows[port.name] = list(self._read(Port(**{n: _tuples(v) for n, v in json.loads(text).items()})))
+            self._rows[port.name] = list(self._read(Port(**{n: _tuples(v) for n, v in json_of(text).items()})))
 
     def _read(self, port: Port) -> Iterable[tuple[int, Any]]:
         """Return (ns from t = 0, values) of each message that a port accepts."""

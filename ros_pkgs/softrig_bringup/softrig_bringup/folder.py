@@ -14,7 +14,8 @@ from pathlib import Path
 from weakref import WeakSet
 
 from softrig_core import RunError, ScenarioError
-from softrig_core.guard import keep_traceback, naming
+from softrig_core.guard import keep_traceback, naming, replace
+from softrig_core.kit.file_format import json_of
 
 MANIFEST = "softrig_files.json"
 UNDER_WAY = "*"  # for a list: a run has begun here and not ended, all that a run may write is its own; then its `once`
@@ -134,7 +135,7 @@ class ResultsFolder:
     def broke(self) -> bool:
         """Return whether the run in the folder ended with an error."""
         try:
-            return bool(json.loads((self.path / "metrics.json").read_text())["error"])
+            return bool(json_of((self.path / "metrics.json").read_text())["error"])
         except (OSError, ValueError, KeyError, TypeError):
             return False
 
@@ -147,7 +148,7 @@ class ResultsFolder:
             Called with the shards of a run that was killed; returns what in them cannot be reproduced.
         """
         try:
-            content = json.loads((self.path / "metrics.json").read_text())
+            content = json_of((self.path / "metrics.json").read_text())
             reasons, packages = list(content.get("once", ())), list(content.get("code", ()))
         except (OSError, ValueError, AttributeError, TypeError):
             log, left = self.path / "log", sorted(branch.name for branch in self.path.glob("left_*.yaml"))
@@ -279,17 +280,6 @@ def _writing(path: Path, other: str) -> str:
     return f"{path}: {other} is writing there; wait for it, or choose another folder"
 
 
-def replace(path: Path, text: str | bytes) -> None:
-    """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with naming(path):
-            temporary.write_bytes(text.encode() if isinstance(text, str) else text)
-            temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def _holder(path: Path) -> str:
     """Describe which process holds a folder, as the kernel lists its locks."""
     inode = str(path.stat().st_ino)
@@ -315,7 +305,7 @@ def _files(path: Path) -> Iterator[str]:
 
 def _listed(path: Path) -> set[str]:
     try:
-        content = json.loads((path / MANIFEST).read_text())
+        content = json_of((path / MANIFEST).read_text())
     except (OSError, ValueError):
         return set()
     names = content if isinstance(content, list) else []
@@ -336,7 +326,7 @@ def _inside(path: Path, place: Path) -> bool:
 
 def _what(path: Path) -> str:
     try:
-        content = json.loads((path / "metrics.json").read_text())
+        content = json_of((path / "metrics.json").read_text())
         return f"{content['scenario']} ({content['mode']}, seed {content['seed']})"
     except (OSError, ValueError, KeyError, TypeError):
         return "an earlier run"

@@ -197,7 +197,9 @@ def print_for(who: str, what: object) -> None:
     """Print one line prefixed with a name; a closed output is ignored."""
     text = plain(" ".join(str(what).split()))
     with suppress(OSError, ValueError):
-        print(f"{who}: {text if len(text) <= LINE else text[:LINE] + ' ...'}", file=sys.stderr, flush=True)
+        # A message quotes the input first and ends with what was expected, so a long quotation loses its middle.
+        shown = text if len(text) <= LINE else f"{text[: LINE // 2]} ... {text[-LINE // 2 :]}"
+        print(f"{who}: {shown}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -209,6 +211,17 @@ def naming(path: Path) -> Iterator[None]:
         if error.filename is None:
             error.filename = str(path)
         raise
+
+
+def replace(path: Path, text: str | bytes) -> None:
+    """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with naming(path):
+            temporary.write_bytes(text.encode() if isinstance(text, str) else text)
+            temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def plain(text: str) -> str:

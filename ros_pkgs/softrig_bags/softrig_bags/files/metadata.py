@@ -9,6 +9,8 @@ from typing import Any
 
 import yaml
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from softrig_core import ScenarioError
+from softrig_core.scenario.yaml_file import bounded
 
 from ..content.topics import FOREVER
 from .source import Damaged
@@ -57,8 +59,16 @@ class Metadata:
 
 
 def loaded(text: str | bytes) -> Any:
-    """Read YAML with all scalars as texts: a time or a truth value stays text."""
-    return yaml.load(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader))  # type: ignore[no-untyped-call]
+    """Read YAML with all scalars as texts: a time or a truth value stays text.
+
+    Raises
+    ------
+    yaml.YAMLError
+    ScenarioError
+        Its depth, or what its aliases expand to, has no bound that a bag's metadata keeps.
+    """
+    # Without aliases no text has more values than characters.
+    return bounded(text, getattr(yaml, "CBaseLoader", yaml.BaseLoader), len(text))
 
 
 def read_metadata(path: Path) -> Metadata:
@@ -74,7 +84,7 @@ def read_metadata(path: Path) -> Metadata:
     try:
         content = loaded(path.read_bytes())
         return parsed(content["rosbag2_bagfile_information"])
-    except (yaml.YAMLError, UnicodeError, RecursionError) as error:
+    except (yaml.YAMLError, UnicodeError, ScenarioError) as error:
         raise Damaged(f"metadata.yaml is no YAML: {' '.join(str(error).split())[:200]}") from None
     except KeyError as error:
         raise Damaged(f"metadata.yaml is not that of a bag: it has no {error.args[0]}") from None
@@ -87,7 +97,7 @@ def embedded(text: str) -> Metadata:
     try:
         result = loaded(text)
         return parsed(result) if isinstance(result, dict) else Metadata()
-    except (yaml.YAMLError, Damaged, KeyError, TypeError, AttributeError, RecursionError):
+    except (yaml.YAMLError, Damaged, KeyError, TypeError, AttributeError, ScenarioError):
         return Metadata()
 
 
@@ -135,7 +145,7 @@ def profiles(offered: Any) -> tuple[Qos, ...]:
     try:
         result = loaded(offered) if isinstance(offered, str) else offered
         return tuple(_profile(item) for item in result or [] if isinstance(item, dict))
-    except (yaml.YAMLError, RecursionError):
+    except (yaml.YAMLError, ScenarioError):
         return ()
 
 

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 from softrig_core import Scenario, ScenarioError, figures_of, load_scenario, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
+from softrig_core.guard import replace
 from softrig_core.run.purity import check_pure, is_suspect
 from softrig_core.verdict.figures import follows
 
-from ..folder import replace
 from ..run.run import checked
 from ..study.batch import Batch, Log
 from ..study.engine import made_of, same

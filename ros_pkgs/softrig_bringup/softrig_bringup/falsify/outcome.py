@@ -8,12 +8,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import yaml
 from softrig_core import Run, Scenario, figures_of, load_scenario, rig_of
+from softrig_core.guard import replace
 from softrig_core.scenario.scenario_file import find
+from softrig_core.scenario.yaml_file import write_yaml
 from softrig_nodes.processes.placement import Placement
 
-from ..folder import ResultsFolder, replace
+from ..folder import ResultsFolder
 from ..report.report import write_report
 from ..run.run import checked, execute, illustrate, save, summary
 from ..terminal.console import console as make_console, styled
@@ -121,7 +122,7 @@ def scenario_file(task: Falsification, kind: str, case: Case, outcome: Outcome) 
         content = changed.model_dump(mode="json", exclude_defaults=True, exclude={"name", "expect", "claims"})
         content["title"] = title
     head = f"# Found by: softrig falsify {task.name}; {len(outcome.search.trace)} runs, seed {task.seed}.\n"
-    return head + str(yaml.safe_dump(content, sort_keys=False, width=110))
+    return head + write_yaml(content)
 
 
 def content(task: Falsification, outcome: Outcome) -> dict[str, Any]:

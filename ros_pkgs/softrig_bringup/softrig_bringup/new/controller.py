@@ -6,13 +6,13 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import yaml
 from softrig_core import Port, Rig, ScenarioError, load_scenario, rig_of
 from softrig_core.block.params import declarations, flatten
 from softrig_core.errors import closest
 from softrig_core.judge.expectation import Expectation
 from softrig_core.rig.members import Member, signal_units
 from softrig_core.run.live_figures import Figures
+from softrig_core.scenario.yaml_file import write_yaml
 
 from ..view.control import role
 
@@ -67,7 +67,7 @@ def replaced(wanted: str, name: str) -> Replaced:
     cls, units = member.block_class, signal_units(rig)
     outputs = [f"{p.topic}/{label}" for p in member.outputs for label in p.labels]
     values = {
-        "scenario": yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True),
+        "scenario": write_yaml(content),
         "extended": rig.scenario.name,
         "node": member.name,
         "module": cls.__module__,

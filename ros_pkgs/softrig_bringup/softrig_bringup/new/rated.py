@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from softrig_core import ScenarioError
-from softrig_core.guard import naming
+from softrig_core.guard import replace
 from softrig_core.kit.file_format import number_of
 from softrig_core.scenario.scenario_file import find
 
@@ -64,9 +64,8 @@ def from_data_sheet(name: str, parent: Path, kind: str, rated: Sequence[str], co
     path = parent / f"{name}.yaml"
     if path.exists() or path.is_symlink():
         raise ScenarioError(f"{path} is there already; choose another name or --into DIR")
-    with naming(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace(path, text)
     shown = shlex.quote(os.path.relpath(path))
     lines = [f"wrote {shown}; assumed, because the rated values do not have it:", *(f"  {line}" for line in assumed)]
     return "\n".join([*lines, "now:", f"  {command} run {shown} --mode inprocess"])

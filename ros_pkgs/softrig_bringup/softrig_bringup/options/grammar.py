@@ -119,8 +119,8 @@ def span(name: str, text: object) -> Span:
         near = f" (did you mean {name}={two[1]}..{two[2]}?)" if two else ""
         raise ScenarioError(f"{name}={text}: {FORMS}{near}" + ("; LOW:HIGH:STEP is a grid, --grid" if steps else ""))
     low, high, count = float(match[2]), float(match[3]), int(match[5] or 0)
-    if not (math.isfinite(low) and math.isfinite(high)):
-        raise ScenarioError(f"{name}={text}: expected numbers below 1.8e308")
+    if not math.isfinite(high - low):
+        raise ScenarioError(f"{name}={text}: expected numbers below 1.8e308, and so their difference")
     if low > high:
         raise ScenarioError(f"{name}={text}: {low:g} is above {high:g}")
     if match[1] and low <= 0.0:

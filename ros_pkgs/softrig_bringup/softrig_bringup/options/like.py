@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import shlex
 import struct
 from collections.abc import Callable, Iterable, Mapping
@@ -20,6 +19,7 @@ from softrig_core import Port, Recording, Rig, Run, Scenario, ScenarioError, loa
 from softrig_core.block.codec import Decoder
 from softrig_core.block.port import Refused
 from softrig_core.errors import nearby
+from softrig_core.kit.file_format import json_of
 from softrig_core.rig.code import LETTERS, is_ours
 from softrig_core.rig.members import Member
 from softrig_core.timebase import SECOND
@@ -120,15 +120,17 @@ def recall(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> Reca
             data = reader.custom_data
         content = _content(bag.absolute().parent / METRICS)
         # A run that continued another one was begun by the command of that one.
-        begun = json.loads(data.get("from", "{}")).get("command", "")
+        begun = json_of(data.get("from", "{}")).get("command", "")
         command = shlex.split(begun or data.get("command", "") or str(content["command"]))
-        late = json.loads(data.get("late", "{}"))
-        made_with = {key: json.loads(data[key]) for key in MADE_WITH if key in data}
+        late = json_of(data.get("late", "{}"))
+        made_with = {key: json_of(data[key]) for key in MADE_WITH if key in data}
         made_with = {key: dict(content[key]) for key in MADE_WITH if key in content} | made_with
         epoch = int(data.get("epoch", "0"))
         options = parse(command[command.index("run") + 1 :])
         recording = read_bag(bag)
-    except (BagError, OSError, ValueError, KeyError, TypeError, argparse.ArgumentError):
+    except (BagError, OSError, ValueError, KeyError, TypeError, argparse.ArgumentError) as error:
+        if bag is not path and isinstance(error, BagError):
+            raise ScenarioError(str(error)) from None
         near = "" if path.exists() else nearby(path)
         raise ScenarioError(
             f"{path}: expected the directory of a run, the bag of a run, or a file of `softrig pack`{near}"
@@ -155,14 +157,14 @@ def _unpacked(path: Path, parse: Callable[[list[str]], argparse.Namespace]) -> R
         return Recalled(path, options, bag, Recording(()), 0, {}, made_with, stated.digests)
     with BagReader(bag) as reader:
         data = reader.custom_data
-    late, epoch = json.loads(data.get("late", "{}")), int(data.get("epoch", "0"))
+    late, epoch = json_of(data.get("late", "{}")), int(data.get("epoch", "0"))
     return Recalled(path, options, bag, read_bag(bag), epoch, late, made_with, bag_metadata=data)
 
 
 def _content(metrics: Path) -> Mapping[str, Any]:
     """Read the metrics.json beside a bag, if there is one."""
     try:
-        content = json.loads(metrics.read_text())
+        content = json_of(metrics.read_text())
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}

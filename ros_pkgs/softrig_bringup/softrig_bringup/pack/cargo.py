@@ -37,6 +37,7 @@ _STARTS = {"sitecustomize", "usercustomize"}
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)|find_spec\(\"(\w+)\"\)", re.MULTILINE)
 _POINT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _TARGET = re.compile(r"(\w+)((?:\.\w+)*):(\w+(?:\.\w+)*)", re.ASCII)
+_LISTED = 20  # files of an FMU
 _COMPILED = {".pyc", ".pyo", ".pth"}
 _MACHINE = {".so", ".dll", ".dylib", ".pyd"}
 _FLAG = re.compile(
@@ -162,7 +163,12 @@ def brings(folder: Path, about: About) -> list[str]:
 
 def runs_code(scenario: Scenario) -> bool:
     """Return whether nodes of a scenario run C, a board or a simulator, which a pack of it lists as code."""
-    return any(e.link is not None or (e.package, e.executable) in _C for e in scenario.nodes.values())
+    return bool(nodes_in_c(scenario)) or any(e.link is not None for e in scenario.nodes.values())
+
+
+def nodes_in_c(scenario: Scenario) -> list[str]:
+    """List the nodes of a scenario that run C."""
+    return [name for name, e in scenario.nodes.items() if (e.package, e.executable) in _C]
 
 
 def _natives(folder: Path) -> Iterator[Native]:
@@ -198,7 +204,8 @@ def _binaries(path: Path) -> tuple[str, ...] | None:
             names = archive.namelist()
     except (zipfile.BadZipFile, ValueError, NotImplementedError):
         return ()
-    return tuple(n for n in names if n.startswith(("binaries/", "sources/")) and not n.endswith("/"))[:20]
+    code = [n for n in names if n.startswith(("binaries/", "sources/")) and not n.endswith("/")]
+    return (*code[:_LISTED], *([f"{len(code) - _LISTED} more"] if len(code) > _LISTED else []))
 
 
 # names ----------------------------------------------------------------------------------------------------------------

@@ -8,9 +8,11 @@ import re
 import shutil
 import stat
 import struct
+import time
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -36,6 +38,8 @@ TIMES = 100
 HEAD = 512
 # In bytes. These files are read as a whole, so their size must fit in memory.
 LARGEST = {ABOUT: 8 << 20, METRICS: 64 << 20}
+_LONGEST = 3072  # bytes of a name with its folders; a path has 4096
+_ABANDONED = 86400.0  # s
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError)
 _NAME = re.compile(
     rf"(?:{ABOUT}|{METRICS}|{CRATE}|(?:{SCENARIO}|{PACKAGES}|{BAG}|{STUDY})(?:/[^/\\\x00-\x1f\x7f]{{1,150}}){{1,20}})"
@@ -124,7 +128,8 @@ def about(folder: Path) -> About:
         raise ScenarioError(f"no {ABOUT} in it: expected a file that `softrig pack` has written") from None
     except ValidationError as error:
         first = error.errors()[0]
-        raise ScenarioError(f"{ABOUT}: {'.'.join(map(str, first['loc']))}: {first['msg'].lower()}") from None
+        place = "".join(f"{key}: " for key in [".".join(map(str, first["loc"]))[:200]] if key)
+        raise ScenarioError(f"{ABOUT}: {place}{first['msg'].lower()}") from None
 
 
 def digest_of(path: Path) -> str:
@@ -148,6 +153,7 @@ def opened(path: Path) -> Path:
         folder = cache_folder() / "packs" / digest_of(path)[:32]
         if not folder.is_dir():
             folder.parent.mkdir(parents=True, exist_ok=True)
+            _sweep(folder.parent)
             with TemporaryDirectory(dir=folder.parent, prefix=".new_") as aside:
                 new = Path(aside) / "new"
                 _check_content(new, unpack(path, new))
@@ -161,6 +167,14 @@ def opened(path: Path) -> Path:
     if (mine := str(folder / SCENARIO)) not in known:
         os.environ["SOFTRIG_SCENARIOS"] = os.pathsep.join(filter(None, (*known, mine)))
     return folder
+
+
+def _sweep(packs: Path) -> None:
+    """Remove what processes that were killed have half unpacked."""
+    for left in packs.glob(".new_*"):
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > _ABANDONED:
+                shutil.rmtree(left, ignore_errors=True)
 
 
 def unpack(path: Path, folder: Path) -> dict[str, str]:
@@ -227,7 +241,9 @@ def _check(entry: zipfile.ZipInfo, seen: Iterable[str]) -> None:
     """Refuse entries that are not plain files at distinct places below the folder."""
     name, kind = entry.filename, stat.S_IFMT(entry.external_attr >> 16)
     parts = name.split("/")
-    plain = _NAME.fullmatch(name) and "." not in parts and ".." not in parts and kind in (0, stat.S_IFREG)
+    # A file system counts bytes, not letters.
+    short = len(name.encode()) <= _LONGEST and max(len(part.encode()) for part in parts) <= 255
+    plain = short and _NAME.fullmatch(name) and "." not in parts and ".." not in parts and kind in (0, stat.S_IFREG)
     # zipfile cuts a name at a null byte; then the name that was checked is not the one in the file.
     if not plain or name in seen or entry.orig_filename != name:
         raise ScenarioError(

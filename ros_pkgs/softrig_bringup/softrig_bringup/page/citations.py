@@ -68,12 +68,16 @@ def _entries(path: Path, written: int) -> dict[str, Citation]:
     """Read a file; a new `written` time makes it read again."""
     from bibtexparser import entrypoint, middlewares
 
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError(f"{path}: no text in UTF-8: {error.reason} at byte {error.start}") from None
     library = entrypoint.parse_string(
-        path.read_text(encoding="utf-8"),
+        text,
         append_middleware=[middlewares.SeparateCoAuthors(), middlewares.SplitNameParts()],
     )
     for block in library.failed_blocks:
-        raise ScenarioError(f"{path}: line {(block.start_line or 0) + 1}: {block.error}")
+        raise ScenarioError(f"{path}: line {(block.start_line or 0) + 1}: {str(block.error).split(' Note:')[0]}")
     result = {}
     for entry in library.entries:
         fields = {name: field.value for name, field in entry.fields_dict.items()}

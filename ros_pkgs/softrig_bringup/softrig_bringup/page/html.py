@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, fromstring, tostring
 
-from ..folder import replace
+from softrig_core.guard import replace
 
 NONE = "–"  # in a cell that has nothing to say
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from ..folder import replace
+from softrig_core.guard import replace
 
 
 @dataclass(frozen=True)

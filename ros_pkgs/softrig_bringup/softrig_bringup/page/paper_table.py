@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from softrig_core import ScenarioError
+from softrig_core.guard import replace
 from softrig_core.judge.units import pretty_unit
-
-from ..folder import replace
 
 DIGITS = 4  # significant ones of the largest value in a column without an uncertainty
 SURE = 2  # significant ones of the largest uncertainty in a column

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softrig_core import Rig, Signals
+from softrig_core.guard import replace
 from softrig_core.judge.units import pretty_unit
 from softrig_core.scenario.scenario import PlotEntry
 
-from ..folder import replace
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
 from .canvas import Axes, Figure, Place

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import math
+import re
 from collections.abc import Iterator, Sequence
-from html import escape
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -24,11 +25,17 @@ _WIDTHS = {
     30: "'IJijl", 36: " ,-./:;\\f|", 41: "!()[]rt", 46: '"', 54: "*?_`sz", 60: "FLPckvxy",
     64: "$0123456789ESTYabdeghnopqu{}", 70: "ABCKRVXZ", 78: "&DGHNOQU", 84: "#+<=>^w~", 88: "M", 100: "%@Wm",
 }  # fmt: skip
+_NO_XML = re.compile(r"[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 Whole = NDArray[np.int64]
 _WIDTH = {letter: width / 100 for width, letters in _WIDTHS.items() for letter in letters}
 _DASHES = {"--": (3.7, 1.6), "-.": (6.4, 1.6, 1.0, 1.6), ":": (1.0, 1.65)}  # of the width of the line
 # a dark page inverts lightness and keeps hues, as pages of softrig do with their pictures; paper stays white
 _STYLE = "@media screen and (prefers-color-scheme:dark){svg.plot{filter:invert(.9) hue-rotate(180deg)}}"
+
+
+def escape(text: str) -> str:
+    """Return a text for an SVG; what XML cannot have, such as control characters of a recorded name, is shown as �."""
+    return html.escape(_NO_XML.sub("\ufffd", text), quote=False)
 
 
 class Box(NamedTuple):
@@ -60,8 +67,8 @@ def svg(figure: Figure) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="plot" role="img" aria-labelledby="{key}t {key}d" '
         f'width="{wide:g}" height="{high:g}" viewBox="0 0 {wide:g} {high:g}" font-family="{FONT}">'
-        f'<title id="{key}t">{escape(figure.title or "Picture", quote=False)}</title>'
-        f'<desc id="{key}d">{escape(" ".join(described(figure)), quote=False)}</desc>'
+        f'<title id="{key}t">{escape(figure.title or "Picture")}</title>'
+        f'<desc id="{key}d">{escape(" ".join(described(figure)))}</desc>'
         f'<style>{_STYLE}</style><rect width="100%" height="100%" fill="#ffffff"/>{body}</svg>\n'
     )
 
@@ -390,9 +397,9 @@ class _Writer:
         style += f' transform="rotate(-90 {_n(x)} {_n(y)})"' if turned else ""
         lines = text.split("\n")
         if len(lines) == 1:
-            return f'<text x="{_n(x)}" y="{_n(y)}"{style}>{escape(text, quote=False)}</text>'
+            return f'<text x="{_n(x)}" y="{_n(y)}"{style}>{escape(text)}</text>'
         spans = "".join(
-            f'<tspan x="{_n(x)}" y="{_n(y + k * 1.25 * size * self.point)}">{escape(line, quote=False)}</tspan>'
+            f'<tspan x="{_n(x)}" y="{_n(y + k * 1.25 * size * self.point)}">{escape(line)}</tspan>'
             for k, line in enumerate(lines)
         )
         return f"<text{style}>{spans}</text>"

@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from softrig_core.kit.file_format import json_of
+
 from .record import RunRecord
 
 SHORT, LONGEST = 30, 60  # letters: of folders that name their runs, and of what differs between those
@@ -116,7 +118,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, str]]:
     """Yield each value below a name as text; JSON in a parameter is split, too."""
     if isinstance(value, str) and value[:1] in ("{", "["):
         with suppress(ValueError):
-            value = json.loads(value)
+            value = json_of(value)
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _leaves(f"{name}.{key}", part)

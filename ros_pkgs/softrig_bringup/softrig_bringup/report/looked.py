@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from softrig_bags.read import BagSignals, read_bag, signals
 from softrig_bags.tape import written
 from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.port import CLOCK, XYZ
+from softrig_core.kit.file_format import json_of
 from softrig_core.rig.code import is_ours
 from softrig_core.rig.members import other_names
 from softrig_core.rig.rig import members_of
@@ -45,11 +45,8 @@ def rig_of_pack(folder: Path) -> tuple[Rig, BagSignals]:
     if not (folder / BAG).is_dir():
         raise ScenarioError("no bag in it; `softrig run --like` makes it again")
     result = signals(folder / BAG)
-    if names := brings(folder, stated):
-        ours = {n: e for n, e in scenario.nodes.items() if is_ours(e.package) and n not in names}
-        rig = _shown(scenario, folder, result, ours)
-    else:
-        rig = rig_of(scenario)
+    names = brings(folder, stated)
+    rig = recorded_rig(scenario, folder / BAG, result, names) if names else rig_of(scenario)
     return rig, result.known_as(other_names(rig))
 
 
@@ -91,7 +88,7 @@ def _seed(content: Mapping[str, Any], rig: Rig) -> int:
 def contradictions(directory: Path) -> tuple[str, ...]:
     """Describe which files in the folder of a run contradict each other."""
     try:
-        content = json.loads((directory / METRICS).read_text())
+        content = json_of((directory / METRICS).read_text())
         with BagReader(directory / BAG) as reader:
             custom = reader.custom_data
         return tuple(strangers(content, custom, read_bag(directory / BAG))) if "run" in {*content, *custom} else ()
@@ -127,7 +124,7 @@ def _number(value: Any) -> str:
 
 def _content(folder: Path) -> dict[str, Any]:
     try:
-        content = json.loads((folder / METRICS).read_text())
+        content = json_of((folder / METRICS).read_text())
     except OSError:
         raise ScenarioError(f"no {METRICS} in it, expected a pack of a run's folder") from None
     except ValueError as error:
@@ -140,13 +137,22 @@ def _content(folder: Path) -> dict[str, Any]:
 # a rig made only of recorded topics --------------------------------------------------------------------------------
 
 
-def _shown(scenario: Scenario, folder: Path, result: BagSignals, ours: Mapping[str, NodeEntry]) -> Rig:
-    """Create a rig of one node that publishes the bag's topics; it keeps those plots that the topics can show."""
-    units = {name: str(one.get("unit", "")) for name, one in _units(folder).items()}
+def recorded_rig(scenario: Scenario, bag: Path, result: BagSignals, apart: Collection[str]) -> Rig:
+    """Create a rig of one node that publishes a bag's topics; it keeps those plots that the topics can show.
+
+    Parameters
+    ----------
+    bag : Path
+        Beside it is the metrics.json of its run, which has units of signals.
+    apart : collection of str
+        Nodes, and packages, whose code may not run for it.
+    """
+    ours = {n: e for n, e in scenario.nodes.items() if is_ours(e.package) and n not in apart}
+    units = {name: str(one.get("unit", "")) for name, one in _units(bag.parent).items()}
     ports = [written(port) for port in _ports(scenario, result, units, ours)]
     if not ports:
         raise ScenarioError(f"{scenario.name}: no topic in its bag that can be shown without its code")
-    tape = {"package": "softrig_bags", "executable": "tape", "parameters": {"period": 0.001, "bag": str(folder / BAG),
+    tape = {"package": "softrig_bags", "executable": "tape", "parameters": {"period": 0.001, "bag": str(bag),
             "inputs": ports}}  # fmt: skip
     none: dict[str, Any] = {key: {} for key in ("faults", "figures", "expect", "claims", "requirements", "shared")}
     none |= dict.fromkeys(("changes", "containers", "trips", "plots"), ()) | {"clock": None}
@@ -162,7 +168,7 @@ def _shown(scenario: Scenario, folder: Path, result: BagSignals, ours: Mapping[s
 
 def _units(folder: Path) -> Mapping[str, Mapping[str, Any]]:
     try:
-        result = json.loads((folder / METRICS).read_text()).get("signals", {})
+        result = json_of((folder / METRICS).read_text()).get("signals", {})
         return {k: v for k, v in result.items() if isinstance(v, Mapping)}
     except (OSError, ValueError, AttributeError):
         return {}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from softrig_core import ScenarioError
 from softrig_core.errors import nearby
+from softrig_core.kit.file_format import json_of
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.verdict.figures import Result
 
@@ -120,7 +120,7 @@ def read_run(directory: Path) -> RunRecord:
     """
     path = directory / "metrics.json"
     try:
-        return record_of(json.loads(path.read_text()), str(path))
+        return record_of(json_of(path.read_text()), str(path))
     except OSError:
         if not directory.exists():
             raise ScenarioError(f"{directory}: no such folder, expected that of a run{nearby(directory)}") from None

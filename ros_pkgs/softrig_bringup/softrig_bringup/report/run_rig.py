@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from softrig_bags.files.reader import BagReader
 from softrig_bags.read import BagSignals, signals
@@ -15,14 +14,12 @@ from softrig_core.guard import print_line
 from softrig_core.rig.members import other_names
 
 from ..options.run_options import arguments, scenario_of
+from ..pack.cargo import nodes_in_c
 from ..pack.packed import ABOUT, is_pack, opened
 from ..plots.pictures import plot_run
 from .bag_rig import rig_of_bag
-from .looked import rig_of_pack
+from .looked import recorded_rig, rig_of_pack
 from .record import read_run
-
-if TYPE_CHECKING:
-    pass
 
 
 def rig_of_run(directory: Path, namespace: str = "") -> tuple[Rig, BagSignals]:
@@ -54,8 +51,9 @@ def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
     if namespace and (is_pack(directory) or (directory / ABOUT).is_file()):
         raise ScenarioError(f"{directory}: a pack has one rig, without a namespace; leave out --namespace")
     if is_pack(directory):
+        folder = opened(directory)
         try:
-            return rig_of_pack(opened(directory))
+            return rig_of_pack(folder)
         except ScenarioError as error:
             raise ScenarioError(f"{directory}: {error}") from None
     if (directory / ABOUT).is_file():  # a pack that somebody has unpacked
@@ -69,14 +67,14 @@ def _recalled(directory: Path, namespace: str) -> tuple[Rig, BagSignals]:
         )
     result = signals(bag, namespace)
     if bag.is_dir() and (bag.parent / "metrics.json").is_file():
-        return _as_it_ran(read_run(bag.parent).made_by), result
+        return _as_it_ran(read_run(bag.parent).made_by, bag, result), result
     with BagReader(bag) as reader:
         data = reader.custom_data
     scenario, command = data.get("scenario", ""), data.get("command", "")
     if not scenario:
         return rig_of_bag(bag, result), result
     try:
-        return _as_it_ran(command) if command else rig_of(scenario), result
+        return _as_it_ran(command or f"run {shlex.quote(scenario)}", bag, result), result
     except ScenarioError as error:
         print_line(f"{bag}: shown without its rig, scenario {scenario} cannot be made here: {error}")
         return rig_of_bag(bag, result), result
@@ -88,14 +86,18 @@ def _parser() -> Parser:
     return parser
 
 
-def _as_it_ran(command: str) -> Rig:
-    """Build the rig that a run's command describes."""
+def _as_it_ran(command: str, bag: Path, recorded: BagSignals) -> Rig:
+    """Build the rig that a run's command describes; nodes in C are shown as they were recorded.
+
+    The flags of a compiler can start a program, and the scenario may have come with the run.
+    """
     try:
         words = shlex.split(command)
         words = words[words.index("run") + 1 :]
     except ValueError:
         raise ScenarioError(f"metrics.json: command: expected that of a run, got {command!r}"[:200]) from None
-    return rig_of(scenario_of(_parser().parse_args(words)))
+    scenario = scenario_of(_parser().parse_args(words))
+    return recorded_rig(scenario, bag, recorded, names) if (names := nodes_in_c(scenario)) else rig_of(scenario)
 
 
 def draw_missing(directory: Path, into: Path) -> list[Path]:

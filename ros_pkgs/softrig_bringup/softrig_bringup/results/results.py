@@ -20,11 +20,12 @@ from softrig_core import (
     rig_of,
     simulate,
 )
-from softrig_core.guard import is_quiet, print_line
+from softrig_core.guard import is_quiet, print_line, replace
+from softrig_core.kit.file_format import json_of
 from softrig_core.verdict.findings import Finding, findings, needed, values
 from softrig_optim.sweep import sweep
 
-from ..folder import STUDY, ResultsFolder, alone_in, replace
+from ..folder import STUDY, ResultsFolder, alone_in
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import illustrate, save, summary, versions
 from ..study.definition import list_studies, load_study
@@ -96,7 +97,7 @@ def _key(rig: Rig) -> str:
 
 def _kept(place: Path, key: str) -> Measured | None:
     try:
-        content = json.loads(_figures(place).read_text())
+        content = json_of(_figures(place).read_text())
         if content["key"] != key or not (place / "report.html").is_file():
             return None
         return Measured(**content["measured"])._replace(kept=True)

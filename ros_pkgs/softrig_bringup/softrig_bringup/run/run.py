@@ -11,7 +11,7 @@ import platform
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -39,7 +39,7 @@ from softrig_core.block.params import declarations, flatten
 from softrig_core.block.port import CLOCK
 from softrig_core.block.scene import scene_of
 from softrig_core.block.step import Step
-from softrig_core.guard import naming
+from softrig_core.guard import naming, replace
 from softrig_core.native.engine import WATCHES
 from softrig_core.rig.code import fingerprints
 from softrig_core.rig.members import other_names
@@ -336,7 +336,7 @@ def save(
             recording = with_health(recording, texts, run.status) if health else recording
             content = {**content, "run": identity(run.rig, run.seed, recording)}
         # This is written first, because it tells the reason when the disk is full.
-        (directory / "metrics.json").write_text(json.dumps(content, indent=1) + "\n")
+        replace(directory / "metrics.json", json.dumps(content, indent=1) + "\n")
         if record:
             write_bag(directory / "bag", recording, custom_data=_provenance(run, content), latched=[*LATCHED, *texts])
         run.recording.release()
@@ -362,8 +362,12 @@ def _writing(folder: ResultsFolder) -> Iterator[Path]:
     try:
         with naming(folder.path):
             yield folder.path
-    finally:
-        folder.close()
+    except BaseException:
+        # On a full disk the list cannot be written either, and its error would hide the name of the first file.
+        with suppress(OSError):
+            folder.close()
+        raise
+    folder.close()
 
 
 def _texts(rig: Rig) -> dict[str, str]:

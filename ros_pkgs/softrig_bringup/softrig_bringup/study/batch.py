@@ -12,6 +12,7 @@ from typing import Any
 
 from softrig_core import ScenarioError
 from softrig_core.guard import naming, print_line
+from softrig_core.kit.file_format import json_of
 from softrig_optim.sweep import Workers, progress
 
 from .draw import Case
@@ -111,7 +112,7 @@ class Log:
                 for line in file:
                     lines += 1
                     whole = line.endswith(b"\n")
-                    if (row := _row(line)) is not None and 0 <= row["number"] < total:
+                    if (row := row_of(line)) is not None and 0 <= row["number"] < total:
                         self._known.setdefault(row["number"], _content(row))
             if cases is not None and self._known:
                 expected = {c.number: _content(c._asdict()) for c in cases if c.number in self._known}
@@ -154,7 +155,7 @@ class Log:
         messages = set()
         with self.path.open("rb") as file:
             for line in file:
-                row = _row(line)
+                row = row_of(line)
                 if row and row["number"] not in messages and self._known.get(row["number"]) == _content(row):
                     messages.add(row["number"])
                     yield row
@@ -184,10 +185,10 @@ _KINDS: dict[str, type | tuple[type, ...]] = {
 _OPTIONAL = {"signals", "never", "missed", "not_judged", "published_for"}
 
 
-def _row(line: bytes) -> dict[str, Any] | None:
+def row_of(line: bytes) -> dict[str, Any] | None:
     """Read a row; None if the line is not a row."""
     try:
-        row = json.loads(line)
+        row = json_of(line)
     except ValueError:
         return None
     if not isinstance(row, dict) or not _KINDS.keys() - _OPTIONAL <= row.keys() <= _KINDS.keys():

@@ -14,13 +14,15 @@ import numpy as np
 from softrig_core import Rig, RunError, Scenario, ScenarioError, figures_of, rig_of
 from softrig_core.errors import closest
 from softrig_core.extras import need
+from softrig_core.guard import replace
 from softrig_core.judge.expectation import Expectation
+from softrig_core.kit.file_format import json_of
 from softrig_core.rig.code import fingerprints
 from softrig_core.run.purity import check_pure, is_suspect
 from softrig_core.scenario.scenario import Draft
 from softrig_core.wire.signals import full_name
 
-from ..folder import STUDY, ResultsFolder, replace
+from ..folder import STUDY, ResultsFolder
 from ..options.names import check_names
 from .batch import Batch, Log
 from .definition import Search, Study
@@ -173,7 +175,7 @@ def same(content: dict[str, Any], file: Path, what: str) -> str:
     """
     if file.exists():
         try:
-            there = json.loads(file.read_text())
+            there = json_of(file.read_text())
         except ValueError:
             there = None
         if there != content:

@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from softrig_core import ScenarioError, load_scenario
 from softrig_core.scenario.scenario_file import locate
-from softrig_core.scenario.yaml_file import read_mapping
+from softrig_core.scenario.yaml_file import read_mapping, write_yaml
 
 from ..pack.cargo import check_scenario
 from ..pack.packed import SCENARIO, STUDY, about, is_pack, need_packages, opened, placeless
+from .batch import row_of
 from .definition import Study, make_study
 from .draw import drafts_of
 from .engine import check_study, content_of, same
@@ -25,7 +25,7 @@ FILE, ROWS = "study.yaml", "rows.jsonl"
 
 def saved(study: Study) -> str:
     """Write all of a study as a file that `softrig study` reads."""
-    return str(yaml.safe_dump(study.model_dump(mode="json", exclude_defaults=True), sort_keys=False, width=110))
+    return write_yaml(study.model_dump(mode="json", exclude_defaults=True))
 
 
 def of_folder(folder: Path) -> Study:
@@ -96,8 +96,14 @@ def unpacked(path: Path) -> tuple[Study, list[dict[str, Any]]]:
         for case, own in study.cases.items()
     }
     result = study.model_copy(update={"scenario": place(study.scenario), "cases": cases})
-    with (folder / STUDY / ROWS).open("rb") as file:
-        return result, [json.loads(line) for line in file]
+    try:
+        with (folder / STUDY / ROWS).open("rb") as file:
+            rows = [row_of(line) for line in file]
+    except OSError:
+        raise ScenarioError(f"--like {path}: no {STUDY}/{ROWS} in it") from None
+    if None in rows:
+        raise ScenarioError(f"--like {path}: {STUDY}/{ROWS}, line {rows.index(None) + 1}: expected a row of a study")
+    return result, [row for row in rows if row is not None]
 
 
 def differing(before: Sequence[Row], after: Sequence[Row]) -> Iterator[str]:

@@ -8,10 +8,10 @@ from pathlib import Path
 from softrig_bags.files.compressed import SUFFIXES, plain
 from softrig_core import Rig, ScenarioError, rig_of, simulate
 from softrig_core.drawing import Drawing, drawing_for
+from softrig_core.guard import replace
 
 from ..film.film import Film, film
 from ..film.smil import animated
-from ..folder import replace
 from ..report.run_rig import rig_of_run
 
 FORMS = ("svg", "gif", "webp", "png")

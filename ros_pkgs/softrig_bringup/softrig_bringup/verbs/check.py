@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from softrig_core import Run, RunError, Scenario, ScenarioError, figures_of, load_scenario, rig_of, simulate
-from softrig_core.guard import print_line
+from softrig_core.guard import print_line, replace
 from softrig_core.run.purity import HIDDEN
 from softrig_core.scenario.scenario_file import find, locate
 from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
 from softrig_optim.sweep import sweep
 
-from ..folder import replace
 from ..page.checked import checked
 from ..page.html import write_page
 from ..page.junit import Case, Suite, write_reports

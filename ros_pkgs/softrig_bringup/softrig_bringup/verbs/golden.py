@@ -24,12 +24,13 @@ from softrig_bags.write import write_bag
 from softrig_core import Recording, Rig, RunError, ScenarioError, Signals, feed, load_scenario, rig_of, simulate
 from softrig_core.block.params import flatten
 from softrig_core.entry import Entry
+from softrig_core.guard import replace
 from softrig_core.scenario.places import explain
 from softrig_core.scenario.yaml_file import read_yaml
 from softrig_core.wire.signals import topic_of
 from softrig_optim.sweep import sweep
 
-from ..folder import alone_in, replace
+from ..folder import alone_in
 from ..page.junit import Case, Suite, write_reports
 from ..run.run import versions
 

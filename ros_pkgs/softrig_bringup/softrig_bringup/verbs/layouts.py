@@ -11,11 +11,11 @@ from xml.etree.ElementTree import indent, tostring
 
 from softrig_core import Port, Rig, ScenarioError, rig_of
 from softrig_core.block.scene import scene_of
+from softrig_core.guard import replace
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
 from softrig_core.wire.signals import topic_of
 
-from ..folder import replace
 from ..page.html import e
 from ..plots.curves import check_plots
 from ..plots.style import COLOURS, axis_title

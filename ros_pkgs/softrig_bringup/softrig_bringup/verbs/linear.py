@@ -9,8 +9,8 @@ import sys
 from typing import Any
 
 from softrig_core import LinearAlong, LinearView, NoOperatingPoint, ScenarioError, linear_along, linear_view, steady
+from softrig_core.guard import replace
 
-from ..folder import replace
 from ..options.grammar import settings
 from ..terminal.console import console
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from softrig_core.errors import ScenarioError, closest
 from softrig_core.guard import plain, print_line
+from softrig_core.kit.file_format import json_of
 from softrig_core.scenario.index import Listed, listed
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _tree(system: str, scenarios: list[Listed], depth: int) -> Tree:
 def _last_duration(name: str) -> list[str]:
     """Return how long the last run took here, if there is one."""
     try:
-        content = json.loads((Path("runs") / name / "metrics.json").read_text())
+        content = json_of((Path("runs") / name / "metrics.json").read_text())
         return [f"took {float(content['wall_s']):.2g} s ({content['mode']})"]
     except (OSError, ValueError, KeyError, TypeError):
         return []

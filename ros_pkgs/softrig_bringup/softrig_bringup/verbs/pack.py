@@ -17,14 +17,15 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
-import yaml
 from softrig_bags.write import retell
 from softrig_core import Rig, Run, Scenario, ScenarioError, rig_of
 from softrig_core.block.params import flatten
 from softrig_core.board import SIMULATORS
 from softrig_core.guard import naming, print_line
 from softrig_core.judge import registry
+from softrig_core.kit.file_format import json_of
 from softrig_core.rig.code import fingerprints, is_ours
+from softrig_core.scenario.yaml_file import write_yaml
 
 from ..options import repeat
 from ..options.identity import HALF, asked_half, strangers
@@ -53,6 +54,7 @@ from ..pack.packed import (
 from ..pack.publication import Publication
 from ..pack.signature import sign, signature_path, signed_by
 from ..page.citations import FILE as REFERENCES
+from ..report.looked import differing
 from ..run.run import versions
 from ..study.batch import Log
 from ..study.draw import count
@@ -135,7 +137,7 @@ def collect_study(folder: Path) -> tuple[_Pack, int]:
     log.close()
     if len(rows) < count(study):
         raise ScenarioError(f"{folder}: {len(rows)} of {count(study)} rows are there; run the study to its end first")
-    content = json.loads((folder / "study.json").read_text())
+    content = json_of((folder / "study.json").read_text())
     alone, scenarios = standing_alone_study(study)
     files: dict[str, bytes | Path] = {}
     for name, raw in scenarios.items():
@@ -244,7 +246,7 @@ def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str,
 def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | None:
     """Write the bag of a run without folders of this machine; None if it names none."""
     messages = {
-        key: json.loads(text) if key in ("from", "branched") else text for key, text in before.bag_metadata.items()
+        key: json_of(text) if key in ("from", "branched") else text for key, text in before.bag_metadata.items()
     }
     if "command" not in messages:
         return None
@@ -303,9 +305,12 @@ def _one_run(run: Path, rig: Rig, content: Mapping[str, Any], before: Recalled) 
     """Refuse files of different runs: the figures of one beside the bag or the scenario of another."""
     recording = before.recording if before.recording.topics else None
     wrong = strangers(content, before.bag_metadata, recording)
-    digest = str(content.get("run", ""))
-    if digest and not wrong and asked_half(rig, int(content["seed"])) != digest[HALF:]:
+    digest = str(content.get("run") or before.bag_metadata.get("run", ""))
+    if digest and not wrong and asked_half(rig, int(content.get("seed", rig.scenario.seed))) != digest[HALF:]:
         wrong = ["its scenario gives another duration, seed or parameters than the run had"]
+    if "metrics" in content and recording is not None and not wrong:
+        measured = Run(rig, rig.scenario.seed, recording, epoch=before.epoch).results
+        wrong = differing(content["metrics"], measured)
     if wrong:
         raise ScenarioError(f"{run}: {wrong[0]}; run it again")
 
@@ -322,7 +327,7 @@ def _offers(package: str) -> dict[str, dict[str, str]]:
 def _known_of_run(bag: Path) -> dict[str, Any]:
     """Read the facts about a run beside its bag, or beside the run of a pack."""
     try:
-        content = json.loads(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())
+        content = json_of(((bag.parent if bag.is_file() else bag).parent / METRICS).read_text())
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
@@ -401,7 +406,7 @@ def raw_alone(content: Mapping[str, Any]) -> tuple[bytes, Mapping[str, Path]]:
         return placed([path, *(file for file in _belongs(path) if file != path)])
 
     content = {**content, **{key: with_files(content[key]) for key in ("shared", "nodes") if key in content}}
-    return yaml.safe_dump(content, sort_keys=False, width=110, allow_unicode=True).encode(), results
+    return write_yaml(content).encode(), results
 
 
 def _belongs(path: Path) -> Iterator[Path]:

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from softrig_core import ScenarioError, Signals
+from softrig_core.guard import replace
 from softrig_core.scenario.scenario import PlotEntry
 from softrig_core.wire.signals import short_name
 
-from ..folder import replace
 from ..options.naming import folder_of
 from ..pack.packed import is_pack, opened
 from ..plots.curves import Curve, Source, inside, shown, with_plots

@@ -242,6 +242,7 @@ def _keep(options: argparse.Namespace, done: Run, folder: ResultsFolder | None) 
             from ..options.branch import began_as
 
             same, messages = began_as(options.recalled, done, options.origin[1], content)
+            messages = [*_contradictions(options.origin[0]), *messages]
             content["from"] = begun(options)
         elif options.like is not None:
             from ..options.like import compared
@@ -288,8 +289,12 @@ def _contradictions(like: Path) -> list[str]:
     if not is_pack(like):
         return [f"{like}: {contradiction}" for contradiction in contradictions(like)]
     folder = opened(like)
-    with_both = (folder / BAG).is_dir() and (folder / METRICS).is_file()
-    return [f"{like}: {contradiction}" for contradiction in record_of_pack(folder).contradictions] if with_both else []
+    if not ((folder / BAG).is_dir() and (folder / METRICS).is_file()):
+        return []
+    try:
+        return [f"{like}: {contradiction}" for contradiction in record_of_pack(folder).contradictions]
+    except ScenarioError as error:  # what it says of itself cannot be read; the run that was made is not lost for it
+        return [f"{like}: {error}"]
 
 
 def _print_results(kept: _Kept, done: Run, out: Path | None) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from softrig_core import ScenarioError
 from softrig_core.extras import need
+from softrig_core.guard import replace
 
 from ..folder import STUDY, ResultsFolder
 from ..pack.trust import admitted
@@ -62,12 +63,12 @@ def main(options: argparse.Namespace) -> int:
     folder = ResultsFolder(out, STUDY)
     with folder.alone(), folder.anew() as new:
         write_table(rows, new, study.duration)
-        (new / FILE).write_text(saved(study))
+        replace(new / FILE, saved(study))
         pictures = draw_study(study, rows, log.rows() if study.signals else (), new, units, options.format)
         if over.lines:
             for ending in ("csv", "tex"):
                 write_paper_table(new / f"statistics.{ending}", "case", *for_paper(over))
-        (new / "summaries.json").write_text(json.dumps(content, indent=1) + "\n")
+        replace(new / "summaries.json", json.dumps(content, indent=1) + "\n")
         write_page(new / "report.html", study.title, list(body_of(study, rows, result, held, over, pictures, units)))
     print_study(study, rows, result, held, over, out)
     if before is not None:

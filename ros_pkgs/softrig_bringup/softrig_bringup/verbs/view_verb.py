@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from softrig_bags.files.compressed import SUFFIXES, plain
 from softrig_core.extras import need
+from softrig_core.kit.file_format import json_of
 from softrig_nodes.processes.stopping import stoppable
 
 from ..pack.packed import is_pack
@@ -32,7 +32,7 @@ def _recorded(path: Path, address: str, namespace: str) -> int:
     rig, signals = rig_of_run(path, namespace)
     directory = path if (path / "metrics.json").is_file() else path.absolute().parent
     try:
-        content = json.loads((directory / "metrics.json").read_text())
+        content = json_of((directory / "metrics.json").read_text())
     except (OSError, ValueError):  # a bag by itself
         content = {}
     how = str(content.get("mode", "bag"))

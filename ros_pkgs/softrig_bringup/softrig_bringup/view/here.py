@@ -9,19 +9,19 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import yaml
 from softrig_core import Recording, Rig, Run, RunError, ScenarioError, Session
 from softrig_core.block.params import flatten
-from softrig_core.guard import print_line
+from softrig_core.guard import print_line, replace
 from softrig_core.run.branch import branched
 from softrig_core.run.stuck import watched
+from softrig_core.scenario.yaml_file import write_yaml
 from softrig_core.timebase import Pace, to_ns, to_s
 from softrig_core.wire.parameter_event import TOPIC as EVENTS, recorded
 from softrig_core.wire.recording import ShardWriter
 from softrig_nodes.processes.placement import Placement
 from softrig_nodes.processes.stopping import signal_of, unstopped
 
-from ..folder import ResultsFolder, replace
+from ..folder import ResultsFolder
 from ..run.run import gaps, status_of
 from .control import Answer, Control
 from .page import FRAME
@@ -145,7 +145,7 @@ class Here(Growing):
         scenario = session.rig.scenario.having(changes=changes).model_dump(
             mode="json", exclude_defaults=True, exclude={"name", "expect", "claims", "requirements"}
         )  # nothing is expected of a run that was tuned
-        replace(path, yaml.safe_dump(scenario, sort_keys=False, width=110))
+        replace(path, write_yaml(scenario))
         return path
 
     def finish(self, outcome: str, folder: Path | None) -> None:

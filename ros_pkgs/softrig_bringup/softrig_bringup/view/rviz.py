@@ -11,6 +11,7 @@ from typing import Any
 from softrig_core import Block, Rig
 from softrig_core.block.port import WORLD
 from softrig_core.block.scene import scene_of
+from softrig_core.guard import replace
 
 ROOTED = ("clock", "tf", "tf_static")  # topics whose names are absolute
 
@@ -59,7 +60,7 @@ def viewer(rig: Rig, folder: Path, namespace: str, simulated: bool) -> Process:
     """
     own = f"/{namespace}" if namespace else ""
     moved = [(f"/{name}", f"{own}/{name}") for name in ROOTED] if namespace else []
-    (folder / "rig.rviz").write_text(rviz_file(rig, own))
+    replace(folder / "rig.rviz", rviz_file(rig, own))
     return Process(
         "rviz2",
         "rviz2",
@@ -90,7 +91,7 @@ def seen(rig: Rig) -> tuple[bool, list[str]]:
 
 
 def _parameters(file: Path, values: Mapping[str, Any]) -> str:
-    file.write_text(json.dumps({"/**": {"ros__parameters": dict(values)}}) + "\n")
+    replace(file, json.dumps({"/**": {"ros__parameters": dict(values)}}) + "\n")
     return str(file)
 
 

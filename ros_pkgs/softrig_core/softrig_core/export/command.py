@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..command_line import Parser
 from ..errors import ScenarioError
-from ..guard import naming
+from ..guard import replace
 from ..native.value import NotNative
 from ..rig.rig import Rig
 from ..run.expand import rig_of
@@ -129,8 +129,7 @@ def export_rig(rig: Rig, folder: Path, *, rows: int = ROWS, single: bool = False
 def _written(done: Exported, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in done.files.items():
-        with naming(folder / name):
-            (folder / name).write_text(text, encoding="utf-8")
+        replace(folder / name, text)
 
 
 def main(arguments: Sequence[str]) -> int:

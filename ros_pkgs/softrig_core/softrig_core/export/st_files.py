@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, register_namespac
 from ..block.port import Port
 from ..command_line import Parser
 from ..errors import ScenarioError
-from ..guard import naming
+from ..guard import replace
 from ..native.value import NotNative
 from ..rig.members import Member
 from ..rig.rig import Rig
@@ -265,8 +265,7 @@ def main(arguments: Sequence[str]) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         files = written(units, done.name, options.format)
         for name, text in files.items():
-            with naming(folder / name):
-                (folder / name).write_text(text, encoding="utf-8")
+            replace(folder / name, text)
         print(f"{folder}: {', '.join(files)}")
         if options.check:
             result = executed(written(units, done.name, "st")[f"{done.name}.st"], done, member_of(rig, node))

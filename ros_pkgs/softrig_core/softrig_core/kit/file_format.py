@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import json
 import math
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Mapping
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from ..errors import ScenarioError, closest
 
 UTF_16 = (BOM_UTF16_LE, BOM_UTF16_BE)
 Use = Literal["used", "ignored", "refused"]
 BELOW = "/**"  # ends a name that stands for an element and everything in it
+
+
+def json_of(text: str | bytes) -> Any:
+    """Read JSON of a file that somebody else may have written.
+
+    Raises
+    ------
+    ValueError
+        It is not JSON, or is nested more deeply than any such file.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
 
 
 class FileFormat(NamedTuple):  # no dataclass, whose import would take 5 ms of each command's start

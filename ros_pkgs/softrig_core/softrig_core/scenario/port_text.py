@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from ..block.port import Port
+from ..kit.file_format import json_of
 
 _TUPLES = ("channels", "fields", "units", "limits", "safe")
 
@@ -31,7 +32,7 @@ def ports_of(text: str) -> tuple[Port, ...]:
         The text is not JSON or does not describe ports; the message states what was expected.
     """
     try:
-        given: list[dict[str, Any]] = json.loads(text)
+        given: list[dict[str, Any]] = json_of(text)
         shaped: list[dict[str, Any]] = [
             {k: tuple(v) if k in _TUPLES else tuple(map(tuple, v)) if k == "dims" else v for k, v in p.items()}
             for p in given

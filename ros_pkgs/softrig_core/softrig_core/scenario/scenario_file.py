@@ -78,6 +78,8 @@ def locate(name: str) -> tuple[str, Path]:
     result = find(name)
     if result is None and (path / "metrics.json").is_file():
         raise ScenarioError(f"{name}: is a run, expected a scenario; `softrig run --like {name}` repeats that run")
+    if result is None and path.suffix == ".zip" and isfile(path):
+        raise ScenarioError(f"{name}: is a pack, expected a scenario; `softrig run --like {name}` repeats its run")
     if result is None and (path.suffix in (".yaml", ".yml") or len(path.parts) > 1):
         listed = f"; a scenario of this name is there: {path.stem}" if find(path.stem) is not None else ""
         raise ScenarioError(f"{name}: no such file, expected a scenario's YAML file or its name{listed}")

@@ -11,17 +11,32 @@ import yaml
 
 from ..errors import ScenarioError
 
-_Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C parser where PyYAML was built with it
+# The C parser and emitter where PyYAML was built with them.
+_Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_BaseDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 SIZE = 1 << 20  # bytes
 DEPTH = 40
 NODES = 100_000  # values after the aliases are expanded
 
 
+# A quoted text may have these as escapes ("\\e"); a terminal obeys them, and XML has none.
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+
+
 class _Loader(_Base):  # type: ignore[misc]
     """Plain data only; numbers and words as in YAML 1.2 (``1e-5`` is a number, ``on`` a word)."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}
+
+    def construct_scalar(self, node: Any) -> Any:
+        """Refuse control characters."""
+        text = super().construct_scalar(node)
+        if not text.isprintable() and _CONTROL.search(text):
+            raise yaml.constructor.ConstructorError(
+                None, None, f"control character in {text[:60]!r}; remove it", node.start_mark
+            )
+        return text
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         """Refuse repeated keys."""
@@ -38,6 +53,10 @@ class _Loader(_Base):  # type: ignore[misc]
         return super().construct_mapping(node, deep)
 
 
+class _Dumper(_BaseDumper):  # type: ignore[misc]
+    """Quotes what YAML 1.1 or `_Loader` would not read as the text that it is: ``1e5`` is a text of YAML 1.1."""
+
+
 for _tag, _pattern, _first in (
     ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
     ("int", r"^(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$", "-+0123456789"),
@@ -50,7 +69,8 @@ for _tag, _pattern, _first in (
     ("null", r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
     ("merge", r"^(?:<<)$", "<"),
 ):
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
 
 
 def _integer(loader: Any, node: Any) -> int:
@@ -76,15 +96,8 @@ def read_yaml(text: str, where: str) -> Any:
     """
     if len(text) > SIZE:
         raise ScenarioError(f"{where}: {len(text)} characters, expected at most {SIZE}")
-    loader = None
     try:
-        _limit_depth(text)  # the C parser recurses on its own stack: too late once it composes
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        _count(node)
-        return loader.construct_document(node)
+        return bounded(text, _Loader, NODES)
     except yaml.MarkedYAMLError as error:
         message = ", ".join(part for part in (error.context, error.problem) if part)
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark and "\n" in text else ""
@@ -92,9 +105,40 @@ def read_yaml(text: str, where: str) -> Any:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ScenarioError(f"{where}: not valid YAML: {reason}") from None
+
+
+def bounded(text: str | bytes, kind: Any, most: int) -> Any:
+    """Read one YAML document of bounded depth and number of values.
+
+    Parameters
+    ----------
+    kind : type
+        Loader of PyYAML.
+    most : int
+        Values after all aliases are expanded.
+
+    Raises
+    ------
+    ScenarioError
+        Deeper than `DEPTH`, or more values.
+    yaml.YAMLError
+        Not YAML.
+    """
+    _limit_depth(text, kind)  # the C parser recurses on its own stack: too late once it composes
+    loader = kind(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _count(node, most)
+        return loader.construct_document(node)
     finally:
-        if loader is not None:
-            loader.dispose()
+        loader.dispose()
+
+
+def write_yaml(content: Any) -> str:
+    """Write plain data so that `read_yaml` returns it, keys in their order."""
+    return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=110, allow_unicode=True))
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -119,9 +163,9 @@ def compose(text: str) -> Any:
     return yaml.compose(text, _Loader)
 
 
-def _limit_depth(text: str) -> None:
+def _limit_depth(text: str | bytes, kind: Any) -> None:
     depth = 0
-    for event in yaml.parse(text, _Loader):
+    for event in yaml.parse(text, kind):
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
             if depth > DEPTH:
@@ -130,7 +174,7 @@ def _limit_depth(text: str) -> None:
             depth -= 1
 
 
-def _count(root: Any) -> None:
+def _count(root: Any, most: int) -> None:
     """Count the values as they are after all aliases are expanded, each node once."""
     sizes: dict[int, int] = {}
     open_nodes: set[int] = set()
@@ -147,8 +191,8 @@ def _count(root: Any) -> None:
                 children = node.value
             sizes[id(node)] = 1 + sum(size(child) for child in children)
             open_nodes.discard(id(node))
-        if sizes[id(node)] > NODES:
-            raise ScenarioError(f"more than {NODES} values once its aliases are expanded")
+        if sizes[id(node)] > most:
+            raise ScenarioError(f"more than {most} values once its aliases are expanded")
         return sizes[id(node)]
 
     size(root)

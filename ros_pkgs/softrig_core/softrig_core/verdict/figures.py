@@ -34,6 +34,7 @@ from ..judge.measures import (
 )
 from ..judge.registry import find
 from ..judge.units import compose, factor, powers
+from ..kit.file_format import json_of
 from ..kit.newest import once_for_objects
 from ..rig.agreement import agreed_values, agreeing, shown
 from ..rig.members import Members, signal_units
@@ -287,7 +288,7 @@ def figures_in(text: str) -> list[Figure]:
         The text is not JSON or does not describe figures; the message states what was expected.
     """
     try:
-        return [Figure(**about | {"function": find(about["function"])}) for about in json.loads(text)]
+        return [Figure(**about | {"function": find(about["function"])}) for about in json_of(text)]
     except (TypeError, KeyError, ValueError, ScenarioError) as error:
         raise ValueError(f"figures: {error}; expected a JSON list of name, function, arguments, unit, scale") from None
 

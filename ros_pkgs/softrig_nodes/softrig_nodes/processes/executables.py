@@ -11,6 +11,7 @@ from pathlib import Path
 
 from softrig_core.bits import pin
 from softrig_core.errors import ScenarioError, closest
+from softrig_core.guard import replace
 from softrig_core.kit.resource import prefixes
 from softrig_core.needs import join_prefix
 from softrig_core.rig.installed import load_main
@@ -90,7 +91,7 @@ def environment(
 def patient(profile: Path, directory: Path, silence: float) -> Path:
     """Write a profile of ours, ``profile.xml``, with a lease longer than a silence of the given seconds."""
     file = directory / "profile.xml"
-    file.write_text(leased(profile.read_text(), silence))
+    replace(file, leased(profile.read_text(), silence))
     return file
 
 

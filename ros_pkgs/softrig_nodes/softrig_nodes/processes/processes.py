@@ -163,7 +163,9 @@ def run_processes(
     error += clock.set_back() if error else ""
     refused = next((c for c in children if c.process.returncode == 2 and not c.interrupted), None)
     if refused is not None:
-        raise ScenarioError(last_line(refused.log))
+        # On a full disk the reason is lost, too.
+        no_reason = f"{refused.log} is empty, so the reason why this process ended is unknown; is the disk full?"
+        raise ScenarioError(last_line(refused.log) or no_reason)
     epoch = int(status.get(starter(rig).name, {}).get("epoch", 0))
     return Outcome(recording, status, domain, epoch, error, stopped)
 

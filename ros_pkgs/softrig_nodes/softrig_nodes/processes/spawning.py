@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from softrig_core.block.change import dumps
 from softrig_core.block.params import flatten
 from softrig_core.board.elsewhere import Elsewhere
+from softrig_core.guard import replace
 from softrig_core.rig.members import Member
 from softrig_core.rig.rig import Rig
 
@@ -186,7 +187,7 @@ def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Pat
     """
     file = directory / f"{member.name}.params.yaml"
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
-    file.write_text("/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
+    replace(file, "/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
     return file
 
 

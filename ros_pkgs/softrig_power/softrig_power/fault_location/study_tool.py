@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from softrig_core.command_line import Number, without_ros
-from softrig_core.guard import guarded
+from softrig_core.guard import guarded, replace
 
 from .cases import PUBLISHED
 from .line.parameters import FaultParams, RigParams
@@ -74,7 +74,7 @@ def _save(rows: Sequence[Row], out: Path) -> None:
     from .pictures import methods, misprints, objective, waveforms
 
     out.mkdir(parents=True, exist_ok=True)
-    (out / "cases.csv").write_text(as_csv(rows))
+    replace(out / "cases.csv", as_csv(rows))
     methods(rows, out / "methods.png")
     rig, p = RigParams(), LocatorParams()
     record, fault = simulate(rig), rig.fault
