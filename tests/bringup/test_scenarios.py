@@ -322,12 +322,12 @@ def test_units_of_figures_follow_from_the_signals():
 
 
 def test_yaml_is_read_as_version_1_2():
-    result = read_yaml("{a: 1e-5, b: 1.0e+6, c: on, d: 010, e: 12:30, f: ~, g: .inf, h: 0x10, i: -.5, j: 'x'}", "t")
+    result = read_yaml("{a: 1e-5, b: 1.0e+6, c: on, d: 0o10, e: 12:30, f: ~, g: .inf, h: 0x10, i: -.5, j: 'x'}", "t")
     assert result == {
         "a": 1e-5,
         "b": 1e6,
         "c": "on",
-        "d": 10,
+        "d": 8,
         "e": "12:30",
         "f": None,
         "g": math.inf,

@@ -513,7 +513,6 @@ def test_figures_are_computed_and_inconsistencies_reported(place, change, text, 
     assert text is None or any(text in line for line in last)
 
 
-def test_bag_and_figures_of_two_different_runs_are_refused(sent, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -558,7 +557,7 @@ def test_an_edited_figure_of_a_run_is_not_packed(sent, tmp_path, capsys, monkeyp
     assert "its scenario gives another duration, seed or parameters" in capsys.readouterr().err
 
 
-def test_bag_and_figures_of_two_runs_are_no_run(sent, tmp_path, capsys):
+def test_bag_and_figures_of_two_different_runs_are_refused(sent, tmp_path, capsys):
     folder = tmp_path / "run"
     (folder / "bag").mkdir(parents=True)
     for place in sent:

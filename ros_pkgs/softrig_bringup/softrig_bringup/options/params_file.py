@@ -136,7 +136,7 @@ def read_sections(file: Path) -> dict[str, dict[str, Any]]:
         text = file.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{where}: {getattr(error, 'strerror', None) or error}") from None
-    read_yaml(text, str(file))  # bounds, keys that stand twice, what is no YAML
+    read_yaml(text, str(file), texts=True)  # bounds, keys that stand twice, what is no YAML
     for event in yaml.parse(text, yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             raise ScenarioError(f"{where}: it has an alias (*name), which rcl refuses; write the values out")

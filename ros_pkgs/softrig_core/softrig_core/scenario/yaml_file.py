@@ -41,16 +41,31 @@ class _Loader(_Base):  # type: ignore[misc]
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         """Refuse repeated keys."""
         seen = set()
-        for key_node, _ in node.value:
-            if key_node.tag == "tag:yaml.org,2002:merge":
-                continue
-            key = self.construct_object(key_node, deep=True)
+        for key_node, value_node in node.value:
+            merges = key_node.tag == "tag:yaml.org,2002:merge"
+            key = "<<" if merges else self.construct_object(key_node, deep=True)
+            self.check_value(node, key, value_node)
             if not isinstance(key, Hashable):
                 raise yaml.constructor.ConstructorError(None, None, "a key is no plain word", key_node.start_mark)
             if key in seen:
                 raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
+
+    def check_value(self, mapping: Any, key: Any, node: Any) -> None:
+        """Refuse a key without a value in braces: {x: 1,5} is an x of 1 and a key 5, which would remove nothing."""
+        if mapping.flow_style and getattr(node, "value", 0) == "" and not node.style:
+            message = f"key {key!r} has no value; a decimal comma? write a point, or null"
+            raise yaml.constructor.ConstructorError(None, None, message, mapping.start_mark)
+
+
+class _Texts(_Loader):
+    """All scalars are texts; the caller checks which are missing."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}
+
+    def check_value(self, mapping: Any, key: Any, node: Any) -> None:
+        """Accept a key without a value."""
 
 
 class _Dumper(_BaseDumper):  # type: ignore[misc]
@@ -75,19 +90,26 @@ for _tag, _pattern, _first in (
 
 def _integer(loader: Any, node: Any) -> int:
     text = loader.construct_scalar(node)
+    digits = text.lstrip("+-")
+    if digits[0] == "0" and len(digits) > 1 and digits.isdecimal():
+        # YAML 1.1, ROS and C take it for an octal number, YAML 1.2 for a decimal one.
+        message = f"{text} may be octal; write {int(text)}, or 0o and the digits of an octal number"
+        raise yaml.constructor.ConstructorError(None, None, message, node.start_mark)
     return int(text, 0 if text[:2] in ("0x", "0o") else 10)
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 
 
-def read_yaml(text: str, where: str) -> Any:
+def read_yaml(text: str, where: str, texts: bool = False) -> Any:
     """Read one YAML document.
 
     Parameters
     ----------
     where : str
         What error messages call it, such as the file's name.
+    texts : bool
+        Whether all scalars are texts, for readers that have their own numbers.
 
     Raises
     ------
@@ -97,7 +119,7 @@ def read_yaml(text: str, where: str) -> Any:
     if len(text) > SIZE:
         raise ScenarioError(f"{where}: {len(text)} characters, expected at most {SIZE}")
     try:
-        return bounded(text, _Loader, NODES)
+        return bounded(text, _Texts if texts else _Loader, NODES)
     except yaml.MarkedYAMLError as error:
         message = ", ".join(part for part in (error.context, error.problem) if part)
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark and "\n" in text else ""
