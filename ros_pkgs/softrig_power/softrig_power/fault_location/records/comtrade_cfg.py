@@ -238,6 +238,8 @@ def _analog(lines: _Lines, k: int, old: bool) -> Analog:
     primary, secondary, side = [*fields[10:], "1", "1", "P"][:3]
     if side.upper() not in ("P", "S"):
         raise lines.wrong(f"PS of channel {name} is {side!r}, expected P or S")
+    if side.upper() == "S" and not (primary and secondary):
+        raise lines.wrong(f"channel {name} has secondary values and no ratio, expected its primary and secondary")
     up, down = (lines.number(text or "1", key) for text, key in ((primary, "primary"), (secondary, "secondary")))
     return Analog(name, phase, unit, a, b, skew, low, high, up, down, side.upper())
 
