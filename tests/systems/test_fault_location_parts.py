@@ -358,13 +358,16 @@ def test_channels_by_unit_and_phase_and_their_scale(tmp_path):
     assert (result.start, result.rate) == (0.0, 4000.0)
 
 
+NO_RATIO = "not readable as COMTRADE: line 3: channel VA_S has secondary values and no ratio"
+
+
 @pytest.mark.parametrize(
     ("line", "text"),
     [
         ("1,VA_S,A,S,uV,1.0,0,0,-1,1,1,1,P", "channel VA_S has the unit 'uV', expected V, A, kV, kA"),
         ("1,VA_S,A,S,V,1.0,0,0,-1,1,400,0,S", "channel VA_S is secondary with a ratio of 400:0"),
-        ("1,VA_S,A,S,V,1.0,0,0,-1,1,,,S", "not readable as COMTRADE: line 3: channel VA_S has secondary values and no ratio"),
-        ("1,VA_S,A,S,V,1.0,0,0,-1,1,400,,s", "not readable as COMTRADE: line 3: channel VA_S has secondary values and no ratio"),
+        ("1,VA_S,A,S,V,1.0,0,0,-1,1,,,S", NO_RATIO),
+        ("1,VA_S,A,S,V,1.0,0,0,-1,1,400,,s", NO_RATIO),
         ("1,VA_S,X,S,V,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (V, phase X), VB_S (V, phase B)"),
         ("1,VA_S,B,S,V,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (V, phase B), VB_S (V, phase B)"),
         ("1,VA_S,A,S,Hz,1.0,0,0,-1,1,1,1,P", APART_BY + "VA_S (Hz, phase A), VB_S (V, phase B)"),
