@@ -1,6 +1,7 @@
 """How a run that is stopped from outside ends: nodes leave, recordings are kept, the status names the signal."""
 
 import fcntl
+import itertools
 import json
 import mmap
 import os
@@ -66,6 +67,23 @@ def test_a_signal_at_a_place_where_python_swallows_it_still_stops():
     with pytest.raises(Stopped) as caught, stoppable() as asked:
         strike(asked)
     assert caught.value.number == signal.SIGTERM
+
+
+def test_a_second_signal_that_arrives_with_the_first_changes_nothing_and_prints_nothing(capfd):
+    """Python prints a traceback for one that it finds ignored although its own handler has caught it."""
+
+    def both(*numbers):
+        # Both are pending when Python looks: it calls the handlers in the order of their numbers.
+        signal.pthread_sigmask(signal.SIG_BLOCK, stopping.SIGNALS)
+        for number in numbers:
+            os.kill(os.getpid(), number)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, stopping.SIGNALS)
+
+    for first, second in itertools.combinations(stopping.SIGNALS, 2):
+        with pytest.raises(Stopped) as caught, stoppable():
+            both(first, second)
+        assert caught.value.number in (first, second)
+    assert "race" not in capfd.readouterr().err
 
 
 def test_a_run_in_process_can_be_stopped():

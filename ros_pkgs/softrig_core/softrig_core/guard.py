@@ -88,8 +88,11 @@ def _guarded(work: Callable[[], int]) -> int:
         return 3
     except KeyboardInterrupt as error:
         if threading.current_thread() is threading.main_thread():
-            for number in ENDING:  # a second one would strike in the line, or in what is freed after it
-                signal.signal(number, signal.SIG_IGN)
+            # A second one would strike in the line, or in what is freed after it. One that has arrived already needs a
+            # handler, because Python prints a traceback if it finds SIG_IGN instead.
+            for handler in (lambda *_: None, signal.SIG_IGN):
+                for number in ENDING:
+                    signal.signal(number, handler)
         print_line(stopped_by(error))
         return 128 + int(getattr(error, "number", signal.SIGINT))
     except MemoryError:

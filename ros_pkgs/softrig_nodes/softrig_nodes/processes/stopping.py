@@ -57,10 +57,10 @@ def stoppable() -> Iterator[Stopping]:
         return
 
     def handle(number: int, frame: FrameType | None) -> None:
-        for other in SIGNALS:
-            signal.signal(other, signal.SIG_IGN)
-        stopping.number = number
-        raise Stopped(number)
+        # A later one is not given to SIG_IGN: if it has arrived already, Python would print a traceback of a race.
+        if not stopping.number:
+            stopping.number = number
+            raise Stopped(number)
 
     before = {number: signal.signal(number, handle) for number in SIGNALS}
     try:
