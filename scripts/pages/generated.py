@@ -47,8 +47,8 @@ from softrig_core.block.params import Declaration, Params, declarations
 from softrig_core.judge.claims import VERDICTS
 from softrig_core.kit.file_format import FileFormat
 from softrig_core.rig.installed import load_block
-from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import hold
+from softrig_core.verdict.result import Result
 
 from . import drawn, numbers
 from .exported import EXPORTED

@@ -6,11 +6,12 @@ import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from softrig_bringup.plots.pictures import plot_name, plot_run
+from softrig_bringup.plots.named import plot_name
+from softrig_bringup.plots.pictures import plot_run
 from softrig_bringup.verbs.animate import film_of, write
 from softrig_core import ScenarioError, load_scenario, simulate
 from softrig_core.drawing import drawing_for
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 
 
 def picture(scenario: str, number: int) -> str:

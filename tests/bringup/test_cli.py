@@ -24,7 +24,7 @@ from softrig_bringup.run.run import checkout, gaps, summary
 from softrig_bringup.verbs.run_verb import _announce
 from softrig_core import Recording, Rig, Run, figure, load_scenario, rig_of, run_inprocess, simulate
 from softrig_core.guard import guarded
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 from softrig_core.scenario.scenario_file import locate
 from softrig_core.wire import signals
 

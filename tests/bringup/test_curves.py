@@ -13,14 +13,15 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from softrig_bringup.plots import marks as marks_module, pictures, style as look
 from softrig_bringup.plots.axes import draw, draw_marks, fold_exponents, is_logic, legend, styles
-from softrig_bringup.plots.curves import Curve, Shown, Source, by_unit, envelope, inside
+from softrig_bringup.plots.curves import Curve, Source, by_unit, envelope, inside
 from softrig_bringup.plots.marks import Mark, marks_of
+from softrig_bringup.plots.named import Shown, plot_name
 from softrig_bringup.plots.overlay import Overlay, _shared, band
-from softrig_bringup.plots.pictures import plot_name, time_scale
+from softrig_bringup.plots.pictures import time_scale
 from softrig_core import rig_of
 from softrig_core.judge import measures
 from softrig_core.judge.expectation import Expectation
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 from softrig_core.verdict.figures import Figure as Measured
 from softrig_core.verdict.requirements import Judge
 

@@ -19,8 +19,8 @@ from softrig_bringup.report.record import RunRecord
 from softrig_bringup.results.page import by_system, counts
 from softrig_bringup.verbs.plot_verb import _table
 from softrig_core import ScenarioError
-from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
+from softrig_core.verdict.result import Result
 
 
 def result(name="m", value=1.0, passed=True, **more):

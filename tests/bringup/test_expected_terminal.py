@@ -16,8 +16,8 @@ from softrig_bringup.verbs import check, linear, list_verb as listing, run_verb
 from softrig_core import Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.scenario import index
 from softrig_core.solver.solver import UNFINISHED
-from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
+from softrig_core.verdict.result import Result
 
 
 def shown(width, show):

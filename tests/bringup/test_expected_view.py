@@ -38,7 +38,7 @@ from softrig_core import (
     run_inprocess,
     vector3,
 )
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 from softrig_core.wire.signals import Table
 
 # a rig ----------------------------------------------------------------------------------------------------------------

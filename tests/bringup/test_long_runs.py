@@ -59,16 +59,16 @@ def test_a_killed_run_leaves_the_first_part_of_its_messages(size, tmp_path):
 
 @pytest.mark.long
 def test_memory_does_not_grow_with_the_messages(tmp_path):
-    """A run of 25 s has 3.6 million messages more than one of 5 s, which needed 440 MB when all stayed in memory.
+    """A run of 25 s has 3.6 million messages more than one of 5 s; all of them would take 440 MB.
 
-    What still grows is the window of the node `flux_monitor`: 60 s of what its figures read.
+    The first run compiles its native code, which takes memory of its own.
     """
     peak = []
-    for duration in ("5", "25"):
+    for duration in ("5", "5", "25"):
         out = str(tmp_path / duration)
         child = subprocess.Popen([sys.executable, "-c", RUN, *WORDS, "--duration", duration, "--out", out])
         _, status, used = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
         assert child.returncode in (0, 1)
         peak.append(used.ru_maxrss / 1024)
-    assert peak[1] - peak[0] < 150.0
+    assert peak[2] < min(peak[1] + 40.0, 300.0)

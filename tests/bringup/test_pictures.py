@@ -21,8 +21,9 @@ from softrig_bringup.page.diagram import _lanes, draw_diagram
 from softrig_bringup.page.wiring import Node, Wire, Wiring, columns, wiring_of
 from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.axes import draw as draw_curves, draw_logic, fold_exponents
-from softrig_bringup.plots.curves import Curve, Shown, check_plots, inside
+from softrig_bringup.plots.curves import Curve, check_plots, inside
 from softrig_bringup.plots.marks import marks_of
+from softrig_bringup.plots.named import Shown
 from softrig_bringup.plots.overlay import BAND, Overlay, band, draw_overlay, overlay_figures
 from softrig_bringup.plots.pictures import places, plot_entry, plot_run
 from softrig_bringup.plots.style import ACCEPTED, PUBLISHED, axis_title, style
@@ -31,9 +32,9 @@ from softrig_bringup.report.record import RunRecord, read_run
 from softrig_bringup.report.several import differences, groups, overlaid, side_by_side
 from softrig_core import ScenarioError, Signals, list_scenarios, load_scenario, rig_of, simulate
 from softrig_core.rig import code
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 from softrig_core.scenario.scenario_file import resolve
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 
 X = "lag/state/x/position"
 

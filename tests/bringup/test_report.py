@@ -19,7 +19,8 @@ from softrig_bringup.page.wiring import Node, Wiring, wiring_of
 from softrig_bringup.page.wording import spans
 from softrig_bringup.plots import pictures as plots
 from softrig_bringup.plots.curves import envelope
-from softrig_bringup.plots.pictures import OVERVIEW, plot_name, plot_run
+from softrig_bringup.plots.named import OVERVIEW, plot_name
+from softrig_bringup.plots.pictures import plot_run
 from softrig_bringup.report.report import write_report
 from softrig_bringup.report.run_page import _changes
 from softrig_bringup.run.run import illustrate, save, summary
@@ -44,7 +45,7 @@ from softrig_core import (
 )
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 
 
 class Shaft(NamedTuple):

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from softrig_bringup.cli import main
 from softrig_bringup.new.native import new_native
-from softrig_bringup.options.identity import asked_half, recorded_half
+from softrig_bringup.options.identity import asked_half, bagged_half, recorded_half
 from softrig_bringup.pack import brought, cargo, packed, sandbox, signature, trust
 from softrig_bringup.pack.packed import About
 from softrig_bringup.verbs import pack
@@ -577,7 +577,7 @@ def test_the_digest_of_a_run_follows_from_its_bag_and_its_scenario(sent, tmp_pat
     folder = packed.opened(file)
     digest = json.loads(sent["metrics.json"])["run"]
     assert About.model_validate_json(sent["pack.json"]).run == digest
-    assert recorded_half(read_bag(folder / "bag")) == digest[:16]
+    assert recorded_half(read_bag(folder / "bag")) == bagged_half(folder / "bag") == digest[:16]
     rig = rig_of(str(folder / "scenario/mine.yaml"))
     assert asked_half(rig, 0) == digest[16:]
     assert asked_half(rig, 1) != digest[16:]

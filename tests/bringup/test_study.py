@@ -23,7 +23,7 @@ from softrig_bringup.cli import main, make_parser
 from softrig_bringup.folder import STUDY, ResultsFolder
 from softrig_bringup.options.grammar import values
 from softrig_bringup.page.html import page as make_page
-from softrig_bringup.plots.pictures import plot_name
+from softrig_bringup.plots.named import plot_name
 from softrig_bringup.study import page, pictures
 from softrig_bringup.study.batch import Log
 from softrig_bringup.study.definition import list_studies, load_study, make_study

@@ -18,7 +18,7 @@ from softrig_core.errors import RunError, closest, describe
 from softrig_core.extras import EXTRAS, need
 from softrig_core.kit import dde, draws, history
 from softrig_core.kit.dense import norm, product, solve, times, total, turn
-from softrig_core.kit.draws import KEPT, SIZE, Draws, Stream
+from softrig_core.kit.draws import HEAD, KEPT, SIZE, Draws, Stream, Window
 from softrig_core.kit.floats import leaves, numbers, others, put, read, split
 from softrig_core.kit.jit import our_numba
 from softrig_core.kit.newest import Newest
@@ -212,6 +212,20 @@ def test_random_draws_are_the_stream_and_the_newest_rows_are_cached(monkeypatch)
     assert again(SIZE) == wanted[SIZE]
     assert (len(counted), counted[2].rows) == (3, 1)
     assert Draws(lambda: np.random.default_rng(6), "random")(3) == np.random.default_rng(6).random(4)[3]
+
+
+def test_a_window_of_random_numbers_moves_on_and_keeps_all_for_code_that_goes_far_back(monkeypatch):
+    monkeypatch.setattr(draws, "MOST", 100)
+    monkeypatch.setattr(draws, "BACK", 10)
+    stream = Draws(lambda: np.random.default_rng(5), "standard_normal")
+    wanted = np.random.default_rng(5).standard_normal(2000)
+    stream.at_hand = window = Window(stream, 50)
+    moves = ((50, 40, 150), (150, 140, 250), (999, 250, 1000), (1000, 990, 1100), (3, 0, 100), (400, 0, 401))
+    for k, first, last in moves:
+        window.follow(k + 1)
+        assert (window.table[0], window.table[1]) == (first, 0.0)
+        assert window.table[HEAD:].tolist() == wanted[first:last].tolist(), k
+        assert [stream(k) for k in (first, last - 1, last)] == [*wanted[[first, last - 1, last]]]
 
 
 def test_a_stream_continues_at_the_stated_position():

@@ -34,7 +34,7 @@ from softrig_core.native.reports import Reports
 from softrig_core.native.translate import Program, made, written
 from softrig_core.native.twins import packed, unpacked
 from softrig_core.native.value import UNKNOWN, Dynamic, NotNative, Record, Static, sample_of
-from softrig_core.native.words import IN_PYTHON, OWN, TEXTS
+from softrig_core.native.words import OWN, TEXTS
 from softrig_core.native.writer import Writer
 
 LEVEL = 0.875
@@ -1320,13 +1320,13 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
         return None
     code = Writer(program, None, {}).code(value) if not isinstance(value, Static) else None
     mine = ByHand(owner := owner or Owner())
-    words = TEXTS if typed else {w: text for w, text in IN_PYTHON.items() if w not in OWN}
+    words = TEXTS if typed else {w: text for w, text in TEXTS.items() if w not in OWN}
     scope = {"same_": same, "sum_of_products": sum_of_products, **BASE, **({} if typed else OWN), **program.names}
     scope |= {name: thing.py_func for name, thing in program.names.items() if isinstance(thing, Jit)}
     for text in [*(words[w] for w in sorted(program.words) if w in words), *program.functions]:
         exec(text, scope)
     tables = dict(zip(program.arrays.values(), program.tables([owner]), strict=True))
-    tables |= {name: np.random.default_rng(1).random(10) for name in program.draws.values()}
+    tables |= {name: np.append([0.0, 0.0], np.random.default_rng(1).random(10)) for name in program.draws.values()}
     scope |= tables | {"c": program.constants([owner]), "n": [0, 0, 0], "when": [7_000_000_000, 0]}
     scope["reports"] = [0.0] * program.reports.size
 

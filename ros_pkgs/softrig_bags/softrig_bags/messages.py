@@ -67,8 +67,7 @@ def _blocks(i: int, topic: Topic) -> Iterator[Block]:
             yield packed(topic.data[first:last], Block(EMPTY.raw, number, times, EMPTY.at, EMPTY.size))
             continue
         part = whole.part(first, last)
-        marks = np.arange(first, last) if part.layout.numbered else part.times
-        rows = part.layout.encode_block(marks, part.values)
+        rows = part.encoded(first)
         size = np.full(len(rows), rows.shape[1], np.int64)
         yield Block(rows.reshape(-1), number, part.times, np.cumsum(size) - size, size)
 

@@ -58,6 +58,13 @@ class Block:
         at = int(self.at[i])
         return self.raw[at : at + int(self.size[i])].tobytes()
 
+    def texts(self) -> Iterator[bytes]:
+        """Return the bytes of all messages in their order: as one piece where they have one length."""
+        if len(lengths := distinct(self.size)) == 1:
+            yield rows_of(self.raw, self.at, lengths[0]).tobytes()
+        else:
+            yield from (data for _, _, data in self.messages())
+
     def messages(self) -> Iterator[tuple[int, int, bytes]]:
         """Return topic number, bag time and bytes of each message."""
         view = memoryview(self.raw)

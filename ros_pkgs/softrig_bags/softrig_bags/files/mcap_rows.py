@@ -42,9 +42,8 @@ class _Feed:
         first, last = self._position, self._position + count
         self._position = last
         if self._columns is not None:
-            part, layout = self._columns.part(first, last), self._columns.layout
-            marks = np.arange(first, last) if layout.numbered else part.times
-            return part.times, layout.encode_block(marks, part.values)
+            part = self._columns.part(first, last)
+            return part.times, part.encoded(first)
         data = self._data[first:last]
         times = np.array(self._times[first:last], np.int64)
         if len(set(map(len, data))) > 1:

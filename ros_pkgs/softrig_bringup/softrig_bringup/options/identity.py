@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter, defaultdict
 from collections.abc import Mapping
-from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from softrig_core import Rig
-from softrig_core.block.params import flatten
-from softrig_core.wire.recording import CHUNK, Recording
+from softrig_bags.content.block import distinct
+from softrig_bags.errors import BagError
+from softrig_bags.files.reader import BagReader
+from softrig_core.kit.file_format import json_of
+from softrig_core.wire.long import stretches
+
+from ..pack.packed import BAG, METRICS
+
+if TYPE_CHECKING:
+    from softrig_core import Rig
+    from softrig_core.wire.recording import Recording
 
 HALF = 16  # letters for what was recorded; as many for what was asked follow
 # This node repeats external messages. It belongs to a repetition, so it must not change the identity of the run.
@@ -38,12 +46,35 @@ def recorded_half(recording: Recording) -> str:
     whole = hashlib.sha256()
     for name in sorted(name for name, topic in recording.topics.items() if topic.number):
         topic = recording.topics[name]
-        times, data = topic.ticks(), (data for _, data in topic.stream())
-        content = hashlib.sha256(times.astype("<i8").tobytes())
-        while block := b"".join(islice(data, CHUNK)):
-            content.update(block)
-        whole.update(f"{name}\0{topic.msgtype}\0{len(times)}\0".encode() + content.digest())
+        content = hashlib.sha256()
+        for times in stretches(topic.ticks()):
+            content.update(times.astype("<i8").tobytes())
+        for text in topic.texts():
+            content.update(text)
+        whole.update(_line(name, topic.msgtype, topic.number) + content.digest())
     return whole.hexdigest()[:HALF]
+
+
+def bagged_half(bag: Path) -> str:
+    """Compute the same half from a bag, block by block, so that no more than a block is in memory."""
+    contents, counts = defaultdict[int, Any](hashlib.sha256), Counter[int]()
+    with BagReader(bag) as reader:
+        # The digest of a topic has all its times first, so the bag is read twice.
+        for data in (False, True):
+            for block in reader.blocks():
+                for topic in distinct(block.topic):
+                    part = block.select(block.topic == topic)
+                    counts[topic] += 0 if data else len(part)
+                    for content in part.texts() if data else (part.t.astype("<i8").tobytes(),):
+                        contents[topic].update(content)
+        whole = hashlib.sha256()
+        for name, topic in sorted((reader.labels[topic], topic) for topic in contents):
+            whole.update(_line(name, reader.topics[topic].msgtype, counts[topic]) + contents[topic].digest())
+    return whole.hexdigest()[:HALF]
+
+
+def _line(name: str, msgtype: str, number: int) -> bytes:
+    return f"{name}\0{msgtype}\0{number}\0".encode()
 
 
 def asked_half(rig: Rig, seed: int) -> str:
@@ -51,6 +82,8 @@ def asked_half(rig: Rig, seed: int) -> str:
 
     A file enters with its name only, because a pack has it in another folder.
     """
+    from softrig_core.block.params import flatten  # who only reads a bag needs no rig
+
     nodes = {m.name: _plain(flatten(m.params)) for m in rig.members if not m.external and m.name not in NOT_NODES}
     asked = {"duration": rig.scenario.duration, "seed": seed, "nodes": nodes}
     return hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:HALF]
@@ -64,7 +97,7 @@ def _plain(value: Any) -> Any:
     return Path(value).name if isinstance(value, str) and "/" in value and Path(value).suffix else value
 
 
-def strangers(content: Mapping[str, Any], bag: Mapping[str, str], recording: Recording | None) -> list[str]:
+def strangers(content: Mapping[str, Any], bag: Mapping[str, str], there: str = "") -> list[str]:
     """Describe which parts of a run do not belong together; empty if all do, or if an older version wrote the run.
 
     Parameters
@@ -73,13 +106,24 @@ def strangers(content: Mapping[str, Any], bag: Mapping[str, str], recording: Rec
         Of metrics.json.
     bag : mapping
         The bag's own metadata.
-    recording : Recording, optional
-        The contents of the bag.
+    there : str
+        The half of the identity that the messages of the bag have, if it is known.
     """
     figures, bagged = str(content.get("run", "")), str(bag.get("run", ""))
     if figures and bagged and figures != bagged:
         return [f"metrics.json is of run {figures[:HALF]}, the bag of run {bagged[:HALF]}: they do not belong together"]
     stated = figures or bagged
-    if stated and recording is not None and (result := recorded_half(recording)) != stated[:HALF]:
-        return [f"the bag is not as it was written: its messages are {result}, of the run {stated[:HALF]}"]
+    if stated and there and there != stated[:HALF]:
+        return [f"the bag is not as it was written: its messages are {there}, of the run {stated[:HALF]}"]
     return []
+
+
+def contradictions(directory: Path) -> tuple[str, ...]:
+    """Describe which files in the folder of a run contradict each other."""
+    try:
+        content = json_of((directory / METRICS).read_text())
+        with BagReader(directory / BAG) as reader:
+            custom = reader.custom_data
+        return tuple(strangers(content, custom, bagged_half(directory / BAG))) if "run" in {*content, *custom} else ()
+    except (OSError, ValueError, BagError):  # told where it is read for its sake
+        return ()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, model_validator
-from softrig_core import Rig
+
+if TYPE_CHECKING:
+    from softrig_core import Rig
 
 SWEEPS = 8  # over the columns, until neighbours stand side by side
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from softrig_core.judge.claims import NEVER
-from softrig_core.verdict.figures import DECIDED, Result
+from softrig_core.verdict.result import DECIDED, Result
 
 from .html import NONE
 

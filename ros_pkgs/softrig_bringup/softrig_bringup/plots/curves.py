@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 from softrig_core import Port, Rig, ScenarioError, Signals
 from softrig_core.block.port import XYZ
 from softrig_core.errors import closest
 from softrig_core.rig.members import signal_units
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
+from softrig_core.wire.long import gathered, is_long
 from softrig_core.wire.signals import short_name, topic_of
+
+from .named import Shown
 
 Array = NDArray[np.float64]
 
@@ -115,8 +118,13 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
     starts = np.flatnonzero(np.diff(column, prepend=-1.0))
     ends = np.append(starts[1:], len(x)) - 1
     middle = (x[starts] + x[ends]) / 2
+    if is_long(y):
+        parts: list[Any] = [y[first:last] for first, last in zip(starts, ends + 1, strict=True)]
+        picks: tuple[Any, Any] = (np.fmin, np.fmax)
+        lowest, highest = (np.array([pick.reduce(part) for part in parts]) for pick in picks)
+    else:
+        lowest, highest = np.fmin.reduceat(y, starts), np.fmax.reduceat(y, starts)
     corners_x = np.stack([x[starts], middle, middle, x[ends]], axis=1)
-    lowest, highest = np.fmin.reduceat(y, starts), np.fmax.reduceat(y, starts)
     corners_y = np.stack([y[starts], lowest, highest, y[ends]], axis=1)
     return corners_x.ravel(), corners_y.ravel()
 
@@ -134,7 +142,7 @@ def inked(y: Array) -> float:
 def reduced(curve: Curve) -> Curve:
     """Return the part of a very long curve that a picture over time needs, so that the rest can leave memory."""
     if len(curve.x) <= LONG:
-        return curve
+        return replace(curve, x=np.asarray(curve.x), y=np.asarray(curve.y))
     x, y = envelope(curve.x, curve.y)
     return replace(curve, x=x, y=y, ink=inked(curve.y), logic=logical(curve.y))
 
@@ -153,16 +161,23 @@ def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
     first, last = max(window[0], x[0]), min(window[1], x[-1])
     if first > last:
         return replace(curve, x=x[:0], y=y[:0])
-    chosen = (x > first) & (x < last)
+    chosen = slice(int(np.searchsorted(x, first, "right")), int(np.searchsorted(x, last)))
     edges = np.array([first, last])
     if curve.held:  # up to the last edge, not the step that may be there
         end = np.searchsorted(x, last) - 1 if first < last < x[-1] else np.searchsorted(x, last, "right") - 1
-        ends = y[[np.searchsorted(x, first, "right") - 1, end]]
+        ends = y[np.array([np.searchsorted(x, first, "right") - 1, end])]
     else:
-        ends = np.interp(edges, x, y)
+        ends = np.array([_between(x, y, at) for at in edges])
     return replace(
         curve, x=np.concatenate([edges[:1], x[chosen], edges[1:]]), y=np.concatenate([ends[:1], y[chosen], ends[1:]])
     )
+
+
+def _between(x: Array, y: Array, at: float) -> float:
+    """Return the value at an instant, linear between the samples around it."""
+    k = int(np.searchsorted(x, at))
+    around = slice(max(k - 1, 0), k + 1)
+    return float(np.interp(at, np.asarray(x[around]), np.asarray(y[around])))
 
 
 class Source:
@@ -204,14 +219,10 @@ class Source:
         """Return a signal less the newest value of another, at the samples of the first."""
         a, b = self.curve(first), self.curve(second)
         n = len(self.signals.table(self.topic(first)).t)  # without the end to which a held signal is drawn
-        newest = np.searchsorted(b.x, a.x[:n], side="right") - 1
-        both = newest >= 0
-        return Curve(
-            label or f"{self.short(first)} - {self.short(second)}",
-            a.unit,
-            a.x[:n][both],
-            a.y[:n][both] - b.y[newest[both]],
-        )
+        k = int(np.searchsorted(a.x[:n], b.x[0])) if len(b.x) else n
+        x, y = a.x[k:n], a.y[k:n]
+        newest = np.searchsorted(b.x, x, side="right") - 1
+        return Curve(label or f"{self.short(first)} - {self.short(second)}", a.unit, x, y - gathered(b.y, newest))
 
     def short(self, name: str) -> str:
         """Return the shortest name of a signal."""
@@ -259,16 +270,6 @@ def _held(rig: Rig) -> set[str]:
     sampled = {p.topic for m in rig.members for p in (m.inputs if m.is_plant else m.outputs)}
     # Commands applied by a plant come from it, but they are held just as those that it received.
     return sampled | {t for t, port in rig.topics.items() if port.fields == ("effort",)}
-
-
-class Shown(BaseModel):
-    """Display data of a plotted signal on pages about several runs: its unit, and how it is drawn."""
-
-    model_config = ConfigDict(frozen=True)
-
-    unit: str
-    held: bool
-    reference: bool
 
 
 def shown(rig: Rig) -> dict[str, Shown]:

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from softrig_core import Signals
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 
 from . import style as look
 from .axes import draw, legend
 from .canvas import Axes, Figure
-from .curves import Array, Curve, Shown, inside
+from .curves import Array, Curve, inside
+from .named import LEAST, Shown
 from .pictures import fitted, letters, time_scale
 from .style import axis_title, quantity
 from .svg import svg
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Printed
 
 BAND = (0.1, 0.9)  # quantiles between which a band lies
-LEAST = 3  # runs that a band needs; fewer are drawn one by one
 _SAMPLES = 1000  # of a band
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace as changed
 from io import BytesIO
@@ -12,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 from softrig_core import Rig, Signals
 from softrig_core.guard import replace
 from softrig_core.judge.units import pretty_unit
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 
 from . import style as look
 from .axes import UNIT, draw, draw_logic, draw_marks, fold_exponents, is_logic, legend, styles
 from .canvas import Axes, Figure, Place
 from .curves import Curve, Source, by_unit, check_plots, reduced
 from .marks import Mark, marks_of
+from .named import OVERVIEW, plot_name
 from .printed import printed
 from .style import axis_title, quantity
 from .svg import svg
@@ -26,13 +26,7 @@ from .svg import svg
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Printed
 
-OVERVIEW = "overview.svg"
 UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal files
-
-
-def plot_name(number: int, title: str) -> str:
-    """File name of a scenario's plot entry, counted from 1."""
-    return f"plot_{number:02d}_{re.sub(r'[^a-z0-9]+', '_', title.lower()).strip('_')[:60]}.svg"
 
 
 def plot_entry(

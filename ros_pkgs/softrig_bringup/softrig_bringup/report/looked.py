@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softrig_bags.errors import BagError
 from softrig_bags.files.reader import BagReader
-from softrig_bags.read import BagSignals, read_bag, signals
+from softrig_bags.read import BagSignals, signals
 from softrig_bags.tape import written
 from softrig_core import Port, Rig, Run, Scenario, ScenarioError, load_scenario, rig_of
 from softrig_core.block.port import CLOCK, XYZ
@@ -19,11 +18,11 @@ from softrig_core.rig.code import is_ours
 from softrig_core.rig.members import other_names
 from softrig_core.rig.rig import members_of
 from softrig_core.scenario.scenario import NodeEntry
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 from softrig_core.wire.signals import full_name
 from softrig_core.wire.types import TYPES
 
-from ..options.identity import HALF, asked_half, strangers
+from ..options.identity import HALF, asked_half, bagged_half, strangers
 from ..pack.cargo import brings, check_scenario
 from ..pack.packed import BAG, METRICS, SCENARIO, about
 from .record import RunRecord, record_of
@@ -63,7 +62,7 @@ def record_of_pack(folder: Path) -> RunRecord:
     rig, result = rig_of_pack(folder)
     with BagReader(folder / BAG) as reader:
         custom = reader.custom_data
-    strange = strangers(content, custom, result.recording)
+    strange = strangers(content, custom, bagged_half(folder / BAG))
     run = str(content.get("run", "")) or stated.run
     if stated.run and run != stated.run:
         strange.append(f"pack.json is of run {stated.run[:HALF]}, metrics.json of run {run[:HALF]}")
@@ -83,17 +82,6 @@ def record_of_pack(folder: Path) -> RunRecord:
 def _seed(content: Mapping[str, Any], rig: Rig) -> int:
     seed = content.get("seed")
     return seed if isinstance(seed, int) else rig.scenario.seed
-
-
-def contradictions(directory: Path) -> tuple[str, ...]:
-    """Describe which files in the folder of a run contradict each other."""
-    try:
-        content = json_of((directory / METRICS).read_text())
-        with BagReader(directory / BAG) as reader:
-            custom = reader.custom_data
-        return tuple(strangers(content, custom, read_bag(directory / BAG))) if "run" in {*content, *custom} else ()
-    except (OSError, ValueError, BagError):  # told where it is read for its sake
-        return ()
 
 
 def differing(text: Any, measured: Sequence[Result]) -> list[str]:

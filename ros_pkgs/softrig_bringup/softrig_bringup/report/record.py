@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from softrig_core import ScenarioError
 from softrig_core.errors import nearby
 from softrig_core.kit.file_format import json_of
-from softrig_core.scenario.scenario import PlotEntry
-from softrig_core.verdict.figures import Result
+from softrig_core.scenario.plot_entry import PlotEntry
+from softrig_core.verdict.result import Result
 
 from ..page.citations import Citation
 from ..page.wiring import Wiring
-from ..plots.curves import Shown
+from ..plots.named import Shown
 
 
 class _Status(BaseModel):

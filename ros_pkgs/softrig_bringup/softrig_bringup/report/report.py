@@ -10,10 +10,10 @@ from softrig_core import ScenarioError
 from softrig_core.guard import print_line
 
 from ..folder import MARKS
+from ..options.identity import contradictions
 from ..pack.packed import is_pack, opened
 from ..page.html import e, write_page
 from .apart import names
-from .looked import contradictions, record_of_pack
 from .record import RunRecord, read_run
 from .run_page import run_section
 from .several import differences, index, overlaid, side_by_side
@@ -112,6 +112,8 @@ def write_report(
 
 def _of_pack(path: Path) -> tuple[Path, RunRecord]:
     """Read a pack as a run, without any code of its sender."""
+    from .looked import record_of_pack  # builds its rig
+
     folder = opened(path)
     try:
         run = record_of_pack(folder)

@@ -13,16 +13,15 @@ from xml.etree.ElementTree import Element
 from softrig_bags.errors import BagError
 from softrig_core import ScenarioError
 from softrig_core.judge.units import pretty_unit
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 
 from ..options.repeat import for_reader
 from ..page.citations import sources
 from ..page.diagram import SMALLEST, draw_diagram
 from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import NEVER, accepted, difference, measured, number
-from ..plots.pictures import OVERVIEW, plot_name
+from ..plots.named import OVERVIEW, plot_name
 from .record import RunRecord
-from .run_rig import draw_missing
 
 PHONE = 360  # px of a page on a narrow screen
 ELSEWHERE = (
@@ -171,6 +170,8 @@ def _pictures(directory: Path, run: RunRecord) -> Iterator[Element]:
     ]
     results = [entry for entry in files if entry[0].is_file()]
     if not results and (directory / "bag").is_dir():
+        from .run_rig import draw_missing  # a page of a run with pictures needs no rig
+
         with TemporaryDirectory() as folder, suppress(ScenarioError, BagError):  # its scenario or bag may be gone
             for path in draw_missing(directory, Path(folder)):
                 title, text = next(((t, x) for name, t, x in wanted if name == path.name), (path.stem, ""))

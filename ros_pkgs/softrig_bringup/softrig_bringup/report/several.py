@@ -6,20 +6,22 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
 from softrig_bags.errors import BagError
-from softrig_bags.read import signals
-from softrig_core import Signals
 from softrig_core.judge.units import pretty_unit
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 
 from ..page.html import NONE, e, mark, picture, table
 from ..page.wording import measured
-from ..plots.overlay import LEAST, Overlay, draw_overlay
+from ..plots.named import LEAST
 from .apart import differing, machine
 from .record import RunRecord
 from .run_page import verdict
+
+if TYPE_CHECKING:
+    from softrig_core import Signals
 
 COLUMNS = 8  # figures that a table holds beside each other on a page 1,100 pixels wide
 MOST = 40  # rows of the table of what differs
@@ -155,6 +157,8 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
 
     Runs of lengths that no axis shows together have pictures of their own (`APART`).
     """
+    from ..plots.overlay import Overlay, draw_overlay  # a page of one run draws none
+
     records = [run for _, run in runs]
     same = groups(records, named)
     for system in dict.fromkeys(run.system for run in records):
@@ -193,6 +197,8 @@ def _lengths(ends: dict[int, float]) -> list[list[int]]:
 
 
 def _signals(directory: Path, run: RunRecord) -> Signals | None:
+    from softrig_bags.read import signals
+
     bag = directory / "bag"
     try:
         return signals(bag).known_as(run.also) if bag.is_dir() else None

@@ -17,7 +17,7 @@ from ..options.repeat import joined, scenario_word, words
 from ..page.citations import Citation, cited, listed, sources
 from ..page.html import e, mark, page, table
 from ..page.wording import short
-from ..plots.pictures import OVERVIEW
+from ..plots.named import OVERVIEW
 from ..study.definition import list_studies
 
 HEADER = ("Claim", "Where", "Published", "Agrees when", "Measured", "Verdict", "Run")

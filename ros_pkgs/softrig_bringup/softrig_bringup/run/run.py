@@ -45,7 +45,7 @@ from softrig_core.rig.code import fingerprints
 from softrig_core.rig.members import other_names
 from softrig_core.run import live_figures
 from softrig_core.timebase import SECOND
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 from softrig_core.wire.parameter_event import recorded
 from softrig_core.wire.recording import read_shards
 from softrig_core.wire.shards import Shards

@@ -12,8 +12,8 @@ from softrig_core import figures_of, load_scenario, rig_of
 from softrig_core.block.params import declarations
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
-from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
+from softrig_core.verdict.result import Result
 from softrig_core.wire.signals import short_name
 
 from ..page.citations import cited, sources

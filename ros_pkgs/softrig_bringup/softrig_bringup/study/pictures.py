@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..plots.canvas import Axes, Cells, Figure
+from ..plots.named import plot_name
 from ..plots.overlay import BAND
-from ..plots.pictures import note, places, plot_name, save_figure
+from ..plots.pictures import note, places, save_figure
 from ..plots.shades import shades
 from ..plots.style import COLOURS, DPI, WIDTH, axis_title, quantity
 from .definition import Search, Study

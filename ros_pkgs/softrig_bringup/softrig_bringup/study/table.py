@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from softrig_core import load_scenario
 from softrig_core.judge.expectation import Expectation
-from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding, hold
+from softrig_core.verdict.result import Result
 
 from ..options.repeat import joined, scenario_word, words
 from .definition import Study, Summary

@@ -14,8 +14,8 @@ from softrig_core import Run, RunError, Scenario, ScenarioError, figures_of, loa
 from softrig_core.guard import print_line, replace
 from softrig_core.run.purity import HIDDEN
 from softrig_core.scenario.scenario_file import find, locate
-from softrig_core.verdict.figures import Result
 from softrig_core.verdict.findings import Finding
+from softrig_core.verdict.result import Result
 from softrig_optim.sweep import sweep
 
 from ..page.checked import checked

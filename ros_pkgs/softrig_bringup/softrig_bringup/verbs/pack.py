@@ -28,7 +28,7 @@ from softrig_core.rig.code import fingerprints, is_ours
 from softrig_core.scenario.yaml_file import write_yaml
 
 from ..options import repeat
-from ..options.identity import HALF, asked_half, strangers
+from ..options.identity import HALF, asked_half, recorded_half, strangers
 from ..options.like import TAPE, Recalled, digests, from_outside, recall, repeated
 from ..options.run_options import Again, scenario_of
 from ..pack.cargo import GROUPS, brings, runs_code
@@ -304,7 +304,7 @@ def _sha256(content: bytes | Path) -> str:
 def _one_run(run: Path, rig: Rig, content: Mapping[str, Any], before: Recalled) -> None:
     """Refuse files of different runs: the figures of one beside the bag or the scenario of another."""
     recording = before.recording if before.recording.topics else None
-    wrong = strangers(content, before.bag_metadata, recording)
+    wrong = strangers(content, before.bag_metadata, recorded_half(recording) if recording is not None else "")
     digest = str(content.get("run") or before.bag_metadata.get("run", ""))
     if digest and not wrong and asked_half(rig, int(content.get("seed", rig.scenario.seed))) != digest[HALF:]:
         wrong = ["its scenario gives another duration, seed or parameters than the run had"]

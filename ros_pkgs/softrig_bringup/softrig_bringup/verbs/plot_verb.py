@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from softrig_core import ScenarioError, Signals
 from softrig_core.guard import replace
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 from softrig_core.wire.signals import short_name
 
 from ..options.naming import folder_of
 from ..pack.packed import is_pack, opened
 from ..plots.curves import Curve, Source, inside, shown, with_plots
+from ..plots.named import plot_name
 from ..plots.overlay import Overlay, overlay_figures
-from ..plots.pictures import plot_entry, plot_name, write_figure
+from ..plots.pictures import plot_entry, write_figure
 from ..plots.style import PAPERS
 from ..report.apart import names as run_names
 from ..report.looked import record_of_pack

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 
 from ..folder import list_too
 from ..page.paper_table import Column, write_paper_table

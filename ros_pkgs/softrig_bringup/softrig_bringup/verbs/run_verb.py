@@ -284,7 +284,8 @@ def _write_junit(options: argparse.Namespace, done: Run) -> None:
 
 def _contradictions(like: Path) -> list[str]:
     """Describe statements of a pack or a run about itself that its own bag contradicts."""
-    from ..report.looked import contradictions, record_of_pack
+    from ..options.identity import contradictions
+    from ..report.looked import record_of_pack
 
     if not is_pack(like):
         return [f"{like}: {contradiction}" for contradiction in contradictions(like)]

@@ -26,7 +26,7 @@ from bokeh.models import (
 from bokeh.themes import Theme
 from softrig_core import ScenarioError
 from softrig_core.drawing import drawing_for
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 
 from ..film.film import PAST, rows
 from ..film.svg import still

@@ -11,7 +11,7 @@ from bokeh.plotting import figure
 from softrig_core import Rig
 from softrig_core.judge.units import pretty_unit
 from softrig_core.rig.members import signal_units
-from softrig_core.scenario.scenario import PlotEntry
+from softrig_core.scenario.plot_entry import PlotEntry
 
 from ..plots.curves import Curve, Source as Curves, envelope
 from ..plots.style import MANY, axis_title, quantity

@@ -29,7 +29,8 @@ from bokeh.server.util import bind_sockets
 from pydantic import BaseModel, ConfigDict
 from softrig_core import Scenario, ScenarioError, rig_of
 from softrig_core.guard import print_line
-from softrig_core.verdict.figures import Result, changed_from, evaluate
+from softrig_core.verdict.figures import changed_from, evaluate
+from softrig_core.verdict.result import Result
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from softrig_core.judge.units import pretty_unit
-from softrig_core.verdict.figures import Result
+from softrig_core.verdict.result import Result
 
 from ..page.wording import NEVER, accepted, in_words, measured_here
 from .control import Control, Entry

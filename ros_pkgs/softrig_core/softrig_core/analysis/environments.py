@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..block.port import Sample
 from ..block.schedule import Plan
 from ..block.step import Step
+from ..kit.draws import HEAD
 from ..native.audience import answered
 from ..native.batch_text import Form, batch_text, remembered
 from ..native.compile import compiled
@@ -256,7 +257,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         program, blocks = self._text.program, [s.block for s in self.envs[j].steps.values()]
         self._fits[j] = not program.differs(blocks) and program.constants(blocks) == self._constants
         for path, name in program.draws.items() if self._fits[j] else ():
-            self._tables[name][j] = follow(path, blocks).first(self._tables[name].shape[1])
+            self._tables[name][j, HEAD:] = follow(path, blocks).first(self._tables[name].shape[1] - HEAD)
         return bool(self._fits[j])
 
     def _texted(self, steps: list[Step], agent: Step, state: Any) -> None:
@@ -357,10 +358,10 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         assert self._text is not None
         for path, name in self._text.program.draws.items():
             old = self._tables[name]
-            self._tables[name] = result = np.zeros((self.num_envs, max(count, 2 * old.shape[1])))
+            self._tables[name] = result = np.zeros((self.num_envs, HEAD + max(count, 2 * old.shape[1])))
             for j in np.flatnonzero(self._fits):
                 blocks = [s.block for s in self.envs[j].steps.values()]
-                result[j] = follow(path, blocks).first(result.shape[1])
+                result[j, HEAD:] = follow(path, blocks).first(result.shape[1] - HEAD)
 
     def _info(self, errors: Mapping[int, str]) -> dict[str, Any]:
         info: dict[str, Any] = {"t": self._t.copy(), "_t": np.ones(self.num_envs, np.bool_)}

@@ -15,7 +15,7 @@ import numpy as np
 from ..block.block import Block
 from ..block.port import Port, Sample
 from ..kit.compiled import Compiled
-from ..kit.draws import Draws
+from ..kit.draws import HEAD, Draws
 from ..kit.jit import Jit
 from ..native.compile import BASE
 from ..native.reports import Reports
@@ -221,7 +221,7 @@ class _Row:
         self.draws = draws
 
     def __getitem__(self, k: int) -> float:
-        return self.draws(k)
+        return self.draws(k - HEAD) if k >= HEAD else 0.0
 
     def __len__(self) -> int:
         return 1 << 62

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wire.long import elementwise
+
 Array = NDArray[np.float64]
 # What sentil writes as JSON: {"Always": [{"lower", "upper"}, tree]}, {"Predicate": {"lhs", "op", "rhs"}}.
 # A literal is a number, or the name of one among the samples, so that variants of a rig share the tree of a formula.
@@ -27,6 +29,7 @@ def _each(function: Callable[..., float]) -> Callable[..., Array]:
         except (ValueError, OverflowError, ZeroDivisionError):
             return math.nan
 
+    @elementwise
     def all_(*given: Array) -> Array:
         arrays = np.broadcast_arrays(*given)
         flat = [one(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]

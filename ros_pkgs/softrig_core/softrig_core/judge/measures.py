@@ -41,6 +41,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wire.long import counted, gathered, is_long
 from ..wire.times import once_for_times
 
 __all__ = [
@@ -541,7 +542,7 @@ def mean_over(x: Array, gaps: Array) -> float:
         Values; ns, as `held` returns them.
     """
     weights = _weights(gaps)
-    return float(np.mean(x)) if weights is None else float(np.average(x, weights=weights))
+    return float(np.mean(x)) if weights is None else float((x * weights).sum() / weights.sum())
 
 
 @once_for_times
@@ -593,7 +594,7 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
         Ascending.
     """
     # With few times and many instants counting is faster than a search for each instant.
-    if len(times) > len(at) / 4:
+    if len(times) > len(at) / 4 or is_long(at):
         return _one_each(times, at) if len(at) > SIDE_BY_SIDE else np.searchsorted(times, at, side="right") - 1
     arrived = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
     return np.cumsum(arrived) - 1
@@ -616,7 +617,7 @@ def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
     if first >= 0 and last <= len(times):
         guess = times[first:last]
         if (guess <= at).all() and (at[:-1] < guess[1:]).all() and not (times[last : last + 1] <= at[-1]).any():
-            return np.arange(first, last, dtype=np.intp)
+            return counted(first, last) if is_long(at) else np.arange(first, last, dtype=np.intp)
     return np.searchsorted(times, at, side="right") - 1
 
 
@@ -709,7 +710,7 @@ def _error(
     # A plant publishes once more than its controller at the end of a run, so the last sample has no reference.
     if t.size > 1 and _unpaired(t, when):
         t, x = t[:-1], x[:-1]
-    return t, x - values[_known(signal, reference, t, when)]
+    return t, x - gathered(values, _known(signal, reference, t, when))
 
 
 def _unpaired(t: Array, when: Array) -> bool:
@@ -753,7 +754,7 @@ def _aligned(
         return t, x - reference, gaps
     when, values = signals[reference]
     both, at, gaps = _union(t, when, float(t[-1]) + float(gaps[-1]) * NS)
-    return both, x[at] - values[_known(signal, reference, both, when)], gaps
+    return both, gathered(x, at) - gathered(values, _known(signal, reference, both, when)), gaps
 
 
 @once_for_times
@@ -761,6 +762,7 @@ def _union(t: Array, when: Array, stop: float) -> tuple[Array, Places, Array]:
     """Return all times of two signals up to `stop`, the places among `t` that they belong to, and their gaps, ns."""
     own = when[(when > t[0]) & (when < stop - HALF_NS)]
     # A reference sample at a time of the signal is covered already; a second one would count for no time.
-    own = own[own - t[newest(t, own + HALF_NS)] > HALF_NS]
-    both = np.sort(np.concatenate([t, own]))
+    own = own[own - gathered(t, newest(t, own + HALF_NS)) > HALF_NS]
+    # Nothing to sort: the array of the times may be long, or shared by others.
+    both = np.sort(np.concatenate([t, own])) if len(own) else t
     return both, places(newest(t, both)), np.rint(np.diff(both, append=stop) / NS)

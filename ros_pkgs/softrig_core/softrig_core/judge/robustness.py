@@ -8,12 +8,14 @@ undefined. An operator without end asks as far as the record goes: of what is op
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..timebase import SECOND
+from ..wire.long import LongArray, elementwise, is_long
 from .arithmetic import Array, Samples, Tree, arithmetic, sure
 from .formula import EDGES, FUTURE, PAST, Condition, horizon, nodes, variables
 from .one_pass import Extreme, OnePass
@@ -66,6 +68,7 @@ def opposite(values: Array) -> Array:
     return _each(np.negative, values[::-1, ::-1])
 
 
+@elementwise
 def _each(function: Callable[..., Array], *values: Array) -> Array:
     """Call a function of numbers; only once for all four if they are known to be equal."""
     if any(any(v.strides[:2]) for v in values):
@@ -77,6 +80,26 @@ def _joined(kind: str, a: Array, b: Array) -> Array:
     if kind == "And":
         return _each(np.minimum, a, b)
     return _each(np.maximum, opposite(a) if kind == "Implies" else a, b)
+
+
+@elementwise
+def _uncertain(values: Array, *late: NDArray[Any]) -> Array:
+    """Return the four numbers of a comparison where values may be undefined, or signals have not arrived yet."""
+    undefined = np.isnan(values)
+    result = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
+    for those in late:
+        # A comparison with a signal that has not arrived yet is false, not undefined, so that the formula is judged
+        # all the same.
+        result[:, those] = -INF
+    return np.array((result, result))
+
+
+@elementwise
+def _opened(values: Array, over: NDArray[Any], which: int, none: float) -> Array:
+    """Put what nothing may follow in the place of one bound where a window goes beyond the record."""
+    result = np.array(values)
+    result[which][:, over] = none
+    return result
 
 
 def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick, none: float) -> Array:
@@ -95,6 +118,8 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
         if not any(values.strides[:2]):
             return np.broadcast_to(pick.reduce(window[0, 0], initial=none), (*values.shape[:2], 1))
         return pick.reduce(window, axis=-1, keepdims=True, initial=none)
+    if is_long(first):
+        return cast(Array, LongArray(len(first), partial(_extremes, values, first, last, pick, none)))
     count = last - first + 1
     result = np.full((*values.shape[:-1], len(first)), none)
     # values[..., j] covers span samples from j on. Doubling span needs n log n steps for windows of any length.
@@ -106,6 +131,16 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
         values = pick(values[..., :-span], values[..., span:])
         span *= 2
     return result
+
+
+def _extremes(values: Array, first: Any, last: Any, pick: Pick, none: float, a: int, b: int) -> Array:
+    """Return some of the `extremes` of many windows; only what they need of the values is in memory."""
+    begins, ends = np.asarray(first[a:b]), np.asarray(last[a:b])
+    low = int(np.min(begins, initial=len(first)))
+    part = np.asarray(values[..., low : max(low, int(np.max(ends, initial=-1)) + 1)])
+    if b - a == 1:  # one window would be taken for that of a whole formula
+        return extremes(part, np.repeat(begins - low, 2), np.repeat(ends - low, 2), pick, none)[..., :1]
+    return extremes(part, begins - low, ends - low, pick, none)
 
 
 class Record:
@@ -156,7 +191,7 @@ class Record:
         NotJudged
             The record does not decide the formula; the message names what is undefined, or where the record ends.
         """
-        if native is not None and self.ended and not self._late:
+        if native is not None and self.ended and not self._late and not is_long(self.times):
             low, high = limits(tree[native.kind])
             first, last, over = (int(each[0]) for each in self._window(native.kind, low, high, self.times[:1]))
             names = {**self._samples, **self._truths}
@@ -220,7 +255,7 @@ class Record:
         if kind in ("And", "Or", "Implies"):
             return _joined(kind, self._at(body[0], k), self._at(body[1], k))
         if kind in (*FUTURE, *PAST) and id(tree) not in self._measured_trees:
-            return self._over_time(kind, body, self.times[k : k + 1])[..., 0]
+            return self._over_time(kind, body, np.asarray(self.times[k : k + 1]))[..., 0]
         return self.bounds(tree)[..., k]
 
     def _over_time(self, kind: str, body: Any, times: Array) -> Array:
@@ -237,24 +272,17 @@ class Record:
         pick, none = (np.minimum, INF) if least else (np.maximum, -INF)
         result = extremes(inner, first, last, pick, none)
         if over.any():
-            result = np.array(result)
-            result[0 if least else 1][:, over] = -none
+            result = _opened(result, over, 0 if least else 1, -none)
         return result
 
     def _compared(self, body: Any) -> Array:
         values = self._truths.get(body["lhs"].get("Variable", ""))
         if values is None:
             values = self._distance(body)
-        undefined = np.isnan(values)
         late = [late for name in variables(body) if (late := self._late.get(name)) is not None and late.any()]
-        if not late and not undefined.any():
+        if not late and not np.isnan(values).any():
             return np.broadcast_to(values, (2, 2, len(values)))
-        result = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
-        for those in late:
-            # A comparison with a signal that has not arrived yet is false, not undefined, so that the formula is judged
-            # all the same.
-            result[:, those] = -INF
-        return np.array((result, result))
+        return _uncertain(values, *late)
 
     def _distance(self, body: Any) -> Array:
         compare, sides = COMPARED[body["op"]], (body["lhs"], body["rhs"])
@@ -271,7 +299,7 @@ class Record:
         known = self.times
         if kind in PAST:
             first = np.searchsorted(known, times - high)
-            return first, np.searchsorted(known, times - low, side="right") - 1, np.zeros(len(times), dtype=bool)
+            return first, np.searchsorted(known, times - low, side="right") - 1, np.broadcast_to(np.False_, len(times))
         first = np.searchsorted(known, times + low)
         last = np.searchsorted(known, times + high, side="right") - 1
         over = first >= len(known) if high == INF and self.ended else times + high >= self.after
@@ -282,7 +310,8 @@ class Record:
         the record.
         """
         n = len(self.times)
-        times = self.times[-1] - self.times[::-1] if past else self.times
+        held, then = np.asarray(held), np.asarray(then)
+        times = np.asarray(self.times[-1] - self.times[::-1] if past else self.times)
         first = np.searchsorted(times, times + low)
         result = extremes(held, np.arange(n), first - 1, np.minimum, INF)
         for arrived, lost in np.ndindex(2, 2):
@@ -315,11 +344,11 @@ class Record:
 
     def _undefined(self, tree: Tree) -> Array:
         """Instants at which a comparison of the formula is undefined, ns."""
-        lost = np.zeros(len(self.times), dtype=bool)
+        lost = np.broadcast_to(np.False_, len(self.times))
         for kind, body in nodes(tree):
             if kind == "Predicate":
                 result = self._compared(body)
-                lost |= result[0, 0] != result[0, 1]
+                lost = lost | (result[0, 0] != result[0, 1])
         return self.times[lost]
 
     def _outermost(self, tree: Tree) -> Iterator[tuple[str, Any]]:

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
 SIZE = 4096
 # So many rows are at hand, so that going back a little draws nothing again.
 KEPT = 4
+# Numbers of a table for native code before its random numbers: the index of the first of them, and the index + 1 of one
+# that native code has missed.
+HEAD = 2
+# So many random numbers are in a window at first or come at a time, 8 MB, and so many earlier ones remain.
+MOST, BACK = 1 << 20, 1 << 13
 # Numbers of as many streams as nodes of a rig draw from, kept for the next run: those of a study often have one seed.
 STREAMS = 8
 # Of so many numbers at most.
@@ -80,8 +85,8 @@ class Draws:
 
     Attributes
     ----------
-    at_hand : array, shape (n,), optional
-        The first numbers, as `first` returned them to a caller that keeps them for a time: they are not drawn again.
+    at_hand : Window, optional
+        Numbers that a caller keeps for a time: they are not drawn again.
     """
 
     # A number depends on its index alone; these are a cache.
@@ -93,13 +98,13 @@ class Draws:
         self._draw: Callable[[int], Any] = getattr(self._generator, kind)
         self._before = [self._generator.bit_generator.state]
         self._rows: dict[int, list[float]] = {}
-        self.at_hand: NDArray[np.float64] | None = None
+        self.at_hand: Window | None = None
 
     def __call__(self, k: int) -> float:
         """Return the k-th number, from 0 on."""
         row = self._rows.get(k // SIZE)
-        if row is None and self.at_hand is not None and k < len(self.at_hand):
-            return float(self.at_hand[k])
+        if row is None and self.at_hand is not None and (number := self.at_hand.number(k)) is not None:
+            return number
         return (self._drawn(k // SIZE) if row is None else row)[k % SIZE]
 
     @property
@@ -122,9 +127,14 @@ class Draws:
         """Return the first `count` numbers, shape (count,); they must not be changed."""
 
         def draw() -> Any:
-            return getattr(self._stream(), self._kind)(count)
+            return self.drawing()(count)
 
         result: NDArray[np.float64] = draw() if count > LONGEST else _once((*self._key, count), draw)
+        return result
+
+    def drawing(self) -> Callable[[int], NDArray[np.float64]]:
+        """Return what draws the next numbers at each call, from the first on."""
+        result: Callable[[int], NDArray[np.float64]] = getattr(self._stream(), self._kind)
         return result
 
     def _drawn(self, n: int) -> list[float]:
@@ -143,3 +153,49 @@ class Draws:
             del self._rows[next(iter(self._rows))]
         self._rows[n] = row
         return row  # type: ignore[no-any-return]
+
+
+class Window:
+    """Consecutive random numbers for native code, which move on with the run.
+
+    Parameters
+    ----------
+    draws : Draws
+        The stream.
+    count : int
+        How many numbers there are at first.
+
+    Attributes
+    ----------
+    table : array of float, shape (HEAD + n,)
+        See `HEAD`.
+    """
+
+    def __init__(self, draws: Draws, count: int) -> None:
+        import numpy as np
+
+        self._draws, self._count, self._all = draws, count, False
+        self._next: Callable[[int], NDArray[np.float64]] | None = None
+        self.table = np.concatenate((np.zeros(HEAD), draws.first(count)))
+
+    def number(self, k: int) -> float | None:
+        """Return the k-th number of the stream, if it is in the table."""
+        place = HEAD + k - int(self.table[0])
+        return float(self.table[place]) if HEAD <= place < len(self.table) else None
+
+    def follow(self, missed: float) -> None:
+        """Draw on, so that a number that native code has missed is in the table; `missed` is its index + 1."""
+        import numpy as np
+
+        k, begin = int(missed) - 1, int(self.table[0])
+        if self._next is None:
+            # The first numbers are often those of an earlier run, so that this one has drawn none yet.
+            self._next = self._draws.drawing()
+            self._next(self._count)
+        if k < begin:
+            # Code that goes far back may do so at each tick, so that from now on all numbers are kept.
+            self._next, self._all, begin, self.table = self._draws.drawing(), True, 0, self.table[:HEAD]
+        end = begin + len(self.table) - HEAD
+        first = begin if self._all else min(max(begin, k - BACK), end)
+        kept = self.table[HEAD + first - begin :]
+        self.table = np.concatenate(((first, 0.0), kept, self._next(max(MOST, len(kept), k + 1 - end))))

@@ -16,6 +16,7 @@ from ..block.params import FromFiles
 from ..block.schedule import Plan
 from ..block.step import Step
 from ..errors import RunError
+from ..kit.draws import BACK, MOST, Window
 from ..timebase import SECOND
 from ..wire.columns import spacious
 from .audience import NEVER, Answers, answered, numbers_of, stamps_of
@@ -189,8 +190,10 @@ class Fitted:
         tables: dict[str, Any] = dict(zip(program.arrays.values(), program.tables(roots), strict=True))
         tables |= {name: follow(path, roots).scratch() for path, name in program.scratches.items()}
         self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
-        tables |= {name: self._drawn(draws, self._guess()) for name, draws in self._sources.items()}
         self._tables = tables
+        for draws in self._sources.values():
+            draws.at_hand = Window(draws, min(MOST, 2 * (self._plan.ticks or 0) + BACK))
+        self._put_draws()
         # These are valid as long as states have these forms; the conversion back is known with the first returned
         # states.
         self._pack = [packer(s.x, typed) for s in core.steps]
@@ -226,17 +229,13 @@ class Fitted:
         for draws in self._sources.values():
             draws.at_hand = None
 
-    def _drawn(self, draws: Any, count: int) -> Any:
-        result = draws.first(count)
-        # Python answers the last tick, and would otherwise draw all numbers before those of this tick again.
-        draws.at_hand = result
-        return result if self._typed else result.tolist()
+    def _put_draws(self) -> None:
+        """Put the random numbers at hand among the tables; Python, which answers the last tick, reads them, too."""
+        tables = {name: draws.at_hand.table for name, draws in self._sources.items()}
+        self._tables |= tables if self._typed else {name: table.tolist() for name, table in tables.items()}
 
     def _zeros(self, count: int, kind: type) -> Any:
         return np.zeros(count, kind) if self._typed else [kind()] * count
-
-    def _guess(self) -> int:
-        return min(1 << 20, 2 * (self._plan.ticks or 0) + (1 << 13))
 
     def begin(self, first: int, last: int) -> None:
         """Create buffers for the native answers of the ticks from `first` up to `last`."""
@@ -312,7 +311,9 @@ class Fitted:
                 # The random numbers that were drawn in advance have run out.
                 if n[1]:
                     for name, draws in self._sources.items():
-                        self._tables[name] = self._drawn(draws, max(int(n[1]), 2 * len(self._tables[name])))
+                        if missed := self._tables[name][1]:
+                            draws.at_hand.follow(missed)
+                    self._put_draws()
                     self._name()
                     continue
                 self.discarded = True

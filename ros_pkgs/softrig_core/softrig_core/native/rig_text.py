@@ -10,7 +10,7 @@ from ..block.step import Step
 from .reports import Reports
 from .translate import Program
 from .turns import WHEN, Turns
-from .words import IN_PYTHON, OWN, TEXTS
+from .words import OWN, TEXTS
 
 WORD = re.compile(r"\b\w+(?=\()")
 
@@ -88,7 +88,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
 def written_out(program: Program, rig: str) -> str:
     """Return a text with the words and functions that it needs before it."""
     # Text that Python runs uses Python's own functions for words that have one.
-    texts = TEXTS if program.typed else {w: text for w, text in IN_PYTHON.items() if w not in OWN}
+    texts = TEXTS if program.typed else {w: text for w, text in TEXTS.items() if w not in OWN}
     words = [texts[w] for w in sorted(program.words) if w in texts]
     return "\n\n".join([*words, *_reached(program.functions, rig), rig]) + "\n"
 

@@ -85,8 +85,8 @@ TEXTS: dict[str, str] = {
     "    a, b = abs(x), abs(y)\n    r = a % b\n    c = b - r\n    if r > c:\n        r = -c\n"
     "    elif r == c:\n        r = r - 2.0 * (0.5 * (a - r) % b)\n    if x == 0.0:\n        return x\n"
     "    return -r if x < 0.0 else r\n",
-    "drawn_": "def drawn_(row, n, k):\n    if k >= len(row):\n        n[1] = k + 1\n        raise IndexError\n"
-    "    return float(row[k])\n",
+    "drawn_": "def drawn_(row, n, k):\n    i = k - int(row[0]) + 2\n    if i < 2 or i >= len(row):\n"
+    "        n[1] = row[1] = k + 1\n        raise IndexError\n    return float(row[i])\n",
 }
 # A text that Python runs uses Python's own functions for these, which raise by themselves.
 OWN: dict[str, Callable[..., Any]] = {
@@ -97,10 +97,6 @@ OWN: dict[str, Callable[..., Any]] = {
     "round_": round,
     "bisect_right": bisect_right,
     "bisect_left": bisect_left,
-}
-IN_PYTHON = TEXTS | {
-    "drawn_": "def drawn_(row, n, k):\n    try:\n        return row[k]\n    except IndexError:\n"
-    "        n[1] = k + 1\n        raise\n",
 }
 # Python raises for no float in any of these, so they are called as they are.
 PLAIN = {name: f"math.{name}" for name in ("atan", "atan2", "tanh", "copysign", "fabs", "isfinite", "isnan", "isinf",

@@ -130,5 +130,5 @@ class _Newest(Recent):
     def __getitem__(self, name: str) -> Signal:
         self.place(name)
         t, x = self._signals[name]
-        first = int(t.searchsorted(self._since))
+        first = int(np.searchsorted(t, self._since))
         return Signal(t[first:], x[first:])

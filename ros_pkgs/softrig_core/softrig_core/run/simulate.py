@@ -21,8 +21,9 @@ from ..rig.members import other_names, signal_units
 from ..rig.rig import Rig
 from ..scenario.scenario import Draft, Scenario
 from ..timebase import SECOND
-from ..verdict.figures import Figure, Result, changed_from, evaluate, figures_of, read_by
+from ..verdict.figures import Figure, changed_from, evaluate, figures_of, read_by
 from ..verdict.findings import Finding, findings, values
+from ..verdict.result import Result
 from ..wire.recording import Recording
 from ..wire.signals import Signals, full_name, topic_of
 from .branch import branched, parted

@@ -6,14 +6,15 @@ import inspect
 import json
 import math
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fnmatch import filter as filter_names
 from functools import cache, cached_property, lru_cache
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+import numpy as np
+from pydantic import BaseModel, ValidationError, create_model
 
 from ..block.params import ParameterError, flatten
 from ..block.port import CLOCK
@@ -37,92 +38,19 @@ from ..judge.units import compose, factor, powers
 from ..kit.file_format import json_of
 from ..kit.newest import once_for_objects
 from ..rig.agreement import agreed_values, agreeing, shown
+from ..rig.code import is_ours
 from ..rig.members import Members, signal_units
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters, pick
 from ..scenario.scenario import FigureEntry
+from ..wire.signals import Signal
 from .requirements import Judge, judges
+from .result import DECIDED, Result
 
 MOST = 1e300
-DECIDED = "by its conditions alone"  # of a requirement without a distance
 SIGNALS = ("signal", "reference", "final", "initial")  # arguments that name a signal, if they are a word
 NONE = Expectation()
 STEP = ("final", "initial")  # of these, those of a step
-
-
-class Result(BaseModel):
-    """A figure of a run: the measured value, the expected value, and the verdict.
-
-    Parameters
-    ----------
-    value : float, optional
-        None if it could not be computed or is not finite; `error` then has the reason: ``never`` for an event that does
-        not happen.
-    published : float, optional
-        Value in the paper, from the claim about this figure.
-    expected, tolerance, at_most, at_least : float, optional
-        The expectation; if none is set, the figure is for information.
-    at_s : float, optional
-        Of a requirement: the instant that decides its margin, s.
-    violated_s : tuple of (float, float)
-        Of a requirement: intervals in which it does not hold, s.
-    open_from_s : float, optional
-        Of a requirement: the instant from which on a part of it is undecided at the run's end, s; the decided part is
-        judged.
-    published_for : str
-        Of a changed run whose expectation is a number for the unchanged machine: the parameters of that machine. The
-        figure is then not judged.
-    follows : bool
-        Whether the expectation depends on the machine: it is computed from the nodes' parameters, or the figure is
-        relative to them.
-    settled : bool
-        Of a run under way: whether the verdict is final.
-    passed : bool
-        Written as ``pass``. A figure for information passes unless its value is impossible; so does a figure that is
-        not judged.
-    """
-
-    model_config = ConfigDict(frozen=True, populate_by_name=True)
-
-    name: str
-    value: float | None
-    unit: str = ""
-    published: float | None = None
-    expected: float | None = None
-    tolerance: float | None = Field(None, ge=0, allow_inf_nan=False)
-    at_most: float | None = None
-    at_least: float | None = None
-    passed: bool = Field(alias="pass")
-    error: str = ""
-    at_s: float | None = None
-    violated_s: tuple[tuple[float, float], ...] = ()
-    open_from_s: float | None = None
-    published_for: str = ""
-    follows: bool = Field(False, exclude=True)
-    settled: bool = Field(False, exclude=True)
-    number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
-
-    @property
-    def limited(self) -> bool:
-        """Return whether there is anything to hold it against."""
-        return any(x is not None for x in (self.expected, self.at_most, self.at_least))
-
-    @property
-    def judged(self) -> bool:
-        """Return whether anything is expected of it, in this run."""
-        return self.limited and not self.published_for
-
-    def not_judged(self, why: str) -> Result:
-        """Return it as one of a changed run: no longer judged, unless the expectation follows the machine.
-
-        Parameters
-        ----------
-        why : str
-            What the machine had for which it is published.
-        """
-        if self.follows or not self.judged or not why:
-            return self
-        return self.model_copy(update={"published_for": why, "passed": True})
 
 
 @dataclass(frozen=True)
@@ -145,7 +73,8 @@ class Figure:
 
     def __call__(self, signals: SignalMap) -> float:
         """Measure the figure; raise an ImpossibleError if the result is outside the possible range."""
-        value = float(self.function(signals, **self.at(signals).arguments))
+        ours = is_ours(self.function.__module__)
+        value = float(self.function(signals if ours else _Whole(signals), **self.at(signals).arguments))
         low, high = getattr(self.function, "possible", (-math.inf, math.inf))
         if value < low - ROUNDING * max(1.0, abs(low)) or value > high + ROUNDING * max(1.0, abs(high)):
             raise ImpossibleError(f"{value:.6g} is impossible, expected {low:g} to {high:g}")
@@ -174,6 +103,26 @@ class Figure:
         if "final" in _model(self.function)[0].model_fields and given.get("final") is None:
             values |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
         return replace(self, arguments=given | values, since="")
+
+
+class _Whole(Mapping[str, Signal]):
+    """The signals of a run, each in memory as a whole: figures of others may do with an array whatever numpy can."""
+
+    def __init__(self, signals: SignalMap) -> None:
+        self._signals = signals
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._signals, name)
+
+    def __getitem__(self, name: str) -> Signal:
+        t, x = self._signals[name]
+        return Signal(np.asarray(t), np.asarray(x))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._signals)
+
+    def __len__(self) -> int:
+        return len(self._signals)
 
 
 def figures_of(rig: Members) -> list[Figure]:

@@ -11,7 +11,7 @@ from ..errors import ScenarioError
 from ..judge.claims import Claim, Verdict, readable
 from ..scenario.scenario import Scenario
 from ..scenario.scenario_file import list_scenarios
-from .figures import Result
+from .result import Result
 
 Figures = Mapping[str, float]
 

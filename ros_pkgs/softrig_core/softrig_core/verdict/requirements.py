@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ from ..rig.members import Members
 from ..scenario.port_text import ports_text, reader
 from ..scenario.references import fill_parameters
 from ..timebase import SECOND
+from ..wire.long import LongArray, gathered, is_long
 from ..wire.signals import full_name
 from ..wire.times import common, once_for_times
 
@@ -113,7 +114,7 @@ class Judge:
         ticks, _ = signals[self.ticker]
         if not len(ticks):
             raise ValueError(f"not judged: nothing was recorded of {self.ticker}")
-        grid = _grid(self.clock, ticks[-1])
+        grid = _grid(self.clock, ticks)
         held: dict[str, Any] = {**self.numbers}
         truths, late = {}, dict[str, NDArray[np.bool_]]()
         tree = self.tree
@@ -121,7 +122,7 @@ class Judge:
             tree = self.again({name: _measured(name, figure, signals) for name, figure in self.timed.items()})
         for name in variables(tree):
             if name in self.figures:
-                held[name] = np.full(len(grid), _measured(name, self.figures[name], signals))
+                held[name] = np.broadcast_to(_measured(name, self.figures[name], signals), len(grid))
                 continue
             condition = self.conditions.get(name)
             times, values = results[condition.signal if condition else name]
@@ -148,9 +149,12 @@ def _measured(name: str, figure: Measured, signals: SignalMap) -> float:
     return value
 
 
-def _grid(clock: Schedule, end: float) -> Array:
+def _grid(clock: Schedule, ticks: Array) -> Array:
     """Ticks of the clock up to the record's end, ns."""
-    return _ticks(clock, clock.tick(clock.held(round(end * SECOND))))
+    last = clock.tick(clock.held(round(float(ticks[-1]) * SECOND)))
+    if is_long(ticks):
+        return cast(Array, LongArray(last + 1, lambda a, b: clock.times(a, b).astype(np.float64)))
+    return _ticks(clock, last)
 
 
 @lru_cache(maxsize=8)
@@ -167,8 +171,10 @@ def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np
     """Return for each tick the newest value that has arrived, 0 before the first, and its index."""
     at, before = _arrived(times, grid)
     if before is None:
-        return values[at], None
-    return np.where(before, 0.0, values[at]) if len(values) else np.zeros(len(grid)), before
+        return gathered(values, at), None
+    if not len(values):
+        return np.broadcast_to(0.0, len(grid)), before
+    return np.where(before, 0.0, gathered(values, np.maximum(at, 0))), before
 
 
 @once_for_times

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .cdr import Layout
+from .long import LongArray, is_long
 
 # So many rows of a file are in memory at a time. A row has 10 bytes and 8 for each number.
-READ = 1 << 14
+READ = 1 << 15
 SPARE = 1  # rows at either end of answers of native code, for those of the ticks before and after that Python answers
 
 _spacious: WeakValueDictionary[int, NDArray[np.float64]] = WeakValueDictionary()
@@ -82,10 +83,14 @@ class Columns(NamedTuple):
             at = SPARE + len(self.times)
         return self.whole[k, first : at + sizes[1]]
 
-    def messages(self, count: int) -> list[bytes]:
-        """Return the bytes of the messages; `count` is the number of earlier messages of the topic."""
+    def encoded(self, count: int) -> NDArray[np.uint8]:
+        """Return the bytes of the messages, a row each; `count` is the number of earlier messages of the topic."""
         marks = np.arange(count, count + len(self.times)) if self.layout.numbered else self.times
-        raw, n = self.layout.encode_block(marks, self.values).tobytes(), self.layout.length
+        return self.layout.encode_block(marks, self.values)
+
+    def messages(self, count: int) -> list[bytes]:
+        """Return the bytes of each message; see `encoded`."""
+        raw, n = self.encoded(count).tobytes(), self.layout.length
         return [raw[i : i + n] for i in range(0, len(raw), n)]
 
     def part(self, first: int, last: int) -> Columns:
@@ -119,6 +124,7 @@ class Rows:
         self.number = self._ends[-1] if places else 0
         self._even: tuple[int, int] | None = None
         self._checked = False
+        self._last: tuple[int, int, NDArray[Any]] | None = None
 
     def read(self, first: int, last: int) -> NDArray[Any]:
         """Return the rows from `first` up to `last` as a structured array.
@@ -128,6 +134,9 @@ class Rows:
         OSError
             The file is shorter than it was.
         """
+        # All signals of a node are in its rows, and several of them are read side by side.
+        if self._last is not None and self._last[:2] == (first, last):
+            return self._last[2]
         result = np.empty(max(0, min(last, self.number) - first), self._kind)
         content, size, at = memoryview(result.view(np.uint8)), self._kind.itemsize, 0
         for (place, count), end in zip(self._places, self._ends, strict=True):
@@ -142,6 +151,9 @@ class Rows:
                         raise OSError(f"{self._file.name} ends before row {first + at + n}")
                     part, begin = part[got:], begin + got
                 at += n
+        result.flags.writeable = False
+        if len(result) <= READ:
+            self._last = first, last, result
         return result
 
     def blocks(self) -> Iterator[tuple[slice, NDArray[Any]]]:
@@ -170,13 +182,10 @@ class Rows:
     @property
     def times(self) -> NDArray[np.int64]:
         """Return the times of all rows, ns."""
-        if self.even is not None:
-            first, step = self.even
-            return first + step * np.arange(self.number, dtype=np.int64)
-        result = np.empty(self.number, np.int64)
-        for where, block in self.blocks():
-            result[where] = block["t"]
-        return result
+        if self.even is None:
+            return _long(self.number, lambda a, b: np.ascontiguousarray(self.read(a, b)["t"]))
+        first, step = self.even
+        return _long(self.number, lambda a, b: first + step * np.arange(a, b, dtype=np.int64))
 
 
 class Stored(NamedTuple):
@@ -212,10 +221,7 @@ class Stored(NamedTuple):
 
     def column(self, k: int) -> NDArray[np.float64]:
         """Return one number of each message, shape (n,)."""
-        result = np.empty(self.number)
-        for where, block in self.rows.blocks():
-            result[where] = block["values"][:, self.first + k]
-        return result
+        return _long(self.number, lambda a, b: np.ascontiguousarray(self.rows.read(a, b)["values"][:, self.first + k]))
 
     def messages(self, count: int) -> list[bytes]:
         """Return their bytes; see `Columns.messages`."""
@@ -232,9 +238,13 @@ def joined(parts: Sequence[Columns | Stored], k: int) -> NDArray[np.float64]:
     """Return one number of each message of several parts, shape (n,), in one piece of memory."""
     columns = [part.column(k) for part in parts]
     if len(parts) == 1:
-        return np.ascontiguousarray(columns[0])
+        return columns[0] if is_long(columns[0]) else np.ascontiguousarray(columns[0])
     longest = max(range(len(parts)), key=lambda i: parts[i].number)
     result, part = None, parts[longest]
     if isinstance(part, Columns) and part.whole is not None:
         result = part.between(k, columns[:longest], columns[longest + 1 :])
     return np.concatenate(columns) if result is None else result
+
+
+def _long(size: int, read: Callable[[int, int], NDArray[Any]]) -> NDArray[Any]:
+    return cast("NDArray[Any]", LongArray(size, read))

@@ -240,7 +240,7 @@ class Topic:
         """Return its messages that are earlier than t, ns."""
         result, whole = Topic(self.name, self.msgtype), self.columns()
         if whole is not None:
-            n = int(whole.times.searchsorted(t))
+            n = int(np.searchsorted(whole.times, t))
             result._columns = [whole.part(0, n)] if n else []
         else:
             n = bisect_left(self.times, t)
@@ -257,6 +257,13 @@ class Topic:
         if not parts:
             result._times, result._data = self.times[n:], self.data[n:]
         return result
+
+    def texts(self) -> Iterator[bytes]:
+        """Yield the bytes of all messages one after the other, those of many at a time."""
+        whole = self.columns()
+        for first in range(0, self.number, CHUNK):
+            last = first + CHUNK
+            yield b"".join(self.data[first:last]) if whole is None else whole.part(first, last).encoded(first).tobytes()
 
     def stream(self) -> Iterator[tuple[int, bytes]]:
         """Yield time and bytes of each message; messages that are stored as numbers are not kept as bytes."""

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from ..timebase import SECOND
 from .cdr import Layout, Message, parse
 from .columns import SPARE, Columns, Stored, joined
+from .long import is_long
 from .recording import Recording, Topic
 from .times import common, once_for_times
 from .types import TYPES
 
 Array = NDArray[np.float64]
-# Columns that stay in memory after they were read from the disk, because a figure reads a signal several times.
-KEPT = 3
 
 
 class Signal(NamedTuple):
@@ -36,48 +35,11 @@ class Table(NamedTuple):
     columns: Mapping[str, Array]
 
 
-Recent = dict[tuple[Stored, int], Array]  # columns that were read last, the newest at the end
-
-
-class _OnDisk(Mapping[str, Array]):
-    """The columns of a topic by label, each read from the disk on demand.
-
-    Parameters
-    ----------
-    recent : dict
-        Cache shared by all topics, because columns of a long run are large.
-    """
-
-    def __init__(self, stored: Stored, labels: Sequence[str], flags: Sequence[bool], recent: Recent) -> None:
-        self._stored, self._flags, self._recent = stored, flags, recent
-        self._places = {label: k for k, label in enumerate(labels)}
-
-    def __getitem__(self, label: str) -> Array:
-        place, recent = self._places[label], self._recent
-        column = recent.pop((self._stored, place), None)
-        if column is None:
-            for oldest in list(recent)[: len(recent) + 1 - KEPT]:
-                del recent[oldest]
-            column = _as_carried(self._stored.column(place), self._flags[place])
-        recent[self._stored, place] = column
-        return column
-
-    def renamed(self, name: Callable[[str], str]) -> _OnDisk:
-        """Return the same columns with other labels; in softrig's recordings no two have one name."""
-        return _OnDisk(self._stored, [name(label) for label in self._places], self._flags, self._recent)
-
-    def __contains__(self, label: object) -> bool:
-        return label in self._places  # no column is read for this
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-
 class _InParts(Mapping[str, Array]):
-    """The columns of a topic by label, each joined from its parts when it is first read."""
+    """The columns of a topic by label, each joined from its parts when it is first read.
+
+    A column that is on the disk stays there, see `LongArray`.
+    """
 
     def __init__(self, parts: Sequence[Columns | Stored], labels: Sequence[str], flags: Sequence[bool]) -> None:
         self._parts, self._flags = parts, flags
@@ -156,7 +118,6 @@ class Signals(Mapping[str, Signal]):
         self._epoch = epoch
         self._tables: dict[str, Table] = {}
         self._known: dict[str, Signal] = {}
-        self._recent: Recent = {}
         self.shared: dict[Hashable, Any] = {}  # what figures have computed of them, see `measures.shared`
         # Topics of one node have the same times, which are converted once.
         self._times: dict[tuple[object, ...], tuple[Any, Array]] = {}
@@ -196,7 +157,7 @@ class Signals(Mapping[str, Signal]):
             channel, _, field = label.rpartition("/")
             return names.get(label) or (f"{names.get(channel, channel)}/{field}" if channel else label)
 
-        if isinstance(table.columns, (_OnDisk, _InParts)):
+        if isinstance(table.columns, _InParts):
             return table._replace(columns=table.columns.renamed(own_name))
         for label, x in table.columns.items():
             own = own_name(label)
@@ -216,8 +177,6 @@ class Signals(Mapping[str, Signal]):
         """Return the columns of messages that are stored as numbers."""
         labels, flags = _labels_and_flags(topic.msgtype, parts[0].layout)
         t = self._clock(parts)
-        if len(parts) == 1 and isinstance(parts[0], Stored):
-            return Table(t, t, _OnDisk(parts[0], labels, flags, self._recent))
         return Table(t, t, _InParts(parts, labels, flags))
 
     def _clock(self, parts: Sequence[Columns | Stored]) -> Array:
@@ -234,13 +193,10 @@ class Signals(Mapping[str, Signal]):
     def __getitem__(self, name: str) -> Signal:
         if name in self._known:
             return self._known[name]
-        result, lasts = self._lookup(name)
-        if lasts:
-            self._known[name] = result
+        self._known[name] = result = self._lookup(name)
         return result
 
-    def _lookup(self, name: str) -> tuple[Signal, bool]:
-        """Return a signal, and whether its column is in memory anyway."""
+    def _lookup(self, name: str) -> Signal:
         topic = topic_of(name, self.recording.topics)
         if not topic:
             raise KeyError(f"no topic for signal {name!r}; recorded are {', '.join(self.recording.topics)}")
@@ -250,10 +206,12 @@ class Signals(Mapping[str, Signal]):
         if label not in table.columns:
             have = f"it has {', '.join(table.columns)}" if table.columns else "no message was published on it"
             raise KeyError(f"no signal {label!r} on {topic}; {have}")
-        # Read-only: times belong to many signals, and figures and bags are made of the same columns afterwards.
         result = Signal(table.t, table.columns[label])
-        result.t.flags.writeable = result.x.flags.writeable = False
-        return result, not isinstance(table.columns, _OnDisk)
+        # Read-only: times belong to many signals, and figures and bags are made of the same columns afterwards.
+        for array in result:
+            if not is_long(array):
+                array.flags.writeable = False
+        return result
 
     def __iter__(self) -> Iterator[str]:
         for topic in self.recording.topics.values():
@@ -278,7 +236,8 @@ def _in_seconds(parts: Sequence[NDArray[np.int64]], epoch: int) -> Array:
 
 @once_for_times
 def _seconds(epoch: int, *parts: NDArray[np.int64] | tuple[int, ...]) -> Array:
-    return (common(np.concatenate([np.asarray(part, np.int64) for part in parts])) - epoch) / SECOND
+    arrays = [np.array(part, np.int64) if isinstance(part, tuple) else part for part in parts]
+    return (common(np.concatenate(arrays)) - epoch) / SECOND
 
 
 def _decode(topic: Topic, epoch: int) -> Table:

@@ -13,6 +13,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from .long import is_long
+
 _T = TypeVar("_T", bound=NDArray[Any])
 _F = TypeVar("_F", bound=Callable[..., Any])
 # Bytes: a long run has to stay small in memory, so a larger array is not kept.
@@ -58,7 +60,7 @@ def common(times: _T) -> _T:
     times : array, shape (n,)
         Ascending; the caller gives it away.
     """
-    if not times.size or times.nbytes > LARGEST:
+    if not times.size or times.nbytes > LARGEST or is_long(times):
         return times
     kept = _room()
     key = times.dtype.str, times.size, times[0].item(), times[-1].item()
@@ -81,6 +83,8 @@ def once_for_times(function: _F) -> _F:
     @wraps(function)
     def call(*given: Any) -> Any:
         kept, key = _room(), list[Any]([function])
+        if any(map(is_long, given)):
+            return function(*given)
         for value in given:
             if isinstance(value, np.ndarray):
                 owner = value if value.base is None else value.base

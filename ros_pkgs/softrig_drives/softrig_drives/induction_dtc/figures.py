@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from softrig_core import SignalMap, figure, window
 from softrig_core.judge.measures import HALF_NS, Places, held, mean_over, newest, places, shared
+from softrig_core.wire.long import elementwise, gathered, is_long, true_places
 from softrig_core.wire.times import once_for_times
 
 Array = NDArray[np.float64]
@@ -27,6 +28,8 @@ def slope(t: Array, psi: Vectors) -> complex:
     centred, squares = _centred(t)
     if not centred.any():
         return complex(np.nan, np.nan)
+    if is_long(psi):
+        return complex((centred * (psi - psi.mean())).sum() / squares)
     # Part by part in place, which is the product of a real and a complex number without new arrays.
     mean, product = psi.mean(), psi.copy()
     for part, middle in ((product.real, mean.real), (product.imag, mean.imag)):
@@ -78,6 +81,7 @@ def largest(alpha: Array, beta: Array) -> float:
     return float(np.max(np.abs(_complex(alpha, beta))))
 
 
+@elementwise
 def _complex(alpha: Array, beta: Array) -> Vectors:
     psi = np.empty(alpha.size, np.complex128)
     psi.real, psi.imag = alpha, beta
@@ -149,7 +153,7 @@ def _converter_error(
     t, x, holds = held(signals, f"currents_meas/{channel}", start, end)
     true = f"currents_true/{channel}"
     at, both, _ = _same(signals, true, t)
-    return (x[both] - signals[true][1][at]) / lsb, holds[both]
+    return (gathered(x, both) - gathered(signals[true][1], at)) / lsb, gathered(holds, both)
 
 
 @figure("Wb")
@@ -204,7 +208,10 @@ def _flux_error(signals: SignalMap, start: float | None, end: float | None) -> t
 def _new_flux_error(signals: SignalMap, start: float | None, end: float | None) -> tuple[Array, Array, Array]:
     t, *estimate = _vector(signals, "flux_estimate", start, end)
     at, both, times = _same(signals, "flux_true/x", t)
-    alpha, beta = (part[both] - signals[f"flux_true/{axis}"][1][at] for part, axis in zip(estimate, "xy", strict=True))
+    alpha, beta = (
+        gathered(part, both) - gathered(signals[f"flux_true/{axis}"][1], at)
+        for part, axis in zip(estimate, "xy", strict=True)
+    )
     return times, alpha, beta
 
 
@@ -225,9 +232,8 @@ def _same(signals: SignalMap, name: str, t: Array) -> tuple[Places, Places, Arra
 @once_for_times
 def _together(when: Array, t: Array) -> tuple[Places, Places, Array]:
     at = newest(when, t + HALF_NS)
-    both = at >= 0
-    both[both] = t[both] - when[at[both]] < HALF_NS
-    return places(at[both]), places(np.flatnonzero(both)), t[both]
+    both = true_places((at >= 0) & (t - gathered(np.append(when, np.inf), at) < HALF_NS))
+    return places(gathered(at, both)), both if isinstance(both, slice) else places(both), gathered(t, both)
 
 
 def _component(z: complex, component: Component) -> float:

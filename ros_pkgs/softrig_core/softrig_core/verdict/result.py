@@ -1,0 +1,84 @@
+"""A figure of a run as it was measured and judged; for pages that only read it, without what measures it."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import BaseModel, ConfigDict, Field
+
+DECIDED = "by its conditions alone"  # of a requirement without a distance
+
+
+class Result(BaseModel):
+    """A figure of a run: the measured value, the expected value, and the verdict.
+
+    Parameters
+    ----------
+    value : float, optional
+        None if it could not be computed or is not finite; `error` then has the reason: ``never`` for an event that does
+        not happen.
+    published : float, optional
+        Value in the paper, from the claim about this figure.
+    expected, tolerance, at_most, at_least : float, optional
+        The expectation; if none is set, the figure is for information.
+    at_s : float, optional
+        Of a requirement: the instant that decides its margin, s.
+    violated_s : tuple of (float, float)
+        Of a requirement: intervals in which it does not hold, s.
+    open_from_s : float, optional
+        Of a requirement: the instant from which on a part of it is undecided at the run's end, s; the decided part is
+        judged.
+    published_for : str
+        Of a changed run whose expectation is a number for the unchanged machine: the parameters of that machine. The
+        figure is then not judged.
+    follows : bool
+        Whether the expectation depends on the machine: it is computed from the nodes' parameters, or the figure is
+        relative to them.
+    settled : bool
+        Of a run under way: whether the verdict is final.
+    passed : bool
+        Written as ``pass``. A figure for information passes unless its value is impossible; so does a figure that is
+        not judged.
+    """
+
+    model_config = ConfigDict(frozen=True, populate_by_name=True)
+
+    name: str
+    value: float | None
+    unit: str = ""
+    published: float | None = None
+    expected: float | None = None
+    tolerance: float | None = Field(None, ge=0, allow_inf_nan=False)
+    at_most: float | None = None
+    at_least: float | None = None
+    passed: bool = Field(alias="pass")
+    error: str = ""
+    at_s: float | None = None
+    violated_s: tuple[tuple[float, float], ...] = ()
+    open_from_s: float | None = None
+    published_for: str = ""
+    follows: bool = Field(False, exclude=True)
+    settled: bool = Field(False, exclude=True)
+    number: float = Field(math.nan, exclude=True)  # as measured: infinity too, which JSON cannot hold
+
+    @property
+    def limited(self) -> bool:
+        """Return whether there is anything to hold it against."""
+        return any(x is not None for x in (self.expected, self.at_most, self.at_least))
+
+    @property
+    def judged(self) -> bool:
+        """Return whether anything is expected of it, in this run."""
+        return self.limited and not self.published_for
+
+    def not_judged(self, why: str) -> Result:
+        """Return it as one of a changed run: no longer judged, unless the expectation follows the machine.
+
+        Parameters
+        ----------
+        why : str
+            What the machine had for which it is published.
+        """
+        if self.follows or not self.judged or not why:
+            return self
+        return self.model_copy(update={"published_for": why, "passed": True})

@@ -1,0 +1,353 @@
+"""Arrays that are too long for memory: read, or computed from others, a stretch at a time.
+
+A run of minutes has millions of samples of each signal. Figures are written as functions of whole arrays; with these
+they need the memory of one stretch. Numbers have the same bits as those of whole arrays, sums included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import wraps
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import NDArray
+
+STRETCH = 1 << 15  # places along the last axis that are in memory at a time
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+Read = Callable[[int, int], NDArray[Any]]
+
+
+class LongArray(NDArrayOperatorsMixin):
+    """An array whose last axis is long; each use computes its numbers again.
+
+    Operators and elementwise functions of numpy return another such array; sums, extremes and searches return what they
+    return of an array. Anything else first computes the whole array.
+
+    Parameters
+    ----------
+    size : int
+        Length of the last axis.
+    read : callable
+        ``read(first, last)`` returns the part between two places of the last axis.
+    """
+
+    __array_priority__ = 1.0
+
+    def __init__(self, size: int, read: Read) -> None:
+        self.read, self._length = read, size
+        first = read(0, min(1, size))
+        self.shape, self.dtype = (*first.shape[:-1], size), first.dtype
+        self.strides = (*first.strides[:-1], self.dtype.itemsize)  # those of leading axes are 0 where all are alike
+        self.ndim, self.size = len(self.shape), math.prod(self.shape)
+        self.nbytes = 0  # it holds no memory
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def stretches(self) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Yield the first place of each stretch, and its part."""
+        for first in range(0, self._length, STRETCH):
+            yield first, self.read(first, min(first + STRETCH, self._length))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        result = np.empty(self.shape, self.dtype)
+        for first, part in self.stretches():
+            result[..., first : first + STRETCH] = part
+        return result if dtype is None else result.astype(dtype)
+
+    def __reduce__(self) -> Any:
+        return np.asarray(self).__reduce__()  # another process has the numbers, not what computes them
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(np.asarray(self))
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(np.asarray(self), name)  # the other methods of an array
+
+    def __pow__(self, other: Any) -> Any:
+        return _apply(lambda x, y: x**y, self, other)  # which is not numpy's `power` for squares
+
+    def __getitem__(self, key: Any) -> Any:
+        lead: tuple[Any, ...] = key if isinstance(key, tuple) else (key,)
+        last: Any = slice(None)
+        if any(k is Ellipsis for k in lead) or len(lead) == self.ndim:
+            *front, last = lead
+            lead = tuple(k for k in front if k is not Ellipsis)
+        at = (*lead, Ellipsis)
+        if isinstance(last, slice) and last.step in (None, 1):
+            first, end, _ = last.indices(self._length)
+            return LongArray(max(0, end - first), lambda a, b: self.read(first + a, first + b)[at])
+        if isinstance(last, int | np.integer):
+            place = int(last) + (self._length if last < 0 else 0)
+            if not 0 <= place < self._length:
+                raise IndexError(f"index {last} is out of bounds for size {self._length}")
+            return self.read(place, place + 1)[at][..., 0]
+        if isinstance(last, LongArray) and last.dtype.kind != "b":
+            return LongArray(len(last), lambda a, b: self._gathered(last.read(a, b))[at])
+        if isinstance(last, LongArray | np.ndarray) and last.dtype.kind == "b":
+            parts = [x[at][..., np.asarray(last[k : k + STRETCH])] for k, x in self.stretches()]
+            return np.concatenate(parts, axis=-1)
+        if isinstance(last, np.ndarray):
+            return self._gathered(last)[at]
+        return np.asarray(self)[key]
+
+    def _gathered(self, places: NDArray[np.intp]) -> NDArray[Any]:
+        """Return what is at some places."""
+        places = np.where(places < 0, places + self._length, places)
+        low, end = int(np.min(places, initial=0)), int(np.max(places, initial=-1)) + 1
+        if low < 0 or end > self._length:
+            raise IndexError(f"indices from {low} to {end - 1} are out of bounds for size {self._length}")
+        low = int(np.min(places, initial=end))
+        result = np.empty((*self.shape[:-1], places.size), self.dtype)
+        for first in range(low, end, STRETCH):
+            last = min(first + STRETCH, end)
+            here = (first <= places) & (places < last)
+            if here.any():
+                result[..., here] = self.read(first, last)[..., places[here] - first]
+        return result
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *given: Any, **options: Any) -> Any:
+        if options.get("out") == (self,):
+            del options["out"]  # what `x += 1` binds to x is the result
+        if method == "__call__" and "out" not in options:
+            return _apply(lambda *parts: function(*parts, **options), *given)
+        last = options.get("axis", 0) in (-1, self.ndim - 1)
+        if method == "reduce" and last and not options.keys() - {"axis", "keepdims", "initial"}:
+            return _reduced(function, given[0], **options)
+        return getattr(function, method)(*map(_whole, given), **{k: _whole(v) for k, v in options.items()})
+
+    def __array_function__(self, function: Any, types: Any, given: Any, options: Any) -> Any:
+        known = _FUNCTIONS.get(function)
+        result = NotImplemented if known is None else known(*given, **options)
+        if result is not NotImplemented:
+            return result
+        return function(*map(_whole, given), **{k: _whole(v) for k, v in options.items()})
+
+    @property
+    def real(self) -> LongArray:
+        """Return the real parts."""
+        return _apply(np.real, self)
+
+    @property
+    def imag(self) -> LongArray:
+        """Return the imaginary parts."""
+        return _apply(np.imag, self)
+
+    def astype(self, dtype: Any) -> LongArray:
+        """Return the numbers in another type."""
+        return _apply(lambda x: x.astype(dtype), self)
+
+    def sum(self) -> Any:
+        """Return the sum, in the order of numpy's own."""
+        return _reduced(np.add, self)
+
+    def mean(self) -> Any:
+        """Return the mean."""
+        return _reduced(np.add, self) / self._length
+
+    def min(self) -> Any:
+        """Return the least number."""
+        return _reduced(np.minimum, self)
+
+    def max(self) -> Any:
+        """Return the greatest number."""
+        return _reduced(np.maximum, self)
+
+    def all(self) -> Any:
+        """Return whether all are true."""
+        return np.bool_(all(part.all() for _, part in self.stretches()))
+
+    def any(self) -> Any:
+        """Return whether any is true."""
+        return np.bool_(any(part.any() for _, part in self.stretches()))
+
+    def argmin(self) -> int:
+        """Return the first place of the least number."""
+        return _place(self, np.argmin)
+
+    def argmax(self) -> int:
+        """Return the first place of the greatest number."""
+        return _place(self, np.argmax)
+
+
+def elementwise(function: _F) -> _F:
+    """Let a function of arrays that works on each place of the last axis alone also take long arrays."""
+
+    @wraps(function)
+    def call(*given: Any) -> Any:
+        return _apply(function, *given) if any(isinstance(x, LongArray) for x in given) else function(*given)
+
+    return cast(_F, call)
+
+
+def is_long(x: Any) -> bool:
+    """Return whether an array is computed a stretch at a time."""
+    return isinstance(x, LongArray)
+
+
+def gathered(values: Any, places: Any) -> Any:
+    """Return values at some places: a long array of them, if the places are one."""
+    if isinstance(places, LongArray) and not isinstance(values, LongArray):
+        return LongArray(len(places), lambda a, b: values[places.read(a, b)])
+    return values[places]
+
+
+def stretches(x: Any) -> Iterator[NDArray[Any]]:
+    """Yield the parts of an array, of a long one a stretch at a time."""
+    if isinstance(x, LongArray):
+        yield from (part for _, part in x.stretches())
+    else:
+        yield x
+
+
+def true_places(flags: Any) -> NDArray[np.intp] | slice:
+    """Return the places of what is true; as a slice if they are all from the beginning to one place."""
+    end = len(flags) if flags.all() else int(flags.argmin())
+    return np.flatnonzero(flags) if flags[end:].any() else slice(0, end)
+
+
+def counted(first: int, last: int) -> NDArray[np.intp]:
+    """Return the whole numbers from `first` up to `last`."""
+    return cast("NDArray[np.intp]", LongArray(last - first, lambda a, b: np.arange(first + a, first + b)))
+
+
+def _whole(x: Any) -> Any:
+    if isinstance(x, list | tuple):
+        return type(x)(map(_whole, x))
+    return np.asarray(x) if isinstance(x, LongArray) else x
+
+
+def _apply(function: Callable[..., Any], *given: Any) -> LongArray:
+    """Return what a function computes of each place alone."""
+    size = next(x.shape[-1] for x in given if isinstance(x, LongArray))
+
+    def part(x: Any, first: int, last: int) -> Any:
+        if isinstance(x, LongArray):
+            return x.read(first, last)
+        return x[..., first:last] if np.ndim(x) and x.shape[-1] == size else x
+
+    if any(np.ndim(x) and x.shape[-1] not in (1, size) for x in given):
+        raise ValueError(f"arrays of {', '.join(str(np.shape(x)) for x in given)} do not fit together")
+
+    def read(first: int, last: int) -> NDArray[Any]:
+        # Who has asked for this may have left the block in which he ignores a division by zero.
+        with np.errstate(all="ignore"):
+            return np.asarray(function(*(part(x, first, last) for x in given)))
+
+    return LongArray(size, read)
+
+
+def _reduced(function: Any, x: Any, axis: Any = 0, keepdims: bool = False, **start: Any) -> Any:
+    length = x.shape[-1]
+    if function is np.add:
+        result = _sum(x, 0, length)
+    else:
+        parts = [function.reduce(part, axis=-1, **start) for _, part in x.stretches()]
+        result = function.reduce(parts, axis=0, **start) if parts else function.reduce(x.read(0, 0), axis=-1, **start)
+    return np.expand_dims(result, -1) if keepdims else result
+
+
+def _sum(x: LongArray, first: int, last: int) -> Any:
+    """Add in pairs as numpy does, which halves a long array at a multiple of eight numbers."""
+    if last - first <= STRETCH:
+        return x.read(first, last).sum(axis=-1)
+    each = 2 if x.dtype.kind == "c" else 1  # a complex number counts as two
+    half = (last - first) * each // 2
+    middle = first + (half - half % 8) // each
+    return _sum(x, first, middle) + _sum(x, middle, last)
+
+
+def _place(x: LongArray, extreme: Callable[..., Any]) -> int:
+    best: tuple[int, Any] | None = None
+    for first, part in x.stretches():
+        at = int(extreme(part))
+        # Equal numbers: the first counts, as in numpy; so does the first that is not a number.
+        if best is None or extreme(np.array([best[1], part[at]])) == 1:
+            best = first + at, part[at]
+    if best is None:
+        raise ValueError("attempt to get an extreme of an empty array")
+    return best[0]
+
+
+def _joined(arrays: Sequence[Any], axis: int = 0) -> Any:
+    ends = np.cumsum([len(x) for x in arrays]).tolist()
+
+    def read(first: int, last: int) -> NDArray[Any]:
+        cuts = [
+            (x, max(first - end + len(x), 0), min(last - end + len(x), len(x)))
+            for x, end in zip(arrays, ends, strict=True)
+        ]
+        parts = [x.read(a, b) if isinstance(x, LongArray) else np.asarray(x[a:b]) for x, a, b in cuts if b > a]
+        return np.concatenate(parts or [np.asarray(arrays[0][:0])])
+
+    return LongArray(ends[-1], read)
+
+
+def _append(x: Any, values: Any) -> Any:
+    return _joined([a if np.ndim(a) else np.array([a]) for a in (x, values)])
+
+
+def _diff(x: Any, prepend: Any = None, append: Any = None) -> Any:
+    ends = [np.array([a]) for a in (prepend,) if a is not None], [np.array([a]) for a in (append,) if a is not None]
+    whole = _joined([*ends[0], x, *ends[1]]) if any(ends) else x
+    return LongArray(max(0, len(whole) - 1), lambda a, b: np.diff(whole.read(a, b + 1 if b > a else b)))
+
+
+def _search(times: Any, at: Any, side: Any = "left") -> Any:
+    if isinstance(at, LongArray):
+        return LongArray(len(at), lambda a, b: _search(times, at.read(a, b), side))
+    if not isinstance(times, LongArray):
+        return np.searchsorted(times, at, side)
+    if np.ndim(at) and not np.size(at):
+        return np.empty(0, np.intp)
+    low, high = _first(times, np.min(at), "left"), _first(times, np.max(at), "right")
+    return low + np.searchsorted(times.read(low, high), at, side)
+
+
+def _first(times: LongArray, at: Any, side: str) -> int:
+    low, high = 0, len(times)
+    while low < high:
+        middle = (low + high) // 2
+        here = times.read(middle, middle + 1)[0]
+        if here < at or (side == "right" and here == at):
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+def _flatnonzero(x: LongArray) -> NDArray[np.intp]:
+    return np.concatenate([first + np.flatnonzero(part) for first, part in x.stretches()] or [np.empty(0, np.intp)])
+
+
+_FUNCTIONS: dict[Any, Callable[..., Any]] = {
+    np.sum: lambda x: x.sum(),
+    np.mean: lambda x: x.mean(),
+    np.min: lambda x, **start: _reduced(np.minimum, x, **start),
+    np.max: lambda x, **start: _reduced(np.maximum, x, **start),
+    np.ptp: lambda x: x.max() - x.min(),
+    np.all: lambda x: x.all(),
+    np.any: lambda x: x.any(),
+    np.argmin: lambda x: x.argmin(),
+    np.argmax: lambda x: x.argmax(),
+    np.count_nonzero: lambda x: sum(int(np.count_nonzero(part)) for _, part in x.stretches()),
+    np.flatnonzero: _flatnonzero,
+    np.where: lambda condition, *values: _apply(np.where, condition, *values) if values else NotImplemented,
+    np.broadcast_to: lambda x, shape: _apply(lambda part: np.broadcast_to(part, (*shape[:-1], part.shape[-1])), x),
+    np.isin: lambda x, values: _apply(lambda part: np.isin(part, values), x),
+    np.diff: _diff,
+    np.append: _append,
+    np.concatenate: _joined,
+    np.searchsorted: _search,
+    np.array_equal: lambda a, b: bool(len(a) == len(b) and np.all(a == b)),
+    np.real: lambda x: x.real,
+    np.imag: lambda x: x.imag,
+    np.shape: lambda x: x.shape,
+    np.ndim: lambda x: x.ndim,
+}
