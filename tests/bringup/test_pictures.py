@@ -606,7 +606,7 @@ def test_pictures_of_several_systems_are_grouped_by_system(tmp_path, monkeypatch
     def drawn(overlays, title):
         yield " and ".join(o.label for o in overlays) + title, b"\x89PNG"
 
-    monkeypatch.setattr("softrig_bringup.report.several.draw_overlay", drawn)
+    monkeypatch.setattr("softrig_bringup.plots.overlay.draw_overlay", drawn)
     monkeypatch.setattr("softrig_bringup.report.several.picture", lambda data, title: title)
     monkeypatch.setattr("softrig_bringup.report.several._signals", lambda d, run: None if d.name == "e" else {})
     systems = {"a": "lag", "b": "motor", "c": "lag", "d": "motor", "e": "motor"}
