@@ -475,3 +475,18 @@ def test_without_numba_functions_call_plain_functions(name, value, monkeypatch):
     two, three = _times(2.0), _times(3.0)
     assert (two(1.0, 2), three(1.0, 2), two(5.0, 0)) == (6.0, 9.0, 10.0)
     assert calls == ["outer"] * 3
+
+
+@pytest.mark.parametrize(("stored", "asked"), [(True, 3), (False, 6)])
+def test_code_beside_another_form_is_loaded_after_some_calls_and_compiled_after_many(monkeypatch, stored, asked):
+    monkeypatch.setattr(module, "SOME", 3)
+    monkeypatch.setattr(module, "MANY", 6)
+    monkeypatch.setattr(module, "our_numba", lambda: None)
+    monkeypatch.setitem(sys.modules, "numba", module)
+    cache = types.SimpleNamespace(has=lambda signature, target: stored and signature == (float, int))
+    made = types.SimpleNamespace(_cache=cache, typeof_pyval=type, targetctx=None)
+    monkeypatch.setattr(Jit, "dispatcher", lambda self, numba: made)
+    function = Jit(lambda x, n: x)
+    assert [function.pays(1.0, 2) for _ in range(8)] == [k >= asked for k in range(1, 9)]
+    monkeypatch.setenv("SOFTRIG_JIT", "0")
+    assert not function.pays(1.0, 2)

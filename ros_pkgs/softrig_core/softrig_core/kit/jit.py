@@ -107,7 +107,7 @@ class Jit:
         Loading native code takes some ms and compiling it seconds. So it is loaded after some calls, and compiled
         after many.
         """
-        if "numba" not in sys.modules or os.environ.get("SOFTRIG_JIT", "1") == "0":
+        if "numba" not in sys.modules or switched_off():
             return False
         self._asked += 1
         if self._asked == SOME:
