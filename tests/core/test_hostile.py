@@ -126,6 +126,25 @@ def test_every_bound_of_every_executable_holds_at_its_edge():
         assert build(RunOptions, values).model_dump().items() >= values.items()
 
 
+@pytest.mark.long
+def test_every_live_number_can_be_set_up_at_the_edges_of_its_range():
+    """One at a time: a value that a range accepts is set up, or refused in words, never by an error of arithmetic."""
+    tried, wrong = 0, []
+    for block in {block for _, _, block in blocks()}:
+        for d in declarations(block.Params):
+            if not d.live or d.type not in (int, float):
+                continue
+            for edge in dict.fromkeys((d.lower, d.upper, *((5e-324, 1e-160) if d.type is float else ()))):
+                value = (edge,) * len(d.default) if isinstance(d.default, tuple) else edge
+                try:
+                    block(**{d.name: value})
+                except ParameterError as error:
+                    wrong += [(block, d.name, edge, str(error))] if "Error: " in str(error) else []
+                tried += 1
+    assert wrong == []
+    assert tried > 1000
+
+
 def numbers(model, prefix=""):
     """Name of every number and every list of numbers of a model, with the declaration of its type."""
     for name, field in model.model_fields.items():

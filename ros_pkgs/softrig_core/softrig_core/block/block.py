@@ -167,7 +167,8 @@ class Block(Generic[P]):
         except (ParameterError, ScenarioError, RunError):
             raise
         except FAILURES as error:  # an overflow, a singular matrix: each value is in bounds, but not together
-            raise ParameterError(f"set-up failed{differing(self.p)}: {type(error).__name__}: {error}") from error
+            kind = "" if type(error) is ValueError else f"{type(error).__name__}: "  # its text explains itself
+            raise ParameterError(f"set-up failed{differing(self.p)}: {kind}{error}") from error
 
     @classmethod
     def seeded(cls, params: P, name: str, seed: int) -> Self:
