@@ -2,6 +2,7 @@
 own bag.
 """
 
+import argparse
 import io
 import json
 import os
@@ -144,7 +145,7 @@ def test_looking_at_a_pack_runs_none_of_its_code(made, tmp_path, capsys, monkeyp
     assert main(["draw", "plot", str(file), "--format", "svg", "--out", "pictures"]) == 0
     assert len(list((tmp_path / "pictures").glob("*.svg"))) == 2
     assert main(["pack", str(file)]) == 2
-    assert f"it brings {NAME}, which packing would run" in capsys.readouterr().err
+    assert f"it brings {NAME}, which packing would execute" in capsys.readouterr().err
     assert (tmp_path / "report.html").read_text().count('class="plot"') == 3
     assert not touched.exists()
     assert sys.path == path
@@ -634,6 +635,13 @@ print(of(lambda: os.mkdir("/run/x")))
 """
         result = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
     assert result.stdout.split() == ["x", "OSError", "OSError", "OSError", "False", "3", "OSError"], result
+
+
+def test_missing_bubblewrap_is_reported(capsys, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert sandbox.command(argparse.Namespace()) is None
+    assert "no bubblewrap here" in capsys.readouterr().err
 
 
 def test_missing_namespaces_are_reported(sources, tmp_path, capsys, monkeypatch):

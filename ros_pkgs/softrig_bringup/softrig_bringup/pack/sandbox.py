@@ -59,6 +59,7 @@ def command(options: argparse.Namespace) -> list[str] | None:
         Command line of the verb `run` or `study` that `words` are a part of.
     """
     if (program := shutil.which("bwrap")) is None:
+        print_line("no bubblewrap here (Debian: apt-get install bubblewrap): the code runs with all your rights")
         return None
     asked = [f"--{name}" if name != "view" else name for name in _OUTSIDE if getattr(options, name, None)]
     if asked:
