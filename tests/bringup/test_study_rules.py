@@ -15,7 +15,7 @@ from scipy import stats
 from softrig_bringup.cli import make_parser
 from softrig_bringup.page.html import page as make_page
 from softrig_bringup.study import engine, options, page, pictures, table, work
-from softrig_bringup.study.batch import Batch, Log, _row
+from softrig_bringup.study.batch import Batch, Log, row_of
 from softrig_bringup.study.definition import Distribution, make_study
 from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
 from softrig_bringup.study.statistics import Statistics
@@ -232,20 +232,20 @@ def of_case(number, k=1.0):
 )  # fmt: skip
 def test_a_row_has_its_keys_of_their_types(change, right):
     line = json.dumps(of_case(3) | change).encode()
-    assert (_row(line) is not None) == right
+    assert (row_of(line) is not None) == right
     lacking = of_case(3)
     del lacking["never"]  # of an older version
-    assert _row(json.dumps(lacking).encode()) == lacking
+    assert row_of(json.dumps(lacking).encode()) == lacking
     for key in lacking:
-        assert _row(json.dumps({k: v for k, v in lacking.items() if k != key}).encode()) is None
-    assert _row(b"{") is None
+        assert row_of(json.dumps({k: v for k, v in lacking.items() if k != key}).encode()) is None
+    assert row_of(b"{") is None
 
 
 def test_a_log_knows_its_rows_and_reports_a_number_of_another_run(tmp_path):
     log = Log(tmp_path / "rows", 3)
     log.add(of_case(1, 2.0))
     assert (len(log), log.knows(case(1, 2.0)), log.knows(case(0))) == (1, True, False)
-    with pytest.raises(ScenarioError, match=r"rows: run 1 has other parameters than this search asks for \(is it by "):
+    with pytest.raises(ScenarioError, match="rows: run 1 has other parameters than this search asks for"):
         log.knows(case(1, 3.0))
     log.close()
     again = Log(tmp_path / "rows", 3, [case(0), case(1, 2.0)])
@@ -539,7 +539,7 @@ def told(monkeypatch):
     monkeypatch.setattr(page, "load_scenario", lambda name: SimpleNamespace(cites=()))
 
     def lines(rows, held=(), **keys):
-        body = page._page(study(**keys), rows, [], held, Statistics(), [], {"f": "s"})
+        body = page.body_of(study(**keys), rows, [], held, Statistics(), [], {"f": "s"})
         return [line.strip() for line in page_lines(make_page("t", body))]
 
     return lines
