@@ -12,7 +12,7 @@ _OURS = ("PYTHONPATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_
 
 
 def asked(script: str, name: str, given: Any, python: str, *arguments: str) -> Any:
-    """Return what a module beside this one prints when another Python runs it; None where that lacks the simulator.
+    """Return the output of a module beside this one under another Python; None if that lacks the simulator.
 
     Parameters
     ----------

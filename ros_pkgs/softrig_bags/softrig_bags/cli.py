@@ -51,7 +51,7 @@ def _leaving(tool: Main) -> Main:
 
 
 def _ros_arguments(argv: list[str]) -> tuple[list[str], list[str]]:
-    """Part the tool's own arguments from ``--ros-args ... --``."""
+    """Separate the tool's own arguments from ``--ros-args ... --``."""
     own: list[str] = []
     ros: list[str] = []
     target = own

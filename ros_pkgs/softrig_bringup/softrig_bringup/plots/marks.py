@@ -58,7 +58,7 @@ class Mark:
 
 
 def marks_of(rig: Rig, signals: SignalMap) -> dict[str, list[Mark]]:
-    """Return the marks of each signal that figures of the scenario are measured of.
+    """Return the marks of each signal that a figure of the scenario measures.
 
     Only figures of `softrig_core.judge.measures` that have a place in a picture over time: levels (final value, mean,
     extremes, overshoot, peak against a constant) and instants (rise, settling, reaching).

@@ -31,7 +31,7 @@ class ValueDescription(_Checked):
 
 
 class PortDescription(_Checked):
-    """A port of the node, as `Port` has it."""
+    """A port of the node, with the fields of `Port`."""
 
     direction: Literal["in", "out"]
     name: _Name

@@ -74,7 +74,7 @@ def called(kind: str, body: Any) -> tuple[str, Any]:
 
 
 def carries(tree: Tree) -> bool:
-    """Return whether what is no number in an expression stays visible in its result."""
+    """Return whether NaN in an expression stays visible in its result."""
     ((kind, body),) = tree.items()
     if kind in ("Literal", "Variable"):
         return True

@@ -259,7 +259,7 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
 
 @dataclass(frozen=True)
 class Draft:
-    """A scenario as its files have it: inheritance and variant are applied, shared values not yet filled in.
+    """A scenario from its files: inheritance and variant are applied, shared values are not yet filled in.
 
     Parameters
     ----------

@@ -148,7 +148,7 @@ def figures_of(rig: Members) -> list[Figure]:
 
 @once_for_objects
 def _plain(name: str, entry: FigureEntry, units: Mapping[str, str]) -> Figure | None:
-    """Return a figure that takes nothing from nodes; None for another one."""
+    """Return a figure that does not refer to nodes; None for another one."""
     function = find(entry.function or name)
     if getattr(function, "agreed", {}) or "$" in str(entry.arguments):
         return None

@@ -69,7 +69,7 @@ class MessageType:
 
     @cached_property
     def timed(self) -> bool:
-        """Return whether it ends with a duration, which is no signal."""
+        """Return whether it ends with a duration, which is not a signal."""
         return self._has("duration")
 
     @cached_property

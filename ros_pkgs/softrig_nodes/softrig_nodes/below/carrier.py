@@ -38,7 +38,7 @@ _PUBLISH = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.POINTER(Bytes)
 
 
 class Carrier:
-    """A ring of messages, and what publishes them; one thread of Python may use it.
+    """A ring of messages, and the thread that publishes them; one thread of Python may use it.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Carrier:
         self._next = self._room = 0
 
     def run(self) -> None:
-        """Publish what is put, until a message for publisher 0."""
+        """Publish the messages of the ring until one for publisher 0."""
         loop = importlib.import_module("._carry", __package__).compiled
         loop(self._slots, self._message, self._places, self._failed)
 

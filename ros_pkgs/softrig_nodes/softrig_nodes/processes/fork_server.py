@@ -151,7 +151,7 @@ class ForkServer:
         return Forked(int(answer["pid"]), self) if "pid" in answer else None
 
     def serves(self, variables: Mapping[str, str]) -> bool:
-        """Return whether it is this process's, and for such an environment."""
+        """Return whether the server belongs to this process and serves this environment."""
         return self._owner == os.getpid() and self._key == _key(variables)
 
     def status(self, pid: int) -> int:

@@ -183,7 +183,7 @@ class Guest:
             raise RunError(f"{self.who} does not follow /clock; start it with -p use_sim_time:=true")
 
     def _lacks(self, lacking: Sequence[str], wanted: Collection[str]) -> str:
-        """Describe what is missing and what to do: about a missing node, or one that lacks something."""
+        """Describe what is missing and what to do: for a missing node, or one that lacks an input or output."""
         if len(lacking) < len(wanted):
             what = f"{self._named()} is there without {', '.join(lacking)}"
             if lacking == [CLOCKED]:
