@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from softrig_core.block.port import XYZ
 from softrig_core.errors import closest
 from softrig_core.rig.members import signal_units
 from softrig_core.scenario.plot_entry import PlotEntry
-from softrig_core.wire.long import gathered, is_long
+from softrig_core.wire.long import gathered, stretches
 from softrig_core.wire.signals import short_name, topic_of
 
 from .named import Shown
@@ -114,18 +113,23 @@ def envelope(x: Array, y: Array, columns: int = _PIXELS) -> tuple[Array, Array]:
     """
     if len(x) <= 4 * columns:
         return x, y
-    column = np.floor((x - x[0]) * (columns / (x[-1] - x[0])))
-    starts = np.flatnonzero(np.diff(column, prepend=-1.0))
-    ends = np.append(starts[1:], len(x)) - 1
-    middle = (x[starts] + x[ends]) / 2
-    if is_long(y):
-        parts: list[Any] = [y[first:last] for first, last in zip(starts, ends + 1, strict=True)]
-        picks: tuple[Any, Any] = (np.fmin, np.fmax)
-        lowest, highest = (np.array([pick.reduce(part) for part in parts]) for pick in picks)
-    else:
-        lowest, highest = np.fmin.reduceat(y, starts), np.fmax.reduceat(y, starts)
-    corners_x = np.stack([x[starts], middle, middle, x[ends]], axis=1)
-    corners_y = np.stack([y[starts], lowest, highest, y[ends]], axis=1)
+    scale, groups = columns / (x[-1] - x[0]), list[Array]()
+    # A long signal is read a stretch at a time: a row of a group is a column of pixels.
+    for xs, ys in zip(stretches(x), stretches(y), strict=True):
+        column = np.floor((xs - x[0]) * scale)
+        starts = np.flatnonzero(np.diff(column, prepend=np.nan))
+        ends = np.append(starts[1:], len(xs)) - 1
+        lowest, highest = np.fmin.reduceat(ys, starts), np.fmax.reduceat(ys, starts)
+        group = np.stack([column[starts], xs[starts], ys[starts], lowest, highest, xs[ends], ys[ends]])
+        if groups and groups[-1][0, -1] == group[0, 0]:
+            last, first = groups[-1][:, -1], group[:, 0]
+            last[3:] = np.fmin(last[3], first[3]), np.fmax(last[4], first[4]), *first[5:]
+            group = group[:, 1:]
+        groups.append(group)
+    _, first_x, first_y, lowest, highest, last_x, last_y = np.concatenate(groups, axis=1)
+    middle = (first_x + last_x) / 2
+    corners_x = np.stack([first_x, middle, middle, last_x], axis=1)
+    corners_y = np.stack([first_y, lowest, highest, last_y], axis=1)
     return corners_x.ravel(), corners_y.ravel()
 
 

@@ -16,8 +16,9 @@ KEPT = 4
 # Numbers of a table for native code before its random numbers: the index of the first of them, and the index + 1 of one
 # that native code has missed.
 HEAD = 2
-# So many random numbers are in a window at first or come at a time, 8 MB, and so many earlier ones remain.
-MOST, BACK = 1 << 20, 1 << 13
+# So many random numbers are in a window at first or come at a time, 4 MB, and so many earlier ones remain: native code
+# that has missed one computes all ticks of its call again.
+MOST = BACK = 1 << 19
 # Numbers of as many streams as nodes of a rig draw from, kept for the next run: those of a study often have one seed.
 STREAMS = 8
 # Of so many numbers at most.

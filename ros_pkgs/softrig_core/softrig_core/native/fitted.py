@@ -16,7 +16,7 @@ from ..block.params import FromFiles
 from ..block.schedule import Plan
 from ..block.step import Step
 from ..errors import RunError
-from ..kit.draws import BACK, MOST, Window
+from ..kit.draws import MOST, SIZE, Window
 from ..timebase import SECOND
 from ..wire.columns import spacious
 from .audience import NEVER, Answers, answered, numbers_of, stamps_of
@@ -192,7 +192,7 @@ class Fitted:
         self._sources = {name: follow(path, roots) for path, name in program.draws.items()}
         self._tables = tables
         for draws in self._sources.values():
-            draws.at_hand = Window(draws, min(MOST, 2 * (self._plan.ticks or 0) + BACK))
+            draws.at_hand = Window(draws, min(MOST, 2 * ((self._plan.ticks or 0) + SIZE)))
         self._put_draws()
         # These are valid as long as states have these forms; the conversion back is known with the first returned
         # states.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import wraps
+from functools import cached_property, wraps
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -52,6 +52,11 @@ class LongArray(NDArrayOperatorsMixin):
         """Yield the first place of each stretch, and its part."""
         for first in range(0, self._length, STRETCH):
             yield first, self.read(first, min(first + STRETCH, self._length))
+
+    @cached_property
+    def begins(self) -> NDArray[Any]:
+        """Return the number with which each stretch begins."""
+        return np.array([self.read(first, first + 1)[0] for first in range(0, self._length, STRETCH)], self.dtype)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         result = np.empty(self.shape, self.dtype)
@@ -306,20 +311,10 @@ def _search(times: Any, at: Any, side: Any = "left") -> Any:
         return np.searchsorted(times, at, side)
     if np.ndim(at) and not np.size(at):
         return np.empty(0, np.intp)
-    low, high = _first(times, np.min(at), "left"), _first(times, np.max(at), "right")
-    return low + np.searchsorted(times.read(low, high), at, side)
-
-
-def _first(times: LongArray, at: Any, side: str) -> int:
-    low, high = 0, len(times)
-    while low < high:
-        middle = (low + high) // 2
-        here = times.read(middle, middle + 1)[0]
-        if here < at or (side == "right" and here == at):
-            low = middle + 1
-        else:
-            high = middle
-    return low
+    # Only the stretches are read in which the answers are.
+    first = max(int(np.searchsorted(times.begins, np.min(at), "left")) - 1, 0) * STRETCH
+    last = min(int(np.searchsorted(times.begins, np.max(at), "right")) * STRETCH, len(times))
+    return first + np.searchsorted(times.read(first, last), at, side)
 
 
 def _flatnonzero(x: LongArray) -> NDArray[np.intp]:
