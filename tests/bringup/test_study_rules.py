@@ -12,11 +12,12 @@ import optuna
 import pytest
 from expected_text import on_paper, page_lines
 from scipy import stats
+from scipy.stats import qmc
 from softrig_bringup.cli import make_parser
 from softrig_bringup.page.html import page as make_page
 from softrig_bringup.study import engine, options, page, pictures, table, work
 from softrig_bringup.study.batch import Batch, Log, row_of
-from softrig_bringup.study.definition import Distribution, make_study
+from softrig_bringup.study.definition import Distribution, Draws, make_study
 from softrig_bringup.study.draw import Case, _values, cases, count, draw, size
 from softrig_bringup.study.statistics import Statistics
 from softrig_core import RunError, ScenarioError
@@ -606,3 +607,11 @@ def test_options_that_do_not_fit_are_refused(words, text):
     with pytest.raises(ScenarioError) as refused:
         changes(words)
     assert str(refused.value) == text
+
+
+@pytest.mark.parametrize(("count", "dimensions", "seed"), [(1, 1, 0), (7, 3, 4)])
+def test_a_latin_hypercube_is_that_of_scipy(count, dimensions, seed):
+    parameters = {f"a.p{k}": {"uniform": [0.0, 1.0]} for k in range(dimensions)}
+    points = draw(Draws(count=count, seed=seed, parameters=parameters))
+    wanted = qmc.LatinHypercube(dimensions, rng=np.random.default_rng(seed)).random(count)
+    assert [list(point.values()) for point in points] == wanted.tolist()

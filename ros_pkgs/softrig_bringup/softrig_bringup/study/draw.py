@@ -91,13 +91,19 @@ def draw(draws: Draws) -> list[dict[str, Any]]:
 
 def _unit(draws: Draws, dimensions: int) -> Array:
     """Draw points of the unit cube, shape (points, dimensions)."""
+    rng = np.random.default_rng(draws.seed)
     if draws.method == "random":
-        return np.random.default_rng(draws.seed).random((draws.count, dimensions))
+        return rng.random((draws.count, dimensions))
+    if draws.method == "latin_hypercube":
+        # As `scipy.stats.qmc.LatinHypercube` draws, whose import takes a second of each study.
+        (rng,) = rng.spawn(1)
+        within = rng.uniform(size=(draws.count, dimensions))
+        rows = np.tile(np.arange(1, draws.count + 1), (dimensions, 1))
+        for row in rows:
+            rng.shuffle(row)
+        return np.asarray((rows.T - within) / draws.count)
     from scipy.stats import qmc
 
-    rng = np.random.default_rng(draws.seed)
-    if draws.method == "latin_hypercube":
-        return np.asarray(qmc.LatinHypercube(dimensions, rng=rng).random(draws.count))
     if draws.method == "sobol":
         return np.asarray(qmc.Sobol(dimensions, rng=rng).random(draws.count))
     # Two sets from one sequence of twice the dimensions are independent of each other; two sequences need not be.
