@@ -314,6 +314,9 @@ def _search(times: Any, at: Any, side: Any = "left") -> Any:
     # Only the stretches are read in which the answers are.
     first = max(int(np.searchsorted(times.begins, np.min(at), "left")) - 1, 0) * STRETCH
     last = min(int(np.searchsorted(times.begins, np.max(at), "right")) * STRETCH, len(times))
+    if last - first > 2 * STRETCH and np.size(at) > 1:
+        half = np.size(at) // 2
+        return np.concatenate([_search(times, at[:half], side), _search(times, at[half:], side)])
     return first + np.searchsorted(times.read(first, last), at, side)
 
 
