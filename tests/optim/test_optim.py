@@ -20,21 +20,22 @@ from scipy import stats
 from scipy.optimize import differential_evolution, minimize_scalar
 from softrig_core import ByHand, Level, Plant, RunError, ScenarioError, rig_of, run_inprocess
 from softrig_core.solver.worker import Worker, _Process
-from softrig_optim.algorithms import AlgorithmParams, make
+from softrig_optim.algorithms import AlgorithmParams
 from softrig_optim.de import DifferentialEvolution
 from softrig_optim.falling import FallingCurve
-from softrig_optim.firefly import Firefly
 from softrig_optim.genetic import Genetic
 from softrig_optim.load_line import CertifiedSearch, RampScan
 from softrig_optim.optimiser import Optimiser, Phase
 from softrig_optim.perturb import PerturbObserve
 from softrig_optim.pso import ParticleSwarm
-from softrig_optim.salp import ImprovedSalpSwarm, SalpSwarm
 from softrig_optim.scan import Scan
 from softrig_optim.search import run
 from softrig_optim.sweep import Workers, sweep
-from softrig_optim.whale import Whale
-from softrig_optim.wolf import GreyWolf
+from softrig_power.baselines.algorithms import make
+from softrig_power.baselines.firefly import Firefly
+from softrig_power.baselines.salp import ImprovedSalpSwarm, SalpSwarm
+from softrig_power.baselines.whale import Whale
+from softrig_power.baselines.wolf import GreyWolf
 
 POPULATIONS = [SalpSwarm, ImprovedSalpSwarm, ParticleSwarm, DifferentialEvolution, Firefly, GreyWolf, Whale, Genetic]
 LOWER, UPPER = [0.5, 1.0], [5.0, 4.0]

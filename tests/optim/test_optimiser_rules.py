@@ -388,7 +388,7 @@ def built(**changes):
         ({"measure_window": 0.02}, ""),
         ({"measure_window": 0.021}, "measure_window = 0.021 s is longer than hold_time = 0.02 s"),
         ({"lower": (0.0, 1.0)}, "2 values of lower for 1 channels"),
-        ({"algorithm": "issa"}, "positive"),  # the search itself is tried
+        ({"algorithm": "perturb_observe", "initial": 2.0}, "initial is 2.0, expected it within"),  # the search is tried
         ({"upper": (0.0,)}, "lower < upper"),
     ],
 )

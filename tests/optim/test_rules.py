@@ -9,16 +9,16 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from scipy.optimize import minimize_scalar
 from softrig_optim.de import DifferentialEvolution
-from softrig_optim.firefly import Firefly
 from softrig_optim.genetic import Genetic
 from softrig_optim.load_line import CertifiedSearch, RampScan
 from softrig_optim.perturb import PerturbObserve
 from softrig_optim.pso import ParticleSwarm
-from softrig_optim.salp import ImprovedSalpSwarm, SalpSwarm
 from softrig_optim.scan import Scan
 from softrig_optim.search import run
-from softrig_optim.whale import Whale
-from softrig_optim.wolf import GreyWolf
+from softrig_power.baselines.firefly import Firefly
+from softrig_power.baselines.salp import ImprovedSalpSwarm, SalpSwarm
+from softrig_power.baselines.whale import Whale
+from softrig_power.baselines.wolf import GreyWolf
 
 LOWER, UPPER = (0.5, 1.0, 0.2), (3.5, 2.2, 0.9)  # unlike in all, so that what mixes them up shows
 

@@ -29,8 +29,9 @@ from softrig_core.block.loop import Loop
 from softrig_core.block.tables import Tables
 from softrig_core.judge.measures import mean
 from softrig_core.run.inprocess import wired
-from softrig_optim.algorithms import AlgorithmParams, make
+from softrig_optim.algorithms import AlgorithmParams
 from softrig_optim.search import run
+from softrig_power.baselines.algorithms import make
 from softrig_power.pv import figures as pv_figures
 from softrig_power.pv.converter import (
     BuckBoostMatching,
@@ -304,7 +305,7 @@ def static_runs(algorithm, n=400, **settings):
 
     gathered = []
     for seed in range(n):
-        search = make(algorithm, [0.1], [0.9], seed, AlgorithmParams(**settings), maximise=True)
+        search = make(algorithm, [0.1], [0.9], seed, AlgorithmParams(), maximise=True, **settings)
         best = run(search, power)
         gathered.append((best.x[0], best.value, search.evaluations))
     return np.array(gathered).T

@@ -9,19 +9,13 @@ import numpy as np
 from softrig_core import Params, param
 
 from .de import DifferentialEvolution
-from .firefly import Firefly
 from .genetic import Genetic
 from .perturb import PerturbObserve
 from .pso import ParticleSwarm
-from .salp import ImprovedSalpSwarm, SalpSwarm
 from .scan import Scan
 from .search import Options, PopulationOptions, Search
-from .whale import Whale
-from .wolf import GreyWolf
 
-Algorithm = Literal[
-    "issa", "ssa", "pso", "de_rand1", "de_best1", "fa", "fa_all_pairs", "gwo", "woa", "ga", "perturb_observe", "scan"
-]
+Algorithm = Literal["pso", "de_rand1", "de_best1", "ga", "perturb_observe", "scan"]
 
 
 class AlgorithmParams(Params):
@@ -29,12 +23,17 @@ class AlgorithmParams(Params):
 
     n_pop: int = param(4, "population", ge=1, le=1000)
     n_iter: int | None = param(None, "iterations; the published number when absent: 10, of fa 6", ge=1, le=100000)
-    c3_threshold: float = param(0.5, "issa, ssa: the leader goes up if c3 is not below; misprint 0", ge=0.0, le=1.0)
     step: float = param(0.005, "perturb_observe: step of the command", gt=0.0)
     initial: float | None = param(None, "perturb_observe: first command; the lower bound when absent")
     n_grid: int = param(20, "scan: points of the grid", ge=3, le=10000)
     tolerance: float = param(1e-3, "scan: tolerance of the command after the grid; 0 = the grid only", ge=0.0)
     budget: int | None = param(None, "most evaluations; the algorithm's own number when absent", ge=1, le=1000000)
+
+
+def populated(p: AlgorithmParams, *, maximise: bool) -> PopulationOptions:
+    """Return the settings of a search with a population."""
+    options: PopulationOptions = {"maximise": maximise, "budget": p.budget, "n_pop": p.n_pop}
+    return options if p.n_iter is None else {**options, "n_iter": p.n_iter}
 
 
 def make(
@@ -54,26 +53,14 @@ def make(
         A setting that the algorithm cannot work with; the text names it.
     """
     options: Options = {"maximise": maximise, "budget": p.budget}
-    grown: PopulationOptions = {"maximise": maximise, "budget": p.budget, "n_pop": p.n_pop}
-    if p.n_iter is not None:
-        grown["n_iter"] = p.n_iter
+    grown = populated(p, maximise=maximise)
     match algorithm:
-        case "issa":
-            return ImprovedSalpSwarm(lower, upper, seed, c3_threshold=p.c3_threshold, **grown)
-        case "ssa":
-            return SalpSwarm(lower, upper, seed, c3_threshold=p.c3_threshold, **grown)
         case "pso":
             return ParticleSwarm(lower, upper, seed, **grown)
         case "de_rand1":
             return DifferentialEvolution(lower, upper, seed, variant="rand1", **grown)
         case "de_best1":
             return DifferentialEvolution(lower, upper, seed, variant="best1", **grown)
-        case "fa" | "fa_all_pairs":
-            return Firefly(lower, upper, seed, all_pairs=algorithm == "fa_all_pairs", **grown)
-        case "gwo":
-            return GreyWolf(lower, upper, seed, **grown)
-        case "woa":
-            return Whale(lower, upper, seed, **grown)
         case "ga":
             return Genetic(lower, upper, seed, **grown)
         case "perturb_observe":

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
-from softrig_optim.algorithms import AlgorithmParams, make
+from softrig_optim.algorithms import AlgorithmParams
 from softrig_optim.search import run
 
+from ..baselines.algorithms import make
 from .units import Array, Units, balanced
 
 Baseline = Literal["issa", "ssa", "pso", "de_rand1", "de_best1", "gwo", "woa", "ga"]

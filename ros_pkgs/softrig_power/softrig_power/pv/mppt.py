@@ -7,12 +7,12 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import model_validator
 from softrig_core import Port, command, param
-from softrig_optim.algorithms import Algorithm, make
 from softrig_optim.falling import FallingCurve
 from softrig_optim.load_line import CertifiedSearch, RampScan
 from softrig_optim.optimiser import CommandOptimiser, SearchParams, buttons, state_port
 from softrig_optim.search import Point, Search
 
+from ..baselines.algorithms import Algorithm, make
 from .converter import BuckBoostMatching
 from .ports import array_port
 
@@ -25,6 +25,7 @@ class MpptParams(SearchParams):
     """Parameters of the tracker, none of which belongs to the plant."""
 
     algorithm: Algorithm | Tracker = param("issa", "name of the algorithm")
+    c3_threshold: float = param(0.5, "issa, ssa: the leader goes up if c3 is not below; misprint 0", ge=0.0, le=1.0)
     d_min: float = param(0.1, "lower limit of the duty", gt=0.0, lt=1.0)
     d_max: float = param(0.9, "upper limit of the duty", gt=0.0, lt=1.0)
     duty_slew: float = param(0.0, "most change of the duty in a second; 0: no limit", "1/s", ge=0.0, live=True)
@@ -58,13 +59,13 @@ class MpptParams(SearchParams):
                 n_ramp = round(self.ramp_time / self.period)
                 return RampScan(lower, upper, matching=matching, n_ramp=n_ramp, budget=self.budget)
             case algorithm:
-                return make(algorithm, lower, upper, rng, self, maximise=True)
+                return make(algorithm, lower, upper, rng, self, maximise=True, c3_threshold=self.c3_threshold)
 
 
 class MpptOptimiser(CommandOptimiser[MpptParams]):
     """Tracker of the maximum power point; sees only voltage and current of the string.
 
-    See `CommandOptimiser` for when it searches and restarts, `softrig_optim` for the algorithms.
+    See `CommandOptimiser` for when it searches and restarts, `softrig_optim` and `baselines` for the algorithms.
     """
 
     @classmethod

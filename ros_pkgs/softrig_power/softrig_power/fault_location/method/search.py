@@ -1,4 +1,4 @@
-"""Searches for the minimum of F(x): grid and bounded Brent, the swarms of softrig_optim, whole samples."""
+"""Searches for the minimum of F(x): grid and bounded Brent, swarms, whole samples."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def brent(work: Objective, mode: int) -> tuple[float, float]:
 
 def swarm(work: Objective, mode: int) -> tuple[float, float]:
     """Whale or grey wolf search on [0, L], a generation at a time (Mirjalili and Lewis 2016, Mirjalili et al. 2014)."""
-    from softrig_optim.algorithms import AlgorithmParams, make
+    from softrig_optim.algorithms import AlgorithmParams
+
+    from ...baselines.algorithms import make
 
     p = work.p
     algorithm: Literal["woa", "gwo"] = "woa" if p.algorithm == "woa" else "gwo"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-
-from .search import Moves, Population, points
+from softrig_optim.search import Moves, Population, points
 
 
 class Whale(Population):

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-
-from .search import Array, Moves, Population, points
+from softrig_optim.search import Array, Moves, Population, points
 
 
 class GreyWolf(Population):

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Unpack
 
 import numpy as np
-
-from .search import Array, Moves, Population, PopulationOptions, Seed, points
+from softrig_optim.search import Array, Moves, Population, PopulationOptions, Seed, points
 
 
 class SalpSwarm(Population):

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Unpack
 
 from softrig_core.kit import dense
-
-from .search import Moves, Population, PopulationOptions, Seed, points
+from softrig_optim.search import Moves, Population, PopulationOptions, Seed, points
 
 
 class Firefly(Population):

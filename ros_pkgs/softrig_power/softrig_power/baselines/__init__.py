@@ -1,0 +1,1 @@
+"""Search methods of the papers, named after animals; published results are compared with them."""
