@@ -16,6 +16,7 @@ from softrig_bags.cli import main_bag, main_compare
 from softrig_bags.compare import compare
 from softrig_bags.read import signals
 from softrig_bags.write import write_bag
+from softrig_bringup.plots import overlay
 from softrig_bringup.plots.curves import Source
 from softrig_bringup.report import several
 from softrig_bringup.report.record import read_run
@@ -216,7 +217,7 @@ def test_a_report_of_several_runs_has_the_values_that_their_ports_read(taken, ri
         content = summary(Run(outside, 0, recording, mode="processes"), [], f"softrig run {name}")
         (tmp_path / name / "metrics.json").write_text(json.dumps(content))
         write_bag(tmp_path / name / "bag", recording)
-    monkeypatch.setattr(several, "draw_overlay", lambda runs, note: drawn.extend(runs) or ())
+    monkeypatch.setattr(overlay, "draw_overlay", lambda runs, note: drawn.extend(runs) or ())
     list(several.overlaid([(tmp_path / n, read_run(tmp_path / n)) for n in ("one", "other")], ("one", "other")))
     assert len(drawn) == 2
     for run in drawn:

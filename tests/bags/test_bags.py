@@ -1075,7 +1075,7 @@ def test_a_definition_that_cannot_be_read_is_named(tmp_path):
     )
     with pytest.raises(BagError, match=r"the definition of .* cannot be read"):
         result.table("command")
-    with pytest.raises(BagError, match="not one topic of it can be decoded"):
+    with pytest.raises(BagError, match="none of its topics can be decoded"):
         export(tmp_path / "bag", tmp_path / "out", "csv")
 
 

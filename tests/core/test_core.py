@@ -5,6 +5,7 @@ import os
 
 import numpy as np
 import pytest
+import yaml
 from conftest import in_process, make_scenario
 from faultrig import Gain, Lag
 from hypothesis import given, strategies as st
@@ -246,9 +247,9 @@ def test_the_depth_of_a_file_does_not_count_closed_brackets():
     ):
         if refused:
             with pytest.raises(ScenarioError, match="nested deeper than 40 levels"):
-                _limit_depth(text)
+                _limit_depth(text, yaml.SafeLoader)
         else:
-            _limit_depth(text)
+            _limit_depth(text, yaml.SafeLoader)
 
 
 def test_in_process_follows_the_difference_equation():

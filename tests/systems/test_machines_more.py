@@ -350,7 +350,7 @@ def test_the_rig_of_a_data_sheet_meets_its_expectations(given, tmp_path):
         ({**SHEET, "torque": -1.0}, "above zero"),
         ({**SHEET, "torque": math.nan}, "above zero"),
         ({**SHEET, "pole_pairs": 2.5}, "whole number"),
-        ({**SHEET, "R_tt": 7.2}, "say the same"),
+        ({**SHEET, "R_tt": 7.2}, "mean the same"),
         ({k: v for k, v in SHEET.items() if k != "L_q"}, "give both"),
         ({k: v for k, v in SHEET.items() if k[0] != "L"}, "no inductance: give L_tt"),
         ({**{k: v for k, v in SHEET.items() if k[0] != "L"}, "voltage": 100.0}, "less than back-EMF"),

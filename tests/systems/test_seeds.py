@@ -65,7 +65,7 @@ OWN = {  # generators that are not made of a rig's seed, by file: how many, and 
     "softrig_optim/optimiser.py": (1, "of a search that is made to check its parameters, and is not run"),
     "softrig_power/pv/mppt.py": (1, "of a search that is made to check its parameters, and is not run"),
     "softrig_bringup/falsify/search.py": (2, "of the search over rigs, --seed"),
-    "softrig_bringup/study/draw.py": (2, "of the draws of a study, which names it"),
+    "softrig_bringup/study/draw.py": (1, "of the draws of a study, which names it"),
     "softrig_bringup/study/estimate.py": (2, "of bootstraps, always the same: intervals repeat"),
     "softrig_core/export/drawn.py": (1, "of inputs to which exported C is held"),
 }
