@@ -166,6 +166,8 @@ class Audience:
         for k in sorted({k for _, every in watchers for k in range(-(-first // every) * every, last, every)}):
             t = self._plan.clock.time(k)
             for s, every, begin, (numbers, stamps), readers in messages:
+                # Before the first tick of a node in this stretch its subscribers still hold its message of the stretch
+                # before.
                 if (at := k // every - begin) >= 0:
                     s.t = s.schedule.time(k // every)
                     if not s.plain:

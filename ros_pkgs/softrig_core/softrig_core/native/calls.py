@@ -51,7 +51,8 @@ from .value import (
 )
 from .words import TEXTS, word
 
-TAME = 0.5  # functions of numbers are defined here
+# In place of a sample for which a function raises: the functions of `math` are defined here.
+TAME = 0.5
 
 
 #: Methods of objects that can change which leave them as they are; other methods are not evaluated at translation.
@@ -149,6 +150,7 @@ class Calls(Expressions):
         """Iterate over the parts of a list or mapping; `read` returns one of them."""
         items: list[Value] = []
         outer = dict(self.env)
+        # `:=` binds a name around the list, and the names around it are restored after the list.
         if any(isinstance(n, ast.NamedExpr) for n in ast.walk(node)):
             raise self.unknown("`:=` in a list", node)
 
@@ -283,6 +285,7 @@ class Calls(Expressions):
         reports, numbers = self.program.reports, list[str]()
         parts = wording(node.args[2]) if len(node.args) == 3 and not node.keywords else None
         if reports is None or (reports.worded and parts is None):
+            # Python words such a report, so this branch discards its tick and the block stays native.
             raise GivesUp("a report whose text is not written out")
         head = [self.value(a) for a in node.args[:2]]
         level, key = (v if isinstance(v, Static) and not is_made_text(v) else None for v in head)
@@ -435,6 +438,7 @@ class Calls(Expressions):
             called = twin(called)
         if isinstance(called, type) and issubclass(called, tuple) and hasattr(called, "_fields"):
             maker = next(kind for kind in called.__mro__ if "__new__" in vars(kind))
+            # Native code only fills the fields, so what a `__new__` computes would be lost.
             if "_fields" not in vars(maker):
                 raise self.unknown(f"{called.__name__}, which has a __new__ of its own", node)
             defaults = {k: Static(v) for k, v in called._field_defaults.items()}  # type: ignore[attr-defined]
@@ -651,6 +655,7 @@ class Calls(Expressions):
         for one in values[1:]:
             sample = computed(called, best.sample, one.sample)
             if isinstance(sample, int) and not all(isinstance(v.sample, int) for v in (best, one)):
+                # Python's result is one of the two objects, but native code has one type for both.
                 sample = float(sample)
             code = f"({one.code} if {one.code} {sign} {best.code} else {best.code})"
             best = self.simple(Dynamic(code, sample)) if one is not values[-1] else Dynamic(code, sample)

@@ -28,7 +28,9 @@ GO = 0.05  # s: how long one call may last, since a run can be stopped only betw
 SHORT_GO = 0.005  # s: the same where messages are to be served in between
 WATCHES = "it watches what is recorded"  # why an observer is not native
 SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
-RARE = 8  # ticks of the others for each of a member that Python answers
+# A member in Python takes its ticks from native code for all others, too, since a tick is run as a whole; that is worth
+# it only for one that is due at every eighth tick of the others, or less often.
+RARE = 8
 PATIENCE = 64  # given up before that is judged
 LOOK = 64  # ticks in Python between two looks at whether native code may go on
 LATEST = 256  # ticks up to which a state may become what it stays: None until something has come
@@ -236,6 +238,7 @@ class Engine:
         if fit is None or self._alone is None or fit.kept.made or not self._typed:
             return False
         # Messages must be served while the text is compiled, which takes seconds.
+        # A run that ends earlier must not wait for the compiler, so the thread does not keep the process alive.
         self._compiling = threading.Thread(target=fit.compilation(k), daemon=True)
         self._compiling.start()
         return True
@@ -252,8 +255,10 @@ class Engine:
         """Return the first tick, from k on, at whose time parameters must have changed."""
         at = min(s.change_at for s in self.steps)
         if at == math.inf:
+            # Larger than the number of any tick, so that it never bounds a stretch.
             return 1 << 62
         first = self._plan.clock.tick(int(at))
+        # `tick` rounds, so its result may lie before the time of the change.
         return max(k, first if self._time(first) >= at else first + 1)
 
     def _next_stop(self, k: int) -> int:
@@ -285,6 +290,7 @@ class Engine:
             often = RARE * min(self._plan.every(s.schedule) for s in core.steps)
             aside = {s.name: str(reason) for s in core.steps if self._plan.every(s.schedule) >= often}
             if aside:
+                # Later rigs of this kind are spared the attempt, which costs a translation.
                 refuse(kinds, str(reason))
                 self._aside |= aside
                 self._core = self._native_members()
@@ -311,6 +317,8 @@ class Engine:
         reached, after = fit.call(first, last)
         if after is None:
             return first
+        # Only a stretch that ended at such a tick continues without recording: the first one has shown that all that
+        # watch accept a batch.
         if self._smooth and self._decided(reached):
             return self._on(first, reached, last, after)
         # An observer may fail at a tick that the nodes have long passed. No results are stored in their steps before
@@ -334,6 +342,8 @@ class Engine:
         if reached > first:
             self._apply(fit, first, reached, after)
             self._audience.hand_out(self._core.steps, first, reached, answers)
+            # `_on` answers ticks in Python by the loop of the native members alone, so their ticks must have the
+            # numbers of the whole rig's. It publishes at the end of a stretch, so nobody may need a message before.
             one_clock = self._core.loop.plan.clock.clock == self._plan.clock.clock
             self._smooth = one_clock and not self._audience.tick_by_tick and self._alone is None
         return reached

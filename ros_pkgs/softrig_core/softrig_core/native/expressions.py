@@ -63,6 +63,8 @@ class Expressions(Ways):
     def _value_name(self, node: ast.Name) -> Value:
         if node.id in self.env:
             return self.env[node.id]
+        # A local name that is bound on one branch only. Without this check a global object of the same name would be
+        # read.
         if node.id in self.function.__code__.co_varnames:
             raise self.unknown(f"{node.id} is not known on every way", node)
         return Static(self.outer(node.id, node))
@@ -162,6 +164,7 @@ class Expressions(Ways):
         table, at = self.dynamic(base), self.dynamic(index)
         if table.parts or table.sample is UNKNOWN:
             raise self.unknown("an item of something that is not a table", node)
+        # numba needs one type for an item whose place is computed.
         if isinstance(table.sample, tuple) and len({shape(v) for v in table.sample}) != 1:
             raise self.unknown("an item of a tuple of several types", node)
         sample = computed(lambda a, k: a[k], table.sample, at.sample)
@@ -211,6 +214,7 @@ class Expressions(Ways):
             self.program.guard(table)
         at = self.simple(self.dynamic(key))
         name = f"look{len(self.program.functions)}"
+        # Native code has no mappings, so a lookup is a chain of comparisons.
         lines = [f"def {name}(k):"]
         for k, v in entries:
             keys = k if isinstance(k, tuple) else (k,)
@@ -298,12 +302,15 @@ class Expressions(Ways):
         whole = all(_is_whole(v.sample) for v in (x, y))
         # numba's whole numbers have 64 bits and wrap silently, Python's do not.
         own = WRAPS.get(text, "") if whole and self.program.typed else ""
+        # A change of sign cannot overflow in the range that `plus_` and `times_` leave.
         if text == "*" and whole and any(isinstance(v, Static) and abs(v.value) == 1 for v in (left, right)):
             own = ""
         few = any(isinstance(v, Static) and abs(v.value) <= FEW for v in (left, right))
         if own == "times_" or (own and not few):
             self.program.words.add(own)
             return Dynamic(f"{own}({x.code}, {y.code})", sample)
+        # Python rounds the quotient of two whole numbers once. Native code converts them to floats first, which is the
+        # same only as long as both are exact.
         if text == "/" and whole and self.program.typed:
             self.program.words.add("exact_")
             x, y = (replace(v, code=f"exact_({v.code})") if _is_large(v) else v for v in (x, y))
@@ -471,6 +478,8 @@ class Expressions(Ways):
         """Return whether a value is true, or the expression that decides it; `sampled` is then its last value."""
         self.sampled = UNKNOWN
         if isinstance(value, Static):
+            # Such a number is an argument, also where only its truth counts: as a guard each value of a study would
+            # need a text.
             if (value.path is not None and isinstance(value.value, (float, complex))) or (
                 value.path is not None and isinstance(value.value, int) and abs(value.value) > SMALL
             ):

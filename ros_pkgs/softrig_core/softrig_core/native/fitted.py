@@ -27,7 +27,9 @@ from .twins import Way, applied, form, packed, packer, unpacked, unpacker
 from .value import NotNative
 
 SHORTEST = 1 << 10  # ticks that are answered in one call, at least
-RUNS_A_TEXT = 20  # that ask in vain for each text beyond the first
+# A varied value that is a guard needs a text for each of its values, which costs a translation and a compilation. After
+# the first text of a kind, another one is made only once in so many requests.
+RUNS_A_TEXT = 20
 KEPT = 8  # texts that are kept for rigs to come
 # Errors that discard a tick: Python answers it, and reports the error, if there is one. A block's values cannot cause a
 # NameError (except for a local variable without a value): that is a defect of the text and ends the run.
@@ -123,6 +125,7 @@ def text_for(kinds: tuple[Any, ...], core: Core, recorded: Sequence[Step], make:
             # text.
             text = rig_text(core.steps, recorded, typed, reports=False)
         result = Kept(kinds, text, make(text), SHORTEST)
+        # The newest text is found first, and the oldest one is dropped.
         _texts.insert(0, result)
         del _texts[KEPT:]
     return result
@@ -302,6 +305,8 @@ class Fitted:
             try:
                 after = kept.function(first, last, *handed)
             except NATIVE as error:
+                # A block may raise a TypeError itself. Only if Python answers the same tick without one is the text
+                # wrong.
                 self.odd = _with_line(error) if isinstance(error, TypeError) else ""
                 # The text stops at its tick: numpy tables have no row of it, lists have grown by the earlier ticks. All
                 # is computed again up to that tick, because states are returned at the end only.
@@ -309,6 +314,7 @@ class Fitted:
                     for table in self.rows[key]:
                         del table[count:]
                 # The random numbers that were drawn in advance have run out.
+                # `drawn_` sets n[1], so that this IndexError is not taken for one of the block.
                 if n[1]:
                     for name, draws in self._sources.items():
                         if missed := self._tables[name][1]:
@@ -328,7 +334,9 @@ class Fitted:
                 # numba compiles at the first call, so unsupported constructs raise here.
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
+                # The next rig of this kind must not find a text that numba has refused.
                 _texts[:] = [other for other in _texts if other is not kept]
+                # numba's messages fill pages; the beginning names the construct.
                 raise NotNative(f"numba: {' '.join(str(error).split())[:300]}") from None
             return int(n[0]), after
 
@@ -363,6 +371,7 @@ class Fitted:
                 s.native = s.native[0] + len(own), ""
         for one, value in zip(self._core.holdings, after[len(after) - len(self._core.holdings) :], strict=True):
             fill = one.fill
+            # Python runs the publisher of such a link, so native code cannot have changed what its subscriber holds.
             if one.source is None:
                 continue
             if published.get((one.source, fill.output), fill.source.t) >= self._plan.clock.time(first):

@@ -76,6 +76,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     head += [f"    e{k} = (n[2] + {turns.every(k) - 1}) // {turns.every(k)}" for k in written]
     head += [
         "    for k in range(first, last):",
+        # Read when an exception has ended the call, and by a thread that describes a call which does not return.
         "        n[0] = k",
         f"        t = {turns.time('k')}",
         *([f"        {WHEN}[0] = t"] if WHEN in arrays else []),

@@ -119,6 +119,8 @@ class Program:
 
     def name(self, thing: Any, hint: str) -> str:
         """Return the name of a Python object in the text."""
+        # By identity: arrays have no hash, and objects that Python calls equal, such as (1,) and (1.0,), are two
+        # constants.
         for name, known in self.names.items():
             if known is thing:
                 return name
@@ -151,6 +153,7 @@ class Program:
         if isinstance(value.value, np.ndarray):
             name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
             return Dynamic(name, value.value)
+        # A tuple has another type for each length, and `as_slot` refuses one of more than LONGEST numbers.
         if isinstance(value.value, list) and len(value.value) > TURNS and {type(v) for v in value.value} == {float}:
             name = self.arrays.setdefault(value.path, f"a{len(self.arrays)}")
             return Dynamic(name, np.array(value.value))
@@ -246,10 +249,12 @@ def signature(value: Any, inside: bool = False) -> Any:
     What is `inside` of another value has no path of its own: it must be the same object.
     """
     if isinstance(value, (*NUMBERS, str, bytes, type(None), type)):
+        # With the type, because 1, 1.0 and True are equal in Python and are written differently.
         return type(value).__name__, value
     if isinstance(value, (tuple, list)):
         return type(value).__name__, tuple(signature(v, True) for v in value)
     if isinstance(value, Mapping):
+        # In the order of the keys, because a loop over a mapping is written out in this order.
         return "mapping", tuple((k, signature(v, True)) for k, v in value.items())
     if isinstance(value, types.MethodType):
         return "method", value.__func__, *((Same(value.__self__),) if inside else ())
@@ -286,6 +291,7 @@ def as_slot(value: Any) -> Any:
             raise NotNative(f"a table of {len(value)}, expected at most {LONGEST} values, or an array")
         return tuple(as_slot(v) for v in value)
     if isinstance(value, Mapping):
+        # `Ways.code` writes the values of a mapping in this order, too.
         return tuple(as_slot(value[key]) for key in sorted(value))
     raise NotNative(f"{type(value).__name__} among its constants")
 
@@ -405,6 +411,7 @@ def _specialised(
         return Made("", (), result)
     arrays = tuple(sorted(writer.arrays))
     name = f"f{len(program.functions)}_{function.__name__.strip('_')}"
+    # The comment at the end leads from a traceback, or from exported C, back to the method.
     head = (
         f"def {name}({', '.join(['c', 'n', *arrays, *parameters])}):  # {function.__module__}.{function.__qualname__}"
     )

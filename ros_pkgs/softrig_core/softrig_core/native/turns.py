@@ -41,7 +41,7 @@ class Holding:
 
     @property
     def value(self) -> Any:
-        """Return the subscriber's value; None in place of one that is too long for native code."""
+        """Return the subscriber's value; an empty tuple in place of one that is too long for native code."""
         result = self.fill.reader.values[self.fill.port.name]
         return () if result is not None and self.fill.port.size > LONGEST else result
 
@@ -148,6 +148,7 @@ class Turns:
     def time(self, k: str) -> str:
         """Write the time of a tick, ns."""
         n, d = self._ns
+        # As `Schedule.time`: rounded to the nearest ns in whole numbers, because a float does not hold ns of long runs.
         return f"{k} * {n}" if d == 1 else f"(2 * {k} * {n} + {d}) // {2 * d}"
 
     def every(self, k: int) -> int:
@@ -213,6 +214,7 @@ class Turns:
                 if fill is None or (held is not None and fill.last_published() is None):
                     result[k, port.name] = None
                 elif held is not None:
+                    # As `Step.age`: a message that is ahead of the tick has the age 0.
                     result[k, port.name] = f"max(int({WHEN}[0] - {WHEN}[{held + 1}]), 0)"
                 # Each tick of the reader is a tick of the publisher, too, so the value is of the same tick.
                 elif step.schedule.every % fill.source.schedule.every == 0:
@@ -222,6 +224,8 @@ class Turns:
     def _input(self, step: Step, port: Port) -> Value:
         fill, values = step.fed.get(port.name), step.values[port.name]
         held = self._holding(fill)
+        # A held input that nothing fills stays None; any other value would come from outside of the rig, unseen by
+        # native code.
         if fill is None and (not port.held or values is not None):
             raise NotNative(f"{step.name}: {port.topic} does not come from a member of the rig")
         if fill is None or values is None:
@@ -283,6 +287,8 @@ class Turns:
             for flag, stamp, answer, row in rows_of(writer, value, step.outputs):
                 flags += flag
                 stamps += stamp
+                # In Python a row is stored as it is: `_row_of` checks its length and converts whole numbers, which is
+                # faster than a call of `float` for each number.
                 whole = size >= FEW and not typed and isinstance(answer, Dynamic) and type(answer.sample) is tuple
                 numbers += [f"*{writer.code(answer)}"] if whole else [f"float({writer.code(one)})" for one in row]
         except (NotNative, AttributeError, KeyError, ValueError) as error:

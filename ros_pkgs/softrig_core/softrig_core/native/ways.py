@@ -110,6 +110,7 @@ class Ways:
             parts = tuple(self.dynamic(value.items[k]) for k in keys)
         else:
             keys, parts = None, tuple(self.dynamic(v) for v in value.items)
+        # A mapping becomes a tuple without keys, so what is known of its parts has to be remembered beside it.
         nested = keys is not None or any(p.keys or p.parts for p in parts)
         sample = tuple(p.sample for p in parts)
         return Dynamic(self.code(value), sample, is_sure(value), keys, parts if nested else None)
@@ -162,6 +163,7 @@ class Ways:
 
     def simple(self, value: Dynamic) -> Dynamic:
         """Return a value by a name, so that it is computed once."""
+        # A name, or an item at a fixed place, costs nothing when it is read again.
         if value.code.replace("_", "").replace(".", "").replace("[", "").replace("]", "").isalnum():
             return value
         return replace(value, code=self.temporary(value.code))
@@ -175,6 +177,7 @@ class Ways:
 
     def of_builtins(self, node: ast.expr) -> str:
         """Return the name of a function of Python's own that is called; empty: it is another one."""
+        # A module or a local name may hide Python's function of that name.
         name = node.id if isinstance(node, ast.Name) and node.id not in self.env else ""
         own = getattr(builtins, name, None)
         return name if own is not None and self.outer(name, node) is own else ""
@@ -269,6 +272,8 @@ class Ways:
 
     def has_one_name(self, name: str) -> bool:
         """Return whether no other name of this function refers to the same object, as far as can be read."""
+        # Each use of the name has to be one that reads or copies the list; any other, such as an argument of a call,
+        # may store it under another name.
         tree = parsed(self.function)
         if name in {a.arg for a in ast.walk(tree) if isinstance(a, ast.arg)}:
             return False
@@ -316,6 +321,8 @@ class Ways:
                 if not aside and used is not (not wanted):
                     raise
                 self.program.seldom.append(str(reason))
+                # What was written of this branch before the unsupported line is not needed, since the whole branch
+                # discards its tick.
                 self.env, self.lines = dict(before), []
                 del self.returned[returned:]
                 results.append(None)
@@ -326,6 +333,7 @@ class Ways:
         (then, env_then, over_then), (orelse, env_else, over_else) = ways
         self.left = used is not UNKNOWN and (over_then if used else over_else)
         if over_then and over_else:
+            # Nothing follows, so it does not matter which one remains.
             env = env_then
         elif over_then or over_else:
             env = env_else if over_then else env_then
@@ -407,6 +415,8 @@ class Ways:
             x, y = self.dynamic(a), self.dynamic(b)
             if len(self.lines) == at:
                 return self._one_of(f"({x.code} if {test} else {y.code})", x, y, used, node)
+        # Statements that one of the values needs may run only if it is selected: both are read again, each within its
+        # branch.
         del self.lines[at:]
         self.env, self.ended = before, False
         name = self._fresh()

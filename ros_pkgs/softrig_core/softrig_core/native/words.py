@@ -64,6 +64,7 @@ TEXTS: dict[str, str] = {
     # Python compares a whole number and a float exactly; floats differ as the numbers do unless they are equal.
     "apart_": "def apart_(k, y):\n    d = float(k)\n    if d != y or not abs(y) < 9.2e18:\n        return d - y\n"
     "    return float(k - int(y))\n",
+    # Up to 2**53 a whole number is exact as a float.
     "exact_": "def exact_(k):\n    if not -9007199254740992 <= k <= 9007199254740992:\n"
     "        raise OverflowError\n    return k\n",
     "bisect_right": "def bisect_right(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
@@ -72,6 +73,7 @@ TEXTS: dict[str, str] = {
     "bisect_left": "def bisect_left(a, x):\n    low, high = 0, len(a)\n    while low < high:\n"
     "        middle = (low + high) // 2\n        if a[middle] < x:\n            low = middle + 1\n"
     "        else:\n            high = middle\n    return low\n",
+    # The row of a place begins with the numbers of `reports.HEAD`.
     "reported_": "def reported_(reports, at, numbers):\n    reports[0] += 1.0\n    if reports[at] == 0.0:\n"
     "        reports[at + 1] = reports[0]\n    reports[at] += 1.0\n    reports[at + 2] = reports[0]\n"
     "    for k in range(len(numbers)):\n        reports[at + 3 + k] = numbers[k]\n",
@@ -85,6 +87,7 @@ TEXTS: dict[str, str] = {
     "    a, b = abs(x), abs(y)\n    r = a % b\n    c = b - r\n    if r > c:\n        r = -c\n"
     "    elif r == c:\n        r = r - 2.0 * (0.5 * (a - r) % b)\n    if x == 0.0:\n        return x\n"
     "    return -r if x < 0.0 else r\n",
+    # A number that is not in the table ends the call; n[1] asks the caller to draw it and to call again.
     "drawn_": "def drawn_(row, n, k):\n    i = k - int(row[0]) + 2\n    if i < 2 or i >= len(row):\n"
     "        n[1] = row[1] = k + 1\n        raise IndexError\n    return float(row[i])\n",
 }

@@ -78,6 +78,8 @@ class Writer(Calls):
                 self.program.seldom.append(str(reason))
                 del self.lines[left[0] :], self.returned[left[1] :]
                 self._give_up()
+            # The usual tick has left the function or the loop in this `if`. What follows runs rarely, so a construct
+            # there that is not supported discards its tick and does not keep the block from being native.
             if isinstance(statement, ast.If) and self.left and left is None:
                 left = len(self.lines), len(self.returned)
                 self.program.aside = True
@@ -184,6 +186,7 @@ class Writer(Calls):
         for port in ports:
             row = rows.get(port.name, NONE)
             silent = isinstance(row, Static) and row.value is None
+            # numba needs one type for all answers, so a silent output has zeros behind a flag of 0.
             if silent:
                 row = Static((0.0,) * (port.size if self.program.inferred else port.width))
                 row = self.named(Sample, [Static(0), row], node) if port.delayed else row
@@ -229,6 +232,7 @@ class Writer(Calls):
     def _while(self, node: ast.While) -> None:
         if node.orelse:
             raise self.unknown("else of a loop", node)
+        # The statements that a test needs have to run at each turn, so the test is written into the loop.
         self._loop("while True:", node.body, node, node.test)
 
     def _for(self, node: ast.For) -> None:
@@ -277,6 +281,8 @@ class Writer(Calls):
                 self.emit(f"v_{name} = {result.code}")
                 known = replace(result, code=f"v_{name}", sure=False)
             if isinstance(known, Dynamic):
+                # What a name is at `break` or `continue` is not compared, so with them the length of a tuple is not
+                # certain.
                 held = isinstance(known.sample, tuple) and was_sure and not leaves
                 if held:
                     assumed[name] = known.sample
@@ -301,6 +307,7 @@ class Writer(Calls):
                 if name in assumed and not (is_sure(value) and alike(sample_of(value), assumed[name])):
                     raise self.unknown(f"{name} changes what it is in a loop", node)
             elif isinstance(value, Dynamic):
+                # The loop may have no turn, and the name then no value.
                 self.env[name] = replace(value, sure=False)
         self.emit(head)
         self.lines += [f"    {line}" for line in inner or ["pass"]]
