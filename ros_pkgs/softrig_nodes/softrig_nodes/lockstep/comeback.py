@@ -33,6 +33,8 @@ from .paired import Counted, Pace, Paired, Ticks
 if TYPE_CHECKING:
     from .lockstep import Lockstep
 
+# In lockstep at most two messages of a topic are under way at a time (a rig with restarts has no followers, which may
+# lag further behind), so no reader lacks an older one.
 SAID = 2  # newest messages of each topic that are repeated
 
 
@@ -109,6 +111,8 @@ class _Recorded:
                 node.step.bad = True
                 continue
             node.values[row.name] = row.value(stamp, result)
+            # As in `Newest.accept`: a message from outside has the age of the tick that used it, whatever its own stamp
+            # is.
             row.stamp = node.t if self._outside else self.times[k]
             if self._outside:
                 row.record(node.t, self.data[k])
@@ -210,9 +214,13 @@ class Comeback:
             # A silent tick leaves no message, so only the status file of the publisher shows that it was answered.
             reached = self._answered(row) if row.silent or isinstance(row, Ticks) else used
             row.resume(used, reached)
+            # A node that has left publishes nothing more, so `Lockstep._leave` must not wait for its first sign of
+            # life.
             row.received_any = row.who in self.gone
             # No tick waits for an unpaced row, so it counts as complete.
             row.have = row in drive.senders.unpaced
+            # Acknowledgements up to `reached` are ignored as repeated ones, so the messages that they announced are
+            # announced here.
             if received is not None and isinstance(row, Counted):
                 row.count(
                     received.next, [t for t in received.times[received.next :] if t <= reached] if row.silent else []
@@ -234,11 +242,14 @@ class Comeback:
         self.gone |= new
         for row in (*self._drive.senders.rows, *self._drive.senders.unpaced):
             row.received_any = row.received_any or row.who in new
+            # A node that is still there repeats its messages itself; one that has left does not, so all of its messages
+            # are read now.
             if row.have and row.who not in new:
                 continue
             if not isinstance(row, Pace):
                 received = _Recorded(row, files, outside=False)
                 for k, (t, data) in enumerate(zip(received.times, received.data, strict=True)):
+                    # Only ticks at which it published are recorded, so each message also announces its tick.
                     if isinstance(row, Counted) and row.silent:
                         row.acknowledge(t, True)
                     if k >= row.received if isinstance(row, Counted) else t > row.used:
@@ -259,6 +270,8 @@ class Comeback:
     def _answered(self, row: Paired) -> int:
         """Return the newest tick that a sender had answered."""
         before = self._files.answered.get(row.who, 0)
+        # `read_files` marks a node that has left by infinity: it has answered its last tick, whatever its last status
+        # says.
         if math.isinf(before):
             assert row.schedule.last is not None
             return row.schedule.last

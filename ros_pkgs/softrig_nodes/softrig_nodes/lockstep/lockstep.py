@@ -46,6 +46,7 @@ class Lockstep(Link):
         The loop of this process.
     """
 
+    # In lockstep no tick has a deadline, and the runner recognises a waiting node by two statuses with the same tick.
     status_every = 1
 
     def __init__(self, node: Adapter, turns: Turns) -> None:
@@ -71,6 +72,7 @@ class Lockstep(Link):
         self._shake: Callable[[], Handshake]  # describes the peers again when some have left
         super().__init__(node.step)
         node.begin(self)
+        # After `begin`, which binds the functions that `LastPublished` wraps.
         self.last_published = LastPublished(node) if node.links.returns else None
 
     def join(self, local: Set[str]) -> None:
@@ -183,6 +185,8 @@ class Lockstep(Link):
             self._starter.cancel()
             self.ready = True
             self._stalls.restart()
+            # Its peers may wait for messages that were lost when it died, and only now are they matched with the new
+            # process.
             if self._comeback is not None and self.last_published is not None:
                 self.last_published.again()
             self._turns.begin()
@@ -205,11 +209,13 @@ class Lockstep(Link):
     def lacks(self, t: int) -> bool:
         """Return whether a message that tick `t` needs has not arrived."""
         senders = self.senders
+        # The loop asks again and again while a tick waits, but the requirements of a tick are set only once.
         if senders.rows and t != self._awaited:
             self.await_tick(t)
         if senders.missing or self.solving is None:
             # The hold is asked last, because the question uses up a single step that a person has granted.
             return senders.missing > 0 or self.node.hold.holds(t)
+        # `finished` also begins the work on a tick, so it is called only when all inputs have arrived.
         return not self.solving.finished(t)
 
     def await_tick(self, t: int) -> None:

@@ -105,6 +105,8 @@ class PairedSenders:
             if who in links.followers:
                 self._listen(Behind(self, port, who, node.peer(link)), awaited=True)
                 continue
+            # The clock leaves tick t when t is acknowledged. Any other node waits only for the tick before: the
+            # acknowledging node may need its message of t in order to answer t.
             ticks = Ticks(self, port, who, node.peer(link), awaited and not links.owns_clock, silent.get(who, ()), then)
             # Rows that no tick waits for are not counted in `missing`, so their arrival must not lower it.
             ticks.have = ticks.have or not awaited
@@ -213,6 +215,7 @@ class Paired(Sender):
         """Return the stamp that tick `t` needs."""
         if self.earlier:
             node = self.node
+            # A plant asks when it has published t and is about to move on; any other node asks before it publishes t.
             return self.schedule.before(node.schedule.next(t) if node.is_plant else t)
         want = self.schedule.awaited(t)
         self._holds = self.schedule.next(t)
@@ -270,6 +273,7 @@ class Paired(Sender):
             self._values[self.name] = self.value(stamp, value) if self._valued else value
             self.stamp = self.used = position
             self._arrived()
+        # In a run with restarts nodes repeat messages on purpose, so a repeated one is no error.
         elif self.node.links.returns and self._again(position):
             return
         elif self._is_new(position):
@@ -298,6 +302,7 @@ class Paired(Sender):
 
     def acknowledge(self, position: int, published: bool) -> None:
         """Process the report of a sporadic sender whether it published at one of its ticks."""
+        # A tick at which it published is completed by the message itself.
         if not published and self._is_new(position):
             self._put(position, KEEP)
 
@@ -381,6 +386,8 @@ class Counted(Paired):
 
     def accept(self, stamp: int, value: Any, data: bytes) -> None:
         """Accept a message (None for a rejected one) at its number."""
+        # For an array `stamp` is its number. A stamped message has been counted in `receive`, if it carries a number at
+        # all.
         if not (self.port.stamped or self._in_turn(stamp)):
             return
         self._queue.append((stamp, value, data))

@@ -40,7 +40,7 @@ class Stalls:
         self._middleware = senders.node.middleware
         self._progress = (-1, 0)
         self.rivals: Input | None = None
-        self._reported = False  # that it stands
+        self._reported = False  # whether the present stall has been reported
         self.restart()
 
     def restart(self) -> None:
@@ -79,7 +79,7 @@ class Stalls:
         # A row of an earlier tick is complete before anything has arrived. Neither does an own tick prove that the rig
         # has begun: a source for an outside plant publishes t = 0 unasked.
         others = [row for row in self._senders.rows if not row.earlier]
-        # Everything that this node waits for is in its own process, which has begun.
+        # Without rows, everything that this node waits for is in its own process, which has begun.
         if not self._senders.rows:
             return True
         return any(row.have for row in others) or (node.ticks > 0 and bool(others))

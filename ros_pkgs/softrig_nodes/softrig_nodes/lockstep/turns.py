@@ -48,6 +48,7 @@ class Turns:
             See `Engine`.
         """
         self.ticks = Loop(members).run()
+        # Native code publishes nothing, which is only right for a middleware that drops messages without subscribers.
         if len(members) > 1 and all(n.middleware.mute for n in self._nodes):
             self.ticks, self.report_native = ticks_of(members, alone=alone)
 
@@ -62,6 +63,7 @@ class Turns:
     def turn(self) -> None:
         """Run ticks while no input is missing."""
         for node in self._nodes:
+            # A node that is done does not stop the loop, because its neighbours may have a later last tick.
             if node.state in ("starting", "failed"):
                 return
         until = 0
@@ -71,7 +73,8 @@ class Turns:
                     return
                 if not until:
                     until = time.monotonic_ns() + SLICE
-                elif time.monotonic_ns() > until:  # by hand one may wait for nobody and have no end
+                # Nodes started by hand may wait for no message and have no last tick, so timers would never fire.
+                elif time.monotonic_ns() > until:
                     self._nodes[0].middleware.post(self.turn)
                     return
         except RunError as error:

@@ -37,6 +37,7 @@ class Answering:
         self._required = [f for f in table.rows if f.awaited]
         self.awaited = [*self._required, *(f for f in table.rows if f.expected)]
         self._used = [f for f in table.rows if f.awaited or f.paired or not f.port.held]
+        # The period here is never used: `again` sets the time limit of each tick.
         self._deadline = node.middleware.timer(1_000_000_000, self._give_up)
         self._deadline.cancel()
 
@@ -45,6 +46,8 @@ class Answering:
         if row.awaited:
             if due >= self._following:
                 self._begin(due)
+        # A held input from outside the rig is used from its arrival on; one of the rig is picked by its stamp when a
+        # tick is answered.
         elif not row.paired and row.port.held:
             self._node.values[row.name] = value
 

@@ -75,6 +75,7 @@ class Beat:
         for drive, every in self._members:
             if number % every == 0:
                 drive.tick(number // every, t, now)
+        # The commands have been passed in memory, so the watchdogs and the round trips of the plants are updated here.
         now = self._drives[0].clock()
         for law, command, plant in self._commands:
             if law.t == t:

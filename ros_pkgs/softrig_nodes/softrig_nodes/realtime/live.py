@@ -221,6 +221,7 @@ class Live(Sender):
         due = stamp if stamp and not self.by_arrival else self.table.grid_time(now)
         self._begin(due)
         if self._number is not None:
+            # Such a value is used by the next tick, whatever its stamp is, so it is recorded there (due 0).
             used_at_once = self.port.held and not self.paired
             self.table.unrecorded.append((0 if used_at_once else due, self._number, data))
         self._keep(stamp, due, self.value(stamp, value), now)
@@ -240,6 +241,8 @@ class Live(Sender):
             if not self.node.epoch:
                 self._begin(stamp)
             due = self.table.grid_time(now) if self.by_arrival else stamp
+            # A fault may publish invalid values on purpose, so its reader rejects them; all other outputs were checked
+            # when published.
             if unchecked and (reason := self.port.beyond(values)):
                 self.node.account.refuse(self, reason)
                 if not self.node.is_plant:
@@ -270,7 +273,8 @@ class Live(Sender):
             if self.schedule is None and newest is not None:
                 self._interval = due - newest
             self.stamp = due
-        # An older stamp is accepted only for the tick whose message was rejected: this may be the corrected one.
+        # An older stamp is accepted only for the tick whose message was rejected: this may be the corrected one. A
+        # message without a stamp, or one that counts by its arrival, is never late.
         elif stamp > 0 and not self.by_arrival and due != self.bad:
             self.late += 1
             return
@@ -325,6 +329,8 @@ class Live(Sender):
         self.answered = stamp
         recent = self.recent
         if self.by_arrival:
+            # Such a message belongs to the tick at which it arrives, so the newest one counts even if it arrived after
+            # the time of this tick.
             stamp = max(stamp, self.stamp or 0)
         while len(recent) > 1 and recent[1][0] <= stamp:
             recent.popleft()

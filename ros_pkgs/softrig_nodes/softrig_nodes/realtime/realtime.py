@@ -236,6 +236,8 @@ class Realtime(Link):
         self._rivals = [f for f in self._fed if f.outside]
 
     def _on_value(self, row: Live, stamp: int, due: int, value: Any, now: int) -> None:
+        # A message of the rig belongs to a tick, at which `_use` picks it by its stamp. Any other counts from its
+        # arrival on.
         if not row.paired:
             self.node.values[row.name] = value
         self.commanded(stamp, now)
@@ -303,6 +305,8 @@ class Realtime(Link):
         if end is not None and due > end:
             due = node.schedule.held(end)
             number = node.schedule.tick(due)
+            # `_ticked` leaves at a tick that lies exactly at the end. If the end lies between two ticks, the node
+            # leaves here, when its timer fires for the first time after the end.
             if number <= self.tick_number:
                 self._leave()
         if number <= self.tick_number or node.state != "running" or self._over:

@@ -70,7 +70,10 @@ class Stand:
         # The clock stands and is to continue: from where it stands, not from the wall clock's time.
         if now >= self._until and (hold.steps or not hold.held):
             ahead = now - self._own() - LEAD
+        # The clock stops at a tick that is far enough ahead for the message to reach all nodes; before the start it
+        # stops at t = 0.
         soon = schedule.next(now + LEAD - epoch) if now + LEAD > epoch else 0
+        # A stop time that was announced earlier stays valid: other nodes may have stopped there already.
         until = min(self._until, epoch + soon) if hold.held else NEVER
         if hold.steps:
             until = epoch + schedule.time(schedule.tick(until - epoch) + hold.steps)

@@ -69,6 +69,7 @@ class Exchange:
         self._queue: deque[Callable[[], object]] = deque()
         self._timers: list[tuple[int, int, ExchangeTimer]] = []
         self._moved: list[ExchangeTimer] = []
+        # Timers cannot be compared; their number decides between equal times, in the order in which they were entered.
         self._order = count()
         self.owners: dict[Callable[..., Any], str] = {}
         self.writers: dict[object, int] = {}
@@ -196,6 +197,6 @@ class Exchange:
         except BaseException:
             self._culprit = timer.callback
             raise
-        # The callback may have moved or cancelled its own timer.
+        # The callback may have moved or cancelled its own timer, which must then not be set again.
         if timer.due == due:
             timer.again(timer.period)

@@ -125,6 +125,7 @@ class Hold:
             self.steps += steps
             self._pace.begin()
         else:
+            # `_until` is reset because the pace counts from the moment at which the run resumes.
             self.held, self.steps, self._until = False, 0, 0
             self._pace.go_on(self._middleware.steady())
         # The service call returns before the ticks go on.

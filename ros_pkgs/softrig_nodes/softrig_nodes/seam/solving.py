@@ -93,7 +93,8 @@ class Busy(Input):
     Parameters
     ----------
     solvers : int
-        Number of solvers, this node included: the input has a publisher when all of them are matched.
+        Number of solvers, this node included. All of them publish on one topic, so the input counts as having a
+        publisher only when all are matched.
     received : callable
         Called at each message.
     """
