@@ -37,6 +37,7 @@ def resolved(response: Response, omega: Array) -> tuple[Array, NDArray[np.comple
     """
     L = response(omega)
     for _ in range(ROUNDS):
+        # 1 + L is looked at as well, because the disk margin is read from the points nearest to -1.
         wide = (_apart(L) | _apart(1.0 + L)) & (np.diff(omega) > NARROW * omega[1:])
         if not wide.any():
             break
@@ -51,6 +52,7 @@ def _apart(z: NDArray[np.complex128]) -> NDArray[np.bool_]:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = size[1:] / size[:-1]
         turn = np.abs(np.angle(z[1:] / z[:-1]))
+    # The negated comparisons also count NaN, from a point at which z is zero or infinite, as apart.
     return ~((turn < TURN) & (ratio < RATIO) & (ratio > 1.0 / RATIO))
 
 
@@ -87,6 +89,7 @@ def _roots(function: Callable[[Array], Array], omega: Array, values: Array) -> A
     """Find roots by bisection of all intervals with different signs at their ends, in parallel."""
     k = np.flatnonzero(np.signbit(values[1:]) != np.signbit(values[:-1]))
     low, high, below = omega[k], omega[k + 1], np.signbit(values[k])
+    # 60 halvings leave none of the 53 bits of a float open in an interval that is no wider than its ends are large.
     for _ in range(60 if k.size else 0):
         middle = 0.5 * (low + high)
         same = np.signbit(function(middle)) == below

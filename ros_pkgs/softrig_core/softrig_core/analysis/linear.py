@@ -94,6 +94,7 @@ class Sampled:
 
     def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return (dx, y)."""
+        # Only the float fields come from x; other fields of the state (counters, flags) keep their first values.
         first = self.plant.first()
         now = put(first, split(first, x))
         given, at = {}, 0
@@ -176,6 +177,7 @@ def equilibrium(
             f"{len(columns)} states and {len(free)} inputs are free, expected {len(rows)} in all: one for "
             "each derivative that is to vanish"
         )
+    # The 1 keeps the tolerance above zero when the starting point is nearly at rest.
     scale = 1.0 + float(np.abs(evaluate(at, inputs)[0][rows]).max(initial=0.0))
     for _ in range(50):
         residual = evaluate(at, inputs)[0][rows]
@@ -187,7 +189,8 @@ def equilibrium(
             move = solve(np.hstack([A[np.ix_(rows, columns)], B[np.ix_(rows, list(free))]]), residual)
         except np.linalg.LinAlgError:
             break
-        share = 1.0  # halved until the step is no step away
+        # Far from the equilibrium a full step may overshoot, so it is halved until the largest derivative decreases.
+        share = 1.0
         while share > 1e-6:
             new_x, new_u = at.copy(), inputs.copy()
             new_x[columns] -= share * move[: len(columns)]
@@ -207,7 +210,8 @@ def _derivatives(
     model: Any, n: int, m: int
 ) -> tuple[Callable[[Array, Array], Pair], Callable[[Array, Array], tuple[Pair, Pair]]]:
     """Return functions that evaluate a model, (dx, y), and its Jacobians, ((A, B), (C, D))."""
-    if hasattr(model, "n_in"):  # a casadi function
+    # A casadi function is recognised by its attribute, so that casadi need not be installed for Python functions.
+    if hasattr(model, "n_in"):
         import casadi as ca
 
         x, u = ca.MX.sym("x", n), ca.MX.sym("u", m)
@@ -232,6 +236,7 @@ def _derivatives(
         both = np.concatenate([x, u])
         columns = []
         for i in range(n + m):
+            # A number near zero has no size of its own, so its step is that of one.
             h = STEP * max(1.0, abs(both[i]))
             values = []
             for k in (-2.0, -1.0, 1.0, 2.0):

@@ -210,6 +210,8 @@ class LinearView:
     def modes(self) -> list[Mode]:
         """Return the poles of the rig with their states, the slowest first, without those that decay in a period."""
         poles, right = np.linalg.eig(self.A) if self.states else (np.empty(0), np.empty((0, 0)))
+        # A delay makes A defective: its poles at zero share an eigenvector, and such a matrix of eigenvectors has no
+        # inverse.
         left = np.linalg.pinv(right)
         result = []
         for k in np.argsort(-np.abs(poles)):
@@ -307,6 +309,8 @@ class LinearView:
             down[0],
             float(np.min(lost, initial=np.inf)),
             float(np.min(lost / crossings, initial=np.inf)),
+            # The disk margin of skew 0 is the inverse of the largest |S - 1/2|, where S = 1 / (1 + L) is the
+            # sensitivity.
             float(1.0 / np.abs(1.0 / (1.0 + L) - 0.5).max()),
             float(np.max(crossings)) if crossings.size else np.nan,
         )
@@ -318,6 +322,7 @@ class LinearView:
     def _confirm(self, gain: float, z: complex) -> None:
         """Check that the loop closed over a gain has a pole at z, within the accuracy of its matrix."""
         A, b, c, d, _ = self._loop
+        # A gain of zero or infinity stands for "no crossing", so there is no pole to look for.
         if not 0.0 < gain < math.inf or not len(b):
             return
         closed = A + gain / (1.0 - gain * d) * np.outer(b, c)
@@ -410,6 +415,7 @@ def linear_view(
     opened = _command(rig) if link is None else signal_of(rig, link) if link else ""
     named = [signal_of(rig, name) for name in outputs or ()]
     observed = named
+    # The link does not depend on plants outside of its loop, so their states would only make the view larger.
     if opened and outputs is None:
         whole = upstream(place_of(rig, opened).member)
         observed = [s for s in plant_outputs(rig) if place_of(rig, s).member.name in whole]
@@ -534,6 +540,7 @@ def linear_along(
 
 def _command(rig: Rig) -> str:
     """Return the only value that a plant is commanded; empty when there are several."""
+    # A source without inputs (a disturbance) and another plant close no loop, so their links are not commands.
     commands = {
         f"{link.port.topic}/{label}": None
         for m in rig.members
@@ -559,6 +566,7 @@ def _source_inputs(rig: Rig, texts: Sequence[str]) -> list[str]:
     return [
         f"{p.topic}/{x}"
         for m in rig.members
+        # In a period without a tick of a slower source nothing could be added to its output, so B has no column for it.
         if m.name in whole and is_source(m) and every % m.schedule.every == 0
         for p in m.outputs
         if not p.sporadic
@@ -642,6 +650,8 @@ class Differences:
         waiting = {int(i) for i in np.flatnonzero((self.map.moved | self.map.resting) & self.finite)}
         waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
         waiting -= self.columns.keys()
+        # A state at zero gets its size from the columns of others; its new column may then give a size to further
+        # states.
         for _ in range(ROUNDS + 1):
             while waiting:
                 if len(waiting) + len(self.columns) > TRIED:
@@ -738,6 +748,7 @@ class Differences:
             return [outputs[link] for _, outputs in m.go_on(m.start, CHECKED, {link: height}, self.fixed)]
 
         begun, after = back(0.0), f"at {m.t:g} s, within {CHECKED} periods"
+        # The search begins with the smallest step, so the message names the smallest change that comes back.
         for n in range(-20, 4):
             # A step that is too large leaves a limit or a domain.
             with suppress(RunError):
@@ -838,6 +849,7 @@ class Differences:
         """
         m, off = self.map, times * self._off(kept)
         ways = []
+        # The half difference of two opposite offsets cancels the even terms, so a curvature does not count as an error.
         for sign in (1.0, -1.0):
             start = m.start.copy()
             start[kept] += sign * off
@@ -874,6 +886,8 @@ class Differences:
         far = {k: error for k, error in enumerate(received) if error > max(LEFT_OUT, 100.0 * apart)}
         result = {}
         if quiet := [k for k, error in enumerate(received) if not error and not C[k].any()] if kept else []:
+            # An output that counts or is quantised changes only with a large move, so the states are moved by the whole
+            # steps of their columns.
             late = np.zeros(len(received), bool)
             # The rig may break so far off.
             with suppress(RunError):
@@ -911,6 +925,7 @@ class Differences:
         self._begin()
         columns = []
         for i in kept:
+            # A new search over all step sizes would take up to eight times as many runs for each column and period.
             up, down = (self.map(self._moved(i, sign), {}, self.fixed) for sign in (1.0, -1.0))
             columns.append(self._slope(up, down, 2.0 * self.steps[i], kept))
         A, C = (np.array(part).T for part in zip(*columns, strict=True)) if columns else (np.empty((0, 0)),) * 2
@@ -962,6 +977,8 @@ class Differences:
             ups, downs = ([x for x, _ in m.go_on(m.start + way, periods)] for way in (off, -off))
             moved = np.any([up != down for up, down in zip(ups, downs, strict=True)], axis=0)
             new = {int(i) for i in np.flatnonzero(moved & self.finite)} - reached
+            # A state that no output depends on at the first period may be moved by others later, so the set grows until
+            # nothing new moves.
             if not new:
                 return sorted(reached)
             for i in new - self.columns.keys():

@@ -187,6 +187,7 @@ class StateMap:
             )
         # Rounding keeps a time that is a whole number of periods from the next period.
         first = math.ceil(round(at / self.period, 9))
+        # No plant moves beyond the end of a run, so the rig runs one period longer than the map needs.
         rig = rig_of(rig, duration=max((first + periods + 1) * self.period, rig.scenario.duration))
         self.rig, self.t = rig, first * self.period
         self._wire(seed, [m.name for m in rig.members if m.name in whole])
@@ -228,6 +229,8 @@ class StateMap:
         moved = dict.fromkeys(self.names, False)
         for names, numbers in readings:
             for name, x in zip(names, numbers.tolist(), strict=True):
+                # A list in a state may have been longer before; only the numbers that exist at the start belong to the
+                # map.
                 if name in size:
                     size[name] = max(size[name], abs(x))
                     moved[name] |= last.setdefault(name, x) != x
@@ -243,6 +246,7 @@ class StateMap:
         plants = {m.name for m in self.rig.members if m.is_plant}
         self.resting = np.zeros(len(self.start), bool)
         for (name, step), here in zip(self._steps.items(), self._slices, strict=True):
+            # The numbers of a member are those of its state, then those of its inputs; only a state can rest.
             own = sum(len(row) for _, row in read(step.x))
             self.resting[here.start : here.start + own] = name in plants
         self.resting &= ~self.moved
@@ -294,6 +298,8 @@ class StateMap:
         periods = min(periods, round(self.rig.scenario.duration / self.period) - self._first // self._every)
         try:
             true = list(self.go_on(numbers, periods, added, fixed))
+            # The second run has the moved floats but the original other values, so a difference from the first run
+            # comes from these alone.
             without = self.go_on(self.start, periods, {}, fixed)
             next(without)
             self._write(true[0][0], np.concatenate(self._now()))

@@ -30,7 +30,8 @@ def answers(value: Any, ports: Sequence[Port], node: str, t: int) -> Rows:
         Also names an output that the block does not have.
     """
     rows = tuple([admit(value, port, node, t) for port in ports])
-    if isinstance(value, MAPPINGS) and (len(value) != len(ports) or None in rows):  # else each name was looked up
+    # A mapping with as many entries as ports, of which each was found, has no other names.
+    if isinstance(value, MAPPINGS) and (len(value) != len(ports) or None in rows):
         names = [port.name for port in ports]
         for name in value:
             if name not in names:
@@ -84,9 +85,11 @@ def admit(result: Any, port: Port, node: str, t: int) -> Row | None:
     if len(values) != port.size:
         raise RunError(f"{node}: {port.name} has {len(values)} values, expected {port.size}, at t = {t / 1e9:.9g} s")
     result = Sample(given.stamp, values) if isinstance(given, Sample) else values
+    # A fault may publish bad values on purpose; then each input checks what it receives.
     if port.unchecked:
         return result
     for label, value, limit, unit in zip(port.labels, values, port.limits, port.units, strict=True):
+        # The negated comparison is also true for NaN, which no comparison holds for.
         if not abs(value) <= limit:
             where = f"{node}: {port.name} {label} became {value:g}"
             most = f" {unit or '1'}, expected at most {limit:g} in magnitude" if math.isfinite(value) else ""
@@ -110,6 +113,7 @@ def usual(values: tuple[Any, ...], bound: float) -> bool:
     """Return whether all values are floats and their sum of squares is at most a bound; a fast check."""
     try:
         size = sum_of_products(values, values)
+        # Integers, bools and numpy's scalars give a sum of another type; `admit` converts them to floats.
         return type(size) is float and size <= bound
     except (TypeError, OverflowError):
         return False

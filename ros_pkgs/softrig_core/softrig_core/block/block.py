@@ -62,6 +62,7 @@ def _check_writer(block: Block, name: str, writer: FrameType) -> None:
         if ("self" in code.co_varnames or "self" in code.co_freevars) and frame.f_locals.get("self") is block:
             method = code.co_name
         frame = frame.f_back  # type: ignore[assignment]
+    # A writer outside of all methods of the block is the code that runs it, or a test.
     if method and method not in _OPEN:
         raise RunError(
             f"{block.name or type(block).__name__}: `{method}` writes self.{name} ({writer.f_code.co_filename}, line "
@@ -160,7 +161,9 @@ class Block(Generic[P]):
         self.events: list[tuple[Level | None, str, str, bool]] = []  # reported since who holds the block last looked
         try:
             self.setup()
+            # `first` may draw random numbers, so the seed is set before it is called.
             self.reset(self._seed)
+            # The first state is computed here, so that an error in it names the parameters; `pop_first` hands it out.
             self.__first: tuple[Any, list[Any]] | None = self.first(), self.events[:]
             self.events.clear()  # who holds the block gets them
             self._open = False
@@ -174,6 +177,7 @@ class Block(Generic[P]):
     def seeded(cls, params: P, name: str, seed: int) -> Self:
         """Create a block with a seed, as by ``reset`` after it is made."""
         block = cls.__new__(cls)
+        # `__init__` computes the first state, which may draw random numbers, so it needs the seed beforehand.
         block.__dict__["_seed"] = seed
         block.__init__(params, name)  # type: ignore[misc]
         return block
@@ -261,6 +265,7 @@ class Block(Generic[P]):
         params : BlockParams
             Those to go on with; `p` are still those of before.
         """
+        # A first state that was computed with the former parameters is no longer valid.
         self.p, self.__first = params, None
         self.setup()
 
@@ -270,6 +275,7 @@ class Block(Generic[P]):
     def reset(self, seed: int) -> None:
         """Set a seed and clear all reports; the owner of the block then calls `first`."""
         self._seed, self.__first = seed, None
+        # The cached draws belong to the former seed.
         for name in ("standard_normal", "uniform"):
             self.__dict__.pop(name, None)
         self.events.clear()
@@ -278,6 +284,7 @@ class Block(Generic[P]):
         """Return a generator at the beginning of this block's random numbers, a function of (rig seed, block name)."""
         import numpy as np
 
+        # Python's own `hash` of a text differs from process to process, so the name enters by a checksum.
         return np.random.default_rng([self._seed, zlib.crc32(self.name.encode())])
 
     @cached_property

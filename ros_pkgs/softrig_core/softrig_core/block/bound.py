@@ -87,18 +87,21 @@ def _ends(step: Step, known: dict[str, Any]) -> tuple[str, ...]:
     """Write the calls to a step's links after its answer: only those methods that have an effect."""
     sends, over = step.overriding("send"), step.overriding("over")
     results: list[str] = []
+    # A plain step always publishes the same numbers, so the rows need not be passed to a recorder.
     if sends is not None and sends.add_row is not None and step.plain:
         known["add_row"] = sends.add_row
         results.append("    add_row(t, numbers)")
     elif sends is not None:
         known["send"] = sends.send
         results.append("    send(t, rows, numbers)")
+    # The tick of a plant is over only after it has advanced; `mover` writes that call.
     if over is not None and not step.plant:
         known["over"] = over.over
         results.append("    over(t)")
     return tuple(results)
 
 
+# The text depends on the form of a step only, so the runs of a study share it.
 @lru_cache(maxsize=256)
 def _answer_text(
     plain: bool,

@@ -114,6 +114,7 @@ class RunningBlock:
 
     def load(self, kept: Kept) -> None:
         """Restore what `save` returned; any number of times."""
+        # A change calls `setup`, which may take long, so equal parameters are not set again.
         if self.block.p is not kept.params:
             self.block.change(kept.params)
         self.x = self.block.load(kept.x)

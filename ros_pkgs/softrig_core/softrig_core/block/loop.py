@@ -80,6 +80,7 @@ def acts(nodes: Sequence[Any], is_plant: Callable[[Any], bool]) -> list[tuple[An
         In the order of `in_order`.
     """
     plants, others = ([node for node in nodes if is_plant(node) is kind] for kind in (True, False))
+    # Outputs of a plant never depend on inputs of the same tick, so plants can publish first and move last.
     order: list[tuple[Act, list[Any]]] = [("outputs", plants), ("update", others), ("advance", plants)]
     return [(node, act) for act, members in order for node in members]
 

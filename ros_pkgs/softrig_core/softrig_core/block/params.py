@@ -80,6 +80,7 @@ class Params(Entry):
         own = {key for rule in cls.model_fields[str(info.field_name)].metadata for key in _UPPER if hasattr(rule, key)}
         if isinstance(value, str | tuple) and "max_length" not in own and len(value) > LONGEST:
             raise ValueError(f"expected at most {LONGEST} {'characters' if isinstance(value, str) else 'values'}")
+        # A declared upper bound replaces the general one.
         if own & {"le", "lt"}:
             return value
         low, high = _each(cls.model_fields[str(info.field_name)])
@@ -115,6 +116,7 @@ class BlockParams(Params):
     @field_validator("period", mode="before")
     @classmethod
     def _period_as_fraction(cls, period: Any) -> Any:
+        # The float stands for the fraction: `rational` finds it again as the simplest one within the last place.
         return float(rational(period)) if isinstance(period, str) and "/" in period else period
 
     @field_validator("period")  # a block that has a default of its own inherits this
@@ -198,6 +200,7 @@ def flatten(params: Params, prefix: str = "") -> dict[str, Any]:
 
 def known(params: Params, prefix: str = "") -> dict[str, Any]:
     """Return the values of a model under dotted names, and the numbers that are `derived` from them."""
+    # The outermost call has flattened the nested models already.
     flat = flatten(params) if not prefix else {}
     for name, value in inspect.getmembers_static(type(params)):
         if isinstance(value, derived):

@@ -159,11 +159,14 @@ class Port:
     def bound(self) -> float:
         """Values the sum of whose squares is not above it are all within their limits."""
         least = min(self.limits, default=0.0)
+        # A square beyond all floats would be infinite and let any value pass; a bound of 0 leaves the check to each
+        # value.
         return least * least if least < LARGEST else 0.0
 
     def beyond(self, values: Sequence[float]) -> str:
         """Describe which value is not finite or beyond its limit, and what was expected; empty if all are valid."""
         for label, value, limit, unit in zip(self.labels, values, self.limits, self.units, strict=True):
+            # Infinity minus itself is NaN, so one subtraction finds both; NaN would pass the comparison below.
             if value - value != 0.0:
                 return f"{label} is {value}, expected a finite number"
             if abs(value) > limit:
@@ -208,7 +211,8 @@ class Port:
         return self if topic == self.topic else replace(self, topic=topic)
 
     def __hash__(self) -> int:
-        return hash((self.name, self.topic))  # of all fields it takes microseconds, and hardly two ports share these
+        # A hash of all fields takes microseconds, and hardly any two ports share name and topic.
+        return hash((self.name, self.topic))
 
 
 Units = str | Sequence[str]  # one of all channels, or one a channel; "1" for a pure number

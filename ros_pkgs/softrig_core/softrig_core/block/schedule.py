@@ -50,6 +50,8 @@ def _simplest(low: Fraction, high: Fraction) -> Fraction:
     """Return the fraction with the smallest denominator between two positive or two negative numbers."""
     if high < 0:
         return -_simplest(-high, -low)
+    # This follows the continued fraction that both bounds share; where they part, the smallest denominator is
+    # found.
     whole = math.floor(low)
     if low == whole:
         return Fraction(whole)

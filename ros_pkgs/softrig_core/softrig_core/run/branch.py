@@ -42,6 +42,7 @@ def branched(
         The recorded run ended before that time.
     """
     reached = recording.newest(epoch) - epoch
+    # NaN fails the comparison, too, and has no number of nanoseconds.
     start = to_ns(at) if at >= 0.0 else -1
     if not 0 <= start <= reached:
         raise ScenarioError(f"t = {at:.9g} s: expected a time that the run has reached, 0 to {reached / SECOND:.9g} s")
@@ -50,6 +51,7 @@ def branched(
         (change.at, member.name, dict(change.values))
         for member in rig.members
         for change in member.changes
+        # Changes of the scenario that took effect before `start` are among the recorded ones already.
         if member.schedule.next(change.at - 1) >= start
     ]
     changes = [{"at": t / SECOND, "set": {f"{node}.{k}": v for k, v in own.items()}} for t, node, own in results]

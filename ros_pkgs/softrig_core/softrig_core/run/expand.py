@@ -73,6 +73,7 @@ def _expanded(scenario: Scenario, classes: Classes, with_figures: bool) -> Rig:
         for n, e in scenario.nodes.items()
         if (e.package, e.executable) == FIGURES and not {"figures", "scenario"} & e.parameters.keys()
     }
+    # The figures are resolved against the wired rig, so live nodes have none until it is wired.
     bare = _with_parameters(scenario, live, {"figures": "[]", "ports": "[]"})
     rig = _watched(Rig.from_scenario(_faulty(bare, classes), classes))
     if not live:

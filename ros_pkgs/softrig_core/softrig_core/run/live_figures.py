@@ -93,6 +93,7 @@ def is_recorded(member: Member) -> bool:
         member.block_class is Figures
         and not member.external
         and not member.changes
+        # A node that is slower than the clock misses messages that a recording has.
         and member.schedule.every == 1
         and [p.topic for p in own] == [p.topic for p in member.inputs]
         and all(p.labels == k.port.labels and not k.port.delayed and not k.port.partial for p, k in links)

@@ -147,6 +147,8 @@ def _watch(member: Member, block: Block, method: str) -> None:
             raise error
         if is_value:
             return first
+        # The second computation has moved the objects within the state, so they are put back to where the first one
+        # left them.
         block.load(kept if method == "outputs" else after)
         return first
 

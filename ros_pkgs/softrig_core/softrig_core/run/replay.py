@@ -83,6 +83,8 @@ class _Input:
             if not self._source.sporadic:
                 raise RunError(f"the recording of {self._port.topic} begins after t = {t / 1e9:.9g} s")
             return
+        # Channels that a message leaves out keep their value, so a partial input reads all messages, any other one the
+        # newest.
         for k in range(self._next if self._port.partial else max(self._next, following - 1), following):
             stamp, values = self._decode(self._topic.data[k])
             self._decode.kept = values

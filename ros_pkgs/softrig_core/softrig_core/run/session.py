@@ -238,6 +238,8 @@ class Session:
         k = self._k if t is None else self._past(t)
         other = object.__new__(Session)
         other.rig, other.seed, other._every, other._why = self.rig, self.seed, self._every, self._why
+        # A branch from the current time keeps the changes that wait for the next tick; one from an earlier time undoes
+        # them.
         other._turned = [turned for turned in self._turned if turned.k < k + (t is None)]
         other._kept = {at: moment for at, moment in self._kept.items() if at <= k}
         # The blocks are of classes that this run has checked already.
@@ -258,7 +260,9 @@ class Session:
         """Return the first tick that is not before t, s."""
         if not t >= 0.0:
             raise ScenarioError(f"t = {t} s: expected a time of at least 0")
+        # Infinity has no number of nanoseconds, and any time beyond the end means the end.
         schedule, at = self._loop.plan.clock, to_ns(min(t, self.rig.scenario.duration + 1.0))
+        # `tick` rounds to the nearest tick, which may lie before t.
         k = schedule.tick(at)
         return min(k + (schedule.time(k) < at), self.ticks + 1)
 

@@ -78,6 +78,7 @@ class Watch(threading.Thread):
                 for thread, call in here.items()
             }
             for call, since in seen.values():
+                # The second comparison holds at one look only, so a call is reported once.
                 if now - since >= LONG > now - since - wait:
                     print_for(*report(call, f"for {LONG:g} s; Ctrl-C ends the run"))
             if ends[0] and here.get(self._main) is not ends[2]:
@@ -85,6 +86,7 @@ class Watch(threading.Thread):
             elif ends[2] is not None and now >= ends[1]:
                 who, text = report(ends[2], f"{LAST:g} s after {signal.Signals(ends[0]).name}")
                 print_for(who, f"{text}: the process is ended, and unwritten data are lost")
+                # An exception in this thread would not end the process, whose main thread does not return.
                 os._exit(128 + ends[0])
 
     def stop(self) -> None:
@@ -131,6 +133,8 @@ def calls() -> dict[int, FrameType]:
     for thread, top in _stacks().items():
         frame: FrameType | None = top
         while frame is not None:
+            # The walk goes outwards, so what the block has called (a compiler, a wait) is met first and excuses the
+            # thread.
             if str(frame.f_globals.get("__name__")).startswith(PATIENT):
                 result.pop(thread, None)
                 break

@@ -254,6 +254,8 @@ class Solver(Block[S]):
         worker, job, new = self.worker, jobs.active, False
         due = job is not None and t >= jobs.effect
         # Work can be unfinished here against the wall clock only: in lockstep `ready` has waited for it.
+        # Without latency a result is due at the tick of its request, at which the work has only begun; that is no delay
+        # to report.
         if job is not None and due and worker.state == "working" and t > job.stamp:
             self.report(Level.OK, UNFINISHED, "the work was not done when its result was due: answered without it")
         elif job is not None and due and worker.state != "working":

@@ -65,6 +65,7 @@ class Worker:
     """
 
     def __init__(self, function: Callable[[Any, Work], Any]) -> None:
+        # Functions defined within others have ``<locals>`` in their name, and lambdas ``<lambda>``.
         if function.__module__ == "__main__" or "<" in function.__qualname__:
             raise ValueError(
                 f"{function.__qualname__} of {function.__module__} cannot be imported by another process; "
@@ -273,11 +274,13 @@ class _Process:
 def _directory() -> str:
     try:
         return os.getcwd()
+    # The current directory may have been removed.
     except FileNotFoundError:
         return ""
 
 
 def _variables() -> frozenset[tuple[str, str]]:
+    # pytest sets this one for each test, so no process would serve the next test.
     return frozenset((k, v) for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST")
 
 

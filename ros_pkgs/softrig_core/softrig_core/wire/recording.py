@@ -220,6 +220,7 @@ class Topic:
             times, values = (
                 np.concatenate(arrays) for arrays in zip(*((c.times, c.values) for c in known), strict=True)
             )
+            # If the times of any part were listed, `parts` has listed those of all.
             self._columns, self._timed = [Columns(times, values, known[0].layout)], min(1, self._timed)
         return self._columns[0] if known else None
 
@@ -530,6 +531,7 @@ def _rows_in(content: memoryview, width: int) -> NDArray[np.uint8]:
     """Return the whole rows at the beginning of some bytes, shape (n, bytes of a row)."""
     length = row_type(width).itemsize
     block = np.frombuffer(content, dtype=np.uint8)[: len(content) // length * length].reshape(-1, length)
+    # These two bytes of a row are its mark; anything else there begins a record of another kind.
     other = np.flatnonzero((block[:, 8:10] != 0xFF).any(axis=1))
     return block[: other[0]] if other.size else block
 
@@ -576,6 +578,7 @@ class _Clock:
     @property
     def seen(self) -> int:
         """Return the newest time that was read; reads on if all have been returned."""
+        # Times that all equal the limit are not returned, so without reading on `order` would never end.
         if len(self._held) < 2 or self._held[0] == self._held[-1]:
             last = min(self._read + ORDERED, self.number)
             if self._whole is None:
