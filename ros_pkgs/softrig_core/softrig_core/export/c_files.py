@@ -168,6 +168,7 @@ class _Files:
         self.inputs, self.outputs = member.inputs, member.outputs
         self.methods = methods(block)
         calls = [c for calls in (golden, *drawn) for c in calls if isinstance(c, Call)]
+        # The age of an input that was late in one of the calls has no C: it depends on what the node received before.
         punctual = {p.name for p in self.inputs}.difference(*(c.late for c in calls))
         self.law: Law = law_of(block, punctual, self.inputs, self.outputs, calls)
         self.slots = list(self.law.program.slots)
@@ -206,6 +207,7 @@ class _Files:
                 known = self.stores.get(_store(path))
                 if known is not None and known.item != table.item:
                     raise NotNative(f"{path} is an array of two types")
+                # Forms of the state share the memory of an array, so it has room for the longest.
                 if known is None or known.size < table.size:
                     self.stores[_store(path)] = table
         self.state_types = [self.unit.c(state) for state in self.forms]
@@ -224,6 +226,8 @@ class _Files:
         """Return the calls up to the first that C does not support (a change, or a kept value), and the reason."""
         at_hand = keys_of(self.block)
         for k, one in enumerate(golden):
+            # C has a kept answer for one value and discards a call that asks for another one; Python's next rows would
+            # follow from a state that C does not have.
             if isinstance(one, Call) and asks_anew(one, at_hand):
                 paths = ", ".join(sorted(written(path) for path in self.law.program.newest))
                 return golden[:k], f"the rows end at {one.t / 1e9:g} s: {paths} is asked for another value"
@@ -268,6 +272,7 @@ class _Files:
         """Return all files."""
         header, source = self.header(), self.source()
         channels = tuple(f"{p.topic}/{label}" for p in self.outputs for label in p.labels)
+        # The header contains its own digest, which is computed with a placeholder in its place.
         digest = hashlib.sha256((header + source).encode()).hexdigest()[:16]
         files = {
             SUPPORT: (resources.files(__package__) / SUPPORT).read_text(),
@@ -555,6 +560,7 @@ class _Files:
         k = self.forms.index(form.state)
         lines += [f"    {self.state_types[k]} x = s->x.f{k};", "    (void)x;"]
         for path, _ in leaves(form.state):
+            # A call works on a copy of the arrays, because a discarded one must leave the state unchanged.
             lines.append(f"    memcpy(s->b.{_store(path)}, s->a.{_store(path)}, sizeof s->b.{_store(path)});")
             lines.append(f"    x{path} = s->b.{_store(path)};")
         lines.append(f"    {self.unit.c(root.result)} r = {root.name}({', '.join(given)});")
@@ -568,6 +574,7 @@ class _Files:
             k = 1 if form.method == "update" else 0
             inner += self._published(*(Value(root.result.items[i], f"r.f{i}") for i in (k, k + 1)))
         lines += ["    if (SR_MOSTLY(!s->discarded)) {", *(f"        {line}" for line in inner), "    }"]
+        # Another test, because the checks of the outputs may have discarded the tick.
         if state is not None:
             lines += [
                 "    if (SR_MOSTLY(!s->discarded)) {",
@@ -1009,6 +1016,7 @@ def _fields(paths: Sequence[str]) -> list[str]:
     result: list[str] = []
     for path in paths:
         name = identifier(path.removeprefix("p.")) or "value"
+        # Two paths of Python, such as `a_b` and `a.b`, may have one name in C.
         while name in result:
             name += "_"
         result.append(name)

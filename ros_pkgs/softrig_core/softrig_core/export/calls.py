@@ -150,6 +150,7 @@ class Calls(Expressions):
             if name in ("ceil", "trunc"):
                 return Value(INT, f"sr_int(SR_MATH({name})({self.coerced(given[0], REAL).c}))")
             if name in ("radians", "degrees"):
+                # CPython multiplies by the same quotients.
                 factor = literal(math.pi / 180.0 if name == "radians" else 180.0 / math.pi)
                 return Value(REAL, f"({self.coerced(given[0], REAL).c} * {factor})")
             return self._math(name, given, node)
@@ -170,6 +171,8 @@ class Calls(Expressions):
             {"zeros", "empty", "full"}.intersection(function.__code__.co_names)
         )
         for value in given:
+            # C needs the sizes of its arrays when it is compiled, so a function that makes arrays is written for each
+            # size.
             if sized and value.kind == INT and WHOLE.fullmatch(value.c):
                 tables.append(value.c)
                 continue
@@ -183,6 +186,7 @@ class Calls(Expressions):
             result = Value(ABSENT, "0")
         else:
             result = self.fresh(done.result, c)
+        # C has no exceptions, so each caller returns as well.
         if done.discards:
             self.discards = True
             self.emit("if (SR_RARELY(s->discarded)) {")
@@ -214,6 +218,7 @@ class Calls(Expressions):
                 kind = united(one.kind, best.kind)
                 if not isinstance(kind, Number):
                     raise self.unknown(f"{called.__name__} of something that is no number", node)
+                # In Python the first of equal ones is the result, and a NaN in the first place stays.
                 a, b = self.coerced(one, kind), self.coerced(best, kind)
                 best = self.fresh(kind, f"(({a.c} {'<' if called is min else '>'} {b.c}) ? {a.c} : {b.c})")
             return best

@@ -121,6 +121,7 @@ class Expressions(Base):
     def _constant_tuple(self, thing: Any, parts: Sequence[Value], kind: Tuple) -> Value:
         """Return a constant tuple, whose parts are known when it is unpacked."""
         whole = self.group(parts, kind)
+        # A tuple with arrays gets copies of its own at each call, so its C is no constant.
         if not leaves(kind):
             self.unit.fixed[whole.c] = thing
         return whole
@@ -327,6 +328,8 @@ class Expressions(Base):
             return self._shifted(isinstance(op, ast.LShift), self._simple(a), self._simple(b))
         if isinstance(op, (ast.Div, ast.FloorDiv, ast.Mod)):
             b = self._simple(b)
+            # A `jit` function divides floats by 0 without an error, as numba does; of whole numbers C leaves it
+            # undefined. A constant that is not 0 needs no test.
             if (self.python or both == INT) and not abs(self.unit.number(b.c)) > TINY:
                 self._check(f"{b.c} == 0")
             if isinstance(op, ast.Div):
@@ -343,6 +346,7 @@ class Expressions(Base):
             return Value(INT, f"(({a.c} >= 0) ? ({a.c} >> {n}) : ~(~{a.c} >> {n}))")  # C may fill up with zeros
         self._check(f"({b.c} < 0) || ({b.c} > 62)")
         self._check(f"({a.c} > (INT64_MAX >> {b.c})) || ({a.c} < -(INT64_MAX >> {b.c}))")
+        # C leaves a shift of a negative number to the left undefined.
         return Value(INT, f"({a.c} * (INT64_C(1) << {b.c}))")
 
     def _each_item(self, op: ast.operator, table: Value, number: Value, node: ast.AST) -> Value:
@@ -452,6 +456,7 @@ class Expressions(Base):
             if other in ("true", "false"):
                 return Value(BOOL, other if (other == "true") is stop else first)
             return Value(BOOL, f"({first} {'||' if stop else '&&'} {other})")
+        # Python computes the right side only if it is needed, so its statements are inside a test.
         later, self.lines[at:] = self.lines[at:], []
         c = self.temporary("b", BOOL)
         self.emit(f"{c} = {'true' if stop else 'false'};")

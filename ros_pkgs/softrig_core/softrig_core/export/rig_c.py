@@ -139,9 +139,11 @@ class _RigFiles:
         self.plan = Plan(m.schedule for m in members)
         due = {m.name for m in members}
         self.rows = [(t, {n: v for n, v in row.items() if n in due}) for t, row in ticks.rows]
+        # Without the nodes that were left out the clock may be slower: at some ticks of the run nothing is due.
         self.rows = [(t, row) for t, row in self.rows if self.plan.clock.due(t)]
         ended = [(one.end, f"{m}: {one.ends}") for m, one in exported.items() if one.end is not None]
         end, self.ends = min(ended, default=(None, ""))
+        # From there on C may differ from Python, which goes on from a state that C does not have.
         if end is not None:
             self.rows = [(t, row) for t, row in self.rows if t < end]
         if not self.rows:
@@ -220,6 +222,7 @@ class _RigFiles:
         """Return the source: `init`, and `step` with the wiring."""
         n, (num, den) = self.name, (self.plan.clock.period * 10**9).as_integer_ratio()
         time = f"k * INT64_C({num})"
+        # As `Schedule.time`: rounded to the nearest ns.
         if den != 1:
             time = f"((2 * k * INT64_C({num})) + INT64_C({den})) / INT64_C({2 * den})"
         lines = [
@@ -285,6 +288,7 @@ class _RigFiles:
         here, there = identifier(name), identifier(port.name)
         places = range(port.size) if link.pick is None else link.pick
         lines = [
+            # In a pick a whole number is a place and a float is a constant.
             f"{target}.{here}[{i}] = {f'{source}.{there}[{p}]' if type(p) is int else literal(p)};"
             for i, p in enumerate(places)
         ]

@@ -112,6 +112,7 @@ def _numbers(text: str) -> list[str]:
 def _plain(text: str) -> str:
     """Return C without comments and directives."""
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    # pycparser has no preprocessor: constants are put in place of their names before the directives are removed.
     for name, value in re.findall(r"^#define (\w+_K_\w+) (.*?) *$", text, re.MULTILINE):
         text = re.sub(rf"\b{name}\b(?! S)", value, text)
     text = re.sub(r"#ifdef __cplusplus.*?#endif", "", text, flags=re.DOTALL)
@@ -201,6 +202,7 @@ class _Printer:
                 self.signature(one)
             elif isinstance(one, c_ast.Decl) and one.init is not None and isinstance(one.type, c_ast.ArrayDecl):
                 found = [self.expression(v).text for v in one.init.exprs]
+                # matiec refuses negative numbers in parentheses in the initial values of a table.
                 numbers = ", ".join(re.sub(r"^\((-[\d.e+-]+)\)$", r"\1", v) for v in found)
                 self.tables[one.name] = self.type_of(one.type), f"[{numbers}]"
             elif isinstance(one, c_ast.FuncDef):
@@ -323,6 +325,7 @@ class _Printer:
         ]
         head += ["VAR", *rows, "END_VAR"] if rows else []
         result = "BOOL" if self.result == "void" else self.written(self.result)
+        # Each function of IEC 61131-3 has a result and, for matiec, at least one statement.
         self.done.append(Unit("FUNCTION", self.own, head, self.lines or [f"    {self.own} := FALSE;"], result=result))
 
     # statements ---------------------------------------------------------------------------------------------------
@@ -450,6 +453,7 @@ class _Printer:
         self.emit("EXIT;")
 
     def _continue(self, node: Any) -> None:
+        # The loop is a WHILE, whose CONTINUE would leave out the step of C's `for`.
         self.lines += ["    " * (self.depth + 1) + one.strip() for one in self.increments]
         self.emit("CONTINUE;")
 
@@ -511,6 +515,7 @@ class _Printer:
         if name in fixed:
             return Typed(*fixed[name])
         if name in ("SR_INFINITY", "SR_NAN"):
+            # IEC 61131-3 has no literals of infinity and NaN.
             large = "SR_INF(10.0)"
             return Typed(large if name == "SR_INFINITY" else f"({large} - {large})", "LREAL")
         if name in self.tables:
@@ -531,6 +536,7 @@ class _Printer:
         return Typed(f"{base.text}[{index.text}]", kind)
 
     def _e_unaryop(self, node: Any) -> Typed:
+        # Only the size that `memcpy` and `memset` get is one, and `_copied` does not need it.
         if node.op == "sizeof":
             return Typed("0", "NUMBER")
         if node.op == "&":
@@ -552,11 +558,13 @@ class _Printer:
         if op in ("&", "|", "^", "<<", ">>"):
             if (a.type, b.type) == ("BOOL", "BOOL") and op in "&|^":
                 return Typed(f"({a.text} { {'&': 'AND', '|': 'OR', '^': 'XOR'}[op] } {b.text})", "BOOL")
+            # IEC 61131-3 has these operations for bit strings, not for integers.
             raise NotNative(f"structured text of C's {op} of whole numbers")
         order = ("NUMBER", "BOOL", "USINT", "DINT", "UDINT", "LINT", "LREAL")
         if a.type not in order or b.type not in order:
             raise NotNative(f"structured text of C's {op} of {a.type} and {b.type}")
         both = max((a.type, b.type), key=order.index)
+        # C computes with truth values as with whole numbers.
         if both == "BOOL" and op not in COMPARE:
             both = "LINT"
         a, b = self.converted(a, both), self.converted(b, both)
@@ -588,6 +596,7 @@ class _Printer:
 
     def _e_cast(self, node: Any) -> Typed:
         kind, value = self.type_of(node.to_type.type), self.expression(node.expr)
+        # C cuts the fraction off, LREAL_TO_LINT rounds.
         if kind == "LINT" and value.type == "LREAL":
             return Typed(f"SR_WHOLE({value.text})", "LINT")
         if kind == value.type or value.type == "NUMBER" or not isinstance(kind, tuple):

@@ -132,6 +132,8 @@ class Unit:
                 fields, title = [("bool", "some"), (self.c(kind.item), "item")], "maybe"
             else:
                 pairs = zip(kind.items, kind.names, strict=True)
+                # A member for None would only add padding, and clang copies a struct with padding in halves, which is
+                # slower.
                 fields = [(self.c(k), identifier(n)) for k, n in pairs if not isinstance(k, Absent)]
                 title = ascii_name(kind.title.strip("_").lower()) or "tuple"
             name = f"{self.prefix}_{title}{len(self.structs)}_t"
@@ -147,9 +149,11 @@ class Unit:
         if id(value) not in self.places:
             name = f"{self.prefix}_{hint}{len(self.tables)}"
             numbers = ", ".join(literal(v) for v in value.ravel().tolist()) or "0"
+            # C has no arrays of length 0.
             size = max(value.size, 1)
             self.tables[name] = f"static SR_TABLE {self.c(kind.item)} {name}[{size}] = {{ {numbers} }};\n"
             self.places[id(value)] = name
+            # Keeps the array, so that no other one can have its id.
             self.by_name[name] = value
         return Value(kind, self.places[id(value)], value)
 

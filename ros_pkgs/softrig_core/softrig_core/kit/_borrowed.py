@@ -77,6 +77,7 @@ class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
         """Return numba's own, each with one step more."""
         result: list[Any] = super().define_pipelines()
         for pipeline in result:
+            # The step needs the types that numba has inferred, and must come before the code is lowered.
             if any(step is NoPythonSupportedFeatureValidation for step, _ in pipeline.passes):
                 pipeline.add_pass_after(Borrowed, NoPythonSupportedFeatureValidation)
                 pipeline.finalize()

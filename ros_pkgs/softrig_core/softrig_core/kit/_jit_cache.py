@@ -51,6 +51,7 @@ class Cache:
         """Return the compiled function; None when the cache does not have it or cannot be read."""
         from numba.core.compiler import CompileResult
 
+        # As in numba's own cache: the target may not be initialised before the first compilation of a process.
         target.refresh()
         try:
             content = self._file(signature, target).read_bytes()
@@ -65,7 +66,7 @@ class Cache:
         """Keep a compiled function; without a writable folder it is compiled again in the next process."""
         from numba.core.serialize import dumps
 
-        # A function among the arguments has no name that is valid in another process.
+        # Addresses of this process are not valid in another one, and a function among the arguments has no name there.
         if compiled.library.has_dynamic_globals or "Dispatcher" in str(signature):
             return
         content = dumps(compiled._reduce())  # type: ignore[no-untyped-call]
@@ -79,6 +80,7 @@ class Cache:
     def _file(self, signature: Any, target: Any) -> Path:
         import numba
 
+        # Code of another processor may not run here, and other versions of numba or Python may not read the file.
         key = (self._digest, str(signature), target.codegen().magic_tuple(), numba.__version__, sys.version)
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:32]
         return Path(self.cache_path, f"{self._name}-{digest}.nbc")

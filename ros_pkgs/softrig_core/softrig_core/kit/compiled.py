@@ -168,6 +168,7 @@ class Compiled:
         import numpy as np
 
         f, places = self._function, self.places
+        # Native code gets one array for each function, so the addresses are stored among the numbers.
         memory = np.zeros(places[3] + max(1, f.sz_w()))
         words, base = memory.view(np.int64), memory.ctypes.data
         at = 0
@@ -231,6 +232,7 @@ def moved(place: Path, make: Callable[[Path], object]) -> None:
     make : callable
         Writes the file whose path it gets, which is alone in a folder beside the place.
     """
+    # Beside the place, because a file can only be renamed within one file system.
     with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
         product = Path(scratch, "product")
         make(product)
@@ -285,6 +287,7 @@ def build(function: ca.Function) -> Path | None:
         return None
 
 
+# Both `build`, for the digest, and `Compiled.source` need the text of the same function.
 @lru_cache(maxsize=64)
 def _source(function: ca.Function) -> str:
     import casadi as ca

@@ -146,6 +146,7 @@ def solve(a: ArrayLike, b: ArrayLike) -> Any:
         raise ValueError(f"solve with shapes {A.shape} and {B.shape}: expected (n, n) and (n,) or (n, m)")
     right = B[:, None] if B.ndim == 1 else B
     whole = A.dtype.kind == "c" or B.dtype.kind == "c"
+    # A complex system of n rows is a real one of 2 n rows.
     left, x = (
         (np.block([[A.real, -A.imag], [A.imag, A.real]]), np.vstack([right.real, right.imag])) if whole else (A, right)
     )

@@ -147,6 +147,7 @@ class Draws:
             return self._draw(SIZE).tolist(), bits.state
 
         for m in range(min(n, len(self._before) - 1), n + 1):
+            # Only the first row is kept for other runs, so what is kept does not grow with the length of a run.
             row, after = _once((*self._key, "row"), lambda: draw(0)) if m == 0 else draw(m)
             if m + 1 == len(self._before):
                 self._before.append(after)
@@ -199,4 +200,5 @@ class Window:
         end = begin + len(self.table) - HEAD
         first = begin if self._all else min(max(begin, k - BACK), end)
         kept = self.table[HEAD + first - begin :]
+        # As many new numbers as remain, so that a table which keeps all doubles and is not copied for each few numbers.
         self.table = np.concatenate(((first, 0.0), kept, self._next(max(MOST, len(kept), k + 1 - end))))

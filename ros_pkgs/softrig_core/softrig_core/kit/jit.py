@@ -157,11 +157,13 @@ class Jit:
         found = [_parts(value, f"a{k}", kinds) for k, value in enumerate(arguments)]
         tests = [test for part in found for test in part.tests]
         names = ", ".join(name for part in found for name in part.names)
+        # The generated call passes exactly these arguments, so a function with defaults is called as it is.
         if not tests or names.count(",") >= MOST_PARTS or self.py_func.__defaults__:
             return None
         text = f"def parted({names}):\n    return function({', '.join(part.made for part in found)})\n"
         tokens = (self.digest(), text, *(f"{name} {t.__module__}.{t.__qualname__}" for name, t in kinds.items()))
         digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()
+        # numba looks for the module of a function that it loads from the cache.
         scope: dict[str, Any] = {"function": self, "__name__": __name__, **kinds}
         exec(text, scope)
         # numba makes the symbol of the native code from this name, and no two functions may share one.
@@ -413,6 +415,7 @@ def tokens_of(value: Any, seen: set[int]) -> Iterator[str]:
             yield from tokens_of(part, seen)
     elif hasattr(value, "__qualname__"):
         yield f"{value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
+        # Code contains the values of an enumeration's members, and the name of the class stays when they change.
         if isinstance(value, EnumType):
             members = cast(dict[str, Any], value.__members__)
             yield repr([(name, member.value) for name, member in members.items()])
