@@ -76,7 +76,7 @@ def test_a_second_signal_that_arrives_with_the_first_changes_nothing_and_prints_
         # Both are pending when Python looks: it calls the handlers in the order of their numbers.
         signal.pthread_sigmask(signal.SIG_BLOCK, stopping.SIGNALS)
         for number in numbers:
-            os.kill(os.getpid(), number)
+            signal.pthread_kill(threading.get_ident(), number)  # another thread would receive it unblocked
         signal.pthread_sigmask(signal.SIG_UNBLOCK, stopping.SIGNALS)
 
     for first, second in itertools.combinations(stopping.SIGNALS, 2):
