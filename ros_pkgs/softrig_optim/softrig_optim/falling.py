@@ -61,6 +61,7 @@ class FallingCurve:
         least_v, least_i, most_v, most_i = min(v), min(i), max(v), max(i)
         change = max(_rise(self.below, most_v, most_i), _rise(self.above, 1.0 / least_v, 1.0 / least_i), 1.0)
         below, above = _kept(self.below, least_v, least_i), _kept(self.above, 1.0 / most_v, 1.0 / most_i)
+        # Voltage and current both exceed a corner by this factor, so the power does by its square.
         return change * change - 1.0, FallingCurve(n, v, i, below, above)
 
     def native(self) -> FallingRows:

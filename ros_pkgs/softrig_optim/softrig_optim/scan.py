@@ -11,6 +11,7 @@ import numpy as np
 from .search import Moves, Options, Search, Seed
 
 GOLDEN = 0.5 * (3.0 - math.sqrt(5.0))
+# Around a smooth minimum the value changes by less than its rounding within this share of the variable.
 EPS = math.sqrt(2.2e-16)
 
 

@@ -39,7 +39,9 @@ class Template(forkserver.ForkServer):
 
 
 def _serve(listener: int, ended: int) -> None:
+    # A fork inherits the handler of its parent, which would not end this process.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    # Whatever happens, this copy must not return into the program that it was copied from.
     with suppress(BaseException):
         # It ends when the other end of the pipe is closed, by `close` or with the process.
         forkserver.main(listener, ended, [])

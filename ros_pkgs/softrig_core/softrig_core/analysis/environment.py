@@ -217,7 +217,8 @@ class RigEnv(gym.Env[Array, Array]):
         if self.blocks:
             for block in self.blocks.values():
                 block.reset(number)
-        else:  # who only watches is seen by nobody, unless all is kept
+        else:
+            # Nobody reads the figures of an observer without outputs during an episode, so it runs only for a record.
             members = [
                 m for m in self.rig.members if self._record or m.outputs or not issubclass(m.block_class, Observer)
             ]
@@ -234,6 +235,7 @@ class RigEnv(gym.Env[Array, Array]):
             self.run = Run(self.rig, number, recording, blocks=dict(steps))
         for step in steps.values():
             _Watched(step, self.now.published)
+        # The agent lacks a value until `step` sets the action, so the loop stops at its tick.
         _Acts(self._agent, lambda: self._action is None)
         self._action, self._started = None, time.perf_counter()
         self.begin()
@@ -331,6 +333,8 @@ class RigEnv(gym.Env[Array, Array]):
             if name not in scenario.requirements:
                 known = ", ".join(scenario.requirements) or "it has none"
                 raise ScenarioError(f"{scenario.name}: no requirement {name!r}; expected one of {known}")
+        # References to the controller's parameters would be lost with it, because the policy in its place has other
+        # ones.
         data = _without(self._law, scenario.model_dump())
         data["nodes"][self._law.name] = entry.model_dump()
         for name in terminate:
@@ -382,7 +386,7 @@ def _without(law: Member, value: Any) -> Any:
         reference = rf"(?<!\$)\${re.escape(law.name)}\.([\w.]+)"
         if whole := re.fullmatch(reference, value):
             return pick(flatten(law.params), whole[1])
-        # in a formula or in arithmetic: in brackets, as it may be below zero
+        # Within a formula or arithmetic the value stands in brackets, because it may be negative.
         return re.sub(reference, lambda match: f"({pick(flatten(law.params), match[1])!r})", value)
     if isinstance(value, Mapping):
         return {k: _without(law, v) for k, v in value.items()}

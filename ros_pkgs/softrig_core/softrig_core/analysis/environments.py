@@ -97,6 +97,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         first = RigEnv(what, replace, reward=_nothing, **keys)
         self.envs = [first, *(copy(first) for _ in range(num_envs - 1))]
+        # A copy shares the attributes of the first one, so each instance gets a dictionary of its own.
         for env in self.envs:
             env.blocks = {}
         self.num_envs, self._reward, self._penalty, self._make = num_envs, reward, penalty, make
@@ -109,7 +110,8 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._tries = TRIES
         self._text: RigText | None = None
         self._ended = np.zeros(num_envs, np.bool_)
-        self._before: list[Any] = [None] * num_envs  # of those in Python: what they remember before the agent's tick
+        # For instances in Python: the states before the agent's tick, from which native code continues.
+        self._before: list[Any] = [None] * num_envs
         self._k = np.full(num_envs, -1)  # ticks of those that are native
         self._fits = np.zeros(num_envs, np.bool_)  # whether the text is for them
         self._t = np.zeros(num_envs)
@@ -178,6 +180,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
                 self._packed(j)
         rewards = np.array(np.broadcast_to(self._reward(self.now), (self.num_envs,)), np.float64)
         rewards[terminated] += self._penalty
+        # In Gymnasium's mode NEXT_STEP the step after an episode only resets, and its reward is 0.
         rewards[begun] = 0.0
         if not np.isfinite(rewards).all():
             worst = int(np.argmin(np.isfinite(rewards)))
@@ -262,11 +265,13 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _texted(self, steps: list[Step], agent: Step, state: Any) -> None:
         """Create the text for the states as they are."""
+        # Each text takes seconds of compiling, so an instance whose state keeps changing its type stays in Python.
         if not self._tries:
             raise NotNative("its state changes its type")
         odd = [s.name for s in steps if s.changes or any(p.sporadic or p.delayed or p.unchecked for p in s.outputs)]
         if odd:
             raise NotNative(f"{odd[0]}: its messages do not come at each tick, or its parameters change")
+        # Native instances have their state in the form of the old text, so they return to Python before it is replaced.
         self._tries -= 1
         for j in np.flatnonzero(self._k >= 0).tolist():
             self._loaded(j)
@@ -335,6 +340,8 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
                 )
                 break
             except NATIVE:
+                # The call stops at an instance that it cannot advance: `n` has its number, and how many random numbers
+                # it lacks.
                 begin = int(n[0])
                 if n[1]:
                     self._drawn(int(n[1]))
@@ -342,6 +349,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
                     by_python(begin)
                     begin += 1
             except Exception as error:
+                # numba compiles at the first call, so a text that it cannot compile fails here.
                 if type(error).__module__.partition(".")[0] != "numba":
                     raise
                 self.reason = f"numba: {' '.join(str(error).split())[:300]}"

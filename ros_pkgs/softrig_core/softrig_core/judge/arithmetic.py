@@ -46,13 +46,15 @@ ARITHMETIC: Mapping[str, Callable[..., Array]] = {
 }  # fmt: skip
 
 
-# Operations whose result is a number only if all operands are: NaN stays visible in the result.
+# Operations whose result is a number only if all operands are: NaN stays visible in the result. Division is not among
+# them, because a number divided by infinity is 0.
 _CARRY = frozenset({"Add", "Sub", "Mul", "abs", "sqrt", "floor", "ceil"})
 
 
 def arithmetic(tree: Tree, samples: Samples) -> Any:
     """Return an expression's values; NaN where it, or a part of it, is undefined or beyond all numbers."""
     with np.errstate(all="ignore"):
+        # Where nothing undefined can vanish on the way, one check of the result replaces one after each operation.
         if carries(tree) and np.isfinite(result := _calculated(tree, samples, lambda values: values)).all():
             return result
         return _calculated(tree, samples, sure)

@@ -14,6 +14,7 @@ from ..errors import ScenarioError
 REFERENCE = re.compile(r"\$([A-Za-z_]\w*(?:\.\w+)*)")
 # In characters. A longer expression could be nested so deeply that Python's own limit of recursion is near.
 LONGEST = 500
+# A power by `**` would return a complex number for a negative base and a fraction; `math.pow` refuses it.
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
     ast.Pow: math.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,

@@ -366,6 +366,7 @@ def _rewrite(given: str, known: Mapping[str, float | None]) -> tuple[str, dict[s
             i += 1
             continue
         conditions[condition.variable] = condition
+        # The values of a condition are plus or minus infinity (`robustness.truth`), so 0 separates true from false.
         out += ["(", condition.variable, ">", "0", ")"]
         i += 1
     return " ".join(out), conditions

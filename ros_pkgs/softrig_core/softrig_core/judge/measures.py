@@ -381,6 +381,7 @@ def growth_rate(
     """
     t, x = _error(signals, signal, reference, start, end)
     # A value that only repeats the one before would hide a peak: neither of the two is above its neighbours.
+    # The NaN in front counts the first sample as new, because a difference with it is not zero.
     new = np.flatnonzero(np.diff(x, prepend=np.nan))
     t, x = t[new], x[new]
     side = np.sign(x[1:-1])
@@ -596,6 +597,7 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
     # With few times and many instants counting is faster than a search for each instant.
     if len(times) > len(at) / 4 or is_long(at):
         return _one_each(times, at) if len(at) > SIDE_BY_SIDE else np.searchsorted(times, at, side="right") - 1
+    # Times after the last instant are counted in one more place, which is cut off.
     arrived = np.bincount(np.searchsorted(at, times), minlength=len(at))[: len(at)]
     return np.cumsum(arrived) - 1
 
@@ -715,6 +717,7 @@ def _error(
 
 def _unpaired(t: Array, when: Array) -> bool:
     """Return whether the last sample has no reference: at the end of a run a plant publishes once more than others."""
+    # At that sample a whole period of the reference has passed since its newest value.
     return bool(when.size > 1 and t[-1] > 2.0 * when[-1] - when[-2] - HALF_NS)
 
 

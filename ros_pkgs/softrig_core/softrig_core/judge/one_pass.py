@@ -20,7 +20,7 @@ from .formula import FUTURE, variables
 
 COLUMNS = 6  # signals that a formula may read
 DEPTH = 8  # values that are at hand at a time
-BLOCK = 512  # samples of a block
+BLOCK = 512  # samples of a block: with DEPTH rows of 8 bytes each, 32 kB, which a first-level cache holds
 SPANS = 256  # violations that are told apart
 
 LOAD, CONSTANT, ADD, SUBTRACT, MULTIPLY, DIVIDE, LEAST, GREATEST, NEGATE, MAGNITUDE, ROOT, FINITE, NUMBER = range(13)
@@ -86,7 +86,9 @@ class OnePass:
         if first > last or not all(column.flags.c_contiguous and column.dtype == float for column in columns):
             return None
         for column in columns:
-            column.flags.writeable = False  # of two kinds of arrays native code would have two forms
+            # numba would compile a second form for arrays that may be written.
+            column.flags.writeable = False
+        # The native function has a fixed number of columns; its instructions never load those that only fill up.
         columns += columns[:1] * (COLUMNS - len(columns))
         constants = np.array([_number(tree, numbers) for tree in self._constants], np.float64)
         edges = np.empty(2 * SPANS, np.int64)
@@ -253,6 +255,7 @@ def extreme(
             else:
                 lost = 0
                 for i in range(n):
+                    # The difference of a number and itself is NaN for infinity and NaN only.
                     x = stack[top, i] - stack[top, i] if operation == FINITE else stack[top, i]
                     lost += 1 if x != x else 0
                 if lost:

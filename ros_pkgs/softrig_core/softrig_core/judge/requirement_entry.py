@@ -75,9 +75,11 @@ def check_lengths(
         if timing(formula) & later - {k for k, v in numbers.items() if v is not None}:
             continue
         try:
+            # References that are only compared do not affect a window, so any number stands for them.
             reach = horizon(read(formula, dict.fromkeys(asked, 1.0) | dict.fromkeys(figures) | numbers)[0]) / SECOND
         except ScenarioError as error:
             raise ScenarioError(f"requirement {name}: {error}") from None
+        # Both are rounded floats, so a window that ends with the run may seem to end after it.
         if reach > duration * (1.0 + 1e-12):
             raise ScenarioError(
                 f"requirement {name}: its last window ends {reach:g} s after the start, the run ends "

@@ -113,6 +113,7 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
     pick : ufunc
         ``np.minimum`` or ``np.maximum``.
     """
+    # A formula is asked at the first instant only, so its outermost operator has one window, which needs no table.
     if len(first) == 1:
         window = values[..., first[0] : last[0] + 1]
         if not any(values.strides[:2]):
@@ -199,6 +200,7 @@ class Record:
                 return self._decided(extreme)
         result = self._at(tree, 0)
         least, greatest = float(result[0, 0]), float(result[1, 1])
+        # What is unknown could still turn the verdict.
         if least < 0.0 <= greatest:
             raise NotJudged(self._why(tree, result))
         value, which = (greatest, (1, 1)) if greatest < 0.0 else (least, (0, 0))
@@ -302,6 +304,7 @@ class Record:
             return first, np.searchsorted(known, times - low, side="right") - 1, np.broadcast_to(np.False_, len(times))
         first = np.searchsorted(known, times + low)
         last = np.searchsorted(known, times + high, side="right") - 1
+        # A window without end is cut at the end of a complete record; it is open only if it begins beyond it.
         over = first >= len(known) if high == INF and self.ended else times + high >= self.after
         return first, last, over
 
@@ -319,6 +322,7 @@ class Record:
             start = INF if arrived and not past else -INF
             later = np.array([*_scan(held[arrived, lost].tolist(), then[arrived, lost].tolist(), start), start])
             result[arrived, lost] = np.minimum(result[arrived, lost], later[first])
+        # As in `_over_time`, an operator without end takes what is decided within a complete record.
         if high == INF and self.ended and not past:
             result[1] = np.where(first < n, result[0], result[1])
         if high != INF:

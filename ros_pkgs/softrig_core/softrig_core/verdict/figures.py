@@ -73,6 +73,8 @@ class Figure:
 
     def __call__(self, signals: SignalMap) -> float:
         """Measure the figure; raise an ImpossibleError if the result is outside the possible range."""
+        # softrig's own functions use only operations that long arrays have; those of other packages may use any of
+        # numpy.
         ours = is_ours(self.function.__module__)
         value = float(self.function(signals if ours else _Whole(signals), **self.at(signals).arguments))
         low, high = getattr(self.function, "possible", (-math.inf, math.inf))
@@ -99,7 +101,8 @@ class Figure:
         if given.get("end") is not None:
             values["end"] = t + given["end"]
         if given.get("reference") in self.since.split(", "):
-            values["reference"] = newest_step(signals, given["reference"])[1]  # one number since then
+            # Since that step the reference has had one value.
+            values["reference"] = newest_step(signals, given["reference"])[1]
         if "final" in _model(self.function)[0].model_fields and given.get("final") is None:
             values |= {"final": value, "initial": final_value(signals, given["signal"], end=t)}
         return replace(self, arguments=given | values, since="")
@@ -137,6 +140,8 @@ def figures_of(rig: Members) -> list[Figure]:
     result = []
     for name, entry in rig.scenario.figures.items():
         try:
+            # Runs of a study share the entries, so a figure that refers to no node is resolved once for all of them
+            # (`_plain`).
             result.append(_plain(name, entry, units) or _referring(name, entry, units, agreed, rig))
         except ScenarioError as error:
             at = rig.scenario.written("figures", name)
@@ -285,7 +290,8 @@ def evaluate(
         except UNMEASURED as broken:
             value, error, bounds = math.nan, str(broken) or type(broken).__name__, (math.nan, math.nan)
             impossible = isinstance(broken, ImpossibleError)
-        sure = (math.copysign(MOST, x) if required and math.isinf(x) else x for x in bounds)  # a margin, no distance
+        # A requirement that conditions alone decide has an infinite margin, but `Expectation.holds` refuses infinity.
+        sure = (math.copysign(MOST, x) if required and math.isinf(x) else x for x in bounds)
         passed = limits is None or all(limits.holds(x) for x in sure)
         passed = passed and not impossible
         about |= {"value": None if error else value, "number": value, "passed": passed, "error": error}
@@ -331,6 +337,7 @@ def _model(function: Function) -> tuple[type[BaseModel], bool]:
 
 def _arguments(function: Function, given: Mapping[str, Any]) -> dict[str, Any]:
     model, closed = _model(function)
+    # A function with ``**keywords`` takes arguments of any name, so there is nothing to check them against.
     if not closed:
         return dict(given)
     try:

@@ -134,6 +134,7 @@ class Judge:
                 if none is not None:
                     late[name] = none
         after = self.clock.next(int(grid[-1]))
+        # With measured times the formula is another one, which has no instructions.
         native = self.native if tree is self.tree else None
         return Record(grid, held, truths=truths, late=late, after=after, ended=ended).margin(tree, native)
 
@@ -174,6 +175,7 @@ def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np
         return gathered(values, at), None
     if not len(values):
         return np.broadcast_to(0.0, len(grid)), before
+    # The 0 is not compared with anything, because comparisons with a late signal are false.
     return np.where(before, 0.0, gathered(values, np.maximum(at, 0))), before
 
 
@@ -300,6 +302,7 @@ def _judge(
     used, conditions = result.variables, result.conditions
     period = rig.clock.params.period * SECOND
     for low, high in result.intervals:
+        # The two small numbers keep rounding from hiding a tick exactly at an end of the window.
         if high is not None and math.floor(high / period + 1e-9) * period < low * (1.0 - 1e-12):
             raise ScenarioError(
                 f"no tick of {rig.clock.name} (each {period / SECOND:g} s) is within "

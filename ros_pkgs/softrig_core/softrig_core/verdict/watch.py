@@ -33,8 +33,10 @@ class WatchParams(BlockParams):
 
 W = TypeVar("W", bound=WatchParams)
 NONE: Mapping[str, Any] = MappingProxyType({})
-SOME = 1 << 11  # bytes of messages that are copied with each one that comes
-MANY = 1 << 16  # bytes of those that are copied at times: no more than these
+# Bytes cannot grow in place: each new message copies those in `newest`, at most SOME bytes; each full `newest` copies
+# those in `filling`, at most MANY bytes. Full blocks are not copied any more.
+SOME = 1 << 11
+MANY = 1 << 16
 STAMP = struct.Struct("<q")
 
 
@@ -101,7 +103,8 @@ class Kept(NamedTuple):
         """
         blocks, filling, newest, last, before, dropped = self
         since = t - reach
-        if since < before:  # the window has been made longer
+        # The window may have been made longer since, but what has left it stays out.
+        if since < before:
             since = before
         if stamp <= last:
             return _new(Kept, (blocks, filling, newest, last, since, dropped))
@@ -119,6 +122,7 @@ class Kept(NamedTuple):
         if not messages:
             return self if self.stamp == EVER else self._replace(since=since)
         row = row_of(len(messages[0][1]))
+        # Blocks end at the same messages as those of `with_message`, so that both ways lead to the same state.
         some = -(-SOME // row.size) * row.size
         many = -(-MANY // some) * some
         data = self.filling + self.newest + packed(messages)

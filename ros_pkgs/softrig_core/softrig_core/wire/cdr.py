@@ -265,6 +265,7 @@ def _coders(
         size=size,
         length=whole.size,
         items=", ".join(items),
+        # `int` would also read blanks, signs and underscores, so the digits are checked by themselves.
         differs=" or ".join(differs + ([f"not found[{places[0]}].isdigit()"] if numbered else [])),
         mark=mark,
         values=f"({''.join(f'{value}, ' for value in values)})",
@@ -337,6 +338,7 @@ def parse(msgtype: str, data: bytes) -> Message:
         elif kind == "frame":
             frame_id = reader.text()
         elif kind == "names":
+            # A text takes at least five bytes, its length and a zero; a dimension eight more, its size and stride.
             names = tuple(reader.text() for _ in range(reader.count("names", 5)))
         elif kind == "one":
             if (count := reader.one("I")) != 1:

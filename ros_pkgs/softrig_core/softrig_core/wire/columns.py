@@ -24,6 +24,7 @@ _spacious: WeakValueDictionary[int, NDArray[np.float64]] = WeakValueDictionary()
 
 def spacious(count: int, size: int) -> NDArray[np.float64]:
     """Return an array of shape (count, size), column after column in memory, with free rows at both ends."""
+    # An array has no attributes of its own, so `of_node` recognises this memory by the id of the array that owns it.
     whole = np.empty((size, count + 2 * SPARE))
     _spacious[id(whole)] = whole
     return whole[:, SPARE : count + SPARE].T
@@ -152,6 +153,7 @@ class Rows:
                     part, begin = part[got:], begin + got
                 at += n
         result.flags.writeable = False
+        # A longer result would keep a large part of the file in memory.
         if len(result) <= READ:
             self._last = first, last, result
         return result
@@ -182,6 +184,7 @@ class Rows:
     @property
     def times(self) -> NDArray[np.int64]:
         """Return the times of all rows, ns."""
+        # Evenly spaced times can be computed, so they are not read from the file.
         if self.even is None:
             return _long(self.number, lambda a, b: np.ascontiguousarray(self.read(a, b)["t"]))
         first, step = self.even

@@ -71,6 +71,7 @@ class LongArray(NDArrayOperatorsMixin):
         return iter(np.asarray(self))
 
     def __getattr__(self, name: str) -> Any:
+        # numpy and pickle look for such names on any object, and an answer would read the whole array.
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(np.asarray(self), name)  # the other methods of an array
@@ -241,7 +242,7 @@ def _apply(function: Callable[..., Any], *given: Any) -> LongArray:
         raise ValueError(f"arrays of {', '.join(str(np.shape(x)) for x in given)} do not fit together")
 
     def read(first: int, last: int) -> NDArray[Any]:
-        # Who has asked for this may have left the block in which he ignores a division by zero.
+        # The numbers are computed when they are read, and by then the caller may have left its own `np.errstate`.
         with np.errstate(all="ignore"):
             return np.asarray(function(*(part(x, first, last) for x in given)))
 
@@ -314,6 +315,7 @@ def _search(times: Any, at: Any, side: Any = "left") -> Any:
     # Only the stretches are read in which the answers are.
     first = max(int(np.searchsorted(times.begins, np.min(at), "left")) - 1, 0) * STRETCH
     last = min(int(np.searchsorted(times.begins, np.max(at), "right")) * STRETCH, len(times))
+    # Instants far apart would read everything between them, so each half of them is searched by itself.
     if last - first > 2 * STRETCH and np.size(at) > 1:
         half = np.size(at) // 2
         return np.concatenate([_search(times, at[:half], side), _search(times, at[half:], side)])

@@ -161,6 +161,7 @@ class Signals(Mapping[str, Signal]):
             return table._replace(columns=table.columns.renamed(own_name))
         for label, x in table.columns.items():
             own = own_name(label)
+            # Messages with the one name lack the column of the other, so both are merged.
             columns[own] = np.where(np.isnan(columns[own]), x, columns[own]) if own in columns else x
         return table._replace(columns=columns)
 
@@ -248,6 +249,7 @@ def _decode(topic: Topic, epoch: int) -> Table:
     layout = first.layout(topic.msgtype)
     labels = _labels(topic.msgtype, first)
     size = len(topic.data[0])
+    # A message of the same size may still have another byte order or padding, which no layout has.
     if all(len(d) == size for d in topic.data) and layout.decode(topic.data[0]) is not None:
         block = np.frombuffer(b"".join(topic.data), dtype=np.uint8).reshape(len(topic.data), size)
         if layout.same_shape(block):
