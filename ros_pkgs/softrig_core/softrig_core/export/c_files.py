@@ -183,6 +183,7 @@ class _Files:
         check_text(text, self.golden, self.outputs)
         self.drawn, without = as_answered(text, drawn)
         self.held = [k for k, path in enumerate(self.slots) if self._is_held(k, path)]
+        # As a literal with a name in the source the compiler folds a constant, and the RAM of a board does not hold it.
         self.words = {  # constants that are compiled in, by their names in C
             f"{self.name.upper()}_K_{self.fields[k]}": k
             for k, v in enumerate(self.values)
@@ -212,6 +213,7 @@ class _Files:
                     self.stores[_store(path)] = table
         self.state_types = [self.unit.c(state) for state in self.forms]
         self.held_types = [self.unit.c(kind_of(self.values[k])) for k in self.held]
+        # Types that the struct needs are in the header; those that only functions need are in the source.
         self.in_header = len(self.unit.typedefs)
         newest = {f"a value that {written(path)} is asked for later" for path in self.law.program.newest}
         self.discards = tuple(sorted({*self.law.program.seldom, *newest, *without}))
@@ -458,6 +460,7 @@ class _Files:
         tables = {
             f"{n}_first_{_store(path)}": (path, np.asarray(value).ravel())
             for path, value in _arrays(first)
+            # `memset` has set the others.
             if np.asarray(value).any()
         }
         lines = [
@@ -992,6 +995,7 @@ def _settable(
 def _stay(other: Block, block: Block, states: Sequence[Any]) -> bool:
     """Return whether a block with another parameter uses the same states."""
     try:
+        # By their text, in which NaN equals NaN and 0.0 differs from -0.0.
         return all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
     except Exception:  # whatever a user's code raises: a run cannot take that parameter over either
         return False

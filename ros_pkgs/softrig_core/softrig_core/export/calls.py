@@ -120,7 +120,7 @@ class Calls(Expressions):
             raise self.unknown("an assignment in a list", target)
 
     def _reported(self, node: ast.Call) -> Value:
-        """Count a report; the numbers in its text are stored."""
+        """Count a report, without its text; a tick that is discarded drops the pending ones."""
         at = node.args[1]
         place: int = ast.literal_eval(at)
         self.emit(f"s->pending[{self.unit.reports[place]}]++;")

@@ -485,6 +485,7 @@ class Expressions(Base):
         if not then and not orelse and isinstance(kind, Number):
             return Value(kind, f"({test} ? {self.coerced(a, kind).c} : {self.coerced(b, kind).c})")
         c = self.temporary("i", kind)
+        # An earlier reading of the function may have shown that this variable needs a wider type.
         kind = self.kinds_of[c]
         for value, own in ((a, then), (b, orelse)):
             self.lines = own

@@ -224,6 +224,7 @@ class _Row:
         return self.draws(k - HEAD) if k >= HEAD else 0.0
 
     def __len__(self) -> int:
+        # The text asks whether a number is in its table; here each one is.
         return 1 << 62
 
 

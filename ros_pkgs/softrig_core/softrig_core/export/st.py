@@ -411,6 +411,7 @@ class _Printer:
         self.emit("END_WHILE;")
 
     def _return(self, node: Any) -> None:
+        # C returns zero from a call that discards the tick, and nothing reads the result of such a call.
         zero = (
             isinstance(node.expr, c_ast.CompoundLiteral)
             and len(node.expr.init.exprs) == 1

@@ -160,6 +160,7 @@ def batch_text(steps: Sequence[Step], agent: Step, texts: Sequence[str], form: F
         f"def rig({given}):",
         "    for i in range(begin, end):",
         "        n[0] = i",
+        # Python advances such an instance: its episode has begun just now, or the text does not fit it.
         "        if K[i] < 0:",
         "            continue",
         *(f"        {name} = {name}_all[i]" for name in program.draws.values()),

@@ -46,6 +46,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
     scope = {"same_": same, **BASE}
     # Where Python would raise (division by zero, a wrong index) the text has to raise as well, so that the tick is
     # discarded.
+    # Other threads run during a call (nogil), such as the one that reports a tick that does not return.
     options = {"error_model": "python", "boundscheck": True, "nogil": True}
     # Only the rig's function calls the others, so they need no wrappers, which take time to compile.
     inner = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}

@@ -27,7 +27,9 @@ ANSWERS = 1 << 24  # bytes of their answers, at most: a long run has to stay sma
 GO = 0.05  # s: how long one call may last, since a run can be stopped only between two calls
 SHORT_GO = 0.005  # s: the same where messages are to be served in between
 WATCHES = "it watches what is recorded"  # why an observer is not native
-SELDOM = 16  # at least so many ticks are native for each that is given up, or the rest stays in Python
+# A discarded tick is expensive, since native code computes the earlier ticks of its call again. So many ticks must be
+# native for each one, or the rest of the run stays in Python.
+SELDOM = 16
 # A member in Python takes its ticks from native code for all others, too, since a tick is run as a whole; that is worth
 # it only for one that is due at every eighth tick of the others, or less often.
 RARE = 8
@@ -132,6 +134,7 @@ class Engine:
         ticks = {"were given up": result.given_up, "decided something": result.decided}
         left = [f"{count:,} of its ticks {what}" for what, count in ticks.items() if count]
         reason = result.reason or ", ".join(left)
+        # A text that Python runs is not native.
         for s in self.steps if self._typed else ():
             why = WATCHES if s in self._watchers else self._aside.get(s.name, reason)
             s.native = s.native[0], why
@@ -179,6 +182,7 @@ class Engine:
                 # Only a call of full length measures how many ticks fit into the time that a call may take.
                 if fit and reached == until and until == k + go:
                     elapsed = time.perf_counter() - started
+                    # Half, so that a call of twice as many ticks still ends in time.
                     if elapsed < self._longest / 2:
                         fit.kept.go = min(max(SHORTEST, int(ANSWERS / (fit.size + 1.0))), LONGEST, go * 2)
                     elif elapsed > self._longest:
@@ -325,6 +329,7 @@ class Engine:
         # all observers have seen them, so it is enough to take the observers back.
         answers = fit.answers(reached)
         begun = self._watching.keep()
+        # `watch` sets when the messages that it shows were published.
         published = [s.published_at for s in self._core.steps]
         try:
             self._audience.watch(fit.recorded, first, reached, answers)
@@ -366,6 +371,8 @@ class Engine:
             self._apply(fit, at, reached, after)
             if reached == last or not self._decided(reached):
                 break
+            # The answers of this tick go into the tables, so its messages are published by themselves only if the run
+            # ends here.
             for link in self._later:
                 link.kept = []
             try:

@@ -146,6 +146,7 @@ def _worth_another(kinds: Any) -> bool:
 
 def known(steps: Sequence[Step], make: Make) -> bool:
     """Return whether there is such a text for nodes of these classes, observers left out."""
+    # The engine has no text for observers, which get batches of messages.
     classes = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     return any(kept.kinds[:2] == (classes, make) for kept in _texts)
 

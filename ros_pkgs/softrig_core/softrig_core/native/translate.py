@@ -190,6 +190,7 @@ class Program:
 
     def tables(self, roots: Sequence[Any]) -> tuple[Any, ...]:
         """Return their arrays; lists if nothing is typed."""
+        # In one layout, because numba compiles a function again for another one.
         result = (follow(path, roots) for path in self.arrays)
         return tuple(v if isinstance(v, list) and not self.typed else np.ascontiguousarray(v) for v in result)
 
@@ -200,6 +201,7 @@ class Program:
                 value = follow(path, roots)
                 result = ("keys", tuple(sorted(value))) if wanted[0] == "keys" else signature(value)
             except (AttributeError, LookupError, TypeError):
+                # A value that another block does not have needs another text, too.
                 return written(path)
             if result != wanted:
                 return written(path)

@@ -394,6 +394,7 @@ class Ways:
     def _one_of(self, code: str, x: Dynamic, y: Dynamic, used: Any, node: ast.AST | None = None) -> Dynamic:
         if (x.keys, forms(x)) != (y.keys, forms(y)):
             raise self.unknown("answers of several forms", node)
+        # The samples have taken this branch, so its sample is the one that occurs.
         first, second = (y, x) if used is False else (x, y)
         sample = second.sample if first.sample is UNKNOWN else first.sample
         return replace(first, code=code, sample=sample, sure=is_sure(x) and is_sure(y) and alike(x.sample, y.sample))

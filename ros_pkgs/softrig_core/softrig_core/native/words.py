@@ -78,6 +78,7 @@ TEXTS: dict[str, str] = {
     "        reports[at + 1] = reports[0]\n    reports[at] += 1.0\n    reports[at + 2] = reports[0]\n"
     "    for k in range(len(numbers)):\n        reports[at + 3 + k] = numbers[k]\n",
     "abs_": "def abs_(z):\n    r = abs(z)\n    if r - r != 0.0:\n        raise OverflowError\n    return r\n",
+    # An angle that underflows is an error in Python; infinity and NaN are left to Python.
     "phase": "def phase(z):\n    a = math.atan2(z.imag, z.real)\n    if z - z != 0.0 or (a == 0.0 and z.imag != 0.0):\n"
     "        raise ValueError\n    return a\n",
     "rect": "def rect(r, phi):\n    if r - r != 0.0 or phi - phi != 0.0:\n        raise ValueError\n"
