@@ -29,7 +29,7 @@ class Child:
     log: Path
     status: Path
     shard: Path
-    interrupted: bool = False  # by this runner: how it ends then says nothing
+    interrupted: bool = False  # whether this runner stopped it; its exit status is then no sign of an error
 
 
 def is_held(child: Child) -> bool:
@@ -44,11 +44,13 @@ def stop(children: list[Child]) -> None:
     for child in children:
         child.interrupted = child.process.poll() is None
     for number, patience in STOP_STEPS:
+        # The nodes of a container share one process, which must get each signal only once.
         running = {c.process.pid: c for c in children if c.process.poll() is None}.values()
         if not running:
             return
         for child in running:
-            child.process.send_signal(signal.SIGCONT)  # a stopped process could not end otherwise
+            # A process that is stopped (SIGSTOP) handles no other signal until it continues.
+            child.process.send_signal(signal.SIGCONT)
             child.process.send_signal(number)
         deadline = time.monotonic() + patience
         for child in running:
@@ -64,7 +66,8 @@ def end_left(children: list[Child]) -> None:
     """
     left = {child.process.pid for child in children if child.process.poll() is not None and _has_members(child)}
     for entry in Path("/proc").iterdir() if left else ():
-        with suppress(OSError, IndexError):  # it has ended meanwhile
+        # A process may end while it is looked at.
+        with suppress(OSError, IndexError):
             if entry.name.isdigit() and int((entry / "stat").read_text().rpartition(")")[2].split()[2]) in left:
                 os.kill(int(entry.name), signal.SIGKILL)
 
@@ -74,6 +77,7 @@ def _has_members(child: Child) -> bool:
         os.killpg(child.process.pid, 0)
     except ProcessLookupError:
         return False
+    # Group 0 would be that of this runner, group 1 that of the first process of the system.
     return child.process.pid > 1
 
 

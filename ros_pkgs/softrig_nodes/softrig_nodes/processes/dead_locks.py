@@ -71,9 +71,11 @@ class DeadLocks:
         for path in ports_of(domain, self._folder):
             try:
                 file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
-            except OSError:  # removed by now, or another user's
+            # It was removed in the meantime, or it belongs to another user.
+            except OSError:
                 continue
             try:
+                # A port may be removed and created again under the same name, so the inode is part of the key.
                 key = path, os.fstat(file).st_ino
                 place = places[key] if key in places else _place(path)
                 self._places[key] = place
@@ -114,7 +116,8 @@ def _is_dead(thread: int) -> bool:
     try:
         return Path(f"/proc/{thread}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
     except OSError:
-        return Path("/proc/self").exists()  # without /proc it is not known
+        # A missing entry shows that the thread has ended, but only on a host that has /proc at all.
+        return Path("/proc/self").exists()
 
 
 def _unlock(file: int, at: int) -> None:
@@ -122,4 +125,5 @@ def _unlock(file: int, at: int) -> None:
     with mmap.mmap(file, 0) as segment:
         mutex = ctypes.c_char.from_buffer(segment, at)
         ctypes.CDLL(None).pthread_mutex_unlock(ctypes.byref(mutex))
-        del mutex  # a mapping that is referred to cannot be closed
+        # The mapping cannot be closed while an object refers to it.
+        del mutex

@@ -19,8 +19,11 @@ from softrig_core.kit.compiled import cache_folder
 from .ports import BASE, GAIN, udp_ports
 from .shared_memory import remove_leftovers
 
-DOMAINS = range(1, 101)  # 0 is everybody's default; above 101 the ports of Linux' ephemeral range begin
-BEYOND = (*range(215, 232), *range(101, 215))  # when those are taken: first what is above that range
+# Domain 0 is the default of every ROS session. Above 101 the ports of a domain lie in the range from which Linux
+# chooses ephemeral ports, so another program may hold them.
+DOMAINS = range(1, 101)
+# Used when those are taken, beginning with the domains whose ports lie above the ephemeral range.
+BEYOND = (*range(215, 232), *range(101, 215))
 HIGHEST = 232  # what DDS can number
 SIOCGIFFLAGS, IFF_UP = 0x8913, 1  # of Linux: <net/if.h>
 
@@ -66,6 +69,7 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
     start = os.getpid()
     usual = [DOMAINS[(start + i) % len(DOMAINS)] for i in range(len(DOMAINS))]
     choice = [*usual, *BEYOND] if wanted is None else [wanted]
+    # A requested domain is used even if ROS sessions of this host are in it; only another run excludes it.
     busy = set() if wanted is not None else inhabited()
     for number in choice:
         if number in busy:
@@ -74,8 +78,10 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as name:
                 try:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # also against who has joined it
-                    name.bind(f"\0softrig-domain-{number}")  # against other users and homes
+                    # The file excludes processes that have joined the domain by `join_domain`. The name of the socket
+                    # excludes other users, who have another cache folder.
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    name.bind(f"\0softrig-domain-{number}")
                 except OSError as error:
                     if error.errno not in (errno.EWOULDBLOCK, errno.EADDRINUSE):
                         raise
@@ -153,7 +159,7 @@ def inhabited() -> set[int]:
 
 
 def _open(number: int) -> int:
-    # neither a link to another file nor a pipe, which would wait for its other end, is a lock
+    # A link could lead to a file of another program, and opening a pipe would wait for its other end.
     try:
         path = cache_folder() / "domains" / f"{number}.lock"
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)

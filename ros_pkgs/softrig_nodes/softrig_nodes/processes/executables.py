@@ -17,8 +17,8 @@ from softrig_core.needs import join_prefix
 from softrig_core.rig.installed import load_main
 
 PROFILE = Path(__file__).parent.with_name("fastdds_profile.xml")
-LOOPBACK = PROFILE.with_name("fastdds_loopback.xml")  # the same for who is not to be reached from elsewhere
-NETWORK = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")  # who sets one wants other hosts
+LOOPBACK = PROFILE.with_name("fastdds_loopback.xml")  # the same for a process that other hosts must not reach
+NETWORK = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER")  # set only to reach other hosts
 NO_MEMORY = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}  # Fast DDS's own variable; `ros.profile` follows it, too
 MARGIN = 2  # s: an announcement in 0.5 s renews the lease; on a busy host it comes late
 
@@ -50,7 +50,8 @@ def find_executable(package: str, executable: str) -> Path:
 
 def given_profile() -> Path:
     """Return the profile of this process: the one of its environment, or the default."""
-    names = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")  # of Fast DDS 3, and before
+    # The first name is that of Fast DDS 3, which still reads the second one but warns.
+    names = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
     return Path(next(filter(None, map(os.environ.get, names)), default_profile()))
 
 
@@ -76,11 +77,12 @@ def environment(
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         "ROS_LOG_DIR": str(directory / "log"),
         "PYTHONUNBUFFERED": "1",
-        # one thread each: a BLAS that splits sums by the number of cores would change last bits
+        # A BLAS with several threads splits sums by the number of cores, which would change the last bits.
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
     }
-    variables.pop("ROS_LOCALHOST_ONLY", None)  # deprecated, would override the discovery range
+    # This deprecated variable would override the discovery range.
+    variables.pop("ROS_LOCALHOST_ONLY", None)
     profile = LOOPBACK if discovery == "LOCALHOST" else PROFILE
     if not variables.get("FASTRTPS_DEFAULT_PROFILES_FILE"):
         chosen = profile if silence is None else patient(profile, directory, silence)
@@ -115,6 +117,7 @@ def node_main(package: str, executable: str, arguments: list[str]) -> int:
     path = find_executable(package, executable)
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(default_profile()))
     main = load_main(package, executable)
+    # `execv` replaces the process without flushing Python's buffers.
     sys.stdout.flush()
     if main is None:
         os.execv(path, [str(path), *arguments])

@@ -29,11 +29,14 @@ from typing import Any
 
 from softrig_core.rig.installed import load_main
 
-LIBC = ctypes.CDLL(None)  # loaded here: between fork and exec another thread may hold the loader's lock
+# Loaded here, because between fork and exec another thread may hold the lock of the loader.
+LIBC = ctypes.CDLL(None)
 PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 LARGEST = 100_000  # bytes of a request
-ROOM = 8_000  # bytes for the command line of a node, as /proc shows it
-# variables that a node reads when it starts; all others have been read before the fork
+# A process cannot enlarge the space that /proc shows as its command line, so the server is started with a long one.
+ROOM = 8_000  # bytes for the command line of a node
+# A node reads these variables when it starts, so they may differ from those of the server. All others may have been
+# read before the fork; a server with other values of them is replaced.
 OWN = (
     "ROS_DOMAIN_ID",
     "ROS_LOG_DIR",
@@ -55,7 +58,8 @@ class Forked:
         self.pid = pid
         self.returncode: int | None = None
         self._server = server
-        self._end = os.pidfd_open(pid)  # the server keeps the process as a zombie until its status is asked for
+        # The number cannot belong to another process by now: the server waits for this one only in `status`.
+        self._end = os.pidfd_open(pid)
 
     def poll(self) -> int | None:
         """Return the exit status, less than zero for a signal, or None while it runs."""
@@ -110,7 +114,8 @@ class ForkServer:
         self._asked = 0
         self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            # the last argument reserves space for the names of the nodes
+            # The last argument reserves space for the command lines of the nodes. With -P modules in the working
+            # directory cannot hide installed ones.
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), "-" * ROOM],
                 env=dict(variables),
@@ -161,7 +166,8 @@ class ForkServer:
     def __del__(self) -> None:
         """Stop the server when this object is released; its nodes hold a reference to it."""
         self._link.close()
-        if os.getpid() == self._owner:  # and not a fork of it
+        # A fork of the owner has a copy of this object, but the server is not its child.
+        if os.getpid() == self._owner:
             self._process.kill()
             self._process.wait()
 
@@ -175,7 +181,8 @@ class ForkServer:
                 socket.send_fds(self._link, [data], descriptors)
                 while text := self._link.recv(LARGEST):
                     answer: dict[str, Any] = json.loads(text)
-                    if answer["number"] == self._asked:  # and not that to a question which a signal has cut off
+                    # A signal may have interrupted an earlier request, whose answer is then still in the socket.
+                    if answer["number"] == self._asked:
                         return answer
             except OSError:
                 pass
@@ -211,6 +218,7 @@ def start_node(
 
     A server whose modules have been edited since is replaced.
     """
+    # A server declines once a module has been edited since it was imported; a new server imports the new text.
     for _ in range(2):
         started = prepare(variables).start(package, executable, command, variables, output)
         if started is not None:
@@ -250,11 +258,14 @@ class _Edited:
 
 def serve(link: socket.socket) -> Callable[[], Any]:
     """Answer requests until the link is closed; return only in a forked process, with its work."""
-    for point in importlib.metadata.entry_points(group="softrig_preloaded"):  # what nodes need; no ROS is known here
-        with contextlib.suppress(Exception):  # the node says itself what is wrong with it
+    # Entry points name what nodes import, because this module itself must not depend on ROS.
+    for point in importlib.metadata.entry_points(group="softrig_preloaded"):
+        # The node imports it again and then reports the error itself.
+        with contextlib.suppress(Exception):
             point.load()
     edited = _Edited()
-    asleep = _threads()  # listeners of rclpy's tracing (lttng), which wait on a futex without a lock
+    # These are listeners of rclpy's tracing (lttng). They wait on a futex and hold no lock, so a fork is safe.
+    asleep = _threads()
     ended: dict[int, int] = {}
     while True:
         data, descriptors, _, _ = socket.recv_fds(link, LARGEST, 1)
@@ -262,14 +273,16 @@ def serve(link: socket.socket) -> Callable[[], Any]:
             os._exit(0)
         request = json.loads(data)
         if "status" in request:
-            if (pid := request["status"]) not in ended:  # who asked last time may not have heard it
+            # A signal may cut off the answer, so a status may be requested again; a process is waited for only once.
+            if (pid := request["status"]) not in ended:
                 ended[pid] = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
             answer: dict[str, Any] = {"status": ended[pid]}
         else:
             pid = 0 if edited else _fork(request, asleep)
             if pid == os.getpid():
                 return lambda: _become(link, request, descriptors[0])
-            ended.pop(pid, None)  # of one that had this number before
+            # An earlier process may have had this number.
+            ended.pop(pid, None)
             answer = {"pid": pid} if pid else {}
             for descriptor in descriptors:
                 os.close(descriptor)
@@ -284,16 +297,20 @@ def _fork(request: Mapping[str, Any], asleep: set[str]) -> int:
     """Import the modules of the node and fork; return 0 if that is impossible, its own pid in the new process."""
     with contextlib.suppress(Exception):
         load_main(request["package"], request["executable"])
-    if not _threads() <= asleep:  # another thread may hold a lock that the new process would wait for
+    # The import may have started a thread. It may hold a lock, which nothing would release in the new process.
+    if not _threads() <= asleep:
         return 0
-    gc.freeze()  # or the first search for cycles would copy every page
+    # Otherwise the first search for cycles in the new process would write to, and so copy, every shared page.
+    gc.freeze()
     parent = os.getpid()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Python's, of any other thread
+        # Python warns of a fork beside any other thread, even beside those of `asleep`.
+        warnings.simplefilter("ignore")
         pid = os.fork()
     if pid == 0:
         LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:  # died before that
+        # The parent may have died before `prctl`, and then no signal comes.
+        if os.getppid() != parent:
             os._exit(0)
         os.setpgid(0, 0)
         return os.getpid()
@@ -321,7 +338,8 @@ def _call_itself(command: Sequence[str]) -> None:
     LIBC.prctl(PR_SET_NAME, os.fsencode(Path(command[1]).name))
     fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
     begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end of proc(5)
-    if end - begin > ROOM:  # as it is where the kernel says it
+    # Without the reserved space, or where the kernel does not show it, there is nothing to write into.
+    if end - begin > ROOM:
         text = b"\0".join(map(os.fsencode, command))[: end - begin - 1]
         ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
 

@@ -12,7 +12,7 @@ from softrig_core.rig.rig import Rig
 from .peers import ours
 
 UNSEEN = 10.0  # s: on one host ROS finds a node within 3 s
-# under LOCALHOST a participant of Cyclone DDS is found by unicast alone
+# With LOCALHOST a participant of Cyclone DDS is found only by unicast.
 CYCLONE = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
     '<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
@@ -64,7 +64,8 @@ class Guests:
             for topic, (_, why) in state.get("refused", {}).items():
                 self._once(f"{name} refuses {topic}", f"{name} refused a message on {topic}: {why}")
         if not self._awaited or any("lacking" not in s for s in states.values()):
-            return  # not all of ours are there themselves
+            # Until each of our nodes reports what it lacks, an external node may look present although it is not.
+            return
         for state in states.values():
             for key, (_, text, _) in state.get("reports", {}).items():
                 if key.startswith("type of "):

@@ -30,7 +30,8 @@ def links(rig: Rig, member: Member) -> Links:
     pacers = _pacers(rig, member)
     acknowledging = [m for m in _acknowledging(rig) if m is not member] if member is _gatherer(rig) else []
     by_readers = rig.clock.external and bool(pacers or member.links)
-    # an outside plant without commands has nothing else to follow
+    # An outside plant that reads no commands paces itself by the acknowledgements of a node that no node waits for, so
+    # that node acknowledges its ticks although none of ours reads them.
     unheard = rig.clock.external and _gatherer(rig) is None and member in _acknowledging(rig)
     clocked = member in _clocked(rig)
     return Links(
@@ -42,6 +43,7 @@ def links(rig: Rig, member: Member) -> Links:
         overheard=_overheard(rig, member),
         guests=any(m.external for m in rig.members),
         outside=[p.topic for m in rig.members if m.external for p in m.outputs if ours(rig.readers(m, p))],
+        # An outside clock may not publish /clock, so a source follows the acknowledgements of `_pacers` instead.
         clock=InputLink(period=_seconds(rig.clock), node=rig.clock.name) if clocked and not by_readers else None,
         follows_clock=clocked and by_readers,
         owns_clock=member is rig.clock,

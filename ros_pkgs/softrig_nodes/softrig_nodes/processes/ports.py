@@ -31,10 +31,13 @@ WELL_KNOWN = {"offsetd0": 0, "offsetd1": 10, "offsetd2": 1}
 STANDARD = 11  # of the user ports
 HIGHEST = 65_535  # the last domain of all has no room for others
 USER = range(76, 188)  # of a domain's numbers, those that no other has, even two further for each of 32 participants
-UNIQUE = 400  # Fast DDS looks for a port of its own for what ROS says of its nodes in so many below the base
+# Fast DDS searches this many numbers below the base for the port of the topic on which ROS announces its nodes.
+UNIQUE = 400
 FLOWS = range(BASE - 3 * UNIQUE, BASE - UNIQUE)  # of the whole host; other participants take those above
-AROUND = 18.0  # s; a lease is seldom longer
-AT_ONCE = 50  # processes that begin within an eighth of that, each with a number of its own to begin the search at
+AROUND = 18.0  # s; a lease is rarely longer, so the others have forgotten a dead node when its numbers return
+# Processes that start within an eighth of `AROUND` begin their search at different numbers. When two
+# took the same one within 45 ms, the slower one removed the port of the other (see above).
+AT_ONCE = 50
 
 
 def of_domain(domain: int) -> range:

@@ -78,7 +78,8 @@ def run_processes(
     check_restart(rig, placement)
     directory.mkdir(parents=True, exist_ok=True)
     domain, only, wait = placement.domain, placement.only, placement.wait
-    if not only:  # parts on several hosts find each other over their network
+    # Parts of a rig on several hosts find each other over their network instead.
+    if not only:
         require_loopback()
     children: list[Child] = []
     external = [m for m in rig.members if m.external]
@@ -108,6 +109,8 @@ def run_processes(
             "run.pace": placement.pace,
         }
 
+        # A domain that this run has reserved contains no recorders of other people, so the start need not search for
+        # any.
         recorders = None if own_domain else ()
         run = Started(
             rig, seed, directory, options, placement.record, variables, recorders, returns=placement.restart > 0
@@ -152,7 +155,8 @@ def run_processes(
         finally:
             for child in children:
                 os.close(child.end)
-        with undisturbed() as later:  # what was recorded is not lost while it is gathered
+        # A signal must not end the run here, or its recording would be lost.
+        with undisturbed() as later:
             remove_leftovers(domain if own_domain and not external else None)
             recording, status = gathered(rig, directory, [c.member.name for c in children])
         for name, count in restarts.counts.items():

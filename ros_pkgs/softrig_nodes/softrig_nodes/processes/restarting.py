@@ -78,6 +78,7 @@ class Restarts:
             code = child.process.poll()
             if code in (None, 0):
                 continue
+            # Only a node that was killed by a signal, which is a negative code, is started again.
             if code > 0 or self.counts.get(child.member.name, 0) >= self.most:
                 lost.append(child)
             elif self._stand(child, children):
@@ -93,6 +94,7 @@ class Restarts:
                     written, status = child.status.stat().st_mtime_ns, read_status(child.status)
                     ticks = status.get("ticks", 0)
                     old = waiting.setdefault(child.member.name, _Progress(written, ticks, False))
+                    # Only two different status files show whether ticks were answered in between.
                     if old.written != written:
                         stalled = ticks == old.ticks and not status.get("busy")
                         waiting[child.member.name] = _Progress(written, ticks, stalled)
@@ -104,6 +106,7 @@ class Restarts:
         name = children[k].member.name
         t = read_status(children[k].status).get("t", 0) / 1e9
         self.counts[name] = self.counts.get(name, 0) + 1
+        # If it dies again, the others must be seen waiting again.
         del self._progress[name]
         self._again(k)
         if self._announce is not None:

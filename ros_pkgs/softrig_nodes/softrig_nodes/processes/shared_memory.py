@@ -14,11 +14,15 @@ from pathlib import Path
 from .ports import BASE, FLOWS, of_domain
 
 FOLDER = Path("/dev/shm")
-AGE = 2.0  # s: between making a segment and locking it pass some microseconds
-ABANDONED = 60.0  # s: the same for a maker of whom nothing is known, who may have no processor meanwhile
-LOOKS = 100  # in AGE, and in as much longer as this process is kept from looking
+AGE = 2.0  # s; only some microseconds pass between the creation of a segment and its lock
+# s: the same where nothing is known about the creator. On a busy host it may have no processor in the meantime, and a
+# node whose port has been removed receives nothing.
+ABANDONED = 60.0
+# Number of looks within AGE. A host that keeps this process from looking also keeps the creator waiting, so looks are
+# counted and not seconds.
+LOOKS = 100
 SIZE = 1_250_000  # bytes that the segments and ports of a node take
-RECENT = 1e9  # s: a time within so much of now is one
+RECENT = 1e9  # s: a number that differs less from the present time is taken for a time
 MADE = b"\2\0\0\0"  # how a segment begins that its maker has finished (Boost.Interprocess)
 FAST = ("fastrtps_", "fastdds_")  # names of Fast DDS 2 (Jazzy) and Fast DDS 3 (Kilted) begin so
 PORT = re.compile(r"(?:fastrtps|fastdds)_port(\d+)")
@@ -47,13 +51,14 @@ def remove_leftovers(domain: int | None = None, folder: Path = FOLDER) -> int:
     stems = {s for s in locked if s not in ports}
     for name in ports:
         old = name in files and _older(folder / name, ABANDONED)
-        # a reader that creates a port of `FLOWS` has created its file before it locks it
+        # The file of a port of `FLOWS` is created before its lock, so a port without a lock may be one in the making.
         if (old and _unfinished(folder / name)) or (ports[name] in FLOWS and (name in locked or old)):
             stems.add(name)
     stems |= {name for name, number in ports.items() if domain is not None and number in of_domain(domain)}
     for stem in sorted(stems):
         locks = [p for p in (folder / f"{stem}_el", folder / f"{stem}_sl") if p.exists()]
-        # the locks last, and held until then: a node that starts now must not take the port in the meantime
+        # The locks are held until the files are removed and are removed last, so that a node that starts now cannot use
+        # the port in between.
         with ExitStack() as held:
             if not all(_is_abandoned(lock, held) for lock in locks):
                 continue
@@ -86,7 +91,8 @@ def clear_ports(domain: int, folder: Path = FOLDER) -> None:
                 with suppress(OSError):
                     path.unlink()
             if port.exists():
-                return  # another user's
+                # It belongs to another user, so waiting for it would not end.
+                return
         if not unfinished:
             return
         time.sleep(AGE / LOOKS)
@@ -121,6 +127,8 @@ def lacking(processes: int, folder: Path = FOLDER) -> str:
         return f"{folder}: {error.strerror}"
     if not os.access(folder, os.W_OK):
         return f"{folder} cannot be written"
+    # Fast DDS falls back to UDP only if it cannot create its segment. If the space ends later, peers wait forever for
+    # messages to ports that do not exist, or a node is killed by SIGBUS.
     free, needed = left.f_bavail * left.f_frsize, processes * SIZE
     return "" if free >= needed else f"{folder} has {free / 1e6:.1f} MB left, {processes} nodes take {needed / 1e6:.1f}"
 

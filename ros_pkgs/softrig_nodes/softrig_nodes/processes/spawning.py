@@ -23,7 +23,7 @@ from .fork_server import LIBC, PR_SET_PDEATHSIG, start_node
 from .peers import links
 
 FILES = ("status", "shard")  # that a node writes
-DIED = ".shard.died"  # what the record of a node is called that has died and comes back
+DIED = ".shard.died"  # suffix of the record of a node that has died and is started again
 
 
 def groups(rig: Rig, containers: Iterable[Sequence[str]], only: Sequence[str] = ()) -> list[list[Member]]:
@@ -50,7 +50,8 @@ def node_parameters(
     default = flatten(member.block_class.Params())
     own = {k: v for k, v in flatten(member.params).items() if v != default.get(k)}
     others: dict[str, Any] = {"returns": returns}
-    others |= {"followers": []} if returns else {}  # who comes back finds the others at the tick at which it died
+    # The clock runs ahead of followers; a restarted node must find all others at the tick at which it died.
+    others |= {"followers": []} if returns else {}
     entry = getattr(member.block_class, "ENTRY", None) if issubclass(member.block_class, Elsewhere) else None
     link = {} if entry is None else {"run.link": entry.model_dump_json()}
     others |= {} if recorders is None else {"public": True, "recorders": list(recorders)}
@@ -98,6 +99,7 @@ def start(run: Started, group: list[Member], *, again: bool = False) -> list[Chi
         if again:
             _keep_record(stem)
         for kind in FILES:
+            # A status of an earlier run would be taken for that of the new node.
             stem.with_suffix(f".{kind}").unlink(missing_ok=True)
         given[member.name] = (
             node_parameters(rig, member, seed, options["run.mode"], recorders=recorders, returns=returns)
@@ -186,6 +188,7 @@ def parameter_file(member: Member, parameters: Mapping[str, Any], directory: Pat
         Parameters, as returned by `node_parameters`.
     """
     file = directory / f"{member.name}.params.yaml"
+    # JSON is YAML, and `json.dumps` quotes each text, so that a text such as `no` stays a text.
     lines = [f"    {name}: {json.dumps(value)}" for name, value in parameters.items()]
     replace(file, "/**:\n  ros__parameters:\n" + "\n".join(lines) + "\n")
     return file

@@ -57,7 +57,8 @@ def stoppable() -> Iterator[Stopping]:
         return
 
     def handle(number: int, frame: FrameType | None) -> None:
-        # A later one is not given to SIG_IGN: if it has arrived already, Python would print a traceback of a race.
+        # A later signal is ignored here and not by SIG_IGN: for a signal that has arrived already, Python would then
+        # print a traceback.
         if not stopping.number:
             stopping.number = number
             raise Stopped(number)
@@ -86,7 +87,7 @@ def undisturbed() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield arrived
         return
-    # not blocked: another thread would receive them
+    # The signals are handled, not blocked, because a blocked signal would be delivered to another thread.
     before = {number: signal.signal(number, lambda number, frame: arrived.append(number)) for number in SIGNALS}
     try:
         yield arrived

@@ -21,7 +21,7 @@ from .restarting import Restarts
 from .stopping import Stopping
 
 STANDS = 2.0  # s without a tick after which the logs are read for the reason
-GRACE = 1.5  # s: after one node fails, how long the others may take to say what they saw
+GRACE = 1.5  # s: time for the other nodes to report what they saw, after one has failed
 
 
 def supervise(
@@ -66,7 +66,8 @@ def supervise(
         guests.check(states)
         if time.monotonic() > comes_up and (mute := _mute(states, rig.scenario.start_timeout)):
             return mute
-        plant = next((c for c in children if c.member is first), children[0])  # the first may run on another machine
+        # The starter may run on another machine.
+        plant = next((c for c in children if c.member is first), children[0])
         state = states[plant.member.name]
         t = state.get("t", 0)
         busy = any(states[c.member.name].get("busy") for c in running)
@@ -74,11 +75,15 @@ def supervise(
             if late == math.inf and state.get("epoch"):
                 to_start = _to_start(state["epoch"], rig.scenario.start_timeout)
                 late = time.monotonic() + to_start + rig.scenario.duration + rig.scenario.timeout
+            # A person has stopped the clock of the rig, so the whole run may still lie ahead.
             if state.get("held"):
                 late = max(late, time.monotonic() + rig.scenario.duration + rig.scenario.timeout)
         elif restarts.most:
+            # A restarted node repeats its ticks while the others wait, so progress of any node counts.
             if (now := {name: (s.get("t"), s.get("state")) for name, s in states.items()}) != before or busy:
                 before, late = now, time.monotonic() + max(rig.scenario.timeout, rig.scenario.start_timeout)
+        # While all nodes run, they detect a stall themselves and name its cause. Only a node that waits for one that
+        # has ended or is stopped needs this limit.
         elif t != last or busy or (len(running) == len(children) and not any(is_held(c) for c in running)):
             late = time.monotonic() + rig.scenario.timeout
         if time.monotonic() > late:
@@ -157,7 +162,8 @@ def _ended(children: Sequence[Child]) -> str:
     results = []
     for child in children:
         if child.process.poll() == 0:
-            state = read_status(child.status)  # the last that it has written
+            # A node of ours writes a final state before it ends, so one without it was ended by other code.
+            state = read_status(child.status)
             if state.get("state") not in ("done", "failed") and not state.get("left_early"):
                 results.append(f"{child.member.name} after t = {state.get('t', 0) / 1e9:.9g} s")
     return f"code of node {', '.join(results)} has ended its process with status 0" if results else ""
@@ -181,7 +187,7 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
         deadline = time.monotonic() + GRACE
         while time.monotonic() < deadline and any(c.process.poll() is None for c in children):
             time.sleep(0.02)
-        # on a busy host a process that has reported its error may end late, and is still the cause
+        # On a busy host a process that has reported its error may end late, but it can still be the cause.
         failed = [
             c for c in children if c.process.poll() not in (None, 0) or read_status(c.status).get("state") == "failed"
         ]
