@@ -180,6 +180,7 @@ class _Files:
         self.golden, self.ends = self._replayable(golden)
         self.end = golden[len(self.golden)].t if self.ends else None
         text = Text(block, self.law, self.inputs)
+        # Before any C is written, so that a branch of the run that has no C is refused with its time and reason.
         check_text(text, self.golden, self.outputs)
         self.drawn, without = as_answered(text, drawn)
         self.held = [k for k, path in enumerate(self.slots) if self._is_held(k, path)]
@@ -331,8 +332,10 @@ class _Files:
                 f"        {t} {self.fields[k]}; /**< {remark(written(self.slots[k]))} */"
                 for k, t in zip(self.held, self.held_types, strict=True)
             ),
+            # C has no empty structs.
             *([] if self.held else ["        uint8_t nothing;"]),
             "    } k;",
+            # A state has one of its types at a time.
             "    union {",
             *(f"        {t} f{i};" for i, t in enumerate(self.state_types)),
             "    } x;",
@@ -493,6 +496,7 @@ class _Files:
         lines.append(f"    s->x.f0 = ({self.state_types[0]}){_initial(first)};")
         lines += [f"    memcpy(s->a.{_store(path)}, {table}, sizeof {table});" for table, (path, _) in tables.items()]
         for name, draws in self.draws.items():
+            # C99 has no whole numbers of 128 bits.
             words = ", ".join(f"UINT64_C({part})" for word in draws.words for part in divmod(word, 1 << 64))
             lines.append(f"    sr_draws_init(&s->{name}, {words});")
         lines += ["    if (params != NULL) {", f"        {n}_take(s, params);", "    }", "}", ""]
@@ -502,6 +506,7 @@ class _Files:
         """Write the function that sets other parameters and adapts the state as Python does."""
         lines = []
         for k in self.held:
+            # `go_on` reads the parameters from before the change, so these are copied before the new ones are taken.
             if self.slots[k][0] == 1:
                 name = written(self.slots[k]).removeprefix("p.")
                 lines.append(f"s->k.{self.fields[k]} = s->k.{self.fields[self.settable[name][0]]};")
@@ -518,11 +523,13 @@ class _Files:
         """Write a function that a user calls: choose by the form, compute, check, copy the state."""
         with_out = method != "advance"
         lines = [head, "{", "    bool known = false;"]
+        # The replay is compiled with warnings as errors, among them that of an unused argument.
         lines += ["    (void)in;"] * (method != "outputs") + ["    (void)out;"] * with_out
         lines += ["    (void)t_ns;", "    s->discarded = false;"]
         for form, root in self.roots.items():
             if form.method == method:
                 lines += [f"    {line}" for line in self._way(form, root)]
+        # Without a known form: the state and the inputs that are present did not occur together when the text was made.
         lines.append("    if (SR_RARELY(!known || s->discarded)) {")
         if with_out:
             for port in self.outputs:
@@ -559,6 +566,7 @@ class _Files:
                 numbers = ", ".join(f"in->{name}[{i}]" for i in range(port.size)) or "0"
                 stamped = f"in->{name}_stamp_ns, {{ {numbers} }}" if port.delayed else numbers
                 given.append(f"({self.unit.c(input_kind(port))}){{ {stamped} }}")
+        # A call stores the next state, whose form a later test may fit: only the first that fits may answer.
         lines = [f"if ({' && '.join(['!known', *(f'({t})' for t in tests)])}) {{", "    known = true;"]
         k = self.forms.index(form.state)
         lines += [f"    {self.state_types[k]} x = s->x.f{k};", "    (void)x;"]
@@ -608,6 +616,7 @@ class _Files:
                     inside = f"SR_MATH(fabs)({c}) <= {literal(limit)}"
                     checks.append(f"(({at} == SR_REAL(0)) || ({inside}))" if at else f"({inside})")
         if checks:
+            # The function that the user calls replaces the outputs of a discarded tick by safe values.
             lines += [f"if (SR_RARELY(!({' && '.join(checks)}))) {{", "    s->discarded = true;", "}"]
         return lines
 

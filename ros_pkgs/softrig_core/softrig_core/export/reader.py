@@ -93,6 +93,7 @@ class Reader(Calls):
         while True:
             lines: list[str] = []
             for line in self.lines:
+                # `-Wall` warns of variables that are set and not read.
                 match = ASSIGNED.fullmatch(line)
                 own = match.group(2) if match and match.group(2) in self.kinds_of else ""
                 if (
@@ -164,6 +165,7 @@ class Reader(Calls):
         """Assign a value to a name, names, or an element of an array."""
         if isinstance(target, ast.Name):
             fixed = isinstance(value.kind, Absent) or value.thing is not None or self.is_room(value)
+            # A whole number that is written out may be the size of an array, which C has to know.
             if fixed or (value.kind == INT and WHOLE.fullmatch(value.c)):
                 self.env[target.id] = value
                 return
@@ -245,6 +247,8 @@ class Reader(Calls):
         for name in {**one, **other}:
             a, b = one.get(name), other.get(name)
             if a is None or b is None:
+                # Python raises where a name without a value is read, and C would read a variable that is not set:
+                # reading it is refused.
                 env[name] = replace(one[name] if b is None else other[name], partly=True)
                 continue
             if a == b:
@@ -252,7 +256,7 @@ class Reader(Calls):
                 continue
             kind = united(a.kind, b.kind)
             if kind is None or isinstance(kind, Absent):
-                continue  # whoever reads it is told
+                continue  # a line that reads the name is refused
             c = self._variable(name, kind, "j")
             kind = self.kinds_of[c]
             for value, lines in ((a, then), (b, orelse)):
@@ -287,6 +291,7 @@ class Reader(Calls):
         assert isinstance(node.target, ast.Name)
         # A loop in another one may have the same name.
         counter = self._variable(node.target.id, INT, f"k{len(self.loops)}")
+        # Python's name is apart from the counter: the body may bind it, and it keeps its last value after the loop.
         own = self._variable(node.target.id, INT)
         head = f"for ({counter} = {first.c}; {counter} {'>' if down else '<'} {last.c}; {counter} += {step.c}) {{"
 

@@ -314,6 +314,7 @@ class _Printer:
             self.statement(one)
         body = "\n".join(self.lines)
         head: list[str] = []
+        # A struct behind a pointer of C is changed by the function, and an input of structured text is a copy.
         for title, by_reference in (("VAR_IN_OUT", True), ("VAR_INPUT", False)):
             rows = [f"    {self.word(w)} : {self.written(k)};" for w, k, r in parameters if r is by_reference]
             head += [title, *rows, "END_VAR"] if rows else []

@@ -98,6 +98,7 @@ class Calls(Expressions):
                 ends = [self.value(a) for a in node.args]
                 if all(isinstance(v, Static) for v in ends):
                     turns = range(*(self.program.guard(v) for v in ends if isinstance(v, Static)))
+                    # A longer one becomes a loop of native code.
                     return [Static(k) for k in turns] if len(turns) <= TURNS else None
                 return None
             if name == "zip":
@@ -345,6 +346,8 @@ class Calls(Expressions):
     def _of_base(self, node: ast.Call) -> Value:
         """Call a method of a base class."""
         assert isinstance(node.func, ast.Attribute)
+        # `__class__` is the cell with the class in which the method is defined; the block may be of a class derived
+        # from it.
         owner, own = self.outer("__class__", node), self.env[self.function.__code__.co_varnames[0]]
         if not isinstance(own, Static):
             raise self.unknown("super() of something that is computed", node)
@@ -417,6 +420,7 @@ class Calls(Expressions):
         if isinstance(called, Compiled):
             return self._compiled(function, given, node)
         if isinstance(called, partial):
+            # The guard of a partial contains its arguments, so they need no paths of their own.
             return self.call(
                 Static(called.func),
                 [*map(Static, called.args), *given],
@@ -530,6 +534,7 @@ class Calls(Expressions):
             keys = tuple(table.value)
             values = [Static(table.value[k], None if table.path is None else (*table.path, ("item", k))) for k in keys]
             if table.path is not None:
+                # Only the keys choose this text; each value that does has its own guard.
                 self.program.guards[table.path] = ("keys", tuple(sorted(keys)))
             if name == "items":
                 return Group(tuple(Group((Static(k), v)) for k, v in zip(keys, values, strict=True)))
@@ -644,6 +649,7 @@ class Calls(Expressions):
         if (isinstance(called, types.BuiltinFunctionType) and getattr(called, "__module__", "") == "numpy") or (
             isinstance(called, np.ufunc)
         ):
+            # Native code may compute numpy's functions with other bits; see `kit.jit`.
             raise self.unknown(f"numpy.{called.__name__}", node)
         raise self.unknown(f"{getattr(called, '__qualname__', type(called).__name__)}()", node)
 

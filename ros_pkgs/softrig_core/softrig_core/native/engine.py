@@ -33,10 +33,10 @@ SELDOM = 16
 # A member in Python takes its ticks from native code for all others, too, since a tick is run as a whole; that is worth
 # it only for one that is due at every eighth tick of the others, or less often.
 RARE = 8
-PATIENCE = 64  # given up before that is judged
+PATIENCE = 64  # discarded ticks before that is judged
 LOOK = 64  # ticks in Python between two looks at whether native code may go on
-LATEST = 256  # ticks up to which a state may become what it stays: None until something has come
-TRIES = 3
+LATEST = 256  # ticks up to which a state may still change its type, as from None when a first message arrives
+TRIES = 3  # failed translations up to this tick, after which a run stays in Python
 
 
 @dataclass

@@ -449,6 +449,7 @@ class Expressions(Ways):
                 )
             if isinstance(left, Static) and isinstance(right, Static):
                 return Static((self.program.guard(left) is self.program.guard(right)) is wanted)
+            # Native code has values without an identity.
             raise self.unknown("`is` of something other than None", node)
         if isinstance(op, (ast.In, ast.NotIn)):
             if isinstance(left, Static) and isinstance(right, Static):
