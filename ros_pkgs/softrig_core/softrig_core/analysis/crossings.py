@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Response = Callable[[Array], NDArray[np.complex128]]
 
-TURN, RATIO = 0.2, 1.3  # rad and a factor: by how much two neighbouring points may differ
-NARROW = 1e-11  # of the frequency: intervals that are not halved any more
+# Two neighbouring points may differ by this angle (rad) and this factor, so that no crossing is between them unseen.
+TURN, RATIO = 0.2, 1.3
+# A jump through a pole never becomes small, so narrower intervals, relative to the frequency, are not halved any more.
+NARROW = 1e-11
 ROUNDS = 40
-ON_AXIS = 1e-6  # of a magnitude, how near to a crossing the response has to be there; a jump through a pole is none
+# A sign also changes where the response jumps through a pole, but there it is not near the circle or the axis.
+ON_AXIS = 1e-6
 
 
 def resolved(response: Response, omega: Array) -> tuple[Array, NDArray[np.complex128]]:

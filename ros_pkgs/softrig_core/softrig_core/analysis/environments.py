@@ -29,8 +29,8 @@ from ..run.choice import forbidden
 from ..timebase import SECOND
 from .environment import Now, RigEnv
 
-DRAWS = 4096  # random numbers of each instance at first
-TRIES = 3  # texts
+DRAWS = 4096  # random numbers that each instance has at first; more are drawn when it lacks some
+TRIES = 3  # texts that are compiled at most, because each takes seconds
 
 
 class Columns(Now):

@@ -196,7 +196,8 @@ def equilibrium(
             new_x[columns] -= share * move[: len(columns)]
             new_u[list(free)] -= share * move[len(columns) :]
             result = np.abs(evaluate(new_x, new_u)[0][rows]).max()
-            if result < size:  # False for NaN too
+            # This is false for NaN, too, so a step out of the domain is halved as well.
+            if result < size:
                 break
             share /= 2.0
         at, inputs = new_x, new_u

@@ -36,20 +36,22 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 # Powers of two are added to a state without rounding where this is possible.
-STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # of the size of what is moved
+STEPS = tuple(2.0**-n for n in range(4, 33, 4))  # shares of the size of the state or input that is moved
 AGREED = 1e-11  # neighbouring steps that agree so well need no smaller one
 CHECKED = 10  # periods of the whole over which the linear rig is compared with the rig
 COMPARED_PERIODS = 40  # periods over which each output is compared
-LEFT_OUT = 1e-3  # of its largest value: how far an output may be off, or a hundred times as far as the states are
-LATER = 3  # periods after which an output is looked at again: whether it is another function of the states at each tick
+# An output may be off by this share of its largest value; where the states are off, by a hundred times as much as they.
+LEFT_OUT = 1e-3
+LATER = 3  # further periods at which the rows of an output are computed, because they may differ from tick to tick
 FOLLOWED = 200  # periods that can be run from where the view is
-NEARER = 2.0**-8  # of the steps of the columns, how far all states together are moved off there
+# All states together are moved by this share of the steps of their columns.
+NEARER = 2.0**-8
 ROUNDS = 5  # rounds in which sizes are found for states that are zero in the run
 POINTS = 1000  # frequencies
-MOST = 800  # states
+MOST = 800  # states; a long delay has more, and longer steps make them fewer
 TRIED = 2000  # numbers that may be moved to see whether they are states
-ON_CIRCLE = 1e-6  # of the sizes of z and A: below it the least singular value of z - A confirms a pole at z
-NOTHING = 1e-12  # of the sizes of its terms, what a sum is by rounding alone
+ON_CIRCLE = 1e-6  # a least singular value of z - A below this share of the sizes of z and A confirms a pole at z
+NOTHING = 1e-12  # a sum below this share of the sizes of its terms is rounding alone
 DEAD = 1e-4  # magnitude of a pole below which it is gone within a period
 
 

@@ -165,12 +165,15 @@ class Block(Generic[P]):
             self.reset(self._seed)
             # The first state is computed here, so that an error in it names the parameters; `pop_first` hands it out.
             self.__first: tuple[Any, list[Any]] | None = self.first(), self.events[:]
-            self.events.clear()  # who holds the block gets them
+            # `pop_first` hands these reports to the code that runs the block.
+            self.events.clear()
             self._open = False
         except (ParameterError, ScenarioError, RunError):
             raise
-        except FAILURES as error:  # an overflow, a singular matrix: each value is in bounds, but not together
-            kind = "" if type(error) is ValueError else f"{type(error).__name__}: "  # its text explains itself
+        # Values may each be within their bounds and fail together: an overflow, a singular matrix.
+        except FAILURES as error:
+            # Blocks raise a ValueError with a text for people; the text of other errors needs the type.
+            kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
             raise ParameterError(f"set-up failed{differing(self.p)}: {kind}{error}") from error
 
     @classmethod

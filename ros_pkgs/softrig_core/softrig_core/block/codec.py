@@ -34,14 +34,16 @@ class Decoder:
         if result is None:
             self._learn(data)
             result = self._decode(data)
-            if result is None:  # padding or endianness that no prepared layout has
+            # Other padding or another byte order, which no prepared layout has.
+            if result is None:
                 return self._slow(data)
         if self._pick is not None:
             stamp, values = result
             result = stamp, self._pick(values + self.kept if self._port.partial else values)
         values = result[1]
         size = sum_of_products(values, values)
-        if type(size) is not float or not size <= self._bound:  # one beyond its limit, NaN, infinity; or all are large
+        # One value is beyond its limit, NaN or infinite; or many are large, and each is still within its limit.
+        if type(size) is not float or not size <= self._bound:
             self._check(values)
         return result
 
@@ -52,7 +54,8 @@ class Decoder:
     def _learn(self, data: bytes) -> None:
         """Adopt the layout of `data` if it contains the values of the port."""
         message = self._parse(data)
-        order = self._order(message)  # first: a layout that is refused must not be known the next time
+        # This comes first: a layout that is refused must be refused again the next time.
+        order = self._order(message)
         layout = message.layout(self._port.msgtype)
         self._decode = layout.decode
         self._pick = None if order == tuple(range(layout.size)) and not self._port.partial else getter(order)
@@ -83,7 +86,8 @@ class Decoder:
         port = self._port
         if port.frame_id and message.frame_id != port.frame_id:
             raise Refused(f"frame_id {message.frame_id!r}, expected {port.frame_id!r}")
-        flat = port.held and message.dims == ()  # as people and ros2_controllers write it
+        # People and ros2_controllers send arrays without dimensions.
+        flat = port.held and message.dims == ()
         if not flat and (message.dims or ()) != port.dims:
             raise Refused(f"shape {dict(message.dims or ())}, expected {dict(port.dims)}")
         named, names = port.type.named, message.names
@@ -166,7 +170,7 @@ def selection(source: Port, sink: Port) -> Pick | None:
     missing = [f for f in sink.fields if f not in source.fields]
     if missing:
         raise Refused(f"fields {list(source.fields)} lack {missing[0]}")
-    # values that this source never sends, of a partial sink, stay as they are
+    # Channels of a partial input that this source never sends keep the safe value.
     places = tuple([source.places.get(x, safe) for x, safe in zip(sink.labels, sink.safe, strict=True)])
     return None if places == tuple(range(source.size)) else places
 

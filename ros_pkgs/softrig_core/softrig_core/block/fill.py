@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from .step import Step
 
 Stamp = Literal["none", "own", "tick"]
-Pick = tuple[int | float, ...]  # of each number of an input: its place among those of the output, or the number itself
+# Of each number of an input: an int is its place among those of the output, a float the number itself, for a channel
+# of a partial input that the output does not have.
+Pick = tuple[int | float, ...]
 
 
 def picked(pick: Pick | None, values: tuple[float, ...]) -> tuple[float, ...]:

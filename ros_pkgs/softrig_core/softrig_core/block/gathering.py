@@ -20,7 +20,8 @@ from .port import Port, Sample
 from .step import Step
 
 STRETCH = SECOND // 100  # ns: against the wall clock, what an observer has seen is older by so much at most
-MANY = 1 << 12  # ticks: the largest batch of a run in process; beyond it a batch saves no more time, only takes memory
+# The largest batch of a run in process, in ticks; a larger one saves no more time and takes memory.
+MANY = 1 << 12
 EVER = -(1 << 63)  # ns, before all stamps
 NOTHING: Mapping[str, Any] = {}
 

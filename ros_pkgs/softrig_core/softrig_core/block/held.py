@@ -50,8 +50,10 @@ class RunningBlock:
     """
 
     # all that changes besides x and the parameters: the only list of it
-    TABLES: ClassVar[tuple[str, ...]] = ("reports", "anew")  # dicts and sets that others have, too: changed in place
-    VALUES: ClassVar[tuple[str, ...]] = ()  # replaced
+    # Other objects hold references to these dicts and sets, so `load` changes them in place.
+    TABLES: ClassVar[tuple[str, ...]] = ("reports", "anew")
+    # These are immutable, so `load` replaces them.
+    VALUES: ClassVar[tuple[str, ...]] = ()
 
     x: Any
 

@@ -17,7 +17,9 @@ from .schedule import Plan
 if TYPE_CHECKING:
     from .step import Step
 
-KNOWN = 10_000  # ticks of which it is kept who is due
+# Who is due repeats after a round of ticks. In a longer round than this it is computed at each tick, so that the kept
+# lists stay small.
+KNOWN = 10_000
 YOUNG = 200_000  # new objects between two searches for reference cycles: what a tick makes dies with it
 
 
@@ -31,12 +33,12 @@ def answer(step: Step, t: int) -> None:
     """
     step.t = t
     try:
-        x, result = step.asked(t)  # update, outputs, finish, refused; before it changes of parameters that are due
+        x, result = step.asked(t)  # apply parameter changes that are due; call update, outputs, finish or refused
         rows = step.checked(result)  # size, finite, within Port.limits
         step.x, step.last_answer = x, rows
     except FAILURES as error:
         step.fail(error)
-    step.store_reports()  # only now counts what the block has reported
+    step.store_reports()  # the answer was accepted, so the block's reports of this tick count
     step.hand_on(t, rows)  # to the inputs that they fill in this process, then to the link
     if not step.plant and step.link is not None:
         step.link.over(t)
@@ -126,7 +128,8 @@ class Loop:
 
     def __init__(self, steps: Sequence[Step]) -> None:
         self.steps, self.plan = tuple(steps), Plan(s.schedule for s in steps)
-        self._again = math.lcm(*(self.plan.every(s.schedule) for s in self.steps))  # ticks after which the same are due
+        # After so many ticks the same members are due again.
+        self._again = math.lcm(*(self.plan.every(s.schedule) for s in self.steps))
         self._known: dict[int, tuple[list[Step], list[Step]]] = {}
 
     def run(self, first: int = 0) -> Iterator[int | None]:
@@ -148,7 +151,8 @@ class Loop:
             A block failed or returned an invalid value.
         """
         plan = self.plan
-        ends = math.inf if plan.ticks is None else plan.ticks - self._again  # from here on not all that are due go on
+        # From this tick on a member that is due may have had its last tick, or a plant may not move any more.
+        ends = math.inf if plan.ticks is None else plan.ticks - self._again
         for k in count(first) if plan.ticks is None else range(first, plan.ticks + 1):
             t = plan.clock.time(k)
             plants, others = self._known.get(k % self._again) or self._due(k)
@@ -157,7 +161,8 @@ class Loop:
             # At the end only plants, observers and blocks with a last word answer (`Schedule.at_end`). Before it that
             # is not asked: a question for each member and tick costs as much as a quick law.
             lacking = _answer(others if k < ends else [s for s in others if plan.answers(s.schedule, k)], t)
-            while lacking:  # what it waits for may need what another one here has to answer
+            # A message that a step lacks may depend on an answer from here, so control returns to the caller each time.
+            while lacking:
                 yield None
                 lacking = _answer(lacking, t)
             for plant in plants:

@@ -14,7 +14,8 @@ from ..entry import Entry
 from ..errors import closest
 from .schedule import rational
 
-LARGEST = 1e12  # of any number in SI units: what lies beyond is a slip, and its square or cube soon no number any more
+# Of any number in SI units. A larger one is a slip, and its powers soon leave the range of floats.
+LARGEST = 1e12
 LONGEST = 10_000  # values of one list, characters of one text
 STEPS = 100_000  # of integration in one period
 _UPPER = ("le", "lt", "max_length")
@@ -248,9 +249,11 @@ def build(model: type[Params], values: Mapping[str, Any]) -> Params:
         return model(**nested)
     except ValidationError as error:
         text = "; ".join(_explain(model, e) for e in error.errors())
-    except (ArithmeticError, MemoryError) as error:  # of a check that reckons with them
+    # A validator may compute with the values.
+    except (ArithmeticError, MemoryError) as error:
         text = f"parameters: {error or 'out of memory'}"
-    if values and not any(_named(name, text) for name in values):  # what follows from them does not fit together
+    # The error is about what follows from several values, so it names none that was given.
+    if values and not any(_named(name, text) for name in values):
         given = ", ".join(f"{name} = {_shown(value)}" for name, value in values.items())
         text += f" (with {given if len(given) < 400 else given[:400] + ' ...'})"
     raise ParameterError(text)
@@ -274,6 +277,7 @@ def _explain(model: type[Params], error: Any) -> str:
 def _shown(value: Any) -> str:
     try:
         text = repr(value)
-    except ValueError:  # an integer of more digits than Python prints
+    # Python refuses to print an integer of more than 4300 digits.
+    except ValueError:
         return "a number of thousands of digits"
     return text if len(text) <= 100 else f"{text[:100]} ..."

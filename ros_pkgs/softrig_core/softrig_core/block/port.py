@@ -18,8 +18,9 @@ WORLD = "world"  # the frame of a rig that does not move: of every message that 
 # overflow in a controller. The last is that of any other unit.
 PLAUSIBLE = {"V": 1e7, "A": 1e7, "N": 1e8, "N m": 1e8, "rad": 1e9, "rad/s": 1e7, "m": 1e9, "m/s": 1e7, "s": 1e10}
 PLAUSIBLE_OTHER = 1e12
-LARGEST = 1e150  # whose square is a number
-LONGEST = 64  # values that native code writes out one by one
+LARGEST = 1e150  # its square is still a float
+# Native code writes out each value of a message; a longer array that is rarely published leaves its tick to Python.
+LONGEST = 64
 
 
 class Refused(ValueError):

@@ -27,14 +27,15 @@ from .units import powers, text
 LONGEST = 1e9
 EDGES = {"rising": np.greater, "falling": np.less, "changed": np.not_equal}
 _WORDS = {"always", "eventually", "until", "since", "once", "historically", "next", "not", "and", "or", "implies"}
-_LETTERS = {"G", "F", "U", "R", "H", "O", "S", "X", "Y", "P"}  # what sentil may take for operators
+# sentil may read these letters as operators, so they cannot be names.
+_LETTERS = {"G", "F", "U", "R", "H", "O", "S", "X", "Y", "P"}
 _CALLS = {"abs", "min", "max", "sqrt", "exp", "log", "ln", "sin", "cos", "tan", "floor", "ceil"}
 _TOKEN = re.compile(r"\s*([A-Za-z_]\w*|\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|->|[<>=!]=|&&|\|\||\S)")
 _INTERVAL = re.compile(r"\[([^\[\],]+),([^\[\],]+)\]")
 _PLAIN = re.compile(r"\s*(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf)\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _AFTER_CONDITION = {"->", "and", "or", "until", "since", "implies", ")", "&", "|", "&&", "||", ""}
-REMEMBERED = 1 << 14  # parts of formulas whose variables are remembered
+REMEMBERED = 1 << 14  # parts of formulas whose variables are remembered; then all are forgotten, which bounds memory
 _names: dict[int, tuple[Any, list[str]]] = {}
 FUTURE, PAST = ("Always", "Eventually"), ("Historically", "Once")
 

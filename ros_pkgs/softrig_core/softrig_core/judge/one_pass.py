@@ -126,7 +126,8 @@ class OnePass:
 
     def _compared(self, body: Any) -> None:
         name = body["lhs"].get("Variable", "")
-        if name.startswith("_"):  # of a condition, whose truth is at hand
+        # The truth of a condition is a column already, so nothing is compared.
+        if name.startswith("_"):
             self._add(LOAD, 1, self.names.index(name))
             self._add(NUMBER, 0)
             return

@@ -139,7 +139,8 @@ def _extremes(values: Array, first: Any, last: Any, pick: Pick, none: float, a: 
     begins, ends = np.asarray(first[a:b]), np.asarray(last[a:b])
     low = int(np.min(begins, initial=len(first)))
     part = np.asarray(values[..., low : max(low, int(np.max(ends, initial=-1)) + 1)])
-    if b - a == 1:  # one window would be taken for that of a whole formula
+    # `extremes` would take a single window for that of a whole formula, so one window is asked for twice.
+    if b - a == 1:
         return extremes(part, np.repeat(begins - low, 2), np.repeat(ends - low, 2), pick, none)[..., :1]
     return extremes(part, begins - low, ends - low, pick, none)
 
@@ -369,7 +370,8 @@ class Record:
         for kind, body in self._outermost(tree):
             if kind in FUTURE and limits(body)[1] == INF:
                 inner = self.bounds(body[1])
-                if not any(inner.strides[:2]):  # all four are one number, so each instant is decided
+                # Strides of 0 mean that all four numbers are one, so each instant is decided.
+                if not any(inner.strides[:2]):
                     continue
                 still = (inner[0, 0] < 0.0) & (inner[1, 1] >= 0.0) & (self.times >= self.times[0] + limits(body)[0])
                 result = min(result, float(self.times[np.argmax(still)]) if still.any() else INF)

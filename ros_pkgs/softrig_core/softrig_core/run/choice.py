@@ -26,8 +26,10 @@ WRITING = 0.15
 ROUND, ROUNDS = 16, 4
 SHORT = "Python is through before native code is made"
 
-_costs: dict[Any, float] = {}  # of a tick in Python, s, by the classes of the blocks: as the first of such rigs took
-_spent: dict[Any, float] = {}  # on runs of such rigs that were too short for a text, s: more of them may well come
+# The cost of a tick in Python, s, by the classes of the blocks: as measured on the first such rig.
+_costs: dict[Any, float] = {}
+# The time spent on runs of such rigs that were too short for a text, s: more such runs are likely to follow.
+_spent: dict[Any, float] = {}
 
 
 def ticks_of(

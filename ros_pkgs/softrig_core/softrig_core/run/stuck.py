@@ -37,7 +37,7 @@ PATIENT = (
     "softrig_core.kit.compiled",
     "softrig_nodes.ros.guest",
 )
-STUCK = "has not returned"  # in each report: whoever reads the log of a process looks for it
+STUCK = "has not returned"  # part of each report, so that code that reads a process's log can find it
 _STOP = b"\0"
 
 _running: Watch | None = None
@@ -54,7 +54,8 @@ class Watch(threading.Thread):
         if threading.current_thread() is threading.main_thread():
             before = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
             self._listens = before == -1
-            if not self._listens:  # an event loop has one already
+            # An event loop has a file descriptor of its own there already, and keeps it.
+            if not self._listens:
                 signal.set_wakeup_fd(before)
 
     def run(self) -> None:
@@ -120,7 +121,8 @@ def _forget() -> None:
     global _running
     if _running is not None:
         _running = None
-        with suppress(ValueError):  # forked by another thread
+        # This raises an error if another thread than the main one has forked.
+        with suppress(ValueError):
             signal.set_wakeup_fd(-1)
 
 

@@ -32,7 +32,7 @@ from ..errors import RunError
 from ..timebase import to_ns, to_s
 from .worker import Work, Worker
 
-UNFINISHED = "unfinished"  # what is reported under it counts the ticks that went without a result that was due
+UNFINISHED = "unfinished"  # key of the report that counts the ticks answered without a result that was due
 
 
 class SolverParams(BlockParams):

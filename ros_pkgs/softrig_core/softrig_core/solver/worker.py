@@ -177,7 +177,8 @@ class _Process:
         What a caller must have in common with the one that it was started for.
     """
 
-    idle: ClassVar[list[_Process]] = []  # the longest without an owner first
+    # The one that has been idle longest is first, so it is the first to be killed.
+    idle: ClassVar[list[_Process]] = []
 
     @classmethod
     def of(cls, module: str, name: str) -> _Process:

@@ -312,7 +312,8 @@ def changed_from(rig: Members) -> str:
     parts = []
     for key, before in rig.scenario.changed_from.items():
         node, _, name = key.partition(".")
-        with suppress(ParameterError, ValueError, KeyError):  # it has no value of its own, or none that is known here
+        # The parameter may have no default, or belong to a node that is not in this rig; then only its name is written.
+        with suppress(ParameterError, ValueError, KeyError):
             before = pick(flatten(type(params[node])()), name) if before is None else before
             if before == pick(flatten(params[node]), name):
                 continue
@@ -325,7 +326,8 @@ def _model(function: Function) -> tuple[type[BaseModel], bool]:
     """Validate the keyword arguments of a function by its annotations."""
     try:
         hints = typing.get_type_hints(function)
-    except (NameError, TypeError):  # annotations that exist for type checkers only
+    # Annotations may name what only type checkers import; such arguments are not checked.
+    except (NameError, TypeError):
         hints = {}
     fields: dict[str, Any] = {}
     _, *parameters = inspect.signature(function).parameters.values()

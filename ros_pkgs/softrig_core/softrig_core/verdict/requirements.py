@@ -88,7 +88,8 @@ class Judge:
 
     def settled(self, signals: SignalMap) -> bool:
         """Return whether the verdict on a running run can no longer change."""
-        if self.figures or self.timed:  # their values change with what comes
+        # Figures change with each new message, so nothing is settled before the end.
+        if self.figures or self.timed:
             return False
         try:
             self.margin(signals, ended=False)
@@ -297,7 +298,8 @@ def _judge(
     timed = {name: own[name] for name in timing(formula) if name in own}
     if strange := [name for name, figure in timed.items() if figure.unit != "s"]:
         raise ScenarioError(f"{strange[0]} in an interval is in {own[strange[0]].unit!r}, expected s")
-    known |= dict.fromkeys(timed, 0.0)  # until it is measured
+    # Times that figures give are known only after the run; 0 stands for them until then (`Judge.again`).
+    known |= dict.fromkeys(timed, 0.0)
     result = outline(formula, known)
     used, conditions = result.variables, result.conditions
     period = rig.clock.params.period * SECOND

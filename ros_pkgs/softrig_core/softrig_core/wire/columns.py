@@ -48,7 +48,8 @@ class Columns(NamedTuple):
         """Yield the messages on each output of a node from the numbers of all, shape (n, size of all)."""
         whole = _spacious.get(id(values.base))
         if whole is not None and whole.shape != (values.shape[1], len(values) + 2 * SPARE):
-            whole = None  # a part of the answers: other messages follow it
+            # Only a part of the answers is given, and the rows next to it belong to other messages.
+            whole = None
         first = 0
         for layout in layouts:
             last = first + layout.size

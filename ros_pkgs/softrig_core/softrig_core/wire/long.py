@@ -41,7 +41,8 @@ class LongArray(NDArrayOperatorsMixin):
         self.read, self._length = read, size
         first = read(0, min(1, size))
         self.shape, self.dtype = (*first.shape[:-1], size), first.dtype
-        self.strides = (*first.strides[:-1], self.dtype.itemsize)  # those of leading axes are 0 where all are alike
+        # Leading strides of 0 show readers that all rows are one, as those of `numpy.broadcast_to` do.
+        self.strides = (*first.strides[:-1], self.dtype.itemsize)
         self.ndim, self.size = len(self.shape), math.prod(self.shape)
         self.nbytes = 0  # it holds no memory
 
@@ -65,7 +66,8 @@ class LongArray(NDArrayOperatorsMixin):
         return result if dtype is None else result.astype(dtype)
 
     def __reduce__(self) -> Any:
-        return np.asarray(self).__reduce__()  # another process has the numbers, not what computes them
+        # The function that computes the numbers cannot be pickled, so another process gets the numbers.
+        return np.asarray(self).__reduce__()
 
     def __iter__(self) -> Iterator[Any]:
         return iter(np.asarray(self))
@@ -77,7 +79,8 @@ class LongArray(NDArrayOperatorsMixin):
         return getattr(np.asarray(self), name)  # the other methods of an array
 
     def __pow__(self, other: Any) -> Any:
-        return _apply(lambda x, y: x**y, self, other)  # which is not numpy's `power` for squares
+        # The operator of an array multiplies for a square; the ufunc `power`, which the mixin would call, need not.
+        return _apply(lambda x, y: x**y, self, other)
 
     def __getitem__(self, key: Any) -> Any:
         lead: tuple[Any, ...] = key if isinstance(key, tuple) else (key,)
@@ -120,7 +123,8 @@ class LongArray(NDArrayOperatorsMixin):
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *given: Any, **options: Any) -> Any:
         if options.get("out") == (self,):
-            del options["out"]  # what `x += 1` binds to x is the result
+            # Nothing is written in place: `x += 1` binds the returned result to x.
+            del options["out"]
         if method == "__call__" and "out" not in options:
             return _apply(lambda *parts: function(*parts, **options), *given)
         last = options.get("axis", 0) in (-1, self.ndim - 1)

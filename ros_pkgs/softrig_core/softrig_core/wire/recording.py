@@ -76,7 +76,7 @@ class ShardWriter:
         The messages of a row, in order: number of the topic and layout.
     """
 
-    # Bytes. The loop waits while they are written, 2 us a kB in new files, so a write must stay short.
+    # Bytes. The loop waits while they are written, 2 us a kB in new files; 32 kB would take a whole tick at 20 kHz.
     LIMIT = 1 << 12
 
     def __init__(self, path: Path, topics: Sequence[tuple[str, str]], row: Mapping[int, Layout] | None = None) -> None:
@@ -135,7 +135,8 @@ class ShardWriter:
         # An unbuffered file may write less than it is given, for instance on a disk that is nearly full.
         try:
             return self._file.write(content) or 0
-        except OSError as error:  # its own does not name the file
+        # The error of a write does not name the file.
+        except OSError as error:
             raise OSError(error.errno, error.strerror, str(self._file.name)) from error
 
     def close(self) -> None:
@@ -161,7 +162,8 @@ class Topic:
         self._data: list[bytes] = []
         self._columns: list[Columns | Stored] = []
         self._timed = self._made = 0  # so many of the columns are in the lists
-        self.settle: Callable[[], object] = _nothing  # brings what is still under way
+        # Rows that were added are converted in one batch, when somebody reads the topic.
+        self.settle: Callable[[], object] = _nothing
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle all messages; messages that a tick adds afterwards are not in the copy."""
