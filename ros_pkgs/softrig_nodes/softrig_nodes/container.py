@@ -41,7 +41,7 @@ from .seam.exchange import Exchange
 
 LOOK = 100_000_000  # ns: how long a busy container leaves DDS alone: a look takes as long as some ticks
 SPIN = 300_000  # ns: a timer closer than this is waited for awake: to sleep and wake takes half as long
-GRACE = 1.0  # s: after one node gives up, how long the others may take to say what they saw
+GRACE = 1.0  # s: time for the other nodes to report what they saw, after one has failed
 
 
 class Container:

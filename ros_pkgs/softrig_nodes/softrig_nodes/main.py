@@ -64,11 +64,13 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
                 f"unexpected argument {stray[0]!r}: expected --ros-args -p NAME:=VALUE and the like; "
                 "--help shows the parameters"
             )
-        with plain_errors(), joining(silence=RunOptions().timeout):  # its own is known only when it has joined
+        # The node's own timeout is a parameter, which is known only after it has joined; the default serves until then.
+        with plain_errors(), joining(silence=RunOptions().timeout):
             rclpy.init(args=list(argv))
             interrupt.early = False
             node = ServingNode(name)
-        with interrupt.leaving(partial(leave, [node], 0)), watched():  # to compile takes seconds
+        # Compilation takes seconds, in which a signal must be able to end the node.
+        with interrupt.leaving(partial(leave, [node], 0)), watched():
             adapter = make_adapter(node, block_class, middleware := RosMiddleware(node))
         Group([adapter])
         middleware.report_ignored()
@@ -85,7 +87,8 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
         leave([node] if node else [], 2)
     try:
         status = spin(node, adapter)
-    except KeyboardInterrupt:  # before the first turn, or a second one
+    # `spin` handles an interrupt itself, except one before its first turn or a second one.
+    except KeyboardInterrupt:
         status = 0
     leave([node], status)
 
@@ -133,7 +136,8 @@ def usage(name: str, block_class: type[Block]) -> str:
     lines = [f"{name}: {(block_class.__doc__ or '').strip().splitlines()[0]}", ""]
     try:
         inputs, outputs = block_class.ports(block_class.Params())
-    except ValidationError:  # a block without defaults: its ports depend on what is given
+    # A block without defaults has no ports until its parameters are given.
+    except ValidationError:
         inputs, outputs = (), ()
     for title, ports in (("reads", inputs), ("publishes", outputs)):
         lines += [f"  {title} {p.topic} ({p.msgtype}: {', '.join(p.labels)})" for p in ports]
@@ -174,5 +178,6 @@ def _declare(node: Node, wanted: list[Declaration], values: Mapping[str, Any]) -
         # an optional live parameter may get its first value
         if value is not None or declaration.live:
             node.declare_parameter(declaration.name, value, descriptor, ignore_override=True)
-        if value == []:  # rclpy takes it for bytes
+        # rclpy declares an empty list as one of bytes.
+        if value == []:
             make_empty(node, declaration.name, ARRAYS[declaration.type])

@@ -34,7 +34,8 @@ OWN = (
 )
 
 for name in (*TYPES, *OWN):
-    with suppress(ImportError):  # whoever needs it says so
+    # A node that needs a missing type reports it itself.
+    with suppress(ImportError):
         check_for_type_support(message_class(name))
 with suppress(ImportError):
     from rclpy.experimental import events_executor  # noqa: F401

@@ -57,7 +57,7 @@ class Departure(Reader):
         self._on_words = received
         self._words: Sequence[str] = ()
         self.handshake = handshake
-        self.absent: list[str] = []  # what is not there yet
+        self.absent: list[str] = []  # descriptions of missing peers
         self.neighbours: list[Departure] = []  # those of the other nodes of this process
         self.is_starter = node.links.starter == node.middleware.name
         self._silent = set(node.links.starts) - {node.middleware.name}

@@ -37,7 +37,7 @@ class Sender(Input):
         self.who = who
         self.stamp: int | None = None
         self._number = node.record.foreign.get(port.name)
-        self._valued = port.partial or port.delayed  # what an input holds is not only what the message says
+        self._valued = port.partial or port.delayed  # whether the held value is not simply that of the message
 
     # the way of a message ------------------------------------------------------------------------------------------
 

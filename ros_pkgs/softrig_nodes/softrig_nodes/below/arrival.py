@@ -18,7 +18,8 @@ import rclpy
 
 from .uses import RCLError, works
 
-RMW = "rmw_fastrtps_cpp"  # whose locks are known: what may be called while it tells of a message
+# Only of this middleware is it known which calls are safe under the locks that it holds while it reports a message.
+RMW = "rmw_fastrtps_cpp"
 NAMES = (
     "rcl_subscription_set_on_new_message_callback",
     "rcl_take_serialized_message",
@@ -54,9 +55,8 @@ def library() -> Any:
     if rclpy.get_rmw_implementation_identifier() != RMW or not works("subscriptions"):
         return None
     try:
-        result = ctypes.CDLL(
-            importlib.import_module("rclpy._rclpy_pybind11").__file__
-        )  # with it, all that it is linked with: no second rcl
+        # Through rclpy's own library its functions of rcl are found; loading rcl by name could load a second one.
+        result = ctypes.CDLL(importlib.import_module("rclpy._rclpy_pybind11").__file__)
         for name in NAMES:
             getattr(result, name)
     except (ImportError, OSError, AttributeError):
@@ -147,7 +147,8 @@ class Arrival:
             if result := accept(reader, where, None, None):
                 self._failed(result)
                 return
-            if room != bytes_now[2]:  # it has grown, and may be elsewhere
+            # The buffer grows with a longer message and may then be at another address.
+            if room != bytes_now[2]:
                 room = bytes_now[2]
                 content = memoryview((ctypes.c_uint8 * room).from_address(bytes_now[0])).cast("B")
             try:

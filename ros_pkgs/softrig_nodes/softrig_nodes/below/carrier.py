@@ -61,7 +61,8 @@ class Carrier:
         self._places = (*data, *(ctypes.cast(f, ctypes.c_void_p).value for f in self._named), PAUSE, NAPS)
         self._post, self._try_to_wait = quick.sem_post, quick.sem_trywait
         self._ring = memoryview(self._slots).cast("B")
-        self._held = [b""] * SLOTS  # the thread reads the objects themselves, until their slots are used again
+        # The thread reads the bytes inside of these objects, so they must live until their slots are used again.
+        self._held = [b""] * SLOTS
         self._next = self._room = 0
 
     def run(self) -> None:

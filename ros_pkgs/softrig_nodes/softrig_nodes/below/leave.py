@@ -35,19 +35,23 @@ def leave(nodes: Sequence[Node], status: int) -> NoReturn:
         Exit status.
     """
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):  # nobody reads it any more
+        # The reader of the stream may have gone.
+        with suppress(OSError, ValueError):
             stream.flush()
     if nodes:
         _exit_after(PATIENCE, status)
         broken = ctypes.CFUNCTYPE(None, ctypes.c_int)(lambda number: os._exit(status))
-        for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT):  # Python's own handlers wait for its next line
+        # A handler of Python would run only at its next line, which a crashed thread never reaches.
+        for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT):
             ctypes.CDLL(None).signal(number, broken)
     for call in before_leaving:
-        with suppress(RuntimeError):  # what is left cannot be published any more
+        # Nothing more can be done for messages that cannot be published now.
+        with suppress(RuntimeError):
             call()
     for node in nodes:
         if node.executor is not None:
-            node.executor.shutdown()  # it holds what the node consists of, and with that the node in the graph
+            # The executor holds references to the entities of the node, which keep the node in the graph.
+            node.executor.shutdown()
         node.destroy_node()
     os._exit(status)
 
@@ -67,7 +71,8 @@ class _SigEvent(ctypes.Structure):
 def _exit_after(seconds: int, status: int) -> None:
     """Let the C library end the process: a thread or signal handler in Python would wait for the interpreter."""
     libc = ctypes.CDLL(None)
-    if not hasattr(libc, "timer_create"):  # glibc before 2.34, and not Linux
+    # It is missing in glibc before 2.34, and on other systems than Linux.
+    if not hasattr(libc, "timer_create"):
         return
     sigev_thread = 2
     event = _SigEvent(value=status, notify=sigev_thread, function=ctypes.cast(libc._exit, ctypes.c_void_p))

@@ -29,7 +29,8 @@ TF = "tf2_msgs/msg/TFMessage"
 SOURCE = b"geometry_msgs/TransformStamped[] transforms\n"
 HASH = "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"  # RIHS01, of the description below
 ELEMENT = b"geometry_msgs/msg/TransformStamped"
-MESSAGE, MESSAGES = 18, 145  # members that are messages: as introspection says it, and, unbounded, a description
+# Codes of a member that is a message (in introspection), and of an unbounded sequence of messages (in a description).
+MESSAGE, MESSAGES = 18, 145
 
 Find = CFUNCTYPE(c_void_p, c_void_p, c_char_p)
 Get = CFUNCTYPE(c_void_p, c_void_p)

@@ -160,7 +160,7 @@ def log(logger: Any, severity: LoggingSeverity, text: str) -> None:
     if works("log"):
         _c().rclpy_logging_rcutils_log(severity, logger.name, text, "", "", 0)
         return
-    # each its own line: rclpy refuses another severity at a place that has logged before
+    # Each severity has a line of its own, because rclpy refuses another severity at a place that has logged before.
     if severity == LoggingSeverity.ERROR:
         logger.error(text)
     elif severity == LoggingSeverity.WARN:
@@ -206,7 +206,8 @@ class _Known(Mapping[str, Any]):
     def __getitem__(self, name: str) -> Any:
         if not self._node.has_parameter(name):
             raise KeyError(name)
-        with suppress(Exception):  # of one without a value, ParameterUninitializedException
+        # A parameter without a value raises ParameterUninitializedException.
+        with suppress(Exception):
             return self._ask(name)
         return self._missing(name)
 
@@ -291,7 +292,7 @@ def answer_readers(node: Node, service: Any) -> set[bytes]:
     """Return the identities of the readers of a service's answers that the graph shows."""
     if not works("client"):
         return {b"a client"} if node.count_clients(service.srv_name) else set()
-    topic = f"rr{service.service_name}Reply"  # as rmw_fastrtps names it
+    topic = f"rr{service.service_name}Reply"  # the name that rmw_fastrtps gives it
     with node.handle:
         rows = _c().rclpy_get_subscriptions_info_by_topic(node.handle, topic, True)
     return {bytes(row["endpoint_gid"]) for row in rows}

@@ -36,7 +36,8 @@ class Faces:
         markers = message_class("visualization_msgs/msg/MarkerArray") if shows else None
         self._markers = node.create_publisher(markers, "~/markers", QOS) if shows else None
         _publish_latched(node, block)
-        if adapter.options.frames and (not adapter.options.links or adapter.links.public):  # else nobody else is there
+        # In a domain of its own a rig has no viewers.
+        if adapter.options.frames and (not adapter.options.links or adapter.links.public):
             Frames(node, adapter)
         for port in adapter.step.inputs:
             if port.msgtype == "std_msgs/msg/Bool" and port.name not in adapter.links.inputs:
@@ -114,7 +115,8 @@ class Faces:
 
 def _offer_simulation(node: ServingNode, adapter: Adapter) -> None:
     """Offer the services of other simulators; a run does not fail if an optional package is missing."""
-    from . import simulation  # imports actions, which nothing else here has
+    # Imported here, because it imports actions, which other nodes do not need.
+    from . import simulation
 
     try:
         types = simulation.types()

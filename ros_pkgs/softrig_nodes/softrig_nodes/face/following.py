@@ -35,7 +35,9 @@ LOOK = SECOND // 50  # ns of the wall between two looks at a goal whose joints a
 FEEDBACK = SECOND // 20  # ns of the wall between two messages of feedback, as action_monitor_rate is by default
 LEAVE = SECOND // 10  # ns of the run: before its end, so that the result of a goal is sent while the node is there
 WAITING = 10  # trajectories of the topic that wait for their share of the time
-KEPT = 10  # s: for a client that asks for the result of a goal later; each change of a goal publishes all that are kept
+# s for a client that requests the result of a goal later. It is short, because each change of a goal publishes the
+# status of all goals that are kept.
+KEPT = 10
 OVERDRAWN = "more arrive than fit between the ticks"
 
 

@@ -47,7 +47,8 @@ class Frames:
         adapter, scene = self._adapter, self._scene
         stamp = adapter.epoch + adapter.step.t
         if adapter.state != "running" or scene is None or stamp == self._stamp or not self._tf.get_subscription_count():
-            return  # what costs something is not worked out for nobody, nor said twice: tf2 complains of that
+            # Without subscribers the work is saved, and tf2 warns about a transform that is published twice.
+            return
         newest = adapter.step.newest(scene.port)
         if newest:
             self._stamp = stamp

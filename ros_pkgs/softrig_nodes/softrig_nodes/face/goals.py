@@ -189,7 +189,8 @@ class Tolerances:
             if not len(values):
                 if quantity < 2:
                     return f"{self._joints[joint]}: {QUANTITIES[quantity]} was not measured, expected within {bound:g}"
-                continue  # nobody measures accelerations, and joint_trajectory_controller then passes them over
+                # Accelerations are not measured; joint_trajectory_controller does not check them then, either.
+                continue
             if not abs(values[joint]) <= bound:
                 return (
                     f"{self._joints[joint]}: {QUANTITIES[quantity]} is {abs(values[joint]):.6g} from the trajectory, "

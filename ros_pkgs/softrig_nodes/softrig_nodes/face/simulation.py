@@ -163,7 +163,8 @@ class Simulation:
             return f"{len(self._steps)} requests of steps wait already, expected at most {MOST}"
         first = adapter.ticks + adapter.hold.steps
         left = adapter.schedule.count() - 1 - first if adapter.schedule.last is not None else count + 1
-        if count >= left:  # who ends with the run cannot answer
+        # After the last step the run ends, and with it the service that would answer.
+        if count >= left:
             return f"{count} steps, expected less than the {left} to the end of the run"
         if not count:
             over("")

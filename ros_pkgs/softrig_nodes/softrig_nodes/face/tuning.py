@@ -47,7 +47,8 @@ class Tuning:
                 raise ParameterError("run.pace is that of the node of the clock, in lockstep, once it has begun")
             run: Any = run_options({p.name: plain(p) for p in parameters if p.name.startswith("run.")})
             replaced = adapter.step.set(values) if values else []
-            if pace is not None:  # last: all of it holds, or nothing
+            # The pace is set last, because it cannot fail any more: a call sets all of its parameters or none.
+            if pace is not None:
                 adapter.hold.go_at(run.pace)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))

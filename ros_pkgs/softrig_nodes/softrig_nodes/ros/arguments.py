@@ -15,7 +15,7 @@ FLAGS = "-p NAME:=VALUE, -r FROM:=TO, --params-file FILE, --log-level LEVEL, --e
 _PLACE = re.compile(r", at /\S+:\d+")  # of rcl's source, one for each caller
 _LEXER = re.compile(r"\.? Error: (error not set|Expected lexeme|Expecting token).*")  # states no form
 _PREFIX = re.compile(r"^(Failed to parse ROS arguments|failed to initialize rcl|error creating node): ")
-# the first match counts; these texts of rcl and rmw do not help, or are about another rule
+# The first match counts. The texts of rcl and rmw do not state the expected form, or name another rule.
 _FORMS = {
     "remap rule: '-r __ns:": "expected __ns:=/NAMESPACE, which begins with a slash",
     "remap rule": "expected FROM:=TO or __node:=NAME, names of letters, digits and _ that begin with no digit",
@@ -33,7 +33,7 @@ def plain_errors() -> Iterator[None]:
         An argument is unknown or has another form, or a name is none.
     """
     with warnings.catch_warnings():
-        # rclpy warns about cleanup that it cannot do for a node, before the error that is the reason
+        # Before the error itself rclpy warns that it cannot clean up a half-created node.
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
             yield
@@ -49,7 +49,8 @@ def non_ros_arguments(argv: Sequence[str]) -> list[str]:
     ValueError
         One of ROS's arguments is invalid.
     """
-    set_logger_level("rcl", LoggingSeverity.FATAL)  # else rcl logs what is raised as well
+    # Otherwise rcl also logs the error that is raised here.
+    set_logger_level("rcl", LoggingSeverity.FATAL)
     try:
         with plain_errors():
             return list(remove_ros_args(list(argv))[1:])
@@ -63,7 +64,8 @@ def _reason(error: Exception) -> str:
     text = _PREFIX.sub("", _PLACE.sub("", " ".join(str(error).split())))
     if type(error).__name__ == "UnknownROSArgsError":
         return f"unknown ROS arguments {text}: expected {FLAGS}"
-    if "invalid node namespace" in text:  # rmw_fastrtps 8.4 reports the rule of a node's name with the same number
+    # rmw_fastrtps 8.4 reports the rule with the same number for the name of a node, which does not apply here.
+    if "invalid node namespace" in text:
         return "invalid namespace: expected __ns:=/NAME or /NAME/NAME, no slash at the end, at most 245 characters"
     if _LEXER.search(text):
         form = next((form for kind, form in _FORMS.items() if kind in text), f"expected {FLAGS}")

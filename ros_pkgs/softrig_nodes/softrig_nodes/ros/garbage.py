@@ -33,7 +33,8 @@ class Garbage:
         collector.collect()
         collector.freeze()
         collector.set_threshold(YOUNG)
-        self._of = 2 if off else 0  # generation: nobody else looks at what has become old
+        # With automatic searches off, nothing else searches the old generations, so `step` searches all of them.
+        self._of = 2 if off else 0
         if off:
             collector.disable()
 

@@ -39,10 +39,10 @@ from .profile import RANGE, joining, watch_ports
 QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 CLOCKED = "a subscription of its clock"
 LOOK = 0.05  # s between two looks at the graph
-# s after which a time is published again: rclpy and rclcpp subscribe to /clock with best effort, so it may be lost, and
-# the same time twice makes no timer fire twice
+# s after which a time is published again. rclpy and rclcpp subscribe to /clock with best effort, so it may be lost;
+# receiving the same time twice makes no timer fire twice.
 AGAIN = 0.5
-REPORT_AFTER = 1.0  # s without a change after which it is said what is waited for
+REPORT_AFTER = 1.0  # s without a change after which a message names what is missing
 
 
 class Guest:
@@ -66,8 +66,8 @@ class Guest:
     def __init__(self, name: str, inputs: Sequence[Port], outputs: Sequence[Port], entry: ClockEntry) -> None:
         self._name, self._inputs, self._outputs, self._seconds = name, inputs, outputs, entry.timeout
         self._context = Context()
-        # without this profile Fast DDS replaces a port whose reader has not run for 1 s, and a loaded host starves a
-        # process for longer: the present node would receive nothing
+        # Without this profile Fast DDS replaces a port whose reader has not run for 1 s. On a loaded host a process may
+        # get no processor for longer, and the node would then receive nothing.
         with joining(silence=entry.timeout):
             rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
             self._node = Node(f"{name}_gate", namespace=name, context=self._context, start_parameter_services=False)
@@ -114,7 +114,8 @@ class Guest:
             value = inputs[port.name]
             if value is not None:
                 self._publishers[port.name].publish(port.layout().encode(t, value))
-                self._settle(t)  # one after the other: which of them it answers is its own matter
+                # One input after the other gives a fixed order, whichever of them the node answers.
+                self._settle(t)
         now = CLOCK.layout().encode(t, ())
         self._clock.publish(now)
         if not answers:
@@ -174,7 +175,8 @@ class Guest:
                 print_for(self._name, f"{WAITS}: {self._lacks(lacking, wanted)}")
             if now - begin > limit:
                 raise RunError(f"{self._lacks(lacking, wanted)}; waited for {limit:g} s")
-        self._wait(lambda: "UNKNOWN" not in self._named(), 0)  # the graph has endpoints before the names of their nodes
+        # The graph knows endpoints before the names of their nodes.
+        self._wait(lambda: "UNKNOWN" not in self._named(), 0)
         self.who = self._named()
         self._parameters = self._node.create_client(GetParameters, f"{self.who}/get_parameters")
         self._wait(self._parameters.service_is_ready, 0)
@@ -203,7 +205,8 @@ class Guest:
         """Wait until its executor has processed all messages that it received; collect what it has published by
         then.
         """
-        for _ in range(2):  # the first answer may be earlier than a callback, see above
+        # The first answer may come before the callback of a message that arrived earlier (see the module).
+        for _ in range(2):
             self._asked("use_sim_time", t)
         for name, subscription in self._subscriptions.items():
             self._received[name] += pending_messages(subscription)

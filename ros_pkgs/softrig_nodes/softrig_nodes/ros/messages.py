@@ -57,7 +57,8 @@ def diagnostic_array(stamp: int, name: str, level: Level, text: str, values: Map
     array.header.frame_id = WORLD
     array.header.stamp.sec, array.header.stamp.nanosec = stamp // SECOND, stamp % SECOND
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-    rig = name.rpartition("/")[0]  # two rigs on one /diagnostics differ in their namespaces
+    # Two rigs on one /diagnostics differ only in their namespaces.
+    rig = name.rpartition("/")[0]
     array.status = [DiagnosticStatus(level=bytes([level]), name=name, message=text, hardware_id=rig, values=pairs)]
     return array
 

@@ -17,9 +17,12 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-SHORT = 200_000  # ns of processor time for a message: what two processors save a rig is less then
-ENOUGH = 100  # messages, or as many as take a time, to judge by: what a process does beside is little then
-LONG = 200_000_000  # ns, that time
+# ns of processor time for a message. Below it, a second processor saves less than waking it costs.
+SHORT = 200_000
+# A judgement is made after this number of messages, or after messages that took `LONG`. The other work of the process
+# is a small share of that.
+ENOUGH = 100
+LONG = 200_000_000  # ns
 
 
 class Processor:
@@ -66,7 +69,8 @@ class Processor:
         """Choose the processor by the processor time of the last messages; must be called some times a second."""
         now, before = (self._done(), self._clock()), self._before
         messages, used = now[0] - before[0], now[1] - before[1]
-        if not before[0]:  # what the start took is no message's
+        # The processor time of the start belongs to no message.
+        if not before[0]:
             self._before = now
         elif messages >= ENOUGH or (messages and used >= LONG):
             self._before = now
@@ -77,5 +81,6 @@ class Processor:
             return
         self._now = to
         for thread in os.listdir("/proc/self/task"):
-            with suppress(OSError):  # it has ended, or nobody may choose
+            # The thread may have ended, or the process may not be allowed to choose.
+            with suppress(OSError):
                 os.sched_setaffinity(int(thread), to)

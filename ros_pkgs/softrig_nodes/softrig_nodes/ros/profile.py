@@ -32,7 +32,7 @@ PROPERTY = "fastdds.ignore_local_endpoints"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 (TRANSPORTS,) = NO_MEMORY
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-STARTING = 8  # nodes that may start at this moment and look for the same room
+STARTING = 8  # nodes that may start at the same moment and need space in shared memory
 RENAMED = "FASTDDS_DEFAULT_PROFILES_FILE"  # of Kilted, which warns at the old name
 # elements of a writer's and a reader's times: in Fast DDS 2, in Fast DDS 3
 TIMES = {
@@ -74,8 +74,10 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
         if lacking(STARTING):
             changes |= NO_MEMORY
         memory = (os.environ | changes).get(TRANSPORTS) != NO_MEMORY[TRANSPORTS]
-        if not memory and os.environ.get(RANGE) == "LOCALHOST":  # rmw_fastrtps adds shared memory to this one itself;
-            changes[RANGE] = "SYSTEM_DEFAULT"  # what the profile allows is the loopback interface all the same
+        # With LOCALHOST, rmw_fastrtps itself adds a transport by shared memory. The profile still allows no interface
+        # but the loopback.
+        if not memory and os.environ.get(RANGE) == "LOCALHOST":
+            changes[RANGE] = "SYSTEM_DEFAULT"
         file.write(own(text, exclusive=exclusive, memory=memory))
         file.flush()
         before = {name: os.environ.get(name) for name in (*changes, VARIABLE)}
@@ -83,7 +85,8 @@ def joining(*, exclusive: bool = False, silence: float | None = None) -> Iterato
         os.environ |= changes
         try:
             yield
-        finally:  # as it was: a run that this process starts later makes one that fits it
+        # The file is gone after the block, and a run that this process starts later needs a profile of its own.
+        finally:
             for name, value in before.items():
                 if value is None:
                     os.environ.pop(name, None)
@@ -134,7 +137,8 @@ def own(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> byte
         raise ValueError(f"{VARIABLE}: no participant in the profile, expected one")
     if not memory:
         _without_memory(root, space)
-    if third():  # which refuses a whole file for one element by its name of Fast DDS 2
+    # Fast DDS 3 refuses the whole file if one element has its name of Fast DDS 2.
+    if third():
         for element in root.iter():
             name = element.tag.removeprefix(space)
             element.tag = space + TIMES.get(name, name)

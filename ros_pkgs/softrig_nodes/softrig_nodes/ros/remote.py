@@ -59,7 +59,8 @@ class Remote:
                 self._set(request["id"], name, request["set"])
             else:
                 self._call(request["id"], name, f"{name}/{request['call']}")
-        except Exception as error:  # whatever a page may ask must not end the others' pages
+        # An invalid request of one page must not end this process, which serves all pages.
+        except Exception as error:
             self._answer(request.get("id"), False, str(error) or type(error).__name__)
 
     def _set(self, number: Any, node: str, values: dict[str, Any]) -> None:
@@ -111,7 +112,8 @@ class Remote:
                     sent.append(send())
                     limit = time.monotonic() + PATIENCE
                 data = read(sent[0].result()) if sent and sent[0].done() else None
-            except Exception as error:  # a number that no message holds: what one asks must not end the others' pages
+            # A value may not fit into a message; as above, one request must not end all pages.
+            except Exception as error:
                 data = (False, f"{type(error).__name__}: {error}")
             if data is None and time.monotonic() > limit:
                 data = (None, f"{node} does not answer" if sent else f"no node {node} within {self._patience:g} s")
@@ -163,7 +165,8 @@ def main() -> None:
     """Serve the lines of the standard input until it ends."""
     secure_streams()
     with joining():
-        rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])  # no files beside those of the run
+        # No log files are written beside those of the run.
+        rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
         node = Node(f"softrig_view_{os.getpid()}")
     watch_ports(node)
     executor = rclpy.get_global_executor()

@@ -157,6 +157,7 @@ class Requests:
         if any(o.header is not None and o.header.received_timestamp < limit for o in self._offers):
             self._fetch()
             for offer in self._offers:
+                # Only requests that are older than the limit are refused, whichever look has found them.
                 offer.known = False
             while (first := self._oldest(limit)) is not None:
                 self._answer(first, wait)
@@ -164,6 +165,7 @@ class Requests:
 
     def _fetch(self) -> None:
         for offer in self._offers:
+            # A request that an earlier look has found is older than all that this look finds.
             offer.known = offer.header is not None
             offer.fetch()
 
@@ -188,7 +190,8 @@ class Requests:
         reply = _Reply(offer, response, header, time.monotonic() + UNKNOWN)
         if not self._sent(reply, answer_readers(self._node, offer.service)):
             self._replies.append(reply)
-            if len(self._replies) > WAITING:  # the oldest is the likeliest to be for nobody
+            # The client of the oldest answer is the likeliest to have left.
+            if len(self._replies) > WAITING:
                 self._replies.popleft()
                 self._dropped()
 

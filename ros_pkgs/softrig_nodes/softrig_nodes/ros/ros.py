@@ -77,10 +77,12 @@ POLICIES = (
     QoSPolicyKind.DEADLINE,
 )
 
-LOOK = 20_000_000  # ns: between two looks at who writes
+LOOK = 20_000_000  # ns: between two checks of the number of writers
 SEARCH = 250_000_000  # ns: between two looks for garbage that a tick may have left
 PATIENCE = 2.0  # s: for a tick under way in another thread at the end
-LAST = 10.0  # s: for readers to have the last messages, which go with their writer; a busy host keeps them waiting
+# s: time for subscribers to receive the last messages, which are lost when their writer is removed. On a busy host this
+# may take seconds.
+LAST = 10.0
 
 # A number without a point, as 1e-05, is text for YAML 1.1; a list with one of them is one text.
 NUMBERS = (Parameter.Type.INTEGER, Parameter.Type.STRING)
@@ -155,6 +157,7 @@ class ServingNode(Node):  # type: ignore[misc]
                 return answering(request, response)
 
         options["qos_profile"] = copy(options.get("qos_profile", qos_profile_services_default))
+        # In a flood the middleware keeps the newest requests and drops the others (see `requests`).
         options["qos_profile"].depth = MOST
         service = super().create_service(srv_type, srv_name, answer, **options)
         self._answering[service] = answering
@@ -203,7 +206,8 @@ class ServingNode(Node):  # type: ignore[misc]
         if not works("requests"):
             return
         requests = self._requests = Requests(self, self.credit, lambda: self.paused(), lambda: self.dropped())
-        for service in services(self):  # that of type descriptions is rclpy's own
+        # rclpy has created the service of type descriptions by itself, so it has no callback in `_answering`.
+        for service in services(self):
             answering = self._answering.get(service)
             requests.add(service, answering or self._refusing(service.srv_type, service.srv_name, service.callback))
 
@@ -225,7 +229,8 @@ class ServingNode(Node):  # type: ignore[misc]
             return SetParametersResult(successful=False, reason=text)
         known, described = parameters(self), descriptors(self)
         strange = next((m.name for m in messages if m.name not in described), None)
-        if strange is not None:  # rclpy would not name it
+        # rclpy's own refusal would not name the parameter.
+        if strange is not None:
             message = strange[:LONG]
             reason = f"{message!r} is no parameter of {self.get_name()}{closest(message, described)}"
             return SetParametersResult(successful=False, reason=reason)
@@ -241,7 +246,8 @@ class ServingNode(Node):  # type: ignore[misc]
         self.remark = ""
         kinds = {p.name: described[p.name].type for p in new}
         result = self.set_parameters_atomically(new) if new else SetParametersResult(successful=True)
-        if not result.successful:  # rclpy describes by then what it has refused
+        # By then rclpy has changed the described type to that of the refused value.
+        if not result.successful:
             for name, kind in kinds.items():
                 described[name].type = kind
         result.reason = result.reason or self.remark
@@ -267,8 +273,10 @@ class ServingNode(Node):  # type: ignore[misc]
         """Return the intended value: numbers as floats if these are expected, whatever type they were given as."""
         given = Parameter.from_parameter_msg(message)
         known = parameters(self).get(given.name)
-        if known is None:  # declared without a value, by rclpy without its name
+        # rclpy does not store a parameter that was declared without a value.
+        if known is None:
             known = Parameter(given.name, Parameter.Type.NOT_SET)
+        # `ros2 param load` of a dump sends the present values in this form, which must not count as changes of type.
         elif message.value == guessed(plain(known)):
             return known
         real = known.type_ == Parameter.Type.DOUBLE or (
@@ -323,7 +331,8 @@ def quiet_after_shutdown(callback: Callable[Arguments, None]) -> Callable[Argume
         Of a timer or a subscription; it may publish.
     """
 
-    @wraps(callback)  # rclpy asks for the signature
+    # rclpy inspects the signature of a callback.
+    @wraps(callback)
     def call(*data: Arguments.args, **named: Arguments.kwargs) -> None:
         try:
             callback(*data, **named)
@@ -338,7 +347,7 @@ def with_number(receive: Receive, numbered: Numbered) -> Callable[..., None]:
     """Return a callback of a subscription that passes the number of each message on before the message."""
 
     def receive_numbered(*value: Any) -> None:
-        # this executor passes both as one argument (rclpy 7.1), which differs from the signature that it checks
+        # The events executor passes both as one argument (rclpy 7.1), although it checks for a signature with two.
         data, info = value if len(value) == 2 else value[0]
         numbered(info["publication_sequence_number"])
         receive(data)
@@ -393,7 +402,8 @@ class RosMiddleware(Middleware):
 
     def __init__(self, node: ServingNode) -> None:
         self.node = node
-        # otherwise a late subscriber could miss earlier messages
+        # A person who sets the QoS of a topic may want messages kept for late subscribers, so all of them are
+        # published.
         self.mute = not any(name.startswith(OF_QOS) for name in overrides(node))
         self._overridable: list[str] = []  # topics with the kind of endpoint, as names of parameters begin
         self.monitor = node.monitor
@@ -405,7 +415,8 @@ class RosMiddleware(Middleware):
         self.full_name: str = node.get_fully_qualified_name()
         self._processor: Processor | None = None
         self._posted: list[Callable[[], object]] = []
-        self._behind = time.time_ns() - time.monotonic_ns()  # once: a system clock that is set later stalls nothing
+        # Read once, so that the time of the node goes on evenly if the system's clock is set during the run.
+        self._behind = time.time_ns() - time.monotonic_ns()
         node.serve_by(self.timer)
 
     @property
@@ -491,11 +502,13 @@ class RosMiddleware(Middleware):
         rcl = library()
         if rcl is None:
             return
-        own = {p.topic_name for p in self.node.publishers}  # what one says to oneself arrives while it is published
+        # A message to the node itself arrives inside of `publish`, and no tick may run inside another one.
+        own = {p.topic_name for p in self.node.publishers}
         for subscription, reader in self._read:
             if subscription.topic_name in own:
                 continue
-            leave_to_us(self.node, subscription)  # the executor would ask for its messages and events, too
+            # Otherwise the executor would also take messages and events of this subscription.
+            leave_to_us(self.node, subscription)
             for handler in subscription.event_handlers:
                 self.node.remove_waitable(handler)
             self._arrivals.append(Arrival(rcl, subscription, reader.receive, reader.matched, self.monitor.arrive))
@@ -556,6 +569,7 @@ class RosMiddleware(Middleware):
     def post(self, call: Callable[[], object]) -> None:
         """Call a function after the current call has returned."""
         self._posted.append(call)
+        # One task calls all that is posted before it runs.
         if len(self._posted) == 1:
             self.node.executor.create_task(self._in_turn(self._call_posted))
 
@@ -597,7 +611,8 @@ class RosMiddleware(Middleware):
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
         """Topics that a node reads."""
-        with suppress(NodeNameNonExistentError, RCLError):  # discovery knows a topic before its node
+        # Discovery knows a topic before the node that it belongs to.
+        with suppress(NodeNameNonExistentError, RCLError):
             return [t for t, _ in self.node.get_subscriber_names_and_types_by_node(peer.name, peer.namespace)]
         return []
 
@@ -619,8 +634,8 @@ class RosMiddleware(Middleware):
         """Log by the node's logger: terminal, log file and /rosout."""
         logger, severity = self.node.get_logger(), SEVERITY[level]
         if logger.is_enabled_for(severity):
-            # rclpy would read source files to name the caller: 13 to 30 ms at the first text, 0.25 ms at each further
-            # one, and a node logs when it is late already
+            # rclpy would read source files to name the caller, which takes 13 to 30 ms at the first text and 0.25 ms at
+            # each further one. A node often logs when it is already late.
             log(logger, severity, text)
 
     def drain(self) -> None:
