@@ -32,7 +32,7 @@ from .reader import Reader
 from .unit import Unit, Value, literal, reads
 
 SUPPORT, DRAWS = "softrig_c.h", "softrig_draws.h"
-STATES = 50  # of a run and of drawn calls that are to stay as they are when a parameter changes
+STATES = 50  # of the calls that must stay unchanged under another value of a settable parameter
 SHIFTS = (1.0625, 0.9375, 0.5, 2.0, -1.0)  # factors by which a parameter is tried, until one is in its bounds
 
 
@@ -97,7 +97,9 @@ def c_of_member(member: Member, golden: Sequence[Call | Changed], drawn: int, se
     of = member.block_class
     title = f"{of.__module__}.{of.__qualname__}"
     refusal = NotNative()
-    for absent in (True, False):  # inputs that the run never lacked may have no text of their own
+    # A drawn call may lack an input that each call of the run has. If the block has no C for that, it is exported from
+    # calls that have it.
+    for absent in (True, False):
         block = member.block(seed)
         try:
             return c_files(
@@ -1006,7 +1008,8 @@ def _stay(other: Block, block: Block, states: Sequence[Any]) -> bool:
     try:
         # By their text, in which NaN equals NaN and 0.0 differs from -0.0.
         return all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
-    except Exception:  # whatever a user's code raises: a run cannot take that parameter over either
+    # Whatever a user's code raises: a run cannot change that parameter, either.
+    except Exception:
         return False
 
 

@@ -343,7 +343,8 @@ class Expressions(Base):
         if not left:
             self._check(f"{b.c} < 0")
             n = self.fresh(INT, f"({b.c} < 63) ? {b.c} : 63").c
-            return Value(INT, f"(({a.c} >= 0) ? ({a.c} >> {n}) : ~(~{a.c} >> {n}))")  # C may fill up with zeros
+            # C leaves open whether a negative number is filled up with ones or with zeros.
+            return Value(INT, f"(({a.c} >= 0) ? ({a.c} >> {n}) : ~(~{a.c} >> {n}))")
         self._check(f"({b.c} < 0) || ({b.c} > 62)")
         self._check(f"({a.c} > (INT64_MAX >> {b.c})) || ({a.c} < -(INT64_MAX >> {b.c}))")
         # C leaves a shift of a negative number to the left undefined.

@@ -311,7 +311,8 @@ def _scope(block: Block, law: Law) -> tuple[dict[str, Any], dict[str, Any]]:
     for text in law.texts.values():
         exec(text, scope)
     for name, thing in program.names.items():
-        if isinstance(thing, Jit):  # one that the run has not called is compiled for nothing
+        # A function that the run has not called would be compiled for these few calls alone.
+        if isinstance(thing, Jit):
             scope[name] = thing.straight() if thing.direct is thing else thing.direct
         elif isinstance(thing, Compiled):
             scope[name.removesuffix("_there")] = lambda s, *values, thing=thing: thing(values)

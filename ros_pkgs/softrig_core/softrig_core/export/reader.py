@@ -321,7 +321,8 @@ class Reader(Calls):
             if value is not None and not isinstance(value.kind, Absent):
                 self._carry(name, value)
                 self.env[name] = Value(self.kinds_of[c], c)
-            elif value is None and c in self.kinds_of:  # first bound in a turn: the loop may have none
+            # A name that is first bound in a turn: without a turn C would read a variable that is not set.
+            elif value is None and c in self.kinds_of:
                 kind = self.kinds_of[c]
                 self.emit(f"{c} = {'0' if isinstance(kind, Number) else f'({self.unit.c(kind)}){{ 0 }}'};")
         lines, before = self.lines, dict(self.env)

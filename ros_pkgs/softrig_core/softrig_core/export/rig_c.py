@@ -296,7 +296,8 @@ class _RigFiles:
             lines.append(f"{target}.{here}_stamp_ns = {f'{source}.{there}_stamp_ns' if port.delayed else 't'};")
         if own.held:
             lines.append(f"{target}.has_{here} = true;")
-        if port.unchecked:  # a fault may publish what its reader refuses
+        # A fault may publish values that its reader rejects.
+        if port.unchecked:
             tests = [f"SR_MATH(fabs)({target}.{here}[{i}]) <= {literal(limit)}" for i, limit in enumerate(own.limits)]
             lines += [f"if (SR_RARELY(!({' && '.join(f'({t})' for t in tests)}))) {{", "    status = SR_GAVE_UP;", "}"]
         if port.sporadic:
@@ -343,7 +344,7 @@ class _RigFiles:
         return json.dumps(results, indent=1) + "\n"
 
 
-_OWN = ("_replay.c", "_main.c")  # of a node alone
+_OWN = ("_replay.c", "_main.c")  # of a node that is exported alone; a rig has its own
 
 _MAIN = """/* Example: runs the rig and prints how far it came. Written by `softrig export c`. */
 #include "{n}.h"

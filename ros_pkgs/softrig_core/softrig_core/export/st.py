@@ -355,7 +355,8 @@ class _Printer:
 
     def _decl(self, node: Any) -> None:
         kind, name, k = self.type_of(node.type), node.name, 2
-        while self.vars.get(name, kind) != kind:  # of another block of C
+        # Another block of C may have a variable of this name and of another type.
+        while self.vars.get(name, kind) != kind:
             name, k = f"{node.name}_{k}", k + 1
         self.vars[name] = kind
         self.newest[node.name] = name
@@ -367,7 +368,8 @@ class _Printer:
             self.statement(one)
 
     def _cast(self, node: Any) -> None:
-        if isinstance(node.expr, c_ast.FuncCall):  # what it returns is not wanted
+        # A cast to void, of a call whose result is not needed.
+        if isinstance(node.expr, c_ast.FuncCall):
             self.expression(node.expr, named=True)
 
     def _emptystatement(self, node: Any) -> None:
@@ -555,7 +557,8 @@ class _Printer:
         if op in ("&&", "||"):
             return Typed(f"({self.condition(node.left)} {OPERATORS[op]} {self.condition(node.right)})", "BOOL")
         a, b = self.expression(node.left), self.expression(node.right)
-        if a.type in self.structs:  # a struct that is handed by reference is there
+        # C compares a pointer with NULL; a struct that is passed by reference is always there.
+        if a.type in self.structs:
             return Typed("TRUE" if op == "!=" else "FALSE", "BOOL")
         if op in ("&", "|", "^", "<<", ">>"):
             if (a.type, b.type) == ("BOOL", "BOOL") and op in "&|^":

@@ -466,7 +466,8 @@ class Calls(Expressions):
         code = f"{name}({', '.join(v.code for v in values)})"
         samples = [v.sample for v in values]
         sample = computed(function, *samples)
-        if sample is UNKNOWN and self.program.inferred:  # an odd number on a way that it does not take: its type counts
+        # A function that raises for this sample, as `round` for infinity: only the type of its result is needed.
+        if sample is UNKNOWN and self.program.inferred:
             sample = computed(function, *(TAME if isinstance(s, float) else s for s in samples))
         return Dynamic(code, sample)
 

@@ -36,7 +36,7 @@ RARE = 8
 PATIENCE = 64  # discarded ticks before that is judged
 LOOK = 64  # ticks in Python between two looks at whether native code may go on
 LATEST = 256  # ticks up to which a state may still change its type, as from None when a first message arrives
-TRIES = 3  # failed translations up to this tick, after which a run stays in Python
+TRIES = 3  # failed translations after which a run without a text stays in Python
 
 
 @dataclass

@@ -422,7 +422,8 @@ class Expressions(Ways):
 
     def _in_turn(self, node: ast.Compare) -> Value:
         """Read a chain whose later terms are computed only if the earlier comparisons are true."""
-        first, second = (f"{part} of {self._fresh()}" for part in ("left", "right"))  # no names of Python
+        # With spaces in them, these are no names of the function.
+        first, second = (f"{part} of {self._fresh()}" for part in ("left", "right"))
         self.env[first], self.env[second] = (self._held(self.value(v)) for v in (node.left, node.comparators[0]))
         middle = ast.Name(second, ast.Load())
         head = ast.Compare(ast.Name(first, ast.Load()), node.ops[:1], [middle])

@@ -400,4 +400,4 @@ class _Nowhere:
     lineno = 1
 
 
-NOWHERE: Any = _Nowhere()  # the node of what stands in no line of a method
+NOWHERE: Any = _Nowhere()  # in place of the syntax node of a construct that is in no line of a method

@@ -252,7 +252,8 @@ class Writer(Calls):
         if turns is None or not isinstance(node.target, ast.Name):
             raise self.unknown("a loop over something of no fixed length", node)
         known, name = self.env.get(node.target.id), f"v_{node.target.id}"
-        if known is not None and (result := self.dynamic(known)).code != name:  # what it stays if there is no turn
+        # If there is no turn, the name keeps its value.
+        if known is not None and (result := self.dynamic(known)).code != name:
             self.emit(f"{name} = {result.code}")
         self.env[node.target.id] = Dynamic(name, 0)
         self._loop(f"for {name} in range({turns}):", node.body, node)
