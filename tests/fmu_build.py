@@ -81,7 +81,7 @@ def describe(model, version, exchange):
             tag = {"Integer": "Int32", None: "Float64"}.get(kind, kind)
             variables.append(f"<{tag} {head}{own}>{size}</{tag}>")
     index = {v[0]: k for k, v in enumerate(listed)}
-    if version == 2:  # a state is told by its derivative
+    if version == 2:  # FMI 2 identifies a state by its derivative
         for k, state in enumerate(STATES[model]):
             head = f'name="der({state})" valueReference="{100 + k}"'
             variables.append(f'<ScalarVariable {head}><Real derivative="{index[state] + 1}"/></ScalarVariable>')

@@ -92,7 +92,8 @@ class Worker:
             self.pid = os.fork()
         if not self.pid:
             for connection in [self.connection, *others]:
-                connection.close()  # a worker sees that the parent has gone when nobody else holds its end
+                # a worker detects the end of its parent only if no other process holds the connection
+                connection.close()
             _work(session, there, folder)
         there.close()
         self.ended = os.pidfd_open(self.pid)  # its processes may hold its end of the connection open
@@ -117,7 +118,7 @@ class Workers:
     def __init__(self, session):
         self.session, self.config = session, session.config
         of_file = groupby(range(len(session.items)), lambda k: session.items[k].nodeid.partition("::")[0])
-        self.files = [list(indices) for _, indices in of_file][::-1]  # the next one stands last
+        self.files = [list(indices) for _, indices in of_file][::-1]  # reversed, because `pop` takes the last
         self.folder, self.numbers = self.config._tmp_path_factory.getbasetemp(), count()
         self.workers = {}  # by connection
 
@@ -202,7 +203,7 @@ class Sender:
         self.connection.send(("report", data))
 
     def pytest_warning_recorded(self, warning_message, when, nodeid, location):
-        if not self.begun:  # a plugin hears of those that were before it
+        if not self.begun:  # pytest also reports warnings from before this plugin was registered
             return
         warning_message.source = None
         try:
@@ -240,7 +241,7 @@ def _work(session, connection, folder):
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's and the parent's are one
         session._setupstate.teardown_exact(None)
-    except (EOFError, ConnectionError):  # the parent has gone
+    except (EOFError, ConnectionError):  # the parent has ended
         session._setupstate.teardown_exact(None)
     except BaseException:
         traceback.print_exc()

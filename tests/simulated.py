@@ -35,7 +35,7 @@ class Endpoint:
     matched: Callable[[int], None]
     born: int
     peers: int = 0  # that are matched, as this end sees it
-    fits: bool = True  # whether its profile is one that anybody meets
+    fits: bool = True  # whether its QoS profile matches that of a peer
     numbered: Callable[[int], None] | None = None
     said: int = 0  # messages of a writer
     known: dict = field(default_factory=dict)  # of a writer: reader -> time from which that accepts what is sent
@@ -111,7 +111,8 @@ class World:
             t, order, call, node = heapq.heappop(self.events)
             if node is not None and node.dead:
                 continue
-            if node is not None and node.stalled > t:  # a stopped process finds everything in order when it goes on
+            # a stopped process finds all events in their order when it continues
+            if node is not None and node.stalled > t:
                 heapq.heappush(self.events, (node.stalled, order, call, node))
                 continue
             self.now = t
@@ -296,7 +297,7 @@ class SimulatedNode(Middleware):
         return ends if discovery is None else [e for e in ends if discovery.shown(e, self)]
 
     def subscriptions_of(self, peer):
-        if peer.name == "_NODE_NAME_UNKNOWN_":  # of who is no ROS node
+        if peer.name == "_NODE_NAME_UNKNOWN_":  # a participant that is not a ROS node
             return []
         return [r.topic for r in self._seen(self.world.readers) if r.node.name == peer.name]
 
@@ -451,7 +452,7 @@ class SimulatedRig:
             self.coming.discard(name)
             self._start([next(m for m in self.rig.members if m.name == name)], *self.again, files)
 
-        self.world.at(self.world.now + rng.randrange(2_000_000_000), start)  # its record is gone meanwhile
+        self.world.at(self.world.now + rng.randrange(2_000_000_000), start)  # its record was removed in the meantime
 
     def _ended(self):
         over = [self.nodes[name].dead or a.state in ("done", "failed") for name, a in self.adapters.items()]

@@ -32,7 +32,7 @@ class SimulatedOutside:
         self.epoch = None if realtime else 0
         name = "_NODE_NAME_UNKNOWN_" if bare else name or f"others_{member.name}"
         self.node = SimulatedNode(world, name, {})
-        self.first = {}  # what it has heard first, by topic
+        self.first = {}  # its first received message, by topic
         self.said = {p.topic: said.topics[p.topic] for p in member.outputs}
         self.next = dict.fromkeys(self.said, 0)
         self.writers, self.needs, self.heard = {}, {}, set()
@@ -74,7 +74,7 @@ class SimulatedOutside:
 
     def _start(self):
         if len(self.writers) == len(self.said) and all(there >= n for n, there in self.needs.values()) and self.heard:
-            for topic, record in self.said.items():  # again until somebody answers
+            for topic, record in self.said.items():  # repeat until a node answers
                 self.next[topic] = 1
                 self.writers[topic](bytes(record.data[0]))
 

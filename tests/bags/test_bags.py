@@ -615,7 +615,8 @@ def test_types_defined_only_in_the_bag_are_paired_by_stamp(tmp_path):
             writer.write(number, k + delay, layout.encode(k, (k, 0, 0)))
         writer.close()
     assert compare(signals(tmp_path / "a"), signals(tmp_path / "b")).equal
-    again = repair(tmp_path / "a", tmp_path / "repaired")  # with the definition, for nobody else has it
+    # the repaired bag needs the definition: no installed package has this type
+    again = repair(tmp_path / "a", tmp_path / "repaired")
     assert compare(signals(tmp_path / "a"), signals(again.bag)).equal
     assert list(signals(again.bag).decodable) == list(signals(tmp_path / "a").decodable) == ["x"]
 

@@ -97,7 +97,7 @@ def test_another_build_agrees_within_the_tolerances_of_the_bag(name):
     result = golden.compare(shaken, elsewhere=True)
     assert result.equal, str(result)
     if golden.recipe.elsewhere:
-        assert not golden.compare(shaken, elsewhere=False).equal  # and they are not wider than they need to be
+        assert not golden.compare(shaken, elsewhere=False).equal  # and tolerances are not wider than necessary
 
 
 def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
@@ -125,7 +125,7 @@ def test_the_same_versions_demand_the_same_bytes(tmp_path, monkeypatch):
 
 def test_other_versions_use_the_tolerances_for_other_machines():
     golden = load(BAGS / "induction_dtc_short")
-    here = golden.recipe.model_copy(update={"made_with": versions()})  # whatever made the bag
+    here = golden.recipe.model_copy(update={"made_with": versions()})  # as if the present versions had made the bag
     golden = type(golden)(golden.folder, here, golden.rig)
     assert golden.made_here
     assert golden.recipe.elsewhere
@@ -261,7 +261,7 @@ def test_a_replay_in_lockstep_into_one_real_node_agrees(name, node, tmp_path):
     golden = load(BAGS / name)
     member = next(m for m in golden.rig.members if m.name == node)
     parameters = node_parameters(golden.rig, member, golden.recipe.seed, "lockstep")
-    del parameters["run.links"]  # as a user starts it: no runner, no peers known
+    del parameters["run.links"]  # as a user starts a node: without a runner and without known peers
     if "reference" in member.links:
         parameters["run.paired"] = ["reference"]
     file = tmp_path / "parameters.yaml"
@@ -429,7 +429,7 @@ def test_the_old_bag_stays_until_the_new_one_is_written(tmp_path):
     golden.make()
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # stands for a full disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # simulates a full disk
     try:
         with pytest.raises(RunError, match="not written"):
             golden.make()

@@ -182,7 +182,7 @@ def check_all_saved(folders, kind):
                 messages = make_reader(file).iter_messages(log_time_order=False)
                 saved = [(message.log_time, message.data) for _, _, message in messages]
         assert saved[: len(wanted)] == wanted
-        times = [t for t, _ in saved]  # whole messages of a cut chunk, or behind a damaged page, come after
+        times = [t for t, _ in saved]  # complete messages of a cut chunk, or behind a damaged page, follow later
         assert times == sorted(set(times))
         assert repaired.files[0].kept == len(saved)
         most = max(most, len(wanted))

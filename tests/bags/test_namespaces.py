@@ -42,7 +42,7 @@ def test_a_rig_in_a_namespace_is_read_as_if_it_were_alone(name, bags):
     assert [t.data for t in result.topics.values()] == [t.data for t in alone.topics.values()]
     named = signals(bags / "together", name)
     assert set(named) == set(signals(bags / "own"))
-    assert differences(named.recording, result) == []  # also what is read when it is asked for
+    assert differences(named.recording, result) == []  # also topics that are read only when they are used
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_one_of_several_rigs_is_drawn_and_viewed(bags, monkeypatch, capsys):
     assert main([*words[:-4], "--namespace", "c"]) == 2
     assert "no topic in the namespace /c" in capsys.readouterr().err
     (bags / "pack").mkdir()
-    (bags / "pack/pack.json").write_text("{}")  # of one rig, whatever is in it
+    (bags / "pack/pack.json").write_text("{}")  # a pack always has one rig, whatever its content
     assert main(["view", str(bags / "pack"), "--namespace", "a"]) == 2
     assert "leave out --namespace" in capsys.readouterr().err
 

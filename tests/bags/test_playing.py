@@ -150,9 +150,10 @@ def test_each_message_is_published_when_it_is_due_and_at_no_other_time(monkeypat
     wanted = [(0, "/a", 500), (0, "/b", 500), (7 / rate, "/b", 507), (90 / rate, "/a", 590), (1000 / rate, "/a", 1500)]
     assert world.by_stamp() == [(pytest.approx(t, abs=1e-3), topic, k) for t, topic, k in wanted]
     assert played.sent == 5
-    assert max(world.spun) <= 0.025  # nobody who asks for a service waits longer
+    assert max(world.spun) <= 0.025  # so a service call never waits longer
     assert world.frozen == 1
-    assert [data for _, _, data in world.said[-2:]] == [Duration(seconds=2)] * 2  # until all have the last ones
+    # wait until all subscribers have the last messages
+    assert [data for _, _, data in world.said[-2:]] == [Duration(seconds=2)] * 2
 
 
 def test_the_clock_is_published_before_the_messages_of_a_time_and_every_25_ms_between(monkeypatch):
@@ -354,10 +355,10 @@ def test_no_tick_is_sent_before_all_answers_to_the_one_before(monkeypatch):
     }
     assert [stamp(d) for d in result.topics["out"].data] == result.topics["out"].times
     assert (played.sent, world.stopped) == (40, True)
-    assert world.said[-1][1:] == ("/in", Duration(seconds=2))  # until all have the last ones
+    assert world.said[-1][1:] == ("/in", Duration(seconds=2))  # wait until all subscribers have the last messages
     order = [(k, topic == "/in") for _, topic, k in world.by_stamp()]
     assert [k for k, asks in order if asks] == ticks
-    for tick in answered:  # whatever is said of a tick is said before anything of a later one
+    for tick in answered:  # all messages of a tick are published before any of a later one
         last = max(i for i, (k, _) in enumerate(order) if k == tick)
         assert all(k <= tick for k, _ in order[: last + 1])
 
@@ -483,7 +484,7 @@ def test_an_answer_of_another_tick_is_refused_in_any_order():
     assert not early.missing
     with wrong():
         early.expect(1 * MS, 1 * MS)
-    bare.receive(other)  # what has no stamp is of whatever tick
+    bare.receive(other)  # a message without a stamp fits any tick
     assert not bare.missing
 
 

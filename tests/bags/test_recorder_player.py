@@ -93,7 +93,7 @@ class Rig:
 
 def end(process: subprocess.Popen) -> None:
     with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)  # with what it has started: that holds the pipe open
+        os.killpg(process.pid, signal.SIGKILL)  # also its child processes, since they hold the pipe open
     process.communicate()
 
 
@@ -230,7 +230,7 @@ def test_losses_are_counted_and_reported(rig, tmp_path):
     publisher = rig.node("publish", 8_000)
     recorder = rig.recorder("burst", "--output", "bag", "--use-sim-time")
     assert publisher.stdout.readline() == "matched\n"
-    recorder.send_signal(signal.SIGSTOP)  # it sees nothing of the burst but what fits into its queue
+    recorder.send_signal(signal.SIGSTOP)  # of the burst it receives only what fits into its queue
     publisher.stdin.write("go\n")
     publisher.stdin.flush()
     assert publisher.stdout.readline() == "sent\n"
@@ -251,7 +251,7 @@ def test_qos_is_adapted_to_publishers_as_they_appear(rig, tmp_path):
     node = rig.node("mixed")
     assert node.stdout.readline() == "latched\n"
     recorder = rig.recorder("--output", "bag", "--regex", "text|sensor|both")
-    assert node.stdout.readline() == "sent\n"  # the recorder has subscribed "both" anew, with less
+    assert node.stdout.readline() == "sent\n"  # the recorder has subscribed to "both" again, with a weaker QoS
     file = tmp_path / "bag/bag_0.mcap"
     awaited = (b"sensor\0", b"unreliable\0", b"reliable again\0")
     until(lambda: all(name in file.read_bytes() for name in awaited), "the flush")
@@ -335,7 +335,7 @@ def test_a_recorder_that_was_stopped_does_not_claim_that_nothing_was_lost(listen
     made = Recorder(SimpleNamespace(node=listener), writer, Selection(("/late",)), holds=Holds(2.5, lambda: now[0]))
     topic = BagTopic.known("/late", STATE)
     made._numbers["/late", STATE] = writer.add_topic(topic)
-    for pause in (0.1, 2.4, 0.1):  # a slow machine, but nobody minds
+    for pause in (0.1, 2.4, 0.1):  # the machine is slow, but no limit is exceeded
         now[0] += pause
         made._discover()
         made._receiver(topic)(Layout(STATE).encode(1, ()))
@@ -426,7 +426,7 @@ def listener(rig, monkeypatch):
     for name, msgtype in (("/clock", CLOCK), ("/state", STATE)):
         node.create_subscription(message_class(msgtype), name, lambda m, name=name: node.heard.append((name, m)), 1000)
 
-    def turn():  # what is there by now, and not one message at each look of `until`
+    def turn():  # all messages that have arrived, not one for each check of `until`
         executor.spin_once(timeout_sec=0.05)
         for _ in range(20):
             executor.spin_once(timeout_sec=0)
@@ -619,7 +619,7 @@ def ask(node, service: str, kind, **fields):
 @pytest.mark.long
 def test_their_options_are_parameters_that_can_be_read_but_not_set(rig, listener, tmp_path):
     write_bag(tmp_path / "bag", small())
-    # a file of `ros2 param dump` says what the options say
+    # the file of `ros2 param dump` has the same values as the options
     player = rig.player("bag", "--paused", "--rate", "2.5", "--ros-args", "-p", "rate:=2.5", "-p", "paused:=true")
     recorder = rig.recorder("--output", "copy", "--max-size", "8", "/none")
     names = ask(listener, "/player/list_parameters", ListParameters).result.names
@@ -654,7 +654,7 @@ def test_two_interrupts_in_a_row_end_without_a_traceback(rig, tmp_path, tool):
         process.send_signal(signal.SIGINT)
     status, output = finish(process)
     assert "Traceback" not in output
-    assert status in (0, 130, -signal.SIGINT)  # the last: before Python had begun
+    assert status in (0, 130, -signal.SIGINT)  # the last case: before Python has started
 
 
 @pytest.mark.long

@@ -158,7 +158,7 @@ def test_selected_topics_are_subscribed_as_they_appear_and_failures_are_reported
     node.publish("/b", HEADER, profile=QoSProfile(depth=10, reliability=BEST))
     recorder._discover()
     assert list(node.subscriptions) == ["/a", "/two", "/b"]
-    assert node.subscriptions["/b"].profile.reliability == BEST  # of others alone
+    assert node.subscriptions["/b"].profile.reliability == BEST  # of other nodes only
     assert len(node.errors) == 2  # each once
     assert [t.name for t in writer.topics] == ["/a", "/two", "/b"]
     assert writer.topics[0].offered[0].durability == QosDurability.TRANSIENT_LOCAL
@@ -167,7 +167,7 @@ def test_selected_topics_are_subscribed_as_they_appear_and_failures_are_reported
 def test_a_topic_whose_publisher_changes_its_type_is_subscribed_again(made, tmp_path):
     recorder, node, writer = made(stamped=True)
     node.publish("/a", HEADER)
-    node.topics["/a"] = [HEADER, FLOAT]  # somebody waits for another type
+    node.topics["/a"] = [HEADER, FLOAT]  # a subscriber expects another type
     recorder._discover()
     node.subscriptions["/a"].callback(header(0))
     node.subscriptions["/a"].handle.waiting.append(header(20))
@@ -248,7 +248,7 @@ def test_losses_are_added_up_over_subscriptions_and_reported(made):
     recorder._flush()
     assert recorder.lost == {"/a": 5, "/b": 1}
     assert recorder.losses() == "LOST 6: /a: 5, /b: 1"
-    assert node.errors == ["messages lost so far: /a: 3", "messages lost so far: /a: 5, /b: 1"]  # each news once
+    assert node.errors == ["messages lost so far: /a: 3", "messages lost so far: /a: 5, /b: 1"]  # each report once
     events.due.append(("/a", unfit, None))
     recorder._flush()
     events.due.append(("/a", lost, SimpleNamespace(total_count=4)))
@@ -256,7 +256,7 @@ def test_losses_are_added_up_over_subscriptions_and_reported(made):
     assert recorder.lost == {"/a": 9, "/b": 1}
     assert [t.name for t in writer.topics] == ["/a", "/b"]  # declared once
     writer.flush()
-    assert writer.count == 2  # what had waited
+    assert writer.count == 2  # the messages that waited
     writer.close()
 
 

@@ -197,7 +197,7 @@ def test_a_duration_of_a_profile_is_read_in_each_of_its_forms(text, seconds):
     [
         ((), "", "", ["/a", "/a/b"], ["/_hidden", "/a/_hidden"]),
         (("a", "/b"), "", "", ["/a", "/b"], ["/c", "/a/b"]),
-        (("/_h",), "", "h", ["/_h"], ["/x"]),  # who is named is meant
+        (("/_h",), "", "h", ["/_h"], ["/x"]),  # a topic that is named is recorded although it is hidden
         ((), "b$", "", ["/a/b", "/_b"], ["/b/a"]),
         ((), "", "b", ["/a"], ["/b", "/a/b"]),
         (("/c",), "a", "b", ["/a", "/c"], ["/ab", "/d"]),

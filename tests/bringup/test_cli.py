@@ -196,7 +196,8 @@ def test_the_command_of_a_run_repeats_it_from_any_folder(folder):
                  "--duration", "0.5", "--seed", "3", "--domain", "42"]  # fmt: skip
     result = repeat(make_parser().parse_args(["run", *arguments, "--out", "x"]))
     assert result == [str(folder / "lag.yaml"), *arguments[1:], "--out", str(folder / "x")]
-    assert repeat(make_parser().parse_args(["run", "dc_motor_smc_b2"]))[0] == "dc_motor_smc_b2"  # every folder knows it
+    # a shipped scenario is found from every folder
+    assert repeat(make_parser().parse_args(["run", "dc_motor_smc_b2"]))[0] == "dc_motor_smc_b2"
 
 
 def test_an_invalid_or_used_domain_is_one_line(capsys):
@@ -558,7 +559,7 @@ READ_ONLY = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" "$1" || exi
 
 
 def test_a_read_only_checkout_has_its_set_up_in_the_cache_or_one_line(bare, tmp_path):
-    (tmp_path / ".ws").touch()  # no folder, whoever may write
+    (tmp_path / ".ws").touch()  # a file in place of the folder: even root cannot write into it
     printed = subprocess.run([tmp_path / "scripts" / "softrig", "setup"], env=bare, capture_output=True, text=True)
     line = "not writable; set XDG_CACHE_HOME to a folder of yours\n"
     assert (printed.returncode, printed.stderr) == (2, f"softrig: cannot set up in {tmp_path}: {line}")
@@ -756,7 +757,7 @@ def on_a_full_disk(limit, *arguments):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    # Python itself would leave a cut .pyc, which nobody can import any more
+    # Python itself would leave a truncated .pyc, which cannot be imported any more
     environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "ROS_DOMAIN_ID": "230"}
     return command(*arguments, preexec_fn=full, capture_output=True, text=True, env=environment)
 

@@ -123,11 +123,11 @@ def test_quiet_prints_nothing_and_the_status_is_the_result(tmp_path, capsys):
     assert capsys.readouterr() == ("", "")
     assert main(["list", "-q", "--figures", "final_value"]) == 0
     assert main(["list", "--figures", "final_value"]) == 0
-    assert "Last value" in capsys.readouterr().out  # and only then
-    assert main(["bag", "info", "--quiet", str(tmp_path / "run" / "bag")]) == 0  # whose words are another parser's
+    assert "Last value" in capsys.readouterr().out  # only without -q
+    assert main(["bag", "info", "--quiet", str(tmp_path / "run" / "bag")]) == 0  # this verb has its own parser
     assert capsys.readouterr() == ("", "")
     assert main(["run", "-q", "dc_motor_smc_b9000", "--mode", "inprocess"]) == 2
-    assert "dc_motor_smc_b9000" in capsys.readouterr().err  # what goes wrong is said
+    assert "dc_motor_smc_b9000" in capsys.readouterr().err  # errors are printed in spite of -q
 
 
 def test_on_a_narrow_terminal_no_number_and_no_word_is_broken(tmp_path, capsys, monkeypatch):

@@ -810,7 +810,7 @@ def test_a_broken_a_stopped_and_an_incomplete_run_are_reported(lag, monkeypatch,
         "realtime",
     )  # no ticks to miss
     assert asked[0][:3] == (rig, 0, tmp_path)
-    assert runs._plant_ticks(result) == 0  # which has said nothing
+    assert runs._plant_ticks(result) == 0  # the plant has published nothing
     result.status = {"plant": {"ticks": 5}}
     assert runs._plant_ticks(result) == 5
     assert "first gap" in runs.execute(rig, Placement("processes"), tmp_path).error
@@ -933,7 +933,7 @@ def test_the_command_line_passes_on_arguments_of_other_parsers(monkeypatch, caps
     [
         ("softrig bag inf", None, ["bag"], "2"),
         ("softrig bag play ", None, ["bag", "play"], "3"),
-        ("softrig bag play", None, ["bag"], "2"),  # the word that is typed may become another
+        ("softrig bag play", None, ["bag"], "2"),  # the word at the cursor is still incomplete
         ("softrig bag", None, [], None),
         ("softrig bag ", None, ["bag"], "2"),
         ("softrig run x", None, [], None),

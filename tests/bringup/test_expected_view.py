@@ -226,7 +226,8 @@ def widget_lines(model, depth=1):
     name = [kind, model.name or "", model.sizing_mode or "", f"{n} sheets" if (n := len(model.stylesheets)) else ""]
     text = " ".join(f"{n} {number_or_text(v)}" for n, v in shown.items())
     yield f"{indent}{' '.join(filter(None, name))}{': ' if text else ''}{text}"
-    for child in () if model.name == "knobs drift" else getattr(model, "children", ()):  # a fault's are told elsewhere
+    # the widgets of a fault have an expected text of their own
+    for child in () if model.name == "knobs drift" else getattr(model, "children", ()):
         yield from widget_lines(child, depth + 1)
 
 
@@ -343,7 +344,7 @@ def test_the_page_of_a_paused_run_is_as_expected(monkeypatch):
     ],
 )
 def test_a_run_that_cannot_be_paused_or_paced_has_no_button_for_it(monkeypatch, held, pace, names):
-    monkeypatch.setattr(Page, "_knob", lambda self, knob: None)  # dear, and not of this bar
+    monkeypatch.setattr(Page, "_knob", lambda self, knob: None)  # expensive, and not part of this bar
     monkeypatch.setattr(Page, "_write", lambda self: False)
     source, control = live(make(monkeypatch, plots=ONE), held=held, pace=pace)
     control.roles.clear()

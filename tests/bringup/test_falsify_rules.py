@@ -196,7 +196,7 @@ def test_for_one_number_optunas_estimator_proposes_four_points_at_a_time():
     for seed, batches in (
         (7, remaining[:4]),
         (8, remaining[4:]),
-    ):  # to three quarters of the budget; anew, as no corner is left
+    ):  # up to three quarters of the budget; restarted, because no corner is left
         study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, constant_liar=True))
         for batch in batches:
             trials = [study.ask({"u000": optuna.distributions.FloatDistribution(0.0, 1.0)}) for _ in range(4)]
@@ -302,7 +302,7 @@ def test_steps_are_tried_equal_to_their_neighbours_then_at_zero():
         (Over(-4.0, 0.0, count=2, key="a/b/c", adds=True), [[0.0, 3.0], [2.0, 0.0]]),
         (Over(1.0, 4.0, count=2, key="a/b/c", adds=True), []),  # nothing is not in its range
         (Over(-4.0, -1.0, count=2, key="a/b/c", adds=True), []),
-        (Over(-1.0, 4.0, count=2, key="a/b/c"), []),  # what replaces a signal is not nothing at zero
+        (Over(-1.0, 4.0, count=2, key="a/b/c"), []),  # a fault that replaces a signal has an effect even at zero
     ],
 )
 def test_only_values_inside_the_range_are_tried(over, zeros):

@@ -14,7 +14,7 @@ from softrig_bringup.cli import main
 from softrig_bringup.verbs.new import new_package
 from softrig_core import ScenarioError
 
-UID = 54321  # of nobody
+UID = 54321  # no user has this number
 SOFTRIG = Path(__file__).parents[2] / "scripts" / "softrig"
 
 LAW = '''
@@ -66,16 +66,16 @@ class User:
         ours = ("AMENT_", "PYTHON", "VIRTUAL_ENV", "LD_PRELOAD", "COLCON_", "SOFTRIG_", "PYTEST_", "XDG_")
         keep = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
         self.environment = keep | {"COLUMNS": "60", "HOME": str(home)}
-        if " " in str(SOFTRIG):  # the set-up of such a checkout is in the cache of who has made it
+        if " " in str(SOFTRIG):  # the set-up of such a checkout is in the cache of the user who made it
             cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
             self.environment["XDG_CACHE_HOME"] = cache
         self.become = []
-        if os.geteuid() == 0:  # elsewhere whoever runs the tests is a user without power already
+        if os.geteuid() == 0:  # otherwise the tests already run as an unprivileged user
             self.become = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"]
             another = [f"--reuid={UID}", f"--regid={UID}", "--clear-groups"]
             again = "import subprocess, sys; sys.exit(subprocess.run([sys.executable, '-c', '']).returncode)"
             python = subprocess.run([*self.become, *another, sys.executable, "-c", again], capture_output=True)
-            if not python.returncode:  # root's own Python may lie in root's home, closed to others, and to who was root
+            if not python.returncode:  # root's Python may be in root's home, which other users cannot read
                 self.become += another
                 for place in (folder, home, self.folder):
                     os.chown(place, UID, UID)
@@ -269,7 +269,7 @@ def test_an_error_in_users_code_names_file_and_line(user, package, mistake, mode
     try:
         _, error = user(f"'{SOFTRIG}' --workspace heater run beside.yaml --mode {mode} --no-plots --out {mode}", status)
         errors = [error]
-        if status == 2:  # a node by itself says the same
+        if status == 2:  # a single node prints the same error
             assert "the traceback is in" in error
             errors.append(user(f"'{SOFTRIG}' --workspace heater node heater motor_law", 2)[1])
         for error in errors:

@@ -71,7 +71,7 @@ def test_the_remains_of_a_killed_run_do_not_stop_another(tmp_path):
     (out / "log/plant.shard").write_text("of a run that was killed here")
     assert main([*RUN, "--out", str(out), "--no-plots"]) == 0
     assert names(out) == ["bag/bag_0.mcap", "bag/metadata.yaml", "metrics.json", "mine/notes.txt", MANIFEST]
-    (out / "report.html").write_text("theirs")  # put here by somebody after the run has ended
+    (out / "report.html").write_text("theirs")  # a user's file, stored here after the run
     with pytest.raises(ScenarioError, match="was not written by a run of softrig"):
         ResultsFolder(out)
 
@@ -114,7 +114,7 @@ def test_a_killed_lockstep_run_with_changed_parameters_stays(tmp_path, monkeypat
     folder.let_go()
     (log := folder.path / "log").mkdir()
     shard = ShardWriter(log / "dc_motor_smc.shard", [("motor/command", "std_msgs/msg/Float64")])
-    shard.note(TICK, encode(TICK, "/dc_motor_smc", {"delta": 3.0}))  # the first goes to the file in any case
+    shard.note(TICK, encode(TICK, "/dc_motor_smc", {"delta": 3.0}))  # the first message is always written to the file
     shard.note(TICK, note)
     assert main(["run", "mine.yaml", "--mode", "inprocess", "--no-plots", "--no-record"]) == 0
     assert (folder.path / "metrics.json").is_file() != bool(why)
@@ -261,7 +261,7 @@ def test_a_fork_does_not_hold_the_folder_of_its_parent(tmp_path):
         os._exit(0)
     try:
         assert os.read(ready, 1) == b"1"
-        assert other.hold() is not None  # its end in the child lets nobody else in
+        assert other.hold() is not None  # the lock still holds after the child, which inherited it, has ended
         folder.let_go()
         assert other.hold() is None
         other.let_go()

@@ -26,7 +26,7 @@ RUN, VERB = "softrig_bringup.run.run", "softrig_bringup.verbs.run_verb"
 PICTURES = (
     "figures and bag are in r, pictures and report are not; `softrig report r --out r/report.html` makes a report"
 )
-PHASES = {  # of the end: what is called in it, what the line says
+PHASES = {  # phases of the end: the function called in each, and what the line says
     "figures": (f"{VERB}.summary", PICTURES),
     "bag": (f"{RUN}.write_bag", PICTURES),
     "pictures": (f"{RUN}.plot_run", PICTURES),
@@ -164,7 +164,7 @@ def test_the_command_of_the_line_makes_what_is_missing(monkeypatch, tmp_path):
     page = (tmp_path / "r/report.html").read_text()
     assert "This run has no pictures" not in page
     assert page.count("<figure>") >= 2
-    assert in_a_run() == 1  # what was left there is in nobody's way
+    assert in_a_run() == 1  # the remaining files do not prevent the next run
 
 
 def test_recordings_of_nodes_are_named_if_their_run_was_not_written(monkeypatch, capsys, tmp_path):
@@ -215,7 +215,7 @@ def test_long_work_is_announced(monkeypatch, capsys):
 
         def __init__(self, seconds, function, arguments):
             messages.append(seconds)
-            self.start = lambda: function(*arguments)  # the second is over
+            self.start = lambda: function(*arguments)  # the second run has ended
 
         def cancel(self):
             messages.append("cancelled")

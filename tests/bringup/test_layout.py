@@ -144,7 +144,7 @@ def test_requirements_are_pinned_with_hashes():
 
 def test_every_dependency_has_its_reason_beside_it():
     text = (ROOT / "pyproject.toml").read_text().partition("dependencies = [")[2].partition("[tool.")[0]
-    block = False  # whose first line says it for all
+    block = False  # a block of dependencies has one reason, in its first line
     for line in text.splitlines():
         if line.strip().startswith('"') and not block:
             assert " # " in line, line

@@ -70,7 +70,7 @@ def test_pictures_are_plot_entries_drawn_from_a_run(tmp_path, undrawn):
     assert pages.main([str(page)]) == 0
     title = load_scenario("dc_motor_smc_b2").plots[1].title
     assert f"![{title}](dc_motor_smc_b2_2.png)" in page.read_text()
-    assert [p.name for p in tmp_path.iterdir()] == ["page.md"]  # runs are asked for
+    assert [p.name for p in tmp_path.iterdir()] == ["page.md"]  # runs need the option --runs
     assert pages.main(["--runs", str(page)]) == 0
     assert (tmp_path / "dc_motor_smc_b2_2.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ScenarioError, match="picture 9 of dc_motor_smc_b2: expected a plot entry from 1 to 5"):
@@ -139,7 +139,7 @@ def test_measured_figures_are_those_of_a_run(monkeypatch):
     run = simulate("dc_motor_smc_b2")
     monkeypatch.setattr(pages, "simulate", lambda name: run)
     page = "<!-- measured: rise_time of dc_motor_smc_b2 -->\n<!-- end -->"
-    assert pages.generate(page) == page  # runs are asked for
+    assert pages.generate(page) == page  # runs need the option --runs
     row = pages.generate(page, runs=True).splitlines()[4]
     assert row.split(" | ")[0] == "| `dc_motor_smc_b2`"
     assert float(row.split(" | ")[2].split()[0]) == pytest.approx(run.figures["rise_time"], rel=1e-4)
@@ -301,7 +301,7 @@ def test_the_worked_example_of_the_scenario_file_runs(tmp_path, monkeypatch):
     assert len(parts) == 5
     file = tmp_path / "mine.yaml"
     monkeypatch.chdir(tmp_path)
-    for k in range(1, len(parts) + 1):  # it runs after every step
+    for k in range(1, len(parts) + 1):  # the site is checked after every step
         file.write_text("".join(parts[:k]))
         assert main(["run", "mine.yaml", "--mode", "inprocess", "--no-plots", "--no-record"]) == 0, parts[k - 1]
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path))

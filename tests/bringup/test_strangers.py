@@ -57,7 +57,7 @@ def alone(tmp_path, monkeypatch):
     for name in ("SOFTRIG_SCENARIOS", "AMENT_PREFIX_PATH", "PYTHONPATH"):
         monkeypatch.setenv(name, os.environ.get(name, ""))
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setenv(confined.STRANGE, "")  # which a confirmation sets: gone again after the test
+    monkeypatch.setenv(confined.STRANGE, "")  # a confirmation sets it; monkeypatch removes it after the test
     monkeypatch.setattr(sandbox, "command", lambda options: None)
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     packed.opened.cache_clear()
@@ -94,7 +94,7 @@ def test_code_runs_only_after_confirmation(sources, tmp_path, capsys, monkeypatc
     assert not touched.exists()
     assert NAME not in sys.modules
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
-    assert run(file) == 1  # a pack without bag and digests has nothing that it could repeat
+    assert run(file) == 1  # without bag and digests there is nothing to compare with
     assert touched.exists()
     assert Path(sys.modules[f"{NAME}.plant"].__file__).is_relative_to(tmp_path / "cache")
     assert not list((tmp_path / "cache/packs").glob("*/packages/**/__pycache__"))

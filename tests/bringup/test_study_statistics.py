@@ -73,7 +73,7 @@ def test_a_mean_has_the_interval_of_student():
 def test_the_interval_of_a_quantile_covers_it_by_the_binomial_distribution(n, q):
     """Of sorted values 1 to n: the chance that the quantile lies between two of them is a sum of binomial terms."""
     value, low, high = estimate.quantile(np.arange(1.0, n + 1.0), q)
-    below = 0 if math.isnan(low) else low  # no end: as far as the values go, and beyond
+    below = 0 if math.isnan(low) else low  # an open end: the interval covers all values and more
     above = n + 1 if math.isnan(high) else high
     chance = stats.binom.pmf(range(int(below), int(above)), n, q).sum()
     assert chance >= 0.95 - 1e-9
@@ -202,7 +202,7 @@ def test_an_event_that_never_happens_counts_in_the_shares_and_not_in_the_differe
     result = statistics(given, list(rows_of(given, lambda case, k, point, seed: values[case][k], "ab")), {})
     (d,) = result.differences
     assert (d.n, d.difference.value) == (5, pytest.approx((0.0 - 1.5 + 1.0) / 5))
-    assert d.smaller.value == pytest.approx(3.5 / 7)  # of seven that are known, one is equal
+    assert d.smaller.value == pytest.approx(3.5 / 7)  # of the seven known pairs, one is equal and counts half
     b = result.lines[1]
     assert (b.n, b.lost, b.median.value) == (5, "2 of 8 never, 1 of 8 not measured", 1.0)
 

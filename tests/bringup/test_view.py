@@ -168,7 +168,7 @@ def test_a_run_paused_stepped_and_changed_on_its_page_has_the_bag_of_the_same_ru
         speed = first["Speed follows its reference: motor/state/shaft/velocity"].data
         first.close()
         assert main(["run", *words, "--mode", "container", "--out", str(tmp_path / "plain")]) in (0, 1)
-        process.send_signal(signal.SIGINT)  # it need not wait whether somebody comes back
+        process.send_signal(signal.SIGINT)  # so that it does not wait for a page to reconnect
         assert process.wait(PATIENCE) in (0, 1)
     seen, unseen = signals(tmp_path / "seen/bag"), signals(tmp_path / "plain/bag")
     assert compare(seen, unseen, bitwise=True).equal
@@ -190,7 +190,7 @@ def test_two_pages_change_one_parameter(mode, tmp_path):
             pages[k % 2]["dc_motor_smc.k"].value = turned
             pages[k % 2].says(f"dc_motor_smc.k = {float(turned):g} rad/s^3")  # as its node answers
             pages[k % 2].press("step")
-            for page in (pages[k % 2], pages[k % 2 - 1]):  # what one sends goes out while it is looked at
+            for page in (pages[k % 2], pages[k % 2 - 1]):  # the page that sent the change receives it as well
                 page.until(lambda page=page, k=k: f">{mode}: {k * 1e-4:.6g} of 0.5 s, paused<" in page["state"].text)
                 page.until(
                     lambda page=page, turned=turned: float(page["dc_motor_smc.k"].value or "nan") == float(turned)
@@ -292,14 +292,14 @@ def test_parameters_stay_changed_after_going_back_and_the_old_branch_can_be_run(
     source.read_new()
     left = session.recording.before(80_000_000)
     shard = tmp_path / "log/rig.shard"
-    assert read_shards([shard]).topics == left.topics  # were the process killed now
+    assert read_shards([shard]).topics == left.topics  # the file has everything if the process were killed now
     control.go_back("me", 0.03)
     assert (session.t, source.end, control.knobs["dc_motor_smc.delta"].value) == (0.03, 0.0299, 0.8)
     assert source.pane(0.0, 1.0)["motor/state/shaft/velocity"].t[-1] == 0.0299
-    assert read_shards([shard]).topics == left.topics  # until it goes on from there
+    assert read_shards([shard]).topics == left.topics  # the file stays until the run continues from there
     run = simulate(str(tmp_path / "left_1.yaml"))  # it is there already: a process that is killed would leave it
     assert run.recording.before(80_000_000).topics == left.topics
-    control.go_back("me", 0.02)  # nothing was turned between
+    control.go_back("me", 0.02)  # no parameter was changed in between
     session.go(0.03)
     session.go()
     source.read_new()
@@ -323,7 +323,7 @@ def test_a_full_disk_does_not_affect_a_run_in_the_process_of_its_page(tmp_path, 
     plain = Here(Session("dc_motor_smc", duration=0.1), True, 1.0)
     plain.session.go(0.05)
     plain._place = lambda: tmp_path
-    plain.control.go_back("me", 0.0)  # nothing was turned: there is nothing to be kept
+    plain.control.go_back("me", 0.0)  # no parameter was changed, so nothing is kept
     assert plain.session.t == 0.0
     source = Here(Session("dc_motor_smc", duration=0.1), True, 1.0, place=lambda: tmp_path)
     source.control.turn("me", "dc_motor_smc.delta", 0.5)
@@ -441,9 +441,9 @@ def test_only_requests_with_the_token_are_accepted(tmp_path, at):
                 Browser(base, **text)
         kept = build_opener(HTTPCookieProcessor())
         assert b"dc_motor_smc - softrig" in kept.open(f"{base}?token={token}").read()
-        assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()  # as the browser loads it again
+        assert b"dc_motor_smc - softrig" in kept.open(f"{base}view").read()  # as when the browser reloads the page
         evil = Request(f"{base}view?token={token}", headers={"Host": f"evil.example:{urlsplit(base).port}"})
-        if at.startswith("127"):  # a name of somebody else that leads here
+        if at.startswith("127"):  # a foreign host name that resolves to this address
             with pytest.raises(HTTPError, match="403: the page is of this host only, expected its own address"):
                 urlopen(evil)
         else:
@@ -510,9 +510,9 @@ def test_a_slider_changes_its_parameter_and_follows_it():
     number, slider = (document.select_one({"name": f"noise.probability{what}"}) for what in ("", " slider"))
     assert (slider.start, slider.end, slider.value) == (0.0, 1.0, 1.0)
     assert document.select_one({"name": "noise.start slider"}) is None  # no upper bound
-    slider.value = 0.5  # under way
+    slider.value = 0.5  # while the slider is dragged
     assert not asked
-    slider.trigger("value_throttled", 1.0, 0.25)  # let go: in a browser
+    slider.trigger("value_throttled", 1.0, 0.25)  # the event that a browser sends when the slider is released
     ((request, answered),) = asked
     assert request == {"node": "noise", "set": {"probability": 0.25}}
     answered(False, "no")

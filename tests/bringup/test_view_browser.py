@@ -96,7 +96,7 @@ def test_a_person_uses_the_page_of_the_induction_motor(tmp_path, capsys, pace):
             browser.click("offset/toggle")
             browser.says("offset/toggle: toggle pressed")
             browser.click("hold")
-            if pace == "real time":  # stands, and goes on
+            if pace == "real time":  # paused, and resumed
                 browser.until(f"return {MODEL}.text.includes('running')", "state")
                 browser.click("hold")
                 browser.until(f"return {MODEL}.text.includes('paused')", "state")

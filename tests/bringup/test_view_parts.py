@@ -243,7 +243,7 @@ def test_in_real_time_nothing_is_shown_before_the_plant_reports_its_start(run, t
     written(tmp_path, run, 100_000_000, epoch)
     assert source.read() is False
     assert source.end == 0.0
-    source.read_new()  # now it knows the status
+    source.read_new()  # the first call reads the status
     source.read_new()
     assert source.end == pytest.approx(0.1)
     assert source.pane(0.0, 1.0)["motor/state/shaft/velocity"].t[0] == 0.0
@@ -275,7 +275,7 @@ def test_a_slice_of_ticks_ends_in_time_and_the_pace_is_kept(clock, monkeypatch):
     step = source._step
     monkeypatch.setattr(source, "_step", lambda: (step(), setattr(clock, "now", clock.now + 0.02)))
     before = source.session.t
-    assert source.turn() == 0.0  # at once again: the page had its turn after 0.05 s
+    assert source.turn() == 0.0  # immediately again: the page was served after 0.05 s
     assert source.session.t - before == pytest.approx(3e-4)
     source.control.hold("me", "pause")
     assert source.turn() == 0.01  # nothing to do
@@ -589,7 +589,7 @@ def test_a_completed_run_is_shown_until_the_last_browser_has_gone(pages):
     for connections in ([], [0], [], [0, 1], [1], [0], []):
         pages.server.sessions = [SimpleNamespace(connection_count=n) for n in connections]
         results.append(pages.left())
-    assert results == [False] * 6 + [True]  # who only asked was nobody; who is away may load the page again
+    assert results == [False] * 6 + [True]  # a request alone is no page; a page that left may be reloaded
 
 
 def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run):
@@ -848,7 +848,7 @@ class Piped:
         if Piped.stays and patience is not None:
             raise subprocess.TimeoutExpired("x", patience)
 
-    pid = 1 << 30  # of nobody
+    pid = 1 << 30  # no process has this number
 
     def kill(self):
         self.ended.append("killed")

@@ -112,7 +112,7 @@ def campaign(counts: dict[str, int], first: int, limit: float, keep: Path | None
                     entry[2] = seed if state == "begun" else None
                     if state != "begun":
                         entry[1].remove(seed)
-            if state != "begun" and not (finding and time.monotonic() >= deadline):  # it was told to stop
+            if state != "begun" and not (finding and time.monotonic() >= deadline):  # it received a signal to stop
                 table[area][0] += 1
                 table[area][1] += state == "survived"
                 table[area][3] += seconds

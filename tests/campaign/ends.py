@@ -25,7 +25,7 @@ VERB, RUN = "softrig_bringup.verbs.run_verb", "softrig_bringup.run.run"
 NOTHING, AGAIN = "nothing was run or written", "no bag, no figures and no pictures are in "
 MIDWAY = "stopped by {} at t = "
 PICTURES, TABLE = "pictures and report are not; `softrig report ", "the table was not printed; it is in "
-PHASES = {  # what is called in it, what is said of it
+PHASES = {  # the function that is called in each phase, and the text of the line
     "start": (f"{VERB}.checked", NOTHING),
     "folder": (f"{VERB}.execute", AGAIN),
     "nodes": ("", MIDWAY),
@@ -163,7 +163,7 @@ def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], said: st
     """Compare status and report with the files."""
     lines = [line for line in said.splitlines() if line.startswith("softrig: stopped")]
     written = (out / "metrics.json").exists() and (out / "report.html").exists()
-    if phase == "page" or (phase == "any" and status in (0, 1)):  # it was over before
+    if phase == "page" or (phase == "any" and status in (0, 1)):  # the run had ended before
         assert status in (0, 1), f"status {status}: {said[-500:]}"
         assert written, "judged, but not all is written"
         assert not lines, lines
@@ -178,7 +178,7 @@ def judge(status: int, phase: str, signals: tuple[signal.Signals, ...], said: st
     assert f"stopped by {number.name}" in lines[0], lines
     if phase != "any":
         allowed = [PHASES[phase][1].format(number.name)]
-        if len(signals) > 1 and phase in ("nodes", "loop"):  # the second one may come while the end is written
+        if len(signals) > 1 and phase in ("nodes", "loop"):  # the second signal may arrive while results are written
             allowed += [AGAIN, PICTURES, TABLE]
         assert any(text in lines[0] for text in allowed), lines
     keep(lines[0], out)

@@ -30,7 +30,7 @@ from std_srvs.srv import Trigger
 
 LENGTH = 8.0  # s of a flood
 PACE = 5.0  # of a container in lockstep: by itself it writes some GB in the time of a case
-STANDS = 2.0  # s of a rig without a tick after which it has to say why
+STANDS = 2.0  # s without a tick after which a rig must report the reason
 CLIENT = """
 import importlib, os, random, sys, time
 import rclpy
@@ -164,7 +164,7 @@ def attack(seed: int, directory: Path) -> None:
         assert after > 0.2 * before, f"{before:.0f} ticks a second before, {after:.0f} after"
         if what not in STOP or what == "steps":
             assert during > 0.05 * before, f"{before:.0f} ticks a second before, {during:.0f} meanwhile"
-        # a loaded machine is slow, and says so late
+        # on a loaded machine the report arrives late
         late = STANDS * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
         assert watch.unexplained < late, f"it stood for {watch.unexplained:.1f} s and did not say why"
         process.send_signal(signal.SIGINT)

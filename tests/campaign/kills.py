@@ -51,7 +51,7 @@ def attack(seed: int, directory: Path) -> None:
     (directory / "case").write_text(" ".join(command) + "\n")
     before = segments()
     runner = fork(command, text)
-    handle = os.pidfd_open(runner)  # a number alone may be another process's by then
+    handle = os.pidfd_open(runner)  # the process number may have been reused by then
     try:
         strike_and_judge(chance, runner, name, seed, directory, before)
     finally:
@@ -66,7 +66,7 @@ def strike_and_judge(
 ) -> None:
     """Kill at some moment and examine everything that remains."""
     out, message = directory / "out", directory / "said"
-    if chance.random() < 0.7:  # in the midst of it; else whatever it is then doing
+    if chance.random() < 0.7:  # while nodes record; otherwise at any moment
         deadline = time.monotonic() + 60.0
         while not any((out / "log").glob("*.shard")) and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -113,7 +113,7 @@ def strike(chance: random.Random, runner: int, directory: Path) -> tuple[str, in
         number = chance.choice((signal.SIGKILL, signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM, signal.SIGSTOP))
         victim, who = chance.choice(nodes), "node"
         if number == signal.SIGSTOP and b"model.worker" in Path(f"/proc/{victim}/cmdline").read_bytes():
-            number = signal.SIGKILL  # a solver may think as long as it likes: stopped, it would be waited for
+            number = signal.SIGKILL  # a solver has no time limit: the run would wait for a stopped one forever
     else:
         number, victim, who = chance.choice((signal.SIGKILL, *ENDINGS)), runner, "runner"
     try:
@@ -163,7 +163,7 @@ def judge_record(scenario: Scenario, seed: int, out: Path, directory: Path) -> N
         assert status == 0, "the shards of a killed run cannot be repaired"
     recording = read_bag(bag)
     reference = expected(scenario, seed, max((t.times[-1] for t in recording.topics.values() if t.times), default=0))
-    for name, whole in reference.topics.items():  # what viewers are shown besides follows from these
+    for name, whole in reference.topics.items():  # other displayed values follow from these
         if (topic := recording.topics.get(name)) is None:
             continue
         n = len(topic.times)

@@ -158,7 +158,7 @@ def bombard(
     while not status.exists():
         if process.poll() is not None:
             assert process.returncode == 2, f"it ended at its start with status {process.returncode}"
-            return  # it needs parameters and has said so
+            return  # the node requires parameters and reported this
         time.sleep(0.02)
     inputs, outputs = block.ports(block.Params())
     context = Context()

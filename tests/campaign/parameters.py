@@ -114,7 +114,8 @@ def attack(seed: int, directory: Path) -> None:
     try:
         run_one(package, executable, block, values, seed)
     except (ScenarioError, RunError) as error:
-        text = str(error)[:1000]  # the command line cuts what is longer; what is wrong must stand in what it shows
+        # the command line truncates longer text; the reason must be in the part that it prints
+        text = str(error)[:1000]
         if "victim" not in text:
             raise AssertionError(f"{executable}: the node is not named: {text[:300]}") from None
         if isinstance(error, ScenarioError) and not any(named(name, text) for name in values):
@@ -132,7 +133,7 @@ def run_one(package: str, executable: str, block: type[Block], values: dict, see
     ports = [
         replace(p, name=f"out{i}", held=False, partial=False, sporadic=False) for i, p in enumerate(inputs.values())
     ]
-    # what is asked of a solver may take days: it has a limit for that
+    # drawn problems may keep a solver busy for days, so it gets a time limit
     limit = {"limit": 20.0} if issubclass(block, Solver) else {}
     entries = {"victim": {"package": package, "executable": executable, "parameters": limit | values}}
     classes: dict[str, type[Block]] = {"victim": block}
@@ -154,7 +155,7 @@ def _inputs(block: type[Block], values: dict) -> tuple[Port, ...]:
     try:
         return block.ports(build(block.Params, values))[0]
     except ParameterError:
-        return ()  # the rig will say so
+        return ()  # the rig reports this itself
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ from softrig_nodes.processes.executables import environment, find_executable
 
 ROOT = Path(__file__).parents[2]
 ANSWER, START = 60.0, 120.0  # s in which a service answers, and in which it is there, on a loaded machine too
-PAUSE = "expected a pause of"  # of who sets more than fits beside the ticks
+PAUSE = "expected a pause of"  # the refusal of more calls than a node can answer beside its ticks
 
 
 def value(kind: str, **content: object) -> ParameterValue:
@@ -258,12 +258,12 @@ def attack(seed: int, directory: Path) -> None:
     (directory / "case").write_text(f"{package} {name} {state}\n")
     with alone(package, name, state, directory) if package else rig(name, state, directory) as (domain, alive):
         if domain is None:
-            return  # it needs parameters and has said so
+            return  # the node requires parameters and reported this
         call = Client(domain)
         try:
             nodes = alive()
             chance = random.Random(seed)
-            # the ticks of a rig go before its services, so some of its parameters are tried, others by other seeds
+            # ticks have priority over services, so each seed tries only some of the parameters
             for node in chance.sample(nodes, min(2, len(nodes))):
                 target = Target(call, node)
                 names = target.names if package else chance.sample(target.names, min(2, len(target.names)))

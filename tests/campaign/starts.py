@@ -68,7 +68,7 @@ def drawn_rig(chance: random.Random) -> tuple[Rig, list[list[str]], int]:
     rig = rig_of(make_scenario(nodes, length * period / NANO))
     places: list[list[str]] = [[], [], []]
     for name in nodes:
-        place = chance.randrange(5)  # two of five stand alone
+        place = chance.randrange(5)  # two of five cases start a node alone
         if place < 3:
             places[place].append(name)
     return rig, [p for p in places if len(p) > 1], chance.randrange(2**31)

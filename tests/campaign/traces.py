@@ -21,7 +21,7 @@ def of_run(directory: Path) -> Iterator[tuple[int, dict[str, str]]]:
             continue
         try:
             pairs = (entry / "environ").read_text(errors="replace").split("\0")
-        except OSError:  # somebody else's, or gone
+        except OSError:  # another user's process, or one that has ended
             continue
         results = dict(p.split("=", 1) for p in pairs if "=" in p)
         if results.get("ROS_LOG_DIR", "").startswith(str(directory)):

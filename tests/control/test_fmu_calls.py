@@ -195,7 +195,7 @@ def test_the_integrator_is_the_classical_one_cut_at_time_events(played, version)
         return [x[1] + t * t, 3 * t - x[0] * x[1]]
 
     update = "updateDiscreteStates" if version == 3 else "newDiscreteStates"
-    # of the start, of the inputs' jumps, and of events; one that is asked for where time is already takes nothing away
+    # time events requested at the start, at jumps of inputs and at events; a request for the present time removes none
     asked = (5 / 16, None, 5 / 16, 5 / 16, 8 / 16, None)
     at = {update: [NOTHING if t is None else (*NOTHING[:4], True, t) for t in asked]}
     one, fmu = played(version, True, 2, slope=slope, x=(0.75, 1.25), **at)
@@ -279,7 +279,7 @@ def test_a_refusal_is_reported_and_the_next_begin_makes_another_instance(played,
         one.advance(0.0, 0.5, (1.0,))
     assert str(refused.value) == f"{text}; it says: third"
     fmu.calls.clear()
-    one.begin()  # the one before is not touched: in which state it is nobody knows
+    one.begin()  # the old instance is not used again, since its state is unknown
     assert fmu.calls[0].startswith("instantiate")
 
 

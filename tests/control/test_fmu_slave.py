@@ -143,12 +143,13 @@ def test_a_plant_outputs_the_state_at_the_end_of_a_step(made):
     assert get(fmu, X, SPEED) == [1.0 - 3 * PERIOD * 2.0 * 2.0, 4 * PERIOD]
     assert not fmu.log_queue
     fmu = made(Cart)
-    assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]  # what is safe, where nobody has spoken
+    # safe values, because no message has arrived
+    assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]
 
 
 def test_a_controller_outputs_its_answer_and_holds_it_while_it_is_silent(made):
     fmu = made(Law, {"wanted": [0.5]})
-    assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]  # at first what is safe
+    assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [1.0, 3.0]  # safe values at first
     put(fmu, x=4.0)
     assert fmu.do_step(0.0, 2 * PERIOD)
     assert get(fmu, "other.push.x.effort", "other.push.y.effort") == [10.0, PERIOD]

@@ -67,7 +67,8 @@ def test_a_node_is_written_with_its_script_and_its_description(asked, motor, tmp
         "dc_motor_smc",
         0,
     )
-    assert law["start"] == {"state": [0.0], "sensors": [0.0, 0.0], "reference": [1.0]}  # what the scenario says first
+    # the initial values of the scenario
+    assert law["start"] == {"state": [0.0], "sensors": [0.0, 0.0], "reference": [1.0]}
     assert law["parameters"]["period"] == motor.clock.params.period
 
 

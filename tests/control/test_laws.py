@@ -124,7 +124,7 @@ def test_the_detector_of_limit_cycles_is_exact_at_its_limits():
     assert rests[12:] == [2.0] * 4 + [0.0] * 4  # three times the time of a swing, and it has come to rest
     assert fed([0.0, 2.0] * 6, 50.0)[-1] == 2.0
     x = Swinging()
-    for k in range(30):  # each new reference begins anew
+    for k in range(30):  # each new reference restarts the observation
         x, size = limit_cycle(x, 2.0 * (k % 2), 50.0 + k // 8)
         assert size == 0.0
     assert x.aside == "only a warning depends on it"
@@ -187,7 +187,7 @@ def test_a_pid_is_exact_at_its_limits():
     law = Pid(PidParams(kp=2.0, ki=1.0, u_max=1.0), 0.5)
     assert law(PidState(), 0.5)[0].integral == 0.25
     assert law(PidState(), 0.75)[0].integral == 0.0
-    assert law(PidState(integral=-4.0), 0.5)[0].integral == -3.75  # driven back
+    assert law(PidState(integral=-4.0), 0.5)[0].integral == -3.75  # driven backwards
     before = PidParams(kp=2.0, ki=1.0)
     x = PidState(1.5, 0.0, 0.5)
     for ki, kept in ((1.0, False), (0.0, True)):

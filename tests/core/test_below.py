@@ -167,7 +167,7 @@ def test_a_native_thread_publishes_everything_in_order_whatever_its_size(carried
 def test_a_message_that_rcl_does_not_publish_is_an_error_of_the_next(carried, monkeypatch):
     made, seen = carried
     made._failed[0] = 300
-    monkeypatch.setattr(carrier.rclpy, "ok", lambda: False)  # after a signal nothing is owed to anybody
+    monkeypatch.setattr(carrier.rclpy, "ok", lambda: False)  # after a signal, errors of publishing are not raised
     made.put(7, b"a")
     made.drain()
     monkeypatch.setattr(carrier.rclpy, "ok", lambda: True)

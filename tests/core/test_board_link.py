@@ -307,7 +307,7 @@ def test_gains_that_view_changes_take_effect_at_the_next_tick(realtime, firmware
         inputs = {"state": (0.5 * k,), "sensors": (0.0, 0.1 * k), "reference": (10.0,)}
         y, wanted = python.update(y, k * 10**7, **inputs)
         x, result = board.update(x, k * 10**7, **inputs)
-        while not line.joined:  # in real time a board that is greeted still has nothing to say
+        while not line.joined:  # in real time the first answers are missing until the board has joined
             assert realtime
             assert result["command"] == (0.0,)
             wire.sleep(0.01)

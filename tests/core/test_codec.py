@@ -374,7 +374,7 @@ def test_a_layout_is_known_by_each_of_its_bytes_but_stamp_number_values_and_padd
             elif little[k] or k < 2:
                 assert not used, (msgtype, k)
                 assert not same
-            else:  # a zero may be padding, of which both think alike
+            else:  # a zero may be padding; both functions must then agree
                 assert used == same
         assert layout.same_shape(np.repeat(block, 3, 0))
 

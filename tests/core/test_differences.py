@@ -88,7 +88,7 @@ def test_the_linear_view_of_a_linear_map_is_the_map_in_the_states_that_count(see
         if not opened or hear & received:
             break
     still = [i for i in range(n) if rng.random() < 0.2]
-    for i in still:  # as good as parameters
+    for i in still:  # constant, like parameters
         A0[i], B0[i], b0[i] = np.eye(n)[i], 0.0, 0.0
     if opened and not reached(A0, np.flatnonzero(b0)) & reached(A0.T, np.flatnonzero(c0)):
         return
@@ -117,7 +117,7 @@ def test_the_linear_view_of_a_linear_map_is_the_map_in_the_states_that_count(see
     if not opened:
         e0, direct = np.zeros(2), 0.0
     assert (view.a.tolist(), view.b.tolist(), view.c.tolist(), view.d) == (a.tolist(), b.tolist(), c.tolist(), direct)
-    back = 1.0 / (1.0 - direct)  # of the loop that is closed over what the link says of itself at once
+    back = 1.0 / (1.0 - direct)  # gain of the loop that the direct feedthrough closes
     assert view.A.tolist() == (a + back * np.outer(b, c)).tolist()
     assert view.B.tolist() == (B0[k] + back * np.outer(b, e0)).tolist()
     assert view.C.tolist() == (C0[:, k] + back * np.outer(d0, c)).tolist()
@@ -138,7 +138,7 @@ def best_step(f, x, size):
     rows = [((f(x + h) - f(x - h)) / (2.0 * h), h) for h in (size * 2.0**-n for n in range(4, 33, 4))]
     best = None
     for (slope, _), (finer, step) in pairwise(rows):
-        error = abs(finer - slope) / max(abs(finer), 1.0)  # what is heard has the slope 1
+        error = abs(finer - slope) / max(abs(finer), 1.0)  # the disturbed signal itself has the slope 1
         if best is None or error < best[0]:
             best = error, slope if error <= 1e-11 else finer, step
         if error <= 1e-11:

@@ -216,7 +216,7 @@ def guests(kind, rng):
     """
     members = [m for m in rig_and_record(kind)[0].members if m.package == "faultrig"]
     members = [m for m in members if m.outputs and not any(p.sporadic for p in m.outputs)]
-    # nor is an outside node told of silence: a plant of theirs needs a command at each tick
+    # an outside node is not notified of silence either: an outside plant needs a command at each tick
     paced = [m for m in members if any(not link.port.sporadic for link in m.links.values())]
     plants = [m.name for m in paced if m.is_plant]
     others = [m.name for m in members if not m.is_plant]
@@ -378,7 +378,8 @@ def real_time(kind, seed, outside=(), stalls=0):
             if ticks != sorted(set(ticks)) or due - len(ticks) != missed:
                 wrong.append(f"{port.topic}: {len(ticks)} messages in {due} ticks, {missed} counted as missed")
     whole = all(a.ticks == a.schedule.tick(a.schedule.last) + 1 for a in run.adapters.values())
-    for member in (m for m in rig.members if m.external and whole):  # who has slept through the call answers another
+    # a node that slept through a tick may answer another one
+    for member in (m for m in rig.members if m.external and whole):
         for port in (p for p in member.outputs if not p.sporadic and p.stamped and not p.delayed):
             topic, text = run.recording.topics[port.topic], expected.topics[port.topic]
             stamps = [readable_stamp(data) - epoch for data in topic.data]

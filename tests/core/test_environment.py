@@ -139,7 +139,8 @@ DRIVE = {"what": "induction_dtc", "duration": 0.02, "reward": lambda now: now["c
     pytest.param(MOTOR | {"replace": "motor_reference", "observe": ["speed"], "reward": lambda now: now["voltage"],
                           "overrides": {"motor_reference.period": 0.002}},  # several ticks a step
                  2.0, 180, marks=pytest.mark.long),
-    (MOTOR | {"reward": lambda now: 0.0, "terminate": ["settles"]}, 1.0, 0),  # who watches that is not native
+    # a rig that watches this requirement does not run natively
+    (MOTOR | {"reward": lambda now: 0.0, "terminate": ["settles"]}, 1.0, 0),
     pytest.param(DRIVE | {"replace": "dtc_controller", "act": LEGS}, 2.0, 2_400, marks=pytest.mark.long),
     pytest.param(DRIVE | {"replace": "speed_controller"}, 20.0, 180, marks=pytest.mark.long),
 ])  # fmt: skip
@@ -192,7 +193,7 @@ def test_a_state_with_complex_numbers_is_restored_as_it_was_stored():
 
 def test_a_seed_is_that_of_the_rig_and_random_without_one():
     env = RigEnv("induction_dtc", "dtc_controller", observe=["i_a"], reward=lambda now: 0.0, duration=0.005)
-    law = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of all that it says, a leg on
+    law = np.array([1.0, 0, 0, 0, 0, 0, 0])  # of all its outputs, one leg is on
 
     def noise(**keys):
         env.reset(**keys)
@@ -388,7 +389,7 @@ def test_a_policy_of_an_installed_package_runs_as_a_node_and_is_judged_as_the_la
         run.signals["motor/state/shaft/velocity"][1],
         0.0,
     )
-    for u, w in zip(act.tolist(), speed.tolist(), strict=False):  # it remembers, and begins anew in each run
+    for u, w in zip(act.tolist(), speed.tolist(), strict=False):  # the policy has a memory, which each run resets
         last = 0.9 * last + 2.0 * (1.0 - w)
         assert u == min(max(last, -12.0), 12.0)
     file = tmp_path / "shaky_motor.yaml"

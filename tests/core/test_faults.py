@@ -352,7 +352,7 @@ def test_a_fault_is_inserted_before_all_readers_or_one_and_the_recording_has_bot
     assert list(seen - x[:n]) == pytest.approx([0.25 if s >= 0.1 - 1e-9 else 0.0 for s in t[:n]])
     _, r = run.signals["lag/reference/x/position"]
     _, u = run.signals["lag/command/u/effort"]
-    assert list(u) == list(2.0 * (r - seen))  # the law answers what the faulty sensor says at the same tick
+    assert list(u) == list(2.0 * (r - seen))  # the controller uses the faulty measurement of the same tick
     rig = faulty(nodes={**BASIC, "watcher": "watcher"}, bias={"link": "lag/state -> gain", "kind": "offset"})
     readers = {m.name: m.links["state"].source.name for m in rig.members if "state" in m.links}
     assert readers == {"gain": "bias", "watcher": "plant"}

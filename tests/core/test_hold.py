@@ -64,7 +64,7 @@ def test_at_a_pace_of_zero_nothing_runs_however_often_it_is_asked():
 @pytest.mark.parametrize(
     ("hands", "ticks"),
     [
-        (lambda hold, k: hold.go_at(PERIOD * (1 + k % 2)), 15),  # a slider that is dragged ten times a second
+        (lambda hold, k: hold.go_at(PERIOD * (1 + k % 2)), 15),  # as a dragged slider, ten changes a second
         (lambda hold, k: hold.ask(("resume", "pause")[k % 2]), 5),
         (lambda hold, k: hold.ask(("pause", "pause", "resume", "resume")[k % 4]), 6),
         (lambda hold, k: hold.ask(("pause", "resume")[k % 4 // 3]) and hold.go_at(PERIOD * (1 + k % 2)), 4),
@@ -123,7 +123,7 @@ def test_in_real_time_the_clock_of_a_paused_rig_stops_and_nothing_is_late(groups
     assert set(run.run(90.0).values()) == {"done"}
     period = float(RIG.clock.schedule.period)
     assert [max(t) for t in seen[:4]] == pytest.approx([0.0, period, period, 3 * period])
-    assert all(max(t) - min(t) <= 2 * period for t in seen), seen  # of nodes that tick each second time, too
+    assert all(max(t) - min(t) <= 2 * period for t in seen), seen  # also of nodes that are due at every second tick
     assert max(seen[4]) - max(seen[3]) == pytest.approx(0.2 - 0.05, abs=2 * period)
     assert max(seen[5]) - max(seen[4]) == pytest.approx(0.05, abs=2 * period)
     assert world.now - start == pytest.approx(60.0e9 + (0.6 - max(seen[5])) * 1e9, abs=0.2e9)
@@ -133,7 +133,7 @@ def test_in_real_time_the_clock_of_a_paused_rig_stops_and_nothing_is_late(groups
     expected, signals = Signals(in_process(RIG)), Signals(run.recording, run.adapters[CLOCK].epoch)
     for name in (f"{p.topic}/{label}" for m in RIG.members for p in m.outputs for label in p.labels):
         x = expected[name].x.tolist()
-        assert signals[name].x.tolist()[: len(x)] == x, name  # sources in real time speak at the end, too
+        assert signals[name].x.tolist()[: len(x)] == x, name  # in real time sources also publish at the end
 
 
 def test_in_real_time_a_rig_with_hardware_cannot_pause_and_has_no_pace():
@@ -173,4 +173,4 @@ def test_a_quarter_of_a_second_is_caught_up_and_more_is_dropped(late, forgotten)
     assert hold.holds(0)  # from here on the pace counts
     wall.now = 0.5 + late
     assert not hold.holds(1_000_000_000)  # due at 0.5 s
-    assert hold.holds(1_400_000_000) == forgotten  # due at 0.7 s: what was missed is gone through at once, or not
+    assert hold.holds(1_400_000_000) == forgotten  # due at 0.7 s: missed ticks are made up immediately, or forgotten

@@ -411,9 +411,9 @@ def test_a_rehearsal_compiles_native_code_and_changes_nothing_else():
     assert rehearse(_Native, BlockParams(), "a")
     assert _twice._run != _twice._first
     assert _Native.ticks == [0]
-    assert rehearse(_Broken, BlockParams(), "a")  # says so in the run
+    assert rehearse(_Broken, BlockParams(), "a")  # its failure is reported in the run
     assert not rehearse(Gain, Gain.Params(), "a")
-    assert rehearse(_Later, BlockParams(), "a")  # what no first tick reaches
+    assert rehearse(_Later, BlockParams(), "a")  # not reached by a first tick
     assert _later._run != _later._first
 
 
@@ -449,7 +449,8 @@ def test_a_function_that_only_reads_its_arrays_counts_no_references():
     assert (whole.tolist(), part.tolist()) == (line.tolist(), line[1:].tolist())
     from softrig_core.kit._borrowed import Borrowing
 
-    made = module.our_numba().njit(pipeline_class=Borrowing)(borrowed.py_func)  # anew: the cache has no text
+    # compiled again, because the cache stores no LLVM text
+    made = module.our_numba().njit(pipeline_class=Borrowing)(borrowed.py_func)
     made((line, 2.0), 1, out[0])
     assert not any("NRT_incref" in text for text in made.inspect_llvm().values())
 

@@ -68,7 +68,7 @@ def test_equal_numbers_of_different_types_are_different_values():
     assert [type(p.gain) for p in (one, switch)] == [float, bool]
     assert whole is not one
     assert shared(build, Params, {"gain": 1.0}) is one
-    for _ in range(2):  # an error is made anew
+    for _ in range(2):  # an error is raised again and not cached
         with pytest.raises(ParameterError, match="gain"):
             shared(build, Params, {"gain": "much"})
     assert shared(lambda of, values: values, Params, unpicklable := lambda: 0) is unpicklable
@@ -84,7 +84,7 @@ def test_an_answer_is_cached_by_the_identity_of_the_arguments():
 
     a, b = [1], [1]
     assert [answer(a), answer(b), answer(a), answer(a, b)] == [1, 2, 1, 3]
-    for k in range(2 * KEPT):  # identities of lists that are gone come again
+    for k in range(2 * KEPT):  # Python reuses the identity of a deleted list
         assert answer([k]) == len(calls)
         assert calls[-1] == ([k],)
 

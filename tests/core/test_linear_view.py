@@ -301,7 +301,7 @@ def test_the_delay_margin_of_the_axis_over_its_fieldbus_is_the_true_one():
         left.append(view.margins.delay + delay)
     assert left[0] == pytest.approx(left[1], rel=1e-6)
     assert sum("fieldbus_delay.line" in name for name in view.states) == 12  # two values of six messages
-    late = linear_view(name, overrides=fine | {"fieldbus_delay.delay": 0.09}, at=1.0)  # it swings already
+    late = linear_view(name, overrides=fine | {"fieldbus_delay.delay": 0.09}, at=1.0)  # it oscillates already
     assert not late.stable
     assert max(abs(late.loop_poles)) > 1.001
     periods = int(left[0] / 0.01)

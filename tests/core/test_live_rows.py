@@ -295,7 +295,7 @@ def test_a_rejected_message_counts_for_its_tick_and_the_block_decides_the_answer
     node.hear("b", START - 900 * SECOND, 3.0)
     assert [node.rows[n].refused for n in "abc"] == [1, 2, 0]
     assert node.rows["b"].last_refusal == "stamp is -900 s from now, expected at most 1 s"
-    assert len(SEEN) == 3  # nobody knows of which tick they are
+    assert len(SEEN) == 3  # the tick of these messages is unknown
     node.hear("b", 0, 0.0, data=b"\0\1\0\0")
     node.hear("a", START + 30 * MS, 3.0, at=START + 31 * MS)
     node.hear("b", START + 30 * MS, 3.0)
@@ -323,11 +323,11 @@ def test_a_controller_started_alone_begins_with_the_first_message_and_learns_the
     assert node.adapter.epoch == START
     node.hear("b", START - MS, 1.0)
     assert [*SEEN] == [(0, 1.0, 1.0, None, 0)]
-    node.hear("a", START + 10 * MS, 2.0, at=START + 14 * MS)  # of b it is not known how often it comes
+    node.hear("a", START + 10 * MS, 2.0, at=START + 14 * MS)  # the period of b is not known yet
     assert SEEN[-1] == (10 * MS, 2.0, 1.0, None, 0)
     node.hear("b", START + 9 * MS, 2.0)
     node.hear("a", START + 20 * MS, 3.0, at=START + 24 * MS)
-    assert len(SEEN) == 2  # each 10 ms: it is waited for
+    assert len(SEEN) == 2  # its period is now known to be 10 ms, so the row waits for it
     node.hear("b", START + 19 * MS, 3.0)
     assert SEEN[-1] == (20 * MS, 3.0, 3.0, None, 0)
     node.hear("c", 0, 9.0)
@@ -428,7 +428,7 @@ def test_timer_ticks_follow_the_grid_and_missed_ones_are_counted_and_skipped_aft
     assert (timer.now, states()) == ((6 * MS, 10 * MS), 1)
     timer_at(node, timer, 1)
     assert (timer.now, states()) == ((10 * MS, 10 * MS), 2)
-    timer_at(node, timer, 4, 2 * MS)  # moves over all of them, says the newest
+    timer_at(node, timer, 4, 2 * MS)  # the plant moves over all missed ticks and publishes only the newest
     assert (states(), node.drive.missed, node.drive.t) == (3, 2, 40 * MS)
     assert node.drive.counts() == {"missed_deadlines": 2}
     node.adapter.step.x = node.adapter.step.x._replace(x=1.0)
@@ -700,7 +700,7 @@ def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     assert SEEN[-1] == (10 * MS, 2.0, 7.0, None, 0)
     assert row.held_stamp() == 10 * MS
     arrived, node.hand.time = row.arrived, node.hand.time + 1
-    told(10, "out")  # said again
+    told(10, "out")  # repeated message
     told(10)
     assert row.arrived == arrived
     told(20)
@@ -793,7 +793,7 @@ def test_a_message_of_a_node_in_the_same_process_is_stored_as_one_over_dds():
     tell(START + 10 * MS, (1.0,), START + 11 * MS)
     assert used == [(START + 10 * MS, START + 10 * MS, (1.0,), START + 11 * MS)]
     assert (row.stamp, row.arrived, row.recent[-1]) == (START + 10 * MS, START + 11 * MS, (START + 10 * MS, (1.0,)))
-    tell(START + 20 * MS, None, START + 21 * MS)  # silence, for which nobody waits here
+    tell(START + 20 * MS, None, START + 21 * MS)  # silence: no node waits for it here
     assert len(used) == 1
     row.receiver((1, 0), False)(START + 30 * MS, (1.0, 2.0), START + 31 * MS)
     assert used[-1][2] == (2.0, 1.0)
@@ -909,7 +909,7 @@ def test_a_rig_that_is_paused_at_the_start_stays_at_t_0_and_follows_the_clock_of
     stand.follow(-7 * SECOND)
     stand.serve(messages.append)
     assert messages == [["ahead=0", f"from={START}", f"until={START + 500 * MS}"]]
-    assert not hand.timers  # nobody waits for anybody
+    assert not hand.timers  # no node waits, so no timer is needed
 
 
 # ---- several nodes of a process that go by one timer, and what an adapter says of itself ----
@@ -1022,7 +1022,7 @@ def test_nodes_of_one_process_answer_in_order_by_one_timer_and_late_ones_first()
         (0, 4, 40, 41),
         (1, 2, 40, 41),
     ]
-    # by a twentieth of a second all are gone through, by more the newest of each
+    # up to 50 ms late all ticks are made up; beyond that, only the newest of each node
     assert [s[1] for s in beats.at(100) if s[0] == 0] == [5, 6, 7, 8, 9, 10]
     assert beats.at(170) == [(1, 8, 160, 170), (2, 5, 150, 170), (0, 17, 170, 170)]
     beats.law.t = 180 * MS

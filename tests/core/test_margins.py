@@ -206,7 +206,8 @@ def test_frequencies_reach_from_the_slowest_pole_to_that_of_nyquist_and_are_dens
     assert len(slow.omega) == 1000
     drifts = view_of(np.diag([1.0, math.exp(-2e-9 * math.pi)]), [0.2, 0.1], [-1e-12, 1e-12], 0.0)
     assert drifts.omega[0] == pytest.approx(1e-7 * top)  # an integrator tells no rate, what is slower than that its own
-    assert view_of([[1e-5]], [0.2], [1e-5], 0.0).omega[0] == pytest.approx(1e-2 * top)  # all is gone within a period
+    # everything decays within a period
+    assert view_of([[1e-5]], [0.2], [1e-5], 0.0).omega[0] == pytest.approx(1e-2 * top)
     turn, damping = 0.3, 1e-4
     swings = math.exp(-damping) * np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     w = view_of(swings, [0.0, 1.0], [1e-6, 0.0], 0.0).omega

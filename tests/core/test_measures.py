@@ -448,7 +448,7 @@ def test_results_of_equal_times_are_computed_once(monkeypatch):
     assert len(calls) == 4
     assert gaps(gaps(first, 50.0), 9.0) is gaps(gaps(first, 50.0), 9.0)  # a result is kept, too
     lone = np.arange(50.0)
-    assert gaps(lone, 50.0) is not gaps(lone, 50.0)  # nobody has given it away, so that it may change
+    assert gaps(lone, 50.0) is not gaps(lone, 50.0)  # a writable array may change, so its result is not cached
     with pytest.raises(ValueError, match="read-only"):
         first[0] = 1.0
     monkeypatch.setattr(times, "MOST", 1)

@@ -112,7 +112,8 @@ def test_a_reference_signal_is_held_between_its_samples():
     with pytest.raises(ValueError, match="r has no value yet at 0 s"):
         measures.mean_error(late, "y", reference="r")
     last = {"y": (np.arange(4.0), np.array([0.0, 0.0, 0.0, 9.0])), "r": (np.arange(3.0), np.ones(3))}
-    assert measures.mean_error(last, "y", reference="r") == 1.0  # the plant's last word has no pair
+    # the plant's last message has no reference to pair with
+    assert measures.mean_error(last, "y", reference="r") == 1.0
 
 
 def test_both_ends_of_a_window_are_included():

@@ -90,7 +90,7 @@ def ran(
     monkeypatch.setattr(choice, "Engine", build)
     monkeypatch.setattr(
         choice, "gather", lambda step, ticks: None
-    )  # what native code is held against goes tick by tick
+    )  # the run that native code is compared with executes tick by tick
     recording = Recording((topic, port.msgtype) for topic, port in rig.topics.items())
     steps, error = {}, ""
     try:
@@ -460,7 +460,8 @@ def test_silent_late_and_faulty_links_are_the_same_as_in_python(faults, monkeypa
 
 def test_rarely_due_nodes_stay_in_python(monkeypatch):
     native = the_same(lambda: rig_of("manipulator_adsmc_two_link", duration=0.1), monkeypatch)
-    assert (native.ticks, native.given_up) == (95, 0)  # of 100: one is due at each twentieth, and speaks once
+    # of 100 ticks: one node is due at each twentieth, and publishes once
+    assert (native.ticks, native.given_up) == (95, 0)
     assert "robot_dynamics" not in native.members
 
 

@@ -113,7 +113,7 @@ class Odd(Block[Params]):
 def test_a_node_due_at_each_eighth_tick_may_stay_in_python(period: float, members: tuple[str, ...]) -> None:
     run = ended(going({"body": Body(), "odd": Odd(period=period)}, 0.1))
     assert run.native.members == members
-    assert [s.native for s in run.steps] == [(0, "")] * 2  # of text that Python runs nothing is said
+    assert [s.native for s in run.steps] == [(0, "")] * 2  # nothing is reported of generated code that Python runs
     assert ("str()" in run.native.reason) == (members == ())
     assert run.native.ticks == (0 if not members else 100 - 1 - 12)  # one to begin with, and those of the other
 
@@ -198,10 +198,10 @@ def test_a_text_is_compiled_in_a_thread_while_others_are_served(monkeypatch: pyt
         return lambda first, last, *more: called.append((first, last)) or function(first, last, *more)
 
     run = ended(going({"body": Body(), "law": Law()}, 0.4, make=make, alone=lambda: True))
-    assert called == [(1, 1), (65, 400)]  # Python's ticks until that is known
+    assert called == [(1, 1), (65, 400)]  # ticks run in Python until it is known whether native code pays off
     assert run.native.ticks == 335
     ended(going({"body": Body(), "law": Law()}, 0.4, make=make, alone=lambda: True))
-    assert called[2:] == [(1, 400)]  # it is there
+    assert called[2:] == [(1, 400)]  # the code is cached now
     called.clear()
     fitted._texts.clear()
     fitted._counts.clear()

@@ -92,7 +92,7 @@ def said(port, stamp, value):
 
 # ---- any senders in any order ----
 
-KINDS = {  # of a sender: its period, whether it speaks at the end, may be silent, is counted
+KINDS = {  # of a sender: period, publishes at the end, may be silent, messages are counted
     "alike": ("0.01", True, False, False),
     "slower": ("0.03", True, False, False),
     "twice": ("0.02", False, False, False),
@@ -247,7 +247,7 @@ def test_repeated_messages_for_others_and_those_after_a_refused_one_are_skipped(
     reader.table.await_tick(10 * MS)
     row.receive(said(row.port, 10 * MS, math.nan))
     assert reader.step.bad
-    row.receive(said(row.port, 10 * MS, 3.0))  # a better one is too late
+    row.receive(said(row.port, 10 * MS, 3.0))  # a valid message is too late
     assert (reader.values["x"], len(reader.refusals)) == ((1.0,), 1)
     row.receive(b"\0\1\0\0")  # of no tick that could be read
     assert (len(reader.refusals), row.used) == (2, 10 * MS)
@@ -301,7 +301,7 @@ def test_delayed_messages_are_counted_and_keep_the_time_at_which_they_were_measu
         assert reader.step.stamps["x"]() == reader.t  # the tick to which it belongs
     reader = Reader(inputs={"x": link(delayed=True)}, returns=True)
     row = reader.row(port)
-    for k, number in enumerate((0, 0, 1, 0)):  # told again: known by the number behind it
+    for k, number in enumerate((0, 0, 1, 0)):  # a repeated message has the same number
         reader.table.await_tick(10 * MS * min(k, 1))
         row.receive(numbered(number, said(port, 100 + k, float(k))))
     assert (reader.values["x"], reader.refusals) == (Sample(102, (2.0,)), [])
@@ -314,7 +314,7 @@ def test_a_restarted_node_ignores_messages_that_it_has_missed():
     reader.table.await_tick(0)
     row.receive(said(row.port, 3, 1.0))
     assert (row.received, reader.failures, reader.table.missing) == (0, [], 1)
-    plain = reader.row(state("y"))  # by hand: paired with whoever sends it
+    plain = reader.row(state("y"))  # a node started by hand is paired with any publisher
     assert plain.who == "another node"
 
 
@@ -480,7 +480,7 @@ def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
     assert reader.values["x"] == (4.0,)
     for k in range(3, 9):
         sender(k * 10 * MS)
-    table.await_tick(80 * MS)  # the follower must have answered 30 ms, and says so of that and those before
+    table.await_tick(80 * MS)  # the follower must have acknowledged 30 ms and all ticks before
     assert [r.who for r in table.rows if not r.have] == ["follower"]
     follower(20 * MS)
     assert table.missing == 1
@@ -632,7 +632,7 @@ def test_a_rig_that_waits_reports_for_what_once_until_it_moves():
     after(reader, stalls, 5.0)
     assert reader.notes == []
     reader, row, stalls = stands()
-    reader.ticks = 1  # somebody may not have begun
+    reader.ticks = 1  # another node may not have started yet
     after(reader, stalls, 5.0)
     assert reader.notes == []
 
@@ -653,7 +653,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_names_what_it_waits_f
         assert after(reader, stalls, 10.0) == "running"
         assert after(reader, stalls, 0.1).startswith("nothing stamped")
     reader, row, stalls = stands()
-    row.have = True  # it waits for no message: somebody holds it
+    row.have = True  # it waits for no message, because a user holds the rig
     assert after(reader, stalls, 100.0) == "running"
     reader, row, stalls = stands()
     row.receive(said(row.port, 130 * MS, 1.0))
@@ -720,7 +720,7 @@ def test_of_several_senders_only_the_missing_one_is_named():
     assert after(reader, stalls, 0.6) == "nothing stamped t = 0.05 s within 0.6 s on y from another node (gone)"
     reader, row, stalls = stands({"returns": True})
     row.outside = 0
-    assert after(reader, stalls, 1e6) == "running"  # who starts a node again looks whether the rig goes on
+    assert after(reader, stalls, 1e6) == "running"  # the command that restarts nodes checks whether the rig continues
 
 
 @pytest.mark.parametrize("starting", [True, False])
@@ -849,7 +849,7 @@ def comes_back(record, own=(), answered=(), gone=(), inputs=None, ports=None, cl
 
 RECORD = {
     "x": [(10 * k, k + 0.5) for k in range(5)],  # up to 40 ms
-    "s": [(10, 7.0), (30, math.nan)],  # spoke twice; the second was refused
+    "s": [(10, 7.0), (30, math.nan)],  # published twice; the second message was rejected
     "c": [(10 * k, k + 0.25) for k in range(6)],
 }
 
@@ -888,7 +888,7 @@ def test_a_restarted_node_reads_from_the_files_what_was_published_and_which_node
     assert back.gone == {"sender"}
     assert [row.received_any for row in rows.values()] == [True, False, True]
     assert (reader.table.missing, reader.values["x"]) == (0, (5.5,))
-    assert not back.read_earlier()  # nobody new
+    assert not back.read_earlier()  # no further node has left
     assert len(reader.refusals) == 1
 
 
@@ -900,7 +900,7 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
         reader, rows, _, seen, *_ = comes_back(record, answered=answered, inputs=kinds, ports=ports)
         assert [k for k, *_ in seen] == ([] if last is None else [*range(last + 1)])
         assert rows["s"].reached == (-10 * MS if last is None else 0)
-    fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # nobody has said anything yet
+    fresh, rows, *_ = comes_back({}, inputs=kinds, ports=ports)  # no message has been recorded yet
     rows["x"].receive(said(rows["x"].port, 0, 3.0))
     rows["s"].receive(said(rows["s"].port, 0, 4.0))
     assert (fresh.table.missing, fresh.values["x"], fresh.values["s"]) == (0, (3.0,), (4.0,))
@@ -908,7 +908,7 @@ def test_a_sender_that_has_answered_a_tick_and_recorded_nothing_was_silent_at_it
         record, answered={"quiet": math.inf, "sender": math.inf}, inputs=kinds, ports=ports, gone={"quiet"}
     )
     reader, rows, back, seen, *_ = ended
-    assert len(seen) == reader.schedule.count()  # they had said all
+    assert len(seen) == reader.schedule.count()  # all messages had been published
     assert rows["s"].reached == 200 * MS
     assert back.gone == {"quiet"}
     assert [row.received_any for row in rows.values()] == [False, True]

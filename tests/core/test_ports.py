@@ -70,7 +70,7 @@ def rig(name):
     return rig_of(make_scenario(nodes, duration, **options))
 
 
-DAILY = ("end",)  # what goes through processes; the others do in the simulated middleware
+DAILY = ("end",)  # runs in processes; the others use the simulated middleware
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] * (n not in DAILY)) for n in RIGS])

@@ -167,7 +167,7 @@ def test_while_a_participant_starts_its_profile_is_that_of_the_environment(given
             assert root.find(".//d:property", SPACE) is None
         assert os.environ.get(profile.VARIABLE) == before
         assert not file.exists()
-    assert fixed[::2] == [42, 42]  # ports in its way go first
+    assert fixed[::2] == [42, 42]  # ports that block it are removed first
     with suppress(KeyError), profile.joining(exclusive=True):
         assert ElementTree.parse(os.environ[profile.VARIABLE]).getroot().find(".//d:property", SPACE) is not None
         raise KeyError
@@ -495,7 +495,7 @@ def test_a_run_that_ends_in_order_reports_the_progress_of_its_plant(watched):
     for at, t in ((0.2, 5), (0.4, 5), (0.7, 9)):
         run.at(at, run.says("plant", t=t))
     run.at(0.3, run.says("law", t=100))
-    assert all_end(run, 50.0).run() == ("", 50.0)  # as long as all run and none is held nobody is late
+    assert all_end(run, 50.0).run() == ("", 50.0)  # no node is late while all run and none is held
     assert run.told == [0, 5, 9]
     assert run.looks[0] == {name: {"t": 0, "state": "running"} for name in ("plant", "law", "source")}
 
@@ -532,7 +532,7 @@ def test_a_node_without_a_status_has_the_time_of_the_start(watched):
     assert run.run() == ("node law has reported nothing within 30 s of its start", 30.1)
     run = watched()
     run.states["law"] = {}
-    run.restarts.check = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)  # started anew
+    run.restarts.check = lambda children: run.now >= 120.0 and run.restarts.counts.update(law=1)  # restarted
     assert run.run()[1] == 50.1
 
 
@@ -600,7 +600,7 @@ def test_failed_nodes_are_named_with_the_reason(watched):
     assert outcome((3, 3, 0), waits) == ("node plant: broken", 0.0)
     late = (("plant", 0.5, 3),)
     assert outcome((None, 3, 0), waits, later=late)[0] == "node plant: broken"
-    assert outcome((None, 3, 0), waits)[0] == "node plant: broken"  # it has said so, and takes its time to end
+    assert outcome((None, 3, 0), waits)[0] == "node plant: broken"  # it has reported the error but has not ended yet
     done = {"law": {"state": "done"}, "plant": failed, "source": {"state": "done"}}
     assert outcome((3, 3, 3), done) == ("node plant: nothing on x", 0.0)
     assert outcome((3, 0, 3), {"plant": failed, "source": failed | {"error": "b"}})[0] == (
@@ -660,8 +660,8 @@ def test_a_node_that_was_killed_is_restarted_when_all_others_wait(tmp_path, monk
     assert messages == ["node dead was killed by SIGKILL after t = 0 s; it is started again (1 of 2)"]
     assert restarts.why(nodes[0].member) == "; it was started again 1 of 2 times"
     nodes[0].process.returncode = -11
-    nodes[1].process.returncode = 0  # has ended: it need not stand
-    assert look(one=(9, {}), two=(3, {"ticks": 4})) == 1  # looked at anew
+    nodes[1].process.returncode = 0  # it has ended, so it need not have paused
+    assert look(one=(9, {}), two=(3, {"ticks": 4})) == 1  # checked again
     assert look(one=(9, {}), two=(4, {"ticks": 4})) == 2
     nodes[0].process.returncode = -9
     assert restarts.check(nodes) == [nodes[0]]
@@ -676,7 +676,7 @@ def test_impossible_restarts_are_refused():
     rig = rig_of(make_scenario(BASIC))
     guest = rig_of(make_scenario(BASIC | {"gain": {"executable": "gain", "external": True}}))
     check_restart(rig, Placement(restart=1))
-    check_restart(guest, Placement("container", "realtime", record=False))  # nobody wants it
+    check_restart(guest, Placement("container", "realtime", record=False))  # no restart was requested
     whole = "--restart: expected a run in lockstep whose nodes have a process each, all on this host"
     for made, placement, text in (
         (rig, Placement(clock="realtime", restart=1), whole),
@@ -779,7 +779,7 @@ def test_an_answer_of_the_server_belongs_to_the_newest_request_and_a_dead_proces
     size = len(json.dumps({"status": 5, "number": 4}))
     monkeypatch.setattr(fork_server, "LARGEST", size - 1)
     theirs.send(b'{"number": 4, "status": 1}')
-    assert server.status(5) == -9  # too long to be asked
+    assert server.status(5) == -9  # the request is longer than the limit
     monkeypatch.setattr(fork_server, "LARGEST", size)
     theirs.send(b'{"number": 5, "status": 6}')
     assert server.status(5) == 6
@@ -814,7 +814,7 @@ def test_an_edited_module_is_noticed_once(tmp_path, monkeypatch):
     assert not edited
     monkeypatch.setattr(fork_server, "_LIBRARIES", (str(tmp_path),))
     file.touch()
-    assert not edited  # of Python's own libraries nobody looks
+    assert not edited  # files of Python's own libraries are not checked
 
 
 def test_a_missing_folder_of_a_run_is_created(tmp_path, monkeypatch, lag_rig):

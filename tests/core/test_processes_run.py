@@ -236,7 +236,7 @@ def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(t
     }
     child.shard.write_text("what it said")
     spawning.start(run._replace(record=False), [members["gain"]], again=True)
-    assert child.log.read_text() == "xx"  # behind what it had said
+    assert child.log.read_text() == "xx"  # appended to the log of the node that died
     assert (tmp_path / "gain.shard.died").read_text() == "what it said"
     given = (tmp_path / "gain.params.yaml").read_text()
     for line in ('run.shard: ""', f'run.again: "{tmp_path}"', "run.paused: false"):
@@ -295,7 +295,7 @@ def test_the_place_of_the_last_check_of_a_port_is_found_or_nothing_is_written(tm
         (port_of_fast_dds(8, ago=2e9), -1),  # no time of ours
         (port_of_fast_dds(8, ago=-2e9), -1),
         (port_of_fast_dds(8, size=43), -1),  # cut
-        (struct.pack("=I", 7411) + port_of_fast_dds(12), 16),  # the number stands elsewhere, too
+        (struct.pack("=I", 7411) + port_of_fast_dds(12), 16),  # the same number occurs at another place as well
     ):
         assert shared_memory.judged(segment, path) == place
         path.write_bytes(segment)

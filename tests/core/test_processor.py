@@ -75,16 +75,16 @@ def test_every_thread_stays_until_messages_take_long_and_returns(allowed):
     processor.step()
     seen["short"] = where()
     work.more(3, 2 * SHORT)
-    processor.step()  # too few to tell
+    processor.step()  # too few samples for a decision
     seen["few"] = where()
     work.more(1, LONG)
     processor.step()
     seen["long"] = where()
     work.time += 2 * LONG
-    processor.step()  # it is held: nothing is known
+    processor.step()  # the rig is held, so there is no measurement
     seen["held"] = where()
     work.more(10 * ENOUGH, SHORT // 2)
-    processor.step()  # with what it did while it was held
+    processor.step()  # includes its work while it was held
     seen["after"] = where()
     work.more(ENOUGH, SHORT // 2)
     processor.step()
@@ -145,9 +145,10 @@ def other(number, **entry):
         ({}, ["together"] * 2),
         (other(1), ["together"] * 2 + ["beside"]),
         (other(1) | other(2), ["together"] * 2 + ["beside"] * 2),
-        (other(1) | other(2) | other(3), ["anywhere"] * 5),  # more than another processor could do meanwhile
+        # more work than the second processor can do in the meantime
+        (other(1) | other(2) | other(3), ["anywhere"] * 5),
         ({"reference": SOURCE}, ["anywhere"] * 3),  # works while the plant does
-        (other(1, external=True), ["anywhere"] * 2),  # nobody knows what it reads
+        (other(1, external=True), ["anywhere"] * 2),  # the topics that an external node reads are unknown
     ],
 )
 def test_a_plant_and_its_controller_share_a_processor_and_followers_run_beside_them(more, places):

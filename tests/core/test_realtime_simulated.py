@@ -443,7 +443,7 @@ def beside_a_dead_law():
     world.run(run.epoch)
     assert speak(0, 1000, every=2) == (1.0,)
     world.run(run.epoch + 3000 * MS)
-    world.match()  # the other one is there, and nobody has told that the first one is not
+    world.match()  # the second is discovered, and the loss of the first is not yet reported
     assert row.publishers == 2
     return run, speak
 

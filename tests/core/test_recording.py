@@ -508,7 +508,7 @@ def test_signals_from_numbers_and_from_bytes_are_the_same():
         assert list(reported) == [f"{topic}/{label}" for topic, own in labels.items() for label in own]
         assert len(reported) == 5
         assert reported.table("/clock").t.size == 0
-    assert recording.topics["rig/state"].columns() is not None  # nobody asked for bytes
+    assert recording.topics["rig/state"].columns() is not None  # no bytes have been requested
     assert reported["rig/state/x"] is reported["rig/state/x"]
 
 

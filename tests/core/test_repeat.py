@@ -90,7 +90,7 @@ def test_buttons_and_external_messages_are_repeated(mode, tmp_path, capsys):
     assert status == 0
     assert "alone number for number: " in text
     again = read_bag(tmp_path / "again" / "bag")
-    assert differences(first, again) == ["axis/reference"]  # who sent it left the stamp out
+    assert differences(first, again) == ["axis/reference"]  # its publisher sent it without a stamp
     assert again.topics["axis/controller_state"].data[-1] != again.topics["axis/controller_state"].data[0]
     # the repetition of the repetition
     capsys.readouterr()

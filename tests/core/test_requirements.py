@@ -160,7 +160,7 @@ def test_a_verdict_during_a_run_is_settled_if_nothing_later_can_change_it(formul
     signals = simulate(rig).signals
     (result,) = (r for r in evaluate(rig, signals, under_way=True) if r.name == "it")
     assert result.settled == settled
-    assert not figure_of(rig, signals).settled  # of a run that is over nobody asks
+    assert not figure_of(rig, signals).settled  # of a finished run this is not asked
 
 
 @pytest.mark.parametrize("live", [False, True])

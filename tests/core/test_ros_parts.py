@@ -172,7 +172,7 @@ def test_an_observer_publishes_its_figures_markers_and_text_to_subscribers():
     assert (kept.depth, kept.durability.name) == (1, "TRANSIENT_LOCAL")
     for _ in range(8):
         timer.call()
-    assert not any(node.topics[t] for t in ("/diagnostics", "~/metrics", "~/markers"))  # nobody is there
+    assert not any(node.topics[t] for t in ("/diagnostics", "~/metrics", "~/markers"))  # there is no subscriber
     node.readers |= {"/diagnostics": 1, "~/metrics": 1, "~/markers": 2}
     for k in range(8):
         timer.call()
@@ -274,7 +274,7 @@ def test_moving_frames_are_published_once_a_tick_in_the_form_of_ros():
     move.call()
     adapter.state = "running"
     move.call()
-    assert node.topics["/tf"] == []  # nobody reads it
+    assert node.topics["/tf"] == []  # it has no subscriber
     node.readers["/tf"] = 1
     for _ in range(2):
         move.call()
@@ -631,7 +631,7 @@ def test_messages_are_processed_in_the_receiving_thread_on_request_and_not_after
     assert received[2:] == [("garbage", True), "processor"]
     assert one.log == ["begin", "report_writers"]
     middleware.publisher("more", "std_msgs/msg/Float64", received.append)
-    assert one.log[2:] == ["end", "begin"]  # while an endpoint is made nothing is told
+    assert one.log[2:] == ["end", "begin"]  # nothing is reported while an endpoint is created
     middleware.close()
     assert one.log[4:] == ["end"]
     assert (node._subscriptions, node.waitables) == ([own, first], [*own.event_handlers, *first.event_handlers])

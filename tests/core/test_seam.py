@@ -150,7 +150,7 @@ def test_the_time_until_the_next_due_call_is_reported_and_waited_for(monkeypatch
 @pytest.mark.parametrize(
     ("due", "awake", "turns"),
     [
-        (100_000, 300_000, 7),  # the timer goes before, seven times
+        (100_000, 300_000, 7),  # the timer has priority, seven times
         (150_000, 300_000, 7),
         (150_001, 300_000, 0),  # there is time
         (100_000, 0, 0),
@@ -321,17 +321,17 @@ def test_an_acknowledgement_contains_its_tick_and_topics_and_is_read_from_any_no
     ):
         data = write(t, sent)
         assert parse(TICK, data).frame_id == " ".join(sent)
-        for _ in range(2):  # the second time by what it knows
+        for _ in range(2):  # the second time from the cache
             assert read(data) == (t, frozenset(sent))
     big = b"\0\0\0\0" + (5).to_bytes(4, "big") + (6).to_bytes(4, "big") + (2).to_bytes(4, "big") + b"a\0"
     assert read(big) == read(big) == (5_000_000_006, frozenset("a"))
     for bad in (b"", b"\0\1\0\0", write(5, ["abc"])[:-2]):
         with pytest.raises(Refused, match="std_msgs/msg/Header"):
             read(bad)
-    for k in range(100):  # it knows some, and reads the others all the same
+    for k in range(100):  # the cache holds 64 messages; others are still parsed
         assert read(write(k, [f"p{k}"])) == (k, frozenset([f"p{k}"]))
     assert len(read._known) == 64
-    monkeypatch.setattr("softrig_nodes.seam.tick.parse", None)  # what it knows it need not read
+    monkeypatch.setattr("softrig_nodes.seam.tick.parse", None)  # cached messages are not parsed
     assert read(write(3, ["a"])) == (3, frozenset("a"))
 
 
@@ -409,7 +409,7 @@ def test_a_solver_begins_a_tick_once_and_is_polled_until_its_answer_is_there(mon
     block.is_ready = False
     assert not part.finished(6)
     assert (asked[-1], step.x) == (("carry on", "begun", 6), "carried")
-    assert timer.now == (2 * MS, 0)  # it waits anew
+    assert timer.now == (2 * MS, 0)  # it waits again
 
 
 def test_a_solver_informs_its_peers_every_half_second_that_it_works(monkeypatch):
@@ -456,7 +456,7 @@ def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     hand.posted[-1]()
     assert turned == [1]
     hold.ask("pause")
-    assert len(hand.timers) == 1  # it tells already
+    assert len(hand.timers) == 1  # a timer already reports this
     hold.ask("step", 3)
     hold.ask("resume")
     hold.ask("pause")
@@ -502,7 +502,7 @@ def test_a_status_file_is_complete_whenever_it_is_read(tmp_path):
     assert json.loads(path.read_text()) == {"t": 1}
     with path.open() as before:
         file.write({"t": 2, "error": "ü"})
-        assert json.loads(before.read()) == {"t": 1}  # of who has opened it before
+        assert json.loads(before.read()) == {"t": 1}  # a reader that opened the file before keeps the old content
     assert json.loads(path.read_text()) == {"t": 2, "error": "ü"}
     assert os.listdir(tmp_path) == ["node.status"]
 

@@ -71,8 +71,9 @@ def drive(block, ticks, first=0):
 
 def test_a_request_may_kill_the_work_in_progress():
     block = ByHand(Impatient(latency=0.2, work=0.0))
-    assert [round(v["plan"][0], 9) for v in drive(block, 5)] == [-1.0] * 5  # asked anew at every tick: never a plan
-    block.block.request = lambda x, t, **_: (x, None)  # nobody asks any more: the last request is worked on
+    # a new request at every tick, so no plan is ever finished
+    assert [round(v["plan"][0], 9) for v in drive(block, 5)] == [-1.0] * 5
+    block.block.request = lambda x, t, **_: (x, None)  # no further requests, so the last one is completed
     assert [round(v["plan"][0], 9) for v in drive(block, 3, 5)] == [-1.0, 0.4, 0.4]
 
 
@@ -141,7 +142,7 @@ def test_in_real_time_nothing_waits():
     block.block.worker.warm()
     result = drive(block, 5)  # answers without the plan, which takes longer than five ticks
     assert [v["plan"][0] for v in result] == [-1.0] * 5
-    # at the tick of the request nobody can have its result
+    # at the tick of the request its result cannot be available
     assert block.reports["unfinished"][1:] == ("the work was not done when its result was due: answered without it", 4)
     assert block.block.worker.wait(PATIENCE)
     assert drive(block, 1, 5)[0]["plan"] == (0.0, 1.0)

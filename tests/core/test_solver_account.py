@@ -172,7 +172,7 @@ def test_in_real_time_a_tick_uses_what_is_there(monkeypatch):
     assert held.reports["work"] == (Level.ERROR, "work on the request of t = 0.2 s failed: bad", 1)
     assert held.health() == {"work": "idle"}
     held = solver(monkeypatch, 0.0, realtime=True)
-    held.update(0, ask="a")  # due at once: nobody can have expected it
+    held.update(0, ask="a")  # due immediately, so a missing result is not reported
     assert held.reports == {}
     held = solver(monkeypatch, 0.0, cancels=True, realtime=True)
     held.update(0, ask="a")

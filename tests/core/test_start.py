@@ -115,19 +115,20 @@ def test_a_node_begins_when_its_inputs_have_publishers_and_its_outputs_their_sub
     assert meeting.absent() == ["law does not subscribe /y"]
     assert meeting.shake.missing == ["law"]
     meeting.hand.readers["/y"] = {"law": JOINT, "tool": JOINT}
-    assert meeting.absent() == ["/y has 0 readers of 2"]  # the graph knows a reader before the writer does
+    # the graph shows a subscriber before the publisher is matched with it
+    assert meeting.absent() == ["/y has 0 readers of 2"]
     meeting.y.matched(1)
     assert meeting.absent() == ["/y has 1 readers of 2"]
     meeting.y.matched(2)
     assert (meeting.absent(), meeting.shake.missing, meeting.shake.lacking) == ([], [], [])
     gone = Meeting().whole()
     gone.x.matched(0)
-    gone.x.received_any = True  # who has said all it had to say is gone
+    gone.x.received_any = True  # its publisher has sent everything and left
     assert gone.absent() == []
     nobody = Meeting([])
     nobody.x.matched(1)
     nobody.hand.readers["/y"] = {"tool": JOINT}
-    assert nobody.absent() == []  # nobody is awaited
+    assert nobody.absent() == []  # no subscriber is awaited
     local = Meeting(["law", "here"], local=["here"]).whole(law=JOINT, here=JOINT)
     local.y.matched(1)
     assert local.absent() == []
@@ -137,7 +138,7 @@ def test_incompatible_subscribers_are_named_if_they_are_awaited():
     meeting = Meeting().whole(law=JOINT, tool=JOINT)
     meeting.y.matched(1)
     meeting.hand.unfit = lambda topic, kind: [("tool", "reliability")] if (topic, kind) == ("/y", JOINT) else []
-    assert meeting.absent() == []  # nobody waits for the tool
+    assert meeting.absent() == []  # the tool is not awaited
     meeting.y.matched(0)
     assert meeting.absent() == ["/y has 0 readers of 1"]
     meeting.hand.unfit = lambda topic, kind: [("law", "reliability"), ("tool", "durability")]
@@ -171,7 +172,7 @@ def test_any_external_node_counts_as_a_subscriber_of_its_topics():
     unmatched = Meeting([], outside=["/x"])
     unmatched.hand.writers = {"/x": ["guest"]}
     assert unmatched.absent() == ["no publisher on x (expected from sender)"]
-    assert unmatched.shake.lacking == ["/x"]  # seen, and not yet heard
+    assert unmatched.shake.lacking == ["/x"]  # discovered, but not yet matched
 
 
 def test_for_a_node_started_alone_the_visible_endpoints_count_when_they_have_not_changed_for_a_while():
@@ -180,7 +181,7 @@ def test_for_a_node_started_alone_the_visible_endpoints_count_when_they_have_not
     assert meeting.absent() == ["bag does not subscribe /y"]
     meeting.whole(bag=JOINT)
     assert {*(tuple(meeting.absent()) for _ in range(20))} == {("outside nodes are still announcing themselves",)}
-    meeting.y.matched(2)  # somebody comes
+    meeting.y.matched(2)  # a subscriber joins
     assert {*(tuple(meeting.absent()) for _ in range(25))} == {("outside nodes are still announcing themselves",)}
     assert meeting.absent() == []
     for plant in (True, False):
@@ -255,7 +256,7 @@ def test_the_starter_waits_until_all_are_ready_and_matched_and_announces_the_tim
     assert TickReader()(text[0]) == (epoch, frozenset([str(now)]))
     assert one.timer.now is None
     one.hand.time += SECOND
-    ready(TickWriter()(0, ["law"]))  # who still asks is told again, with what time it is
+    ready(TickWriter()(0, ["law"]))  # a node that still asks gets the answer again, with the present time
     assert TickReader()(text[1]) == (epoch, frozenset([str(now + SECOND)]))
     one.departure.announce(["ahead=0", "from=5"])
     assert TickReader()(text[2]) == (epoch, frozenset([str(now + SECOND), "ahead=0", "from=5"]))
@@ -272,7 +273,7 @@ def test_neighbours_in_its_process_are_informed_in_memory():
     assert one.look() == [f"law, source does not hear {START} yet"]
     one.hand.matched[START](1)  # only of other processes
     one.look()
-    (call,) = one.hand.posted  # to who is no starter
+    (call,) = one.hand.posted  # to a node that does not start the run
     call()
     assert [epoch for epoch, _ in two.begun] == [one.begun[0][0]]
 

@@ -161,7 +161,7 @@ def test_a_rig_is_stepped_tick_by_tick_with_one_node_played_by_python():
     for k in range(11):
         blocks["law"].action = float(k)
         assert next(ticks) == 10_000_000 * k
-        if k < 10:  # a law that has no last word is not asked at the end
+        if k < 10:  # a controller that publishes nothing at the end is not executed there
             assert steps["law"].x == x
             x += 0.01 * (k - x)
     assert steps["plant"].x.x == x
@@ -204,7 +204,7 @@ def test_ticks_whose_text_is_generated_equal_those_of_the_loop(rig, monkeypatch)
 
 
 def test_recorded_numbers_have_the_bytes_of_each_message(monkeypatch):
-    monkeypatch.setenv("SOFTRIG_JIT", "0")  # an instance that an earlier test compiled is asked less often
+    monkeypatch.setenv("SOFTRIG_JIT", "0")  # a block compiled by an earlier test is called less often
     rig = Rig.from_blocks({"plant": Lag(), "law": Gain(), "source": Source()}, 0.1)
     recording = Recording((t, p.msgtype) for t, p in rig.topics.items())
     halves = []

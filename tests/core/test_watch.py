@@ -77,8 +77,8 @@ def test_running_figures_are_published_while_there_is_a_subscriber(mode):
         faces._executor.submit(held.wait)
     faces._publish_diagnostics()
     if faces._executor:
-        eye.x = eye.block.first()  # it goes on meanwhile
-        faces._publish_diagnostics()  # one at a time
+        eye.x = eye.block.first()  # the block continues in the meantime
+        faces._publish_diagnostics()  # only one computation at a time
         faces._check()
         assert not messages
         held.set()

@@ -20,7 +20,7 @@ spec = importlib.util.spec_from_file_location("layout", ROOT / "scripts" / "layo
 layout = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(layout)
 ALONE = ("softrig_core", "softrig_control", "softrig_optim", "softrig_drives")
-# ROS may be installed beside Python; here its packages are as if they were not
+# hide ROS packages that may be installed beside Python
 BLOCKED = f"""
 import sys
 class Blocked:

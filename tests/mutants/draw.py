@@ -157,7 +157,7 @@ def _expression(node: ast.AST, runs: tuple[int, ...]) -> Iterator[Mutant]:
             new = ast.Call(node.func, [node.args[1], node.args[0], *node.args[2:]], node.keywords)
             if ast.unparse(new) != ast.unparse(node):
                 yield _of("argument", node, new, runs)
-        elif node.keywords and node.keywords[-1].arg not in (None, "help", "metavar"):  # nothing of what only tells
+        elif node.keywords and node.keywords[-1].arg not in (None, "help", "metavar"):  # not texts of the help
             yield _of("argument", node, ast.Call(node.func, node.args, node.keywords[:-1]), runs)
     yield from _within(node, runs)
 

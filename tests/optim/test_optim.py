@@ -780,7 +780,7 @@ def test_a_completed_run_leaves_its_process_to_the_next():
     second = run_inprocess(rig, 0)["planner"]
     assert _Process.idle == [left]
     first.block.reset(0)
-    first.block.worker.warm()  # asked again, it has one again
+    first.block.worker.warm()  # a new request gives it a process again
     assert first.block.worker._process is left
     assert second.block.worker._process is None
 

@@ -311,7 +311,7 @@ class Episode:
             self.level, self.drift = draw.choice(self.levels), draw.choice([0.0, 0.0, 0.003, -0.002])
         self.level *= 1.0 + self.drift * (0.5 < self.level < 2.0)
         for k in range(3):
-            if draw.random() < self.calm / (60.0 if k == 1 and not self.down[1] else 12.0):  # stopped seldom, not long
+            if draw.random() < self.calm / (60.0 if k == 1 and not self.down[1] else 12.0):  # stops are rare and short
                 self.down[k] = not self.down[k]
         load = 2.0 / command[0] ** 2 + (0.3 * command[1] if len(command) > 1 else 0.0)
         a, b, c = 0.1 * load, 1.0 + 0.5 * load, -4.0 * load  # v = load i, and i = 4 - 0.5 v - 0.1 v^2 at level 1

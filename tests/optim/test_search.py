@@ -127,7 +127,7 @@ def test_progress_is_reported_by_tenths_or_after_ten_seconds(monkeypatch, capsys
 @pytest.mark.parametrize(
     ("mean", "room", "workers", "cases", "sizes"),
     [
-        (math.inf, 6, 2, 10, [1] * 6),  # of the first nobody knows how long they take
+        (math.inf, 6, 2, 10, [1] * 6),  # the duration of the first runs is unknown
         (1.0, 6, 2, 10, [1] * 6),
         (0.125, 3, 2, 10, [2, 2, 2]),  # a quarter of a second each
         (0.0625, 3, 2, 10, [4, 4, 2]),

@@ -64,7 +64,8 @@ class Contained:
         self.carried, self.logs = {}, []
         monkeypatch.setattr(exchange_module, "time", self.clock)
         monkeypatch.setattr(ros, "time", self.clock)
-        self.readers, self.writers = {}, {}  # what tells how many are matched in other processes, by topic
+        # functions that return the number of matched endpoints in other processes, by topic
+        self.readers, self.writers = {}, {}
         self.receivers = {}
 
         def publisher(middleware, topic, msgtype, matched):
@@ -305,7 +306,7 @@ def test_the_garbage_collector_runs_rarely_while_it_finds_nothing_and_as_usual_o
     assert collector.threshold == YOUNG
     for _ in range(UNCLEAN - 1):
         garbage.step()
-    assert (collector.searches, collector.frozen) == (0, 1)  # at first nobody knows
+    assert (collector.searches, collector.frozen) == (0, 1)  # at first nothing is known
     for _ in range(CLEAN):
         garbage.step()
     assert (collector.searches, collector.frozen) == (1, 1 + CLEAN)
@@ -353,7 +354,7 @@ def test_a_container_whose_nodes_have_all_ended_does_not_wait(monkeypatch, state
     assert container._loop(SimpleNamespace(spin_once=lambda _: pytest.fail("it went on")))
     ((until, awake),) = asked
     assert until > now + container_module.LOOK - 1
-    assert awake == container_module.SPIN  # who waits longer sleeps
+    assert awake == container_module.SPIN  # a longer wait sleeps
 
 
 def test_ticks_older_than_the_window_are_dropped_except_the_newest():

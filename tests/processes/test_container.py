@@ -183,7 +183,7 @@ def stopped(call):
 
 @pytest.mark.long
 def test_a_press_by_service_is_recorded_at_the_tick_that_saw_it(tmp_path):
-    wired, people, text = rig(BASIC, 1e7), [], tmp_path / "said"  # it ends by the press, however fast it goes
+    wired, people, text = rig(BASIC, 1e7), [], tmp_path / "said"  # the press ends the run at any speed
     until = time.monotonic() + PATIENCE
     with free_domain() as domain, text.open("w") as words:
 
@@ -388,7 +388,7 @@ def test_messages_for_others_are_sent_in_bursts_and_when_there_is_time():
     for k in range(BURST + 1):
         exchange.carry(sent.append, k)
         assert sent == ([] if k < BURST - 1 else list(range(BURST)))  # a full burst at once
-    assert exchange.serve(1 << 62) > 0  # nothing else to do: the rest, before anybody sleeps
+    assert exchange.serve(1 << 62) > 0  # nothing else is due, so the rest is published before the loop sleeps
     assert sent == list(range(BURST + 1))
 
     def again(left):

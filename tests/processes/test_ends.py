@@ -106,11 +106,12 @@ def test_leftovers_of_dead_processes_are_removed_and_those_of_living_ones_stay(t
              "sem.fastrtps_port7411_mutex", "fastrtps_00bb", "fastrtps_00bb_el", "fastrtps_00cc", "fastrtps_00cc_el",
              "fastrtps_port7661", "fastrtps_port7001", "sem.fastrtps_port7001_mutex", "other"]  # fmt: skip
     for name in names:
-        # of what another domain has, a whole port stays, one that its maker left half-made goes; locks are empty
+        # in other domains complete ports stay and half-created ones are removed; lock files are empty
         (tmp_path / name).write_bytes(b"" if name.endswith("_el") else bytes(8) if "7001" in name else MADE)
         os.utime(tmp_path / name, (0, 0))
     (tmp_path / "fastrtps_port7002").touch()  # just begun
-    for name, begun in (("fastrtps_port7003", b""), ("fastrtps_port6300", MADE)):  # by a maker who has no processor
+    # created by a process that gets no processor
+    for name, begun in (("fastrtps_port7003", b""), ("fastrtps_port6300", MADE)):
         (tmp_path / name).write_bytes(begun)
         os.utime(tmp_path / name, (time.time() - 30.0,) * 2)
     os.utime(tmp_path / "fastrtps_00cc_el")  # just made: its owner may be about to lock it
@@ -124,7 +125,7 @@ def test_leftovers_of_dead_processes_are_removed_and_those_of_living_ones_stay(t
     left |= {f"fastrtps_port{number}" for number in (6300, 7002, 7003)}
     assert {p.name for p in tmp_path.iterdir()} == left | {"fastrtps_port7661"}
     owner.communicate(b"\n")
-    assert remove_leftovers(1, tmp_path) == 3  # of a domain that is over: ports that nobody had locked, too
+    assert remove_leftovers(1, tmp_path) == 3  # of an ended domain: also ports without a lock
     left -= {"fastrtps_00bb", "fastrtps_00bb_el"}
     assert {p.name for p in tmp_path.iterdir()} == left
     os.utime(tmp_path / "fastrtps_port6300", (0, 0))

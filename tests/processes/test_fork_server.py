@@ -88,7 +88,7 @@ def test_it_has_its_own_directory_environment_arguments_output_and_end(package, 
         sleeper.wait(0.01)
     sleeper.kill()
     assert sleeper.wait(60) == sleeper.poll() == -signal.SIGKILL
-    sleeper.kill()  # nobody any more
+    sleeper.kill()  # no longer used by any process
 
 
 @pytest.mark.long

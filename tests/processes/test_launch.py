@@ -227,7 +227,7 @@ def test_a_launch_that_is_terminated_ends_in_order(lag, monkeypatch):
     before = signal.getsignal(signal.SIGTERM)
     try:
         nodes = nodes_of({"scenario": "lag"}, emit_event_sync=events.append)
-        signal.raise_signal(signal.SIGTERM)  # launch hears of it by a file descriptor
+        signal.raise_signal(signal.SIGTERM)  # launch receives the signal through a file descriptor
     finally:
         signal.signal(signal.SIGTERM, before)
     (launched,) = {node.on_exit.args[0] for node in nodes}
@@ -250,7 +250,7 @@ def test_nodes_end_with_a_launch_that_is_killed(tmp_path):
     with subprocess.Popen([sys.executable, "-c", launch], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"up\n"
         process.kill()
-        assert process.communicate(timeout=PATIENCE)[0] == b""  # nobody holds it any more
+        assert process.communicate(timeout=PATIENCE)[0] == b""  # no process holds the pipe any more
 
 
 def test_an_unknown_argument_of_our_launch_file_is_reported():

@@ -41,7 +41,7 @@ def relay(rig, member, expected, reads, names, realtime=False):
     topics = [CLOCK]
     if calls is not None:
         topics = [{"topic": p.topic, "type": p.msgtype} for p in [calls, *(p for p in reads if p is not calls)]]
-    elif member is rig.clock:  # nobody commands it: it goes by who acknowledges
+    elif member is rig.clock:  # without a command it is paced by the node that acknowledges its ticks
         caller = next(m for m in rig.leaves() if member in [k.source for k in m.links.values()])
         topics = [{"topic": f"{caller.name}/tick", "type": TICK}]
     schedule = caller.schedule
@@ -88,7 +88,7 @@ def with_outside(rig, names, directory, seed=0, realtime=False):
     with free_domain() as domain:
 
         def announce(text):
-            if not outside:  # nor does anybody take it for dead sooner
+            if not outside:  # other nodes have the same patience before they declare it dead
                 variables = environment(domain, home, silence=patience)
                 outside.extend(subprocess.Popen(c, env=variables) for c in commands)
 
@@ -127,11 +127,11 @@ def replaced(rig, name, directory, seed=0):
     for member in ours.members:
         for port in member.outputs:
             result, wanted = outcome.recording.topics[port.topic], expected.topics[port.topic]
-            if member.external and port.sporadic:  # the run ends without its last words
+            if member.external and port.sporadic:  # the run does not wait for its last messages
                 same = set(result.data) <= set(wanted.data)
             elif member.external or member.name not in chance:
                 same = (result.times, result.data) == (wanted.times, wanted.data)
-            else:  # when it hears of it is chance, but it speaks at each of its ticks
+            else:  # the tick of arrival is random, but it publishes at each of its ticks
                 same = port.sporadic or result.times == wanted.times
             wrong += [] if same else [port.topic]
     return wrong + [f"{n} refused {s['refused']}" for n, s in outcome.status.items() if s.get("refused")]

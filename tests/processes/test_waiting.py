@@ -344,8 +344,8 @@ def test_a_clock_that_was_set_back_is_named_as_a_reason(monkeypatch):
     clock, now = supervision.SystemClock(), time.time
     assert clock.set_back() == ""
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)
-    assert clock.set_back() == ""  # nobody minds
-    monkeypatch.setattr(time, "time", now)  # as it was at first, and an hour before what somebody has seen
+    assert clock.set_back() == ""  # a clock that is set forward is not reported
+    monkeypatch.setattr(time, "time", now)  # back to the true time, an hour before the last reading
     text = "; the system's clock was set back by 3600 s meanwhile, and Fast DDS waits by it"
     assert clock.set_back() == text
     monkeypatch.setattr(time, "time", lambda: now() + HOUR / SECOND)

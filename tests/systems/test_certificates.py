@@ -64,7 +64,8 @@ def a_linear_system(rng, most=3):
     A = rng.normal(size=(n, n)) - rng.uniform(-0.5, 2.5) * np.eye(n)
     Ad = rng.uniform(0.2, 2.0) * rng.normal(size=(n, n))
     delays = np.geomspace(0.02, 6.0, 12) * rng.uniform(0.7, 1.4)
-    signs = [rightmost(A, Ad, h, 10) < 0.0 for h in delays]  # where to draw; what is exact is asked afterwards
+    # a coarse estimate that guides the draw; the exact check follows
+    signs = [rightmost(A, Ad, h, 10) < 0.0 for h in delays]
     ends = [k for k in range(11) if signs[k] != signs[k + 1]]
     if not ends or rng.random() < 0.4:
         return A, Ad, float(delays[rng.integers(12)])
@@ -105,7 +106,7 @@ def search_of_constant_delays(rng):
     what = f"low = {low!r} high = {high!r} A = {A.tolist()} Ad = {Ad.tolist()}"
     if certificate is None:
         return Drawn(False, True, what)
-    top = min(certificate.h, 30.0)  # beyond, collocation wants more points
+    top = min(certificate.h, 30.0)  # beyond this delay collocation needs more points
     return Drawn(
         True, stable(A, Ad, np.linspace(max(certificate.shortest, 1e-3 * top), top, 60)), f"{certificate.h} {what}"
     )
@@ -453,7 +454,7 @@ def dispatch_with_conditions(rng):
     what = f"{units.table.tolist()} {nans.tolist()} {conditions} demand {demand!r} least {least}"
     try:
         result = Optimiser(units, tol=1e-2, max_nodes=200_000).conditioned(demand, conditions)
-    except InfeasibleError as error:  # a proof, too, where it says so
+    except InfeasibleError as error:  # infeasibility is a proof if it is reported as one
         return Drawn("no dispatch found" not in str(error), least == math.inf, f"{error} {what}")
     meets = abs(result.P.sum() - lost.of(result.P) - demand) < 1e-5
     meets = meets and np.all((conditions.low - 1e-9 <= result.P) & (conditions.high + 1e-9 >= result.P))

@@ -191,7 +191,8 @@ def test_rectifier_of_twice_the_capacitance_sags_half_as_fast():
         quiet = moved(plant, 5, command=(drop,), events=None)["dc_link"][0]
         assert quiet == pytest.approx(400.0, abs=1e-3)
         sags.append(400.0 - moved(plant, 1, command=(drop,), events=(8.0, 180.0, 0.0))["dc_link"][0])
-    for sag, C in zip(sags, (990e-6, 1980e-6), strict=True):  # v^2 goes to half with R_L C/2, the power being held
+    # at constant power v^2 approaches half its value with the time constant R_L C/2
+    for sag, C in zip(sags, (990e-6, 1980e-6), strict=True):
         v = 400.0 * math.sqrt(0.5 + 0.5 * math.exp(-2.0 * 0.83e-3 / (8.0 * C)))
         assert sag == pytest.approx(400.0 - v, rel=2e-3)
 

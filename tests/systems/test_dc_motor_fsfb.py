@@ -514,7 +514,7 @@ def test_model_signals_are_the_delay_free_loop():
     late, none = run("dc_motor_fsfb"), run("dc_motor_fsfb_s1_none")
     names = ("position_set", "velocity", "acceleration", "deceleration", "jerk")
     position, velocity, acceleration, deceleration, jerk = (late[f"axis/model/{n}/position"].x for n in names)
-    assert (position == none["axis/model/position_set/position"].x).all()  # whatever the network does
+    assert (position == none["axis/model/position_set/position"].x).all()  # independent of the network
     designed = run("dc_motor_fsfb_s7")  # at 1 ms: the continuous design
     assert measures.rise_time(designed, "axis/model/position_set/position", final=10.0) == pytest.approx(
         0.966, abs=0.002

@@ -108,7 +108,7 @@ def axis(bench):
 
 @pytest.mark.long
 def test_buttons_by_topic_and_by_service_move_the_axis(axis):
-    assert not axis.bench.signal("plant", Y).x.any()  # nobody asked for anything
+    assert not axis.bench.signal("plant", Y).x.any()  # no reference was published
     axis.ask("press forward", "call-in-vain controller/forward")
     axis.asked(10.0)
     axis.ask("release forward")  # not before: of two messages within one tick the newest counts

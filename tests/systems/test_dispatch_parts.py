@@ -77,7 +77,7 @@ def test_a_wrong_table_is_refused_with_the_expected_message(ids, table, text):
 
 
 def test_values_at_the_limits_of_a_table_are_accepted():
-    units = Units(("a",), [[1, 1, 0, -5, -6, 0, 0]])  # as good a unit as any: b and c of either sign, one output
+    units = Units(("a",), [[1, 1, 0, -5, -6, 0, 0]])  # a valid unit: b and c of either sign, a single output
     assert units.table.dtype == float
     assert not units.table.flags.writeable
     assert (units.p_min.tolist(), units.p_max.tolist(), len(units)) == ([1.0], [1.0], 1)
@@ -149,7 +149,7 @@ def test_a_file_may_have_more_columns_for_some_units(tmp_path):
     assert units.now.tolist() == [5.0, 3.0]
     assert units.ramp_up.tolist() == [2.0, np.inf]
     assert units.ramp_down.tolist() == [np.inf, np.inf]
-    assert units.ready.tolist() == [0.0, 6.0]  # the whole range where nothing is told
+    assert units.ready.tolist() == [0.0, 6.0]  # without an entry, the whole range
     twice = Units.read(f"2*{tmp_path / 'u.csv'}")
     assert twice.ids == ("a", "b", "a_2", "b_2")
     assert np.array_equal(twice.more, np.vstack([units.more, units.more]), equal_nan=True)
@@ -257,8 +257,9 @@ def linear(*rows):
     [
         ((5.0, 5.0, 5.0), 17.0, (5.0, 7.0, 5.0)),  # the cheapest of those that can take it all
         ((5.0, 5.0, 5.0), 13.0, (3.0, 5.0, 5.0)),  # what is too much is taken from the dearest
-        ((5.0, 9.0, 5.0), 21.0, (5.0, 9.0, 7.0)),  # the cheapest has not the room
-        ((9.0, 8.0, 9.5), 29.5, (10.0, 10.0, 9.5)),  # nobody has: the one that can most goes to its end first
+        ((5.0, 9.0, 5.0), 21.0, (5.0, 9.0, 7.0)),  # the cheapest unit has too little room
+        # no unit has enough room: the one with the most moves to its limit first
+        ((9.0, 8.0, 9.5), 29.5, (10.0, 10.0, 9.5)),
         ((11.0, -1.0, 5.0), 15.0, (10.0, 0.0, 5.0)),  # limits before all
         ((5.0, 5.0, 5.0), 15.0 + 1.4e-8, (5.0, 5.0, 5.0)),  # less than a billionth of the demand is nothing
         ((5.0, 5.0, 5.0), 15.0 + 1.6e-8, (5.0, 5.0 + 1.6e-8, 5.0)),
@@ -851,7 +852,7 @@ def test_the_starting_point_of_a_proof_counts_if_it_meets_the_conditions(reserve
         assert proof.P.tolist() == list(P)
         assert proof.bound == -np.inf
     plain = branch.branch_and_bound(THREE, 400.0, np.array([200.0, 70.0, 131.0]), 1e-3, 0)
-    assert plain.cost == pytest.approx(THREE.total([200.0, 70.0, 131.0]))  # nobody asks whether it balances
+    assert plain.cost == pytest.approx(THREE.total([200.0, 70.0, 131.0]))  # the balance is not checked
 
 
 # The answer ---------------------------------------------------------------------------------------------
@@ -1018,7 +1019,7 @@ def test_a_dispatch_is_requested_at_the_expected_ticks():
         (850.0, None, 1.0, 850.0),
         (850.0, None, 1.0, None),  # held down
         (850.0, None, 0.0, None),
-        (850.0, None, 1.0, 850.0),  # pressed anew
+        (850.0, None, 1.0, 850.0),  # pressed again
         (900.0, None, 1.0, 900.0),
         (900.0, table, None, 900.0),
         (900.0, table, None, None),
@@ -1180,7 +1181,7 @@ def test_methods_accept_conditions_as_expected(tmp_path):
 
     assert not conditioned()
     assert not conditioned(now="5")
-    with pytest.raises(ParameterError, match="ramp_up_MW needs p_now_MW"):  # it had no effect without a word
+    with pytest.raises(ParameterError, match="ramp_up_MW needs p_now_MW"):  # before, it had no effect and no message
         conditioned(up="5", down="5")
     assert conditioned(now="5", up="5")
     assert conditioned(now="5", down="5")

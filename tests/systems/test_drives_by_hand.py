@@ -122,7 +122,7 @@ def test_the_axis_controller_is_state_feedback_on_its_compensated_late_measureme
         outputs = law.update(
             t, feedback=Sample(stamp, (y, v)), reference=wanted and (wanted,), forward=None, reverse=None
         )
-        if newest is None:  # the first measurement says where to begin: no command there
+        if newest is None:  # the first measurement sets the initial state and gives no command
             r, xi = y, p.kp * (y + half) / p.ki if p.integral else 0.0
         if newest is None or stamp > newest:
             newest, measured = stamp, np.array([v, y + half])
@@ -183,7 +183,7 @@ def test_the_axis_controller_is_exact_at_its_limits():
     assert told("predictor", (0, 0), (60, 0))[0] == []  # five periods left out
     assert told("predictor", (0, 0), (70, 0)) == (["predictor"], 0.0)
     assert told("predictor", (50, 50), (60, 40)) == (["feedback order"], pytest.approx(-0.222, abs=1e-3))
-    assert told("predictor", (0, 0), (10, 0))[0] == []  # one command known, one asked for
+    assert told("predictor", (0, 0), (10, 0))[0] == []  # one command is known and one is needed
 
 
 def test_the_axis_sticks_up_to_its_stiction_and_no_speed_is_beyond_its_limit():

@@ -411,7 +411,7 @@ def test_a_late_result_belongs_to_its_request():
     block = ByHand(DispatchSolver(unit_table="units_3", latency=2.0))
     assert ask(block, 0, 850.0) == {}
     assert ask(block, 1, 900.0, units=tuple(dear.ravel())) == {}
-    result = ask(block, 2, 1300.0, units=tuple(dear.ravel()))  # which they cannot give: nothing is asked
+    result = ask(block, 2, 1300.0, units=tuple(dear.ravel()))  # beyond the capacity of the units, so no request is made
     demand, cost, *_ = result["summary"]
     assert demand == 850.0 == pytest.approx(sum(result["setpoints"]))
     costs = np.reshape(result["result"], (3, 4))[:, 1]
@@ -446,12 +446,13 @@ def test_without_a_dispatch_the_last_set_points_stay(answer, why):
 
 def test_another_table_counts_and_a_broken_one_does_not(node):
     table = Units.read("units_3").table.copy()
-    table[0, 4] += 100.0  # 100 $/h more whatever it runs at
+    table[0, 4] += 100.0  # 100 $/h more at any output
     cost = ask(node, 0, 850.0)["summary"][1]
     more = ask(node, 1, 850.0, units=tuple(table.ravel()))["summary"][1]
     assert more == pytest.approx(cost + 100.0, abs=1e-6)
     table[1, 5] = -1.0
-    assert ask(node, 2, 850.0, units=tuple(table.ravel())) == {}  # nothing new to say about the table that stays
+    # the refused table changes nothing, so nothing is published
+    assert ask(node, 2, 850.0, units=tuple(table.ravel())) == {}
     again = ask(node, 3, 860.0, units=tuple(table.ravel()))["summary"][1]
     assert again > more
     assert "unit 2, column e_usd_per_h: -1, expected at least 0" in node.reports["units"][1]

@@ -268,7 +268,7 @@ def test_brent_needs_few_evaluations(record):
     assert result.x_km == pytest.approx(49.98990, abs=1e-4)
 
 
-@pytest.mark.long  # the whales' place stands in their scenario, too
+@pytest.mark.long  # the scenario of the whales also states their result
 @pytest.mark.parametrize(("algorithm", "evaluations", "apart"), [("woa", 50_100, 5e-5), ("gwo", 50_000, 0.003)])
 def test_swarms_find_the_minimum(record, algorithm, evaluations, apart):
     best = located(record)

@@ -197,7 +197,7 @@ def streams(**lost):
 def test_streams_of_a_recording_by_their_times():
     record = Record.from_signals(streams())
     assert (record.start, record.rate, record.samples.tolist()) == (0.0, 10.0, CHANCE[:30].tolist())
-    late = Record.from_signals(streams(), (0.2, 0.5))  # what R tells is three samples later than what S tells
+    late = Record.from_signals(streams(), (0.2, 0.5))  # the record of R starts three samples after that of S
     assert late.start == -0.2
     assert late.samples.tolist() == np.hstack([CHANCE[:27, :6], CHANCE[3:30, 6:]]).tolist()
     for lost, text in [
@@ -655,7 +655,8 @@ def test_the_mode_and_the_presence_of_a_fault_are_decided(monkeypatch, curves, s
 def test_a_contradiction_is_reported_first(monkeypatch):
     result, _ = chooser((FLAT, SMALL, LARGE), monkeypatch, "so it is")
     assert (result.status, result.text, result.mode, result.x_km) == (Status.CONTRADICTORY, "so it is", 3, None)
-    assert chooser((FLAT, FLAT, FLAT), monkeypatch, "so it is")[0].status == Status.NO_FAULT  # nobody asked
+    # without a fault the contradiction is not checked
+    assert chooser((FLAT, FLAT, FLAT), monkeypatch, "so it is")[0].status == Status.NO_FAULT
 
 
 @pytest.mark.parametrize(
@@ -1055,7 +1056,7 @@ NOBODY = (
 @pytest.mark.parametrize(
     ("own", "others", "more", "reported"),
     [
-        (1.0, {"x": 0.0}, {}, ""),  # a thousandth of the voltage: nobody asks
+        (1.0, {"x": 0.0}, {}, ""),  # a thousandth of the voltage is too small for the check
         (1.01, {"x": 0.101}, {}, WIRED.format(1.01, 0.101, "x")),
         (40.0, {"x": 4.1}, {}, ""),  # not ten times as well
         (40.0, {"x": 4.0}, {}, WIRED.format(40, 4, "x")),
@@ -1247,7 +1248,8 @@ def test_phases_close_and_open_at_the_expected_steps(monkeypatch):
     np.testing.assert_allclose(current, net.closed[0b011] @ [-1e3, 2e3, 0.0])
     phase, current = step(200, [-1e3, 2e3, 0.0])
     assert phase == [1, 1, 2]
-    phase, current = step(201, [3e3, 2e3, 0.0])  # the first phase has turned: the second one goes on alone
+    # the current of the first phase has reversed; the second phase continues alone
+    phase, current = step(201, [3e3, 2e3, 0.0])
     assert phase == [2, 1, 2]
     np.testing.assert_allclose(current, net.closed[0b010] @ [3e3, 2e3, 0.0])
     assert state.opened.tolist() == pytest.approx([201e-6, 0.0, 0.0])
@@ -1311,7 +1313,7 @@ def test_the_first_sample_is_that_of_the_steady_state_at_each_clock(shift):
             angle = -2.0 * math.pi / 3.0 * phase - 100.0 * math.pi * 1e-6 * late[end]
             wanted.append(ratio * abs(phasor) * math.cos(np.angle(phasor) + angle))
     assert line.state.measured.tolist() == pytest.approx(wanted, rel=1e-9)
-    line.advance(20)  # what the delayed terminals tell now has been measured before t = 0
+    line.advance(20)  # the delayed measurements of now were taken before t = 0
     for k, (phasor, end, ratio) in enumerate(
         ((result.u[0], "s", 1.0), (result.i[0], "s", 1.01), (result.u[2], "r", 1.0), (result.i[1], "r", 1.0))
     ):

@@ -12,7 +12,7 @@ from softrig_core import Block, BlockParams, RunError, load_scenario, param, rig
 from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.wire import types
 
-# how long each runs here, s: some ticks of its laws, and at least one message of what seldom speaks
+# duration of each run, s: some ticks of its controllers and at least one message of rare publishers
 SYSTEMS = {
     "dc_motor_smc": 0.003,
     "dc_motor_fsfb": 0.3,
@@ -29,7 +29,8 @@ SYSTEMS = {
     "tcp_aqm_smc": 0.02,
     "optimal_control_mvim": 8.0,
 }
-LATER = {"fault_location": {"verdict", "location", "objective"}, "pwa_delay": {"lyapunov"}}  # not spoken until then
+# not published within this time
+LATER = {"fault_location": {"verdict", "location", "objective"}, "pwa_delay": {"lyapunov"}}
 KINDS = FaultParams.model_fields["kind"].annotation.__args__
 NUMBERS = {
     "scale": {"value": [-2.0]},
@@ -120,10 +121,10 @@ def test_each_kind_of_fault_changes_each_topic_as_documented(name):
     for fault, entry in faults.items():
         kind, topic = entry.parameters["kind"], entry.link.split(" -> ")[0]
         port = rig.topics[topic]
-        # a plant also says how it ends, which nobody answers
+        # a plant also publishes its final state, which no node answers
         last = next(m.schedule.last for m in rig.members if m.name == fault)
         sent, arrived = [m for m in said(run, topic) if m[0] <= last], said(run, f"{topic}/{fault}")
-        if port.delayed:  # such a link says what it has again until something newer has arrived
+        if port.delayed:  # such a link repeats its message until a newer one arrives
             sent = [m for k, m in enumerate(sent) if not k or m[1] > sent[k - 1][1]]
         at = f"{fault} on {topic}"
         if not sent:
@@ -183,7 +184,7 @@ def suffered(name, duration, topic, kind):
     fault = {"link": topic, "kind": kind, **numbers}
     try:
         run = simulate(scenario.having(faults={"broken": fault}, figures={}, expect={}, claims={}, requirements={}))
-    except RunError as error:  # a plant that trips or leaves its domain ends the run by its own word
+    except RunError as error:  # a plant that trips or leaves its domain ends the run with its own error
         cause = error.__cause__
         return "" if cause is None or isinstance(cause, ValueError | RunError) else f"{type(cause).__name__}: {error}"
     odd = [

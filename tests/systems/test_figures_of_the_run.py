@@ -37,7 +37,7 @@ from softrig_power.pv.module import ModuleParams
 from softrig_power.pv.string import characteristic
 
 SIGNALS = {"signal", "reference", "final", "initial", "queue", "topic", "drive"}  # names of signals, or parts of them
-CHOSEN = {  # by who measures; why it repeats no parameter of a node
+CHOSEN = {  # chosen for the measurement; why each is not a parameter of a node
     "start": "begin of the window that is looked at", "end": "its end", "at": "the instant that is looked at",
     "last": "length of the window", "band": "what counts as settled", "level": "what counts as reached",
     "low": "definition of the rise", "high": "definition of the rise", "part": "what counts as arrived",
@@ -152,7 +152,7 @@ def own_numbers(name):
                 yield f"{name}: {figure}: {argument} = {value}"
     for requirement, entry in (what.get("requirements") or {}).items():
         formula = entry if isinstance(entry, str) else entry["formula"]
-        by_name = re.sub(r"\$[\w.]+", "", formula)  # what a node says is its own
+        by_name = re.sub(r"\$[\w.]+", "", formula)  # values of nodes are references and may stay
         for word in set(re.findall(r"[A-Za-z_]\w*", by_name)) & set(shared):
             value, names = followed(f"${word}", shared)
             if not isinstance(value, str) and any(uses(nodes, n) for n in names):
@@ -201,7 +201,7 @@ def window_square(signals, nodes, a):
     p = nodes("tcp_fluid", "tcp_packets")
     t, w = signals["network/state/window/position"]
     when, asked = signals["aqm/reference/queue/effort"]
-    t, w = t[:-1], w[:-1]  # at the end of a run nobody asks any more
+    t, w = t[:-1], w[:-1]  # no reference is published at the end of a run
     q = asked[np.searchsorted(when, t + 1e-10) - 1]
     return np.mean((w - (q + p["tau_p"] * p["C"]) / p["N"]) ** 2)
 

@@ -479,7 +479,7 @@ def test_arrays_are_read_by_their_elements(fmus, isolated):
         return law.update(0, mix_in=(a, c))["to_mix_out"]
 
     assert said(mix(), 2.0, 3.0) == (1.0 * 2.0 + 3.0 * 3.0, 1e3 * (4.0 * 2.0 + 6.0 * 3.0))
-    law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))  # u[2] is nobody's: it keeps its start
+    law = mix(values=("gain[2,3] = 60", "u[2] = 10", "bias = 1"))  # no node sends u[2], so it keeps its initial value
     assert said(law, 2.0, 3.0) == (1 + 2.0 + 20.0 + 9.0, 1e3 * (1 + 8.0 + 50.0 + 180.0))
     law.change(permit(FmuLaw, law.block.p, {"values": ("gain[2,3] = 60", "u[2] = 10", "bias = 5")}))
     assert said(law, 2.0, 3.0)[0] == 5 + 2.0 + 20.0 + 9.0

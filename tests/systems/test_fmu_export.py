@@ -191,7 +191,7 @@ def test_unconnected_inputs_begin_as_in_the_scenario(tmp_path):
     inputs = tuple(f"y/{name.split('/')[1]}/position = {name.replace('/', '.')}" for name in names)
     law = ByHand(FmuLaw(name="law", inputs=inputs, **given))
     results = [law.update(0, y=row)["to_u"][0] for row in measured[: len(commands)]]
-    assert results == commands  # the reference, which nobody sends, is the law's own set point
+    assert results == commands  # no node sends the reference, so the controller uses its own set point
     assert ByHand(FmuLaw(name="law", **given)).update(0)["to_u"] == (commands[0],)
     start = {v.name: v.start for v in fmpy.read_model_description(given["fmu"]).modelVariables}
     assert float(start["reference.v_dc.position"]) == float(start["dc_link.voltage.position"]) == 400.0

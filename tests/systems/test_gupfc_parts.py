@@ -528,7 +528,7 @@ def test_the_series_controller_in_complex_numbers(kind, circuit):
     theta = cmath.phase(u0)
     integral = v0 * cmath.exp(-1j * theta)
     asked = start + 0.2 - 0.1j
-    current = i0  # filtered or not: it stands still in the frame
+    current = i0  # the current is constant in the rotating frame, with a filter or without
     error = turn * ((asked / abs(u0)).conjugate() - current * cmath.exp(-1j * theta))
     for k in range(1, 6):
         integral += 20.0 * PERIOD * error
@@ -685,7 +685,7 @@ def test_the_link_trips_permanently_beyond_its_limits(v_dc, trips):
     still = {
         name: (0.0 if k else NETWORK.shunt_sigma, 0.0, W) for k, name in enumerate(("shunt", "series_1", "series_2"))
     }
-    off = {**still, "shunt": (0.0, 0.0, W)}  # nobody takes power out of the link
+    off = {**still, "shunt": (0.0, 0.0, W)}  # no power leaves the DC link
     after = plant.advance(x._replace(network=network), 0, **off)
     assert after.tripped == trips
     assert after.steps == 16

@@ -718,7 +718,7 @@ def test_a_plain_node_takes_the_place_of_a_series_controller(tmp_path):
     with free_domain() as domain:
 
         def announce(text):
-            if "series_2/command" not in text:  # it says later that the node is there
+            if "series_2/command" not in text:  # a later text reports that the node has joined
                 return
             variables = environment(domain, tmp_path)
             outside.append(subprocess.Popen([sys.executable, str(script), json.dumps(given)], env=variables))

@@ -138,7 +138,7 @@ def test_every_live_parameter_may_change_in_some_rig():
     for name in CASES:
         for member in run_of(name)[0].members:
             key = f"{member.package}/{member.executable}"
-            known = flatten(member.params)  # an empty list says that there is no such field
+            known = flatten(member.params)  # an empty list means that the field does not exist
             messages |= {f"{key}.{p}" for p in changeable(member.block_class.Params) if known[p] != []}
             allowed |= {f"{key}.{p}" for p in variations(member)}
     # which needs a solver: softrig_power's, of the same class, has one in a scenario

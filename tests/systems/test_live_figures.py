@@ -207,7 +207,8 @@ def test_a_node_started_alone_reads_only_the_topics_of_a_scenario():
 
 def test_it_follows_a_parameter_that_its_figures_refer_to():
     rig = rig_of("dc_motor_smc_stretch_b")
-    assert rig.scenario.nodes["dc_motor_metrics"].parameters == {}  # what it is told stands nowhere else
+    # the values that it receives are not stored anywhere else
+    assert rig.scenario.nodes["dc_motor_metrics"].parameters == {}
     node = next(
         m for m in rig_of(rig, overrides={"dc_motor_plant.load_times": [0.0, 2.5]}).members if m.name[-7:] == "metrics"
     )

@@ -546,7 +546,7 @@ def test_malformed_message_never_reaches_the_block(port, names, values, text):
 def test_a_rejected_measurement_holds_the_force_and_releases_the_phases():
     for controller in (LsrmFuzzy(), LsrmPi(), LsrmMrac(), CurrentController()):
         x = controller.first()
-        assert controller.refused(x, MS) == (x, None)  # what was said last is held
+        assert controller.refused(x, MS) == (x, None)  # the last command is held
     assert FORCE_CMD.safe == (0.0,)
     assert PHASE_VOLTAGE.safe == OFF
 

@@ -105,7 +105,7 @@ def test_nodes_started_one_by_one_move_the_translator_in_real_time(bench):
 def test_bad_commands_of_a_person_are_rejected_or_clipped_and_the_nodes_continue(bench):
     hand = Hand(bench)
     hand.sends("phase_voltage", "a b c d", "15 0 0 0", lambda: hand.current() > 5.9)
-    bench.wait(lambda: hand.told("stale phase_voltage"))  # the person is gone: 0 V
+    bench.wait(lambda: hand.told("stale phase_voltage"))  # no commands arrive any more: 0 V
     bench.wait(lambda: hand.current() < 1e-3)
     hand.sends("phase_voltage", "a b c d", "nan 0 0 0", lambda: "a/effort is nan" in hand.refused("phase_voltage")[1])
     hand.sends("phase_voltage", "a b c", "9 9 9", lambda: "names ['a', 'b', 'c']" in hand.refused("phase_voltage")[1])

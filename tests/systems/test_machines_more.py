@@ -157,7 +157,7 @@ def test_commutation_at_standstill_is_the_matrix_exponential():
     i = 12.0 / (2 * p.R) * (1.0 - math.exp(-p.R / p.L * 10 * p.period))
     assert (block.x.i_a, block.x.i_b, block.x.i_c) == pytest.approx((i, -i, 0.0), rel=1e-6)
     u = np.array([12.0, 24.7, 0.0])  # of the terminals while b conducts through its diode
-    drive = (u - u.mean()) / p.R  # where the currents would go
+    drive = (u - u.mean()) / p.R  # final values of the currents
     decay = math.exp(-p.R / p.L * p.period)
     now = np.array([i, -i, 0.0])
     ended = p.L / p.R * math.log((-i - drive[1]) / (0.0 - drive[1]))

@@ -127,7 +127,7 @@ def test_a_feedback_whose_plant_has_a_negative_gain_stops_its_integral_too():
         x, u = direct(x, error, (0.1,), 0.0)
         y, v = reverse(y, error, (0.1,), 0.0)
         assert (y, v) == (x, -u)
-    assert x < 0.6  # of 4 s that were asked for
+    assert x < 0.6  # of the 4 s of its input
 
 
 def acting(gain):

@@ -305,7 +305,7 @@ def test_an_expired_plan_or_one_of_another_problem_is_refused():
         assert why in player.reports["plan_refused"][1]
     player = ByHand(OcpPlayer())
     held = fed(player, 0, *planned())["command"]
-    assert fed(player, 0, *planned(x=(0.02, 0.0, 0.0)))["command"] == held  # the plan before goes on
+    assert fed(player, 0, *planned(x=(0.02, 0.0, 0.0)))["command"] == held  # the previous plan continues
 
 
 def test_ports_refuse_plans_and_states_of_another_length():

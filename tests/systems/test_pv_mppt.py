@@ -450,7 +450,8 @@ def test_light_that_returns_during_a_search_starts_another(algorithm):
         return restarts[-1], any(actual[k] < best / 1.04 for k in (*ends, -1))
 
     count, missed = searches(tuple(0.7 * g for g in PATTERN1))
-    assert count in ((1.0, 2.0, 3.0) if missed else (1.0, 2.0))  # seen when it goes, when it comes, or both
+    # detected when the light falls, when it returns, or both
+    assert count in ((1.0, 2.0, 3.0) if missed else (1.0, 2.0))
     for noise in (0.0, 0.005):
         count, missed = searches(PATTERN1, **{"pv_plant.noise": noise})
         assert (count > 0.0) == missed

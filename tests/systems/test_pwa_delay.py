@@ -231,9 +231,9 @@ def test_the_search_of_constant_delays_ends_with_the_first_window():
                 again = bessel_legendre(OSCILLATOR.scaled(d), 2).eigenvalues(step.matrices)
                 assert all(e.positive for e in again), (step.shortest, d)
     assert covered == certificate.h
-    # beyond the first window: from `low` on where that is asked for and there is nothing from 0 on
+    # beyond the first window: the search starts at `low` if it is set and nothing is certified from 0 on
     late = linear([[0.0, 1.0], [-2.0, 0.1]], [[0.0, 0.0], [1.0, 0.0]])
-    assert certified_margin(late, criterion) is None  # nobody has named a delay to begin at
+    assert certified_margin(late, criterion) is None  # no delay to start from was set
     late = certified_margin(late, criterion, low=1.0, width=0.1)
     assert late.shortest == 1.0
     assert certified_margin(linear(0.5, 0.2), criterion, low=0.1) is None
@@ -633,7 +633,7 @@ def test_sliding_is_found_and_crossing_is_not():
         certify(slides, 0.1)
     require_no_sliding(switched(), 0.02)
     along = from_lines([np.zeros((2, 2))] * 2, [[[0.0, 0.0], [-1.0, 0.0]]] * 2, [[1.0, 0.0]])
-    require_no_sliding(along, 0.1)  # nothing goes across
+    require_no_sliding(along, 0.1)  # the motion does not cross the face
 
 
 def test_an_offset_that_a_shift_removes_is_accepted():
@@ -810,7 +810,7 @@ def test_delay_line_interpolates_and_begins_with_the_first_value():
 def test_controllers_hold_their_command_without_a_state(controller):
     law = ByHand(controller())
     law.update(0, **({"level": (0.4,)} if controller is TankController else {"state": (0.2, 0.1)}))
-    assert law.refused(0) is None  # what was said last is held
+    assert law.refused(0) is None  # the last output is held
     what, held = ("level", "inflow") if controller is TankController else ("state", "torque")
     assert law.reports == {f"bad_{what}": (Level.ERROR, f"no valid {what}: the last {held} is held", 1)}
 

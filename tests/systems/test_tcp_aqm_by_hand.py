@@ -203,7 +203,7 @@ def test_a_disturbance_acts_at_the_internal_step_nearest_to_its_time(time):
         made = {"period": 0.002, "h": 0.001, "w0": 1e-3, "w_min": 1e-3, "C": 100.0, "q0": 50.0, "q_max": 70.0}
         plant = ByHand(TcpFluid(**made, disturbance=kind, disturbance_time=time, disturbance_value=7.0))
         for k in range(4):
-            queue = plant.outputs(k)[place][1]  # nobody sends, and the link takes 0.8 packets meanwhile
+            queue = plant.outputs(k)[place][1]  # no flow sends, and the link serves 0.8 packets in the meantime
             assert queue == pytest.approx(57.0 if 2 * k >= round(time * 1e3) else 50.0, abs=0.9)
             plant.advance(k * 2 * MS, command=(0.0,))
 
@@ -334,7 +334,7 @@ def test_packets_follow_their_rules(drop):
         schedule(inside.agenda, inside.counts, float(t), START, flow, 0, 0.0)
     naive = Naive(windows, propagation, starts.tolist())
     ours, theirs = np.random.default_rng(5), np.random.default_rng(5)
-    for k in range(1, 90):  # until two events of a flow fall together, whose order nobody promises
+    for k in range(1, 90):  # until two events of a flow coincide; their order is not specified
         rules = Rules(0.02, 333.0 if 30 < k < 60 else 0.0, 987.0, room, 1.0, 20.0, drop)
         run_until(k * 0.01, rules, ours, inside)
         naive.run(k * 0.01, rules, theirs)

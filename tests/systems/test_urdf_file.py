@@ -360,7 +360,7 @@ def test_limits_are_reported_or_enforced(tmp_path):
     assert p.block.outputs(p.x, 0)["joint_states"][2] == 1.5
     for k in range(600, 1200):
         p.advance(k * 10**6, motor_command=(2.6,))
-    assert (p.x.q[0], p.x.v[0]) == (1.0, 0.0)  # it stands at its end stop
+    assert (p.x.q[0], p.x.v[0]) == (1.0, 0.0)  # it rests at its end stop
     for k in range(1200, 1300):
         p.advance(k * 10**6, motor_command=(-2.6,))
     assert p.x.q[0] < 1.0  # and leaves it
