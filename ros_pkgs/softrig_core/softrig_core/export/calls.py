@@ -160,6 +160,7 @@ class Calls(Expressions):
         c = BINARY_MATH.get(name, name)
         if name not in BINARY_MATH and name not in UNARY_MATH:
             raise self.unknown(f"math.{name}", node)
+        # The last bits of the others depend on the C library: they are listed for the user.
         if c not in EXACT:
             self.unit.libm.add(c)
         return Value(REAL, f"SR_MATH({c})({', '.join(self.coerced(v, REAL).c for v in given)})")

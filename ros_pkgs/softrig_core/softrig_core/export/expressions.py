@@ -153,6 +153,7 @@ class Expressions(Base):
             if not hasattr(base.thing, node.attr):
                 raise self.unknown(f"no {node.attr}", node)
             return self.of_python(getattr(base.thing, node.attr), node)
+        # None has no such attribute: Python raises there, so the tick is discarded.
         if isinstance(base.kind, Maybe):
             base = self.coerced(base, base.kind.item)
         if isinstance(base.kind, Tuple) and node.attr in base.kind.names:
@@ -206,6 +207,7 @@ class Expressions(Base):
             raise self.unknown("an item of a tuple of several types", node)
         at = self.named(self.coerced(index, INT))
         self._check(f"({at.c} < -INT64_C({len(parts)})) || ({at.c} >= INT64_C({len(parts)}))")
+        # A struct of C has no places by number, so numbers are looked up in an array.
         if isinstance(first, Number):
             table = self._table_of(base, parts, first)
             return self.fresh(first, f"{table.c}[({at.c} < 0) ? ({at.c} + INT64_C({len(parts)})) : {at.c}]")
@@ -248,6 +250,7 @@ class Expressions(Base):
             raise self.unknown("a part of an array", node)
         if sorted(whole) != whole:
             shape = tuple(size for size, w in zip(base.kind.shape, whole, strict=True) if w)
+            # Its shape may be asked for; a function that reads its numbers is refused when its text is complete.
             return Value(Table(base.kind.item, shape), STRIDED)
         indices = tuple(self.value(e) for e, w in zip(elements, whole, strict=True) if not w)
         return self.as_read(base, self.place(base, Value(tuple_of([v.kind for v in indices]), "", indices), node))
@@ -314,6 +317,7 @@ class Expressions(Base):
         if not (isinstance(left.kind, Number) and isinstance(right.kind, Number)):
             raise self.unknown("arithmetic of something that is no number", node)
         both = left.kind if left.kind.rank >= right.kind.rank else right.kind
+        # Python adds truth values as whole numbers, and only `&`, `|` and `^` of two are a truth value.
         both = INT if both == BOOL and type(op) not in BITS else both
         if isinstance(op, ast.Div):
             both = REAL

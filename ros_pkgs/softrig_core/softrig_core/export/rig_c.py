@@ -292,6 +292,7 @@ class _RigFiles:
             f"{target}.{here}[{i}] = {f'{source}.{there}[{p}]' if type(p) is int else literal(p)};"
             for i, p in enumerate(places)
         ]
+        # An output without a stamp of its own has the stamp of its tick.
         if own.delayed:
             lines.append(f"{target}.{here}_stamp_ns = {f'{source}.{there}_stamp_ns' if port.delayed else 't'};")
         if own.held:

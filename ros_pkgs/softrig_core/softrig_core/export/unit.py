@@ -199,6 +199,7 @@ class Unit:
             self.done[key] = signature
             return signature
         if key in self.under_way:
+            # The header promises C without recursion, whose need of memory is known.
             raise NotNative(f"{function} calls itself")
         self.under_way.add(key)
         try:
@@ -207,6 +208,7 @@ class Unit:
             text, signature = reader.whole(f"{self.prefix}_{ascii_name(reader.title)}_{self.count}")
         finally:
             self.under_way.discard(key)
+        # After its callees, so that each function of C is defined before it is used.
         self.functions.append(text)
         self.done[key] = signature
         return signature

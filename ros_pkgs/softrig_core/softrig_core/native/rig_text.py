@@ -73,6 +73,7 @@ def rig_text(steps: Sequence[Step], recorded: Sequence[Step], typed: bool = True
     decided = turns.decided(state)
     handed = [*sorted(arrays), *(f"o{k}" for k in written), *(f"p{k}" for k in written if k in stamped)]
     head = [f"def rig({', '.join(['first', 'last', 'n', 'c', 's', *handed])}):", f"    {state}, = s"]
+    # The tables of a call begin with the first tick of each member from n[2] on.
     head += [f"    e{k} = (n[2] + {turns.every(k) - 1}) // {turns.every(k)}" for k in written]
     head += [
         "    for k in range(first, last):",

@@ -44,6 +44,7 @@ def twin(kind: type) -> Any:
     fields = dataclasses.fields(kind)
     given = [f.default for f in fields if f.default is not dataclasses.MISSING]
     result: Any = namedtuple(name, [f.name for f in fields], defaults=given)  # type: ignore[misc]
+    # `__getattr__` below finds it there.
     result.__module__ = __name__
     setattr(result, OF, kind)
     return result
@@ -101,6 +102,7 @@ def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
     """Return how a tuple is rebuilt, with its own type or another, where one of its parts is replaced."""
     own = other or (kind if hasattr(kind, "_fields") else None)
     changed = [(k, way) for k, way in enumerate(ways) if way is not None]
+    # Most states are numbers alone, which go into native code and back as they are.
     if not changed and kind is (own or tuple):
         return None
 
