@@ -214,6 +214,7 @@ class RigEnv(gym.Env[Array, Array]):
         """
         super().reset(seed=seed)
         number = int(self.np_random.integers(2**31)) if seed is None else seed
+        # The set-up of a block may take long, so blocks are kept from episode to episode.
         if self.blocks:
             for block in self.blocks.values():
                 block.reset(number)
@@ -298,6 +299,7 @@ class RigEnv(gym.Env[Array, Array]):
         if self.action_space.shape != (sum(p.size for p in outputs),) or any(p.sporadic for p in outputs):
             raise ScenarioError(f"{self._law.name} publishes more than the actions of this environment can set")
         block = self._law.block(self._number)
+        # The controller has no step of its own; its inputs are as old as those of the agent's.
         block.ages = self._agent.age
         law = ByHand(block)
         names = [p.name for p in self._law.inputs]
@@ -344,6 +346,7 @@ class RigEnv(gym.Env[Array, Array]):
 
     def _current_action(self, _: Sequence[float]) -> list[float]:
         """Act as the policy of the agent's node: return the action of the current step, once."""
+        # The action is used up, so the loop stops again at the agent's next tick.
         action, self._action = self._action, None
         assert action is not None
         return [float(a) for a in action]
@@ -410,6 +413,7 @@ def _entry(rig: Rig, law: Member, observe: Signals | None, act: Signals | None) 
     parameters: dict[str, Any] = {
         "period": flatten(law.params)["period"],
         "policy": "linear",
+        # These weights never act: `reset` puts the actions of `step` in the place of the policy.
         "weights": [0.0] * (len(acted) * (len(observed) + 1)),
         "inputs": ports_text(arrived),
         "outputs": ports_text(law.outputs),

@@ -120,17 +120,18 @@ class Block(Generic[P]):
     Params: ClassVar[type[BlockParams]] = BlockParams
     INPUTS: ClassVar[tuple[Port, ...]] = ()
     OUTPUTS: ClassVar[tuple[Port, ...]] = ()
-    realtime = False  # whether the wall clock drives it, as its runner says: nothing may then wait in `update`
-    DRAWN_BY: ClassVar[str] = ""  # module:class of what draws it, a `softrig_core.drawing.Drawing`; else its `scene`
-    TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports: it has switched something off for good
+    realtime = False  # set by the code that runs the block: the wall clock drives it, so nothing may wait in `update`
+    DRAWN_BY: ClassVar[str] = ""  # module:class of a `softrig_core.drawing.Drawing`; empty: its `scene` is drawn
+    TRIPS: ClassVar[frozenset[str]] = frozenset({"trip"})  # keys of reports of a protection that stays tripped
     # attributes that a tick may change in place because no answer depends on them: caches, buffers, handles
     SCRATCH: ClassVar[frozenset[str]] = frozenset()
     _seed = 0
-    _open = True  # whether every attribute may be written: while the block is made
+    _open = True  # any attribute may be written until `__init__` has ended
     STALE_PERIODS: ClassVar[int] = 5  # realtime: age in its own periods at which a plant no longer trusts a command
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
+        # A method without x is refused where it is written, before the block's first tick fails.
         for name in ("outputs", "advance", "update", "finish", "refused"):
             code = getattr(cls.__dict__.get(name), "__code__", None)
             if code is not None and code.co_varnames[1:2] == ("t",):
@@ -156,9 +157,10 @@ class Block(Generic[P]):
     def __init__(self, params: P | None = None, name: str = "", **values: Any) -> None:
         self.p: P = build(self.Params, values) if params is None else params  # type: ignore[assignment]
         self.name = name
-        self.ages: Callable[[str], int | None] | None = None  # set by who runs the block
-        self.unanswered = 0  # ticks of its own between the newest answer and this one; in lockstep there are none
-        self.events: list[tuple[Level | None, str, str, bool]] = []  # reported since who holds the block last looked
+        self.ages: Callable[[str], int | None] | None = None  # set by the code that runs the block
+        self.unanswered = 0  # own ticks that were skipped since the newest answer; 0 in lockstep
+        # Reports that the code running the block has not stored yet.
+        self.events: list[tuple[Level | None, str, str, bool]] = []
         try:
             self.setup()
             # `first` may draw random numbers, so the seed is set before it is called.

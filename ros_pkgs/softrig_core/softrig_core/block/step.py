@@ -130,6 +130,7 @@ class Step(RunningBlock):
     def overriding(self, method: str) -> Link | None:
         """Return the outermost link that overrides a method; None if there is none."""
         link = self._link
+        # A method that no link overrides has no effect, so the generated tick leaves out its call.
         while link is not None and getattr(type(link), method) is getattr(Link, method):
             link = link.inner
         return link

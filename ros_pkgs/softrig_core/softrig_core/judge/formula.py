@@ -287,6 +287,7 @@ def _tree(given: str, timed: str, names: tuple[tuple[str, bool], ...]) -> tuple[
 def _timed(given: str, known: Mapping[str, float | None]) -> str:
     """Evaluate arithmetic over names in a formula's intervals."""
     used = {name: known.get(name) for name in timing(given)}
+    # An unknown name is an error, whose text suggests one of all known names; the cache has only those that are used.
     return _calculated(given, known) if None in used.values() else _timed_by(given, tuple(used.items()))
 
 

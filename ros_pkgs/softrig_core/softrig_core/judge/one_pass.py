@@ -93,6 +93,8 @@ class OnePass:
         constants = np.array([_number(tree, numbers) for tree in self._constants], np.float64)
         edges = np.empty(2 * SPANS, np.int64)
         given = self.code, constants, *columns, first, last, self.kind == "Always", edges
+        # Loading native code takes milliseconds and compiling it seconds, so the first calls leave the formula to the
+        # reference.
         if not extreme.pays(*given):  # type: ignore[attr-defined]
             return None
         value, at, count = extreme(*given)

@@ -105,6 +105,8 @@ def _faulty(scenario: Scenario, classes: Classes) -> Scenario:
         {m.name: (m.inputs, m.outputs) for m in members},
         {m.name: m.params for m in members},
     )
+    # The faults are nodes now; faults that stayed in the scenario would be inserted again by a rig that is made from
+    # it.
     return scenario.having(nodes=nodes, faults={})
 
 
@@ -116,6 +118,7 @@ def _watched(rig: Rig) -> Rig:
     new = watched(rig, signal_units(rig))
     for name in new.keys() & scenario.nodes.keys():
         raise ScenarioError(f"{scenario.name}: node {name}: that is the name of what watches a requirement")
+    # The nodes that watch are in the scenario now; a rig that is made from it must not add them again.
     quiet = {n: r.model_copy(update={"live": False, "ends": False}) for n, r in scenario.requirements.items()}
     nodes = {n: e.model_dump() for n, e in scenario.nodes.items()}
     return rig.listened(scenario.having(nodes=nodes | new, requirements=quiet), new)

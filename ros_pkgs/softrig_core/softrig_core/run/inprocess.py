@@ -235,6 +235,7 @@ class _Keeper(_ToSink):
         """Record many messages; numbered ones singly, by their encoder."""
         where = places(self._ports)
         if all(p.sporadic for p in self._ports):
+            # Most ticks of such a node are silent; whether each output publishes is in the last columns.
             published = numbers[:, where[0][3] :].any(axis=1)
             times, numbers, stamps = times[published], numbers[published], stamps[published]
         if self._numbered:

@@ -80,6 +80,7 @@ class Figures(Watch[FiguresParams]):
         return self._figures
 
 
+# The parameters of a node ask several times, and each answer wires a whole rig.
 @cache
 def _of(scenario: str) -> dict[str, str]:
     return figure_parameters(rig_of(scenario))

@@ -268,6 +268,7 @@ class Run:
         scenario = scenario.changed(duration=self.rig.scenario.duration if duration is None else duration)
         rig = rig_of(scenario, classes={m.name: m.block_class for m in self.rig.members})
         result = simulate(rig, seed=self.seed, progress=progress, runs=runs)
+        # A run in real time is not repeatable, so only runs in simulated time are compared.
         if where := "" if self.epoch else parted(self.recording, result.recording, at):
             raise RunError(f"{rig.scenario.name}: what ran up to t = {at:.9g} s is not what had run, first {where}")
         result.begun = begun
@@ -356,6 +357,7 @@ def simulate(
 def _topics(rig: Rig, figures: list[Figure], signals: Collection[str]) -> set[str]:
     """Return the topics of signals, and those that figures and requirements read."""
     units = signal_units(rig)
+    # A text is a collection of its letters, so a single name is put into a list.
     wanted = {full_name(name, units) for name in ([signals] if isinstance(signals, str) else signals)}
     if unknown := sorted(wanted - units.keys()):
         near = closest(unknown[0], units)

@@ -112,6 +112,7 @@ def _finding(
         known = value is not None and all(x is not None for x in others.values())
         sure = {kind: x for kind, x in others.items() if x is not None}
         holds = claim.holds(claim.agrees(value, sure)) if known and value is not None else None
+    # The key of a claim that cannot be checked need not be the name of a figure; then there is nothing to show.
     speaks = claim.verdict != "not_checkable" or bool(claim.figure)
     return Finding(
         scenario=name,

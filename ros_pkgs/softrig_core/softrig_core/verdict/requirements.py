@@ -212,6 +212,7 @@ def watched(rig: Members, units: Mapping[str, str]) -> dict[str, dict[str, Any]]
     for name, requirement in rig.scenario.requirements.items():
         if not (requirement.live or requirement.ends):
             continue
+        # A figure is a number of the whole run, so a requirement that is watched while the rig runs must not name one.
         judge = _named(name, rig, requirement, numbers, signals, units, {})
         constants = _of_nodes(rig, requirement) | numbers
         topics = {t: p for t, p in rig.topics.items() if any(s.startswith(f"{t}/") for s in judge.signals.values())}

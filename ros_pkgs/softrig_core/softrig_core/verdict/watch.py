@@ -113,6 +113,7 @@ class Kept(NamedTuple):
             filling, newest = filling + newest, b""
             if len(filling) >= MANY:
                 blocks, filling = _since((*blocks, filling), stamp - reach, row.size), b""
+                # One block was added, so if there are no more than before, an old one has gone.
                 dropped = dropped or len(blocks) <= len(self.blocks)
         return _new(Kept, (blocks, filling, newest, stamp, since, dropped))
 
@@ -149,6 +150,7 @@ def packed(messages: Messages) -> bytes:
 def _since(blocks: tuple[bytes, ...], stamp: int, size: int) -> tuple[bytes, ...]:
     """Return those blocks that reach to a stamp or beyond it; `size` bytes a message."""
     gone = 0
+    # The last block contains the newest message, which is in the window, so the loop ends.
     while STAMP.unpack_from(blocks[gone], len(blocks[gone]) - size)[0] < stamp:
         gone += 1
     return blocks[gone:]

@@ -34,7 +34,8 @@ Picker = Callable[[tuple[Any, ...]], tuple[Any, ...]]  # takes some items
 NUMBER = "; sequence "  # between the label of an array's first dimension and the number of the message
 DIGITS = 12
 _NUMBERS = 10**DIGITS
-_NUMBERED = re.compile(rf"(.*){NUMBER}([0-9]{{1,18}})", re.DOTALL)  # others need not fill up with zeros
+# Other publishers need not pad their numbers with zeros; 18 digits still fit into 64 bits.
+_NUMBERED = re.compile(rf"(.*){NUMBER}([0-9]{{1,18}})", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -150,6 +151,7 @@ class Layout:
         self.length = len(out.data)
         self.size = sum(n for _, n in self.fields)
         self.slots = slots
+        # Of the encapsulation only the first two bytes are compared, which have the byte order; the rest are options.
         self._fixed = [(a, b, bytes(out.data[a:b])) for a, b in [(0, 2), *_merge(out.written)]]
         # One struct for the whole message. Its items in wire order are those of (s, ns, *values, *constants);
         # of an array the first one is the text of its number.
@@ -275,6 +277,7 @@ def _coders(
     return known["encode"], known["decode"]
 
 
+# The text names places only, so layouts of the same form share it.
 @lru_cache(maxsize=256)
 def _compiled(text: str) -> CodeType:
     return compile(text, "<layout>", "exec")

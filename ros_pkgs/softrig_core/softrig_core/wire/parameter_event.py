@@ -47,6 +47,7 @@ def encode(t: int, node: str, values: Mapping[str, Any]) -> bytes:
 
 
 def _write(out: Writer, value: Any) -> None:
+    # Types are looked up exactly below, because a bool is an int as well.
     several = list(value) if isinstance(value, list | tuple) else []
     kind = 0
     if isinstance(value, list | tuple):
