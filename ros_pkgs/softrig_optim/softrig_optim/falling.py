@@ -178,6 +178,7 @@ def _kept_in(corners: NDArray[np.float64], size: int, x: float, y: float) -> int
     new = first + 1 + size - last
     if new > len(corners):
         raise IndexError("no room for another corner")
+    # Source and destination may overlap.
     moved = corners[last:size].copy()
     corners[first, 0], corners[first, 1], corners[first, 2] = x / y, x, y
     corners[first + 1 : new] = moved

@@ -335,6 +335,7 @@ class CommandOptimiser(Block[P], ABC):
     def _wait_tick(self, x: State, t: int) -> State:
         if x.since == NEVER or t - x.since < self._hold:
             return x
+        # A subclass may define `no_signal` without a floor; then only a new search shows whether the signal is back.
         if self.p.floor is None or _mean(x) > self.p.floor:
             return self._note(self._begin(x, t))
         return x._replace(since=t)
@@ -379,6 +380,7 @@ class CommandOptimiser(Block[P], ABC):
         if share < 1.0:
             ends = zip(x.search.low, x.search.high, strict=True)
             return x._replace(target=tuple([low + share * (high - low) for low, high in ends]), since=NEVER)
+        # The slew limit may keep the command behind its target, so the scan ends only when it has arrived.
         return self._note(self._keep(x, t)) if x.command == x.target else x
 
     def _keep(self, x: State, t: int) -> State:

@@ -146,6 +146,7 @@ class Workers:
         size = max(1, min(LARGEST, int(seconds / max(self._mean, 1e-6))))
         used = list(islice(cases, room * size))
         size = min(size, -(-len(used) // workers)) if len(used) < room * size else size
+        # Without cases the size is 0, which `range` refuses as a step.
         for first in range(0, len(used), size or 1):
             yield used[first : first + size]
 
@@ -207,6 +208,8 @@ class Workers:
 
         def submit(room: int) -> None:
             for chunk in self._chunks(cases, room, FAR, workers):
+                # Dask would give equal chunks of a pure function one key, by which only one of them could be found
+                # here.
                 future = client.submit(_each, function, [case for _, case in chunk], pure=False)
                 open_[future.key] = chunk
                 done.add(future)

@@ -25,6 +25,7 @@ class Template(forkserver.ForkServer):
             listener.listen()
             ended, alive = os.pipe()
             if (pid := os.fork()) == 0:
+                # The child must not hold this end itself, or it would never see it closed.
                 os.close(alive)
                 _serve(listener.detach(), ended)
             os.close(ended)

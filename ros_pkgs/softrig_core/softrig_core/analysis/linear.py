@@ -186,6 +186,7 @@ def equilibrium(
             return at, inputs
         (A, B), _ = jacobian(at, inputs)
         try:
+            # The kit's own elimination has the same bits on every CPU, unlike LAPACK.
             move = solve(np.hstack([A[np.ix_(rows, columns)], B[np.ix_(rows, list(free))]]), residual)
         except np.linalg.LinAlgError:
             break
