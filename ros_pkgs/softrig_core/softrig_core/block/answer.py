@@ -114,7 +114,7 @@ def usual(values: tuple[Any, ...], bound: float) -> bool:
     """Return whether all values are floats and their sum of squares is at most a bound; a fast check."""
     try:
         size = sum_of_products(values, values)
-        # Integers, bools and numpy's scalars give a sum of another type; `admit` converts them to floats.
+        # A sum of another type comes from integers, bools or numpy's scalars, which `admit` converts to floats.
         return type(size) is float and size <= bound
     except (TypeError, OverflowError):
         return False
