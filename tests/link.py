@@ -13,7 +13,7 @@ import time
 from itertools import count
 
 IPV4, UDP = b"\x08\x00", 17
-PACKET_OUTGOING = 4  # what the interface sends: our own
+PACKET_OUTGOING = 4  # packets that this interface sends itself
 
 
 def is_udp(frame):

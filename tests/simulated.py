@@ -34,7 +34,7 @@ class Endpoint:
     receive: Callable[[bytes], None] | None
     matched: Callable[[int], None]
     born: int
-    peers: int = 0  # that are matched, as this end sees it
+    peers: int = 0  # number of matched peers, as this end sees it
     fits: bool = True  # whether its QoS profile matches that of a peer
     numbered: Callable[[int], None] | None = None
     said: int = 0  # messages of a writer
@@ -271,7 +271,7 @@ class SimulatedNode(Middleware):
         self.world.add(Endpoint(self, name, msgtype, receive, reader.matched, now, fits=fits, numbered=reader.numbered))
 
     def post(self, call):
-        self.world.at(self.world.now, call)  # of the process, which outlives the node
+        self.world.at(self.world.now, call)  # a call of the process, which outlives the node
 
     def timer(self, ns, callback):
         return SimulatedTimer(self.world, ns, callback, self)

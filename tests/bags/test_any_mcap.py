@@ -111,11 +111,11 @@ def test_an_index_that_is_wrong_or_lacks_messages_loses_none(tmp_path, wrong):
     content = bytearray(written(dict.fromkeys(PARTS, True), IndexType.ALL, (True, 1 << 20), CompressionType.NONE))
     at = content.index(struct.pack("<BQH", 7, 6 + 16 * 12, 1)) + 11
     entries = at + 4
-    if wrong == "short":  # of twelve entries the first six are claimed
+    if wrong == "short":  # the header claims only the first six of twelve entries
         content[at : at + 4] = struct.pack("<I", 16 * 6)
     elif wrong == "outside":
         content[entries + 8 : entries + 16] = struct.pack("<Q", 1 << 40)
-    elif wrong == "other":  # not where a record begins
+    elif wrong == "other":  # an offset at which no record begins
         content[entries + 8 : entries + 16] = struct.pack("<Q", 3)
     else:
         content[at : at + 4] = bytes(4)

@@ -508,7 +508,7 @@ def test_the_first_difference_is_named():
     assert (result.first.a, result.first.b) == (4.0, 4.04)
     assert str(result.first) == "t = 0.004 s, command a/effort: 4.0 against 4.04"
     command = result.topics[2]
-    assert command.differing == 12  # of 13: the first command is zero
+    assert command.differing == 12  # 12 of 13 messages: the first command is zero
     assert command.largest == {"a/effort": pytest.approx(0.48)}
     assert [t.equal for t in result.topics] == [True, True, False]
 
@@ -717,7 +717,7 @@ def test_any_damage_gives_a_readable_bag_or_a_one_line_refusal(tmp_path, make, s
         (bag / file.name).write_bytes(damaged(file.read_bytes(), random.Random(seed)))
         try:
             done = repair(bag)
-        except BagError:  # not one whole message in it
+        except BagError:  # the file contains no complete message
             continue
         kept = sum(f.kept for f in done.files)
         repaired += kept > 0

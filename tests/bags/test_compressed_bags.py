@@ -65,7 +65,7 @@ def test_a_truncated_compressed_file_gives_the_messages_before_the_cut(tmp_path,
 def test_a_bag_that_lacks_only_its_metadata_is_restored_completely(tmp_path, suffix, mode):
     source = recording(2000)
     write(tmp_path / "bag", source, mode, suffix)
-    assert repair(tmp_path / "bag").bag is None  # as long as it is whole
+    assert repair(tmp_path / "bag").bag is None  # an undamaged bag needs no repair
     (tmp_path / "bag" / "metadata.yaml").unlink()
     done = repair(tmp_path / "bag")
     assert done.files[0].lost == []

@@ -267,7 +267,7 @@ def test_wrong_times_of_a_chunk_lose_no_message(tmp_path, first, last):
     """Fields that a writer has left at zero or miscounted, and a player that starts reading at a later time."""
     file = mcap(tmp_path / "x.mcap", speeds())
     content = bytearray(file.read_bytes())
-    at = content.index(struct.pack("<QQ", START, START + 900_000_000))  # of the chunk; its index comes later
+    at = content.index(struct.pack("<QQ", START, START + 900_000_000))  # start of the chunk; its index follows later
     content[at : at + 16] = struct.pack("<QQ", first, last)
     file.write_bytes(content)
     with BagReader(file) as bag:
@@ -909,7 +909,7 @@ def test_files_beside_a_database_are_read_and_not_changed(tmp_path, suffix):
                        [(START + k, bytes(900)) for k in range(400)])  # fmt: skip
     killed = tmp_path / "killed"
     killed.mkdir()
-    for file in tmp_path.glob("bag_0.db3*"):  # as they stand while it writes
+    for file in tmp_path.glob("bag_0.db3*"):  # copy the files while the recorder writes
         (killed / file.name).write_bytes(file.read_bytes())
     db.close()
     before = {p.name: p.read_bytes() for p in killed.iterdir() if not p.name.endswith("-shm")}

@@ -92,7 +92,7 @@ def test_a_rig_is_exported_without_its_namespace_and_every_message_of_the_bag_is
         re.sub(r"(name: /ab/command.*?message_count: )\d+", r"\g<1>99", metadata.read_text(), flags=re.S)
     )
     assert main_bag(["export", str(bags / "together"), "--namespace", "/b"]) == 1
-    assert "/ab/command" in capsys.readouterr().err  # of another rig, yet of this bag
+    assert "/ab/command" in capsys.readouterr().err  # a topic of another rig in the same bag
 
 
 def test_one_of_several_rigs_is_drawn_and_viewed(bags, monkeypatch, capsys):

@@ -221,7 +221,7 @@ def test_a_comparison_in_words_and_as_data():
     other = TopicComparison("b", STATE, 3, 4, missing=1, extra=2, differing=1, largest={"x": 0.12345, "y": math.inf})
     other.note(20, "x", 1.0, math.nan)
     other.note(1_500_000_000, "y", 1, 2)  # later: not the first
-    other.note(20, "z", 1, 2)  # as early: the one before stays
+    other.note(20, "z", 1, 2)  # at the same time: the earlier entry stays
     comparison = Comparison([equal, other])
     assert str(comparison) == (
         "a: 3 messages, equal\n"

@@ -161,7 +161,7 @@ def test_the_clock_is_published_before_the_messages_of_a_time_and_every_25_ms_be
     playing(world, Bag([("/a", HEADER)], headers(0, 100, 200, 201)), clock=True).run()
     assert world.by_stamp() == [
         (0, "/clock", 100), (0, "/a", 100),
-        (25, "/clock", 100), (50, "/clock", 125), (75, "/clock", 150),  # as it was when this stretch began
+        (25, "/clock", 100), (50, "/clock", 125), (75, "/clock", 150),  # the clock at the start of this stretch
         (100, "/clock", 200), (100, "/a", 200), (101, "/clock", 201), (101, "/a", 201),
     ]  # fmt: skip
     assert "/clock" not in {topic for _, topic, data in world.said if isinstance(data, Duration)}
@@ -247,7 +247,7 @@ def test_it_waits_for_a_subscriber_of_each_topic(monkeypatch):
     assert nobody.sent == 0
 
 
-END = (2**63 - 1) // MS  # to the last message, wherever metadata ends
+END = (2**63 - 1) // MS  # play to the last message, whatever end the metadata states
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,7 @@ def test_selected_topics_are_subscribed_as_they_appear_and_failures_are_reported
     recorder._discover()
     assert list(node.subscriptions) == ["/a", "/two", "/b"]
     assert node.subscriptions["/b"].profile.reliability == BEST  # of other nodes only
-    assert len(node.errors) == 2  # each once
+    assert len(node.errors) == 2  # each error is logged once
     assert [t.name for t in writer.topics] == ["/a", "/two", "/b"]
     assert writer.topics[0].offered[0].durability == QosDurability.TRANSIENT_LOCAL
 
@@ -454,7 +454,7 @@ def test_a_session_waits_in_slices_of_a_tenth_of_a_second_until_a_signal(session
     made.spin(1.0)
     assert (spun, made.stopped) == ([], True)
     made.settle()
-    assert spun == [(False, 0.0)]  # also behind the signal
+    assert spun == [(False, 0.0)]  # also after the signal
     made, spun = session(stop=4)
     spun.clear()
     made.spin(9.0)

@@ -21,7 +21,8 @@ ROOT = Path(__file__).parents[2]
 def test_the_script_names_the_parts_from_anywhere(tmp_path):
     (tmp_path / "rich.py").write_text("raise SystemExit('a file of the current directory was run')")
     command = [ROOT / "scripts/softrig", "bench", "--help"]
-    unpinned = {name: value for name, value in os.environ.items() if name not in bits.PINS}  # as a shell has it
+    # the environment of a plain shell
+    unpinned = {name: value for name, value in os.environ.items() if name not in bits.PINS}
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=unpinned)
     assert (result.returncode, result.stderr) == (0, "")  # no warning that numpy was loaded before softrig
     for name, part in PARTS.items():
@@ -40,7 +41,8 @@ def test_an_unknown_part_is_reported(capsys):
 @pytest.mark.skipif(which("gcc") is None, reason="needs gcc")
 @pytest.mark.parametrize("name", native.LOOPS)
 def test_the_loop_in_c_gives_the_bits_of_native_code(name, monkeypatch):
-    monkeypatch.setattr("softrig_core.native.fitted._counts", {})  # what this process has made texts for before
+    # forget the code that this process has generated before
+    monkeypatch.setattr("softrig_core.native.fitted._counts", {})
     assert all(ns > 0.0 for ns in native.rates(name, 2.0).values())
 
 

@@ -120,7 +120,7 @@ def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, mo
         "--workers",
         "1",
     ]
-    assert main(words) == 2  # one cannot be read
+    assert main(words) == 2  # one file is not readable
     printed = capsys.readouterr().out
     for name, differs in (("ann", "nodes.dc_motor_smc.parameters.delta"), ("bob", "duration")):
         assert f"sub/{name}/task1.yaml: 2 hold, 0 do not\n  differs from task1.yaml: {differs}\n" in printed

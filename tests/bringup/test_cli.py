@@ -85,7 +85,7 @@ def test_a_run_leaves_bag_metrics_plots_and_report(folder, capsys):
     assert metric["pass"] is True
     assert metric["published"] == 0.3
     command = f"run {folder / 'lag.yaml'} --mode inprocess --set gain.k=1.5 --seed 4"
-    assert content["command"].partition(" ")[2] == command  # also from another folder
+    assert content["command"].partition(" ")[2] == command  # the command must also work in another folder
     assert (out / "bag" / "metadata.yaml").is_file()
     assert list(out.glob("plot_*.svg"))
     assert "<html" in (out / "report.html").read_text()
@@ -158,7 +158,7 @@ def test_the_command_accepts_what_launch_passes_to_every_executable(folder, caps
     ],
 )
 def test_a_mistake_is_one_line_before_the_run(folder, capsys, monkeypatch, arguments, message):
-    monkeypatch.setattr("softrig_bringup.run.run.run_inprocess", None)  # nothing may run
+    monkeypatch.setattr("softrig_bringup.run.run.run_inprocess", None)  # no run may start
     assert run(*arguments, "--mode", "inprocess") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"softrig: {message}")
@@ -353,7 +353,7 @@ def test_a_run_that_missed_most_deadlines_does_not_pass(folder, monkeypatch, cap
     first = capsys.readouterr().err.partition("\n")[0]
     slow = first.startswith("softrig: the machine did not keep up: plant missed 76.8 % of its deadlines; ")
     slow &= first.endswith("of a slower loop, --mode container is faster")
-    assert slow == (options != ["--max-missed", "76.8"])  # not more than that
+    assert slow == (options != ["--max-missed", "76.8"])  # 76.8 is just the allowed value
 
 
 def test_work_that_was_late_is_named_first(folder, monkeypatch, capsys):
@@ -483,7 +483,8 @@ def test_a_call_that_waited_for_another_set_up_uses_its_result(bare, tmp_path):
     ]
     (first, printed), (second, also) = (call.communicate(timeout=PATIENCE) for call in calls)
     assert [call.returncode for call in calls] == [0, 0], printed + also
-    assert sorted(("ready after" in printed, "ready after" in also)) == [False, True]  # one set up, one waited
+    # one call set up, the other waited
+    assert sorted(("ready after" in printed, "ready after" in also)) == [False, True]
     assert first == second
     assert f"export SOFTRIG_SCENARIOS={tmp_path}/config/scenarios" in first
     assert "export AMENT_PREFIX_PATH=/built" in first

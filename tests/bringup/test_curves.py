@@ -118,12 +118,14 @@ def test_a_held_signal_continues_to_the_end_of_the_run_and_a_measured_one_does_n
     assert (len(nothing.x), len(nothing.y)) == (0, 0)
     assert (state.label, state.unit, state.signal) == (X, source.units[X], X)
     less = source.difference("lag/command/u/effort", X, "")
-    assert (less.x.tolist(), less.y.tolist()) == ([0.0, 0.1], [6.0, 6.0])  # not at the end to which it is drawn
+    # without the point at the end of the drawn line
+    assert (less.x.tolist(), less.y.tolist()) == ([0.0, 0.1], [6.0, 6.0])
     assert (less.label, less.unit) == (f"lag/command/u - {X}", source.units["lag/command/u/effort"])
     late = Source(
         recorded(lag_state=("x/position", [0.15, 0.2], [3.0, 4.0]), lag_command=("u/effort", [0.1, 0.2], [7, 8])), lag
     )
-    assert late.difference("lag/command/u/effort", X).y.tolist() == [4.0]  # none before the other's first
+    # no difference before the first sample of the other signal
+    assert late.difference("lag/command/u/effort", X).y.tolist() == [4.0]
     entry = PlotEntry(
         title="", signals={X: "reference of x", f"{X} - lag/command/u/effort": "less"}, window=(0.1, 0.15)
     )
@@ -235,7 +237,7 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
          [("value", 3.9, 4.1, math.nan, 3.88, 4.12)]),
         (measures.peak, {"expected": 5.0, "tolerance": 0.5}, 4.8, {}, [("value", 4.5, 5.5, 4.8, 2.76, 3.24)]),
         (measures.peak, {"expected": 6.0, "tolerance": 0.5}, None, {"reference": 6.0},
-         [("value", -0.5, 0.5, math.nan, -0.24, 0.24)]),  # it is farthest below the reference
+         [("value", -0.5, 0.5, math.nan, -0.24, 0.24)]),  # the largest deviation below the reference
         (measures.peak, MOST, None, {"reference": 1.0}, [("value", -INF, 3.0, math.nan, -INF, INF)]),
         (measures.peak, BETWEEN, None, {"reference": "s"}, []),
         # instants, from the beginning or from where the rise begins
@@ -246,7 +248,7 @@ BETWEEN, MOST, LEAST = {"expected": 2.0, "tolerance": 0.5}, {"at_most": 2.0}, {"
         (measures.rise_time, BETWEEN, None, {"final": 5.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),  # 1 V at 1 s
         (measures.rise_time, BETWEEN, None, {"final": 10.0}, [("time", 2.5, 3.5, math.nan, -INF, INF)]),  # just so much
         (measures.rise_time, BETWEEN, None, {"low": 0.5}, [("time", 3.5, 4.5, math.nan, -INF, INF)]),
-        (measures.rise_time, BETWEEN, None, {"final": 99.0, "low": 0.2}, []),  # it never begins
+        (measures.rise_time, BETWEEN, None, {"final": 99.0, "low": 0.2}, []),  # the rise never begins
         (measures.overshoot, {"expected": 25.0, "tolerance": 5.0}, 10.0, {}, [("value", 4.8, 5.2, 4.4, -INF, INF)]),
         (measures.overshoot, MOST, None, {"final": 4.0, "initial": 2.0}, [("value", -INF, 4.04, math.nan, -INF, INF)]),
         (measures.mean, BETWEEN, None, {"start": 9.0}, [("value", 1.5, 2.5, math.nan, 9.0, INF)]),
@@ -473,7 +475,8 @@ def test_an_overview_has_one_column_up_to_three_panels(monkeypatch, count, colum
     [
         ([], None, ["Own", "Outside", "Less", "Both", "overview"]),
         (["o"], None, ["Own", "Both", "overview"]),  # nothing but what an outside node did not publish has no picture
-        (["o", "t"], None, ["Own", "Both", "overview"]),  # one's own silent topics are named in theirs
+        # a silent topic of an internal node is named in its own picture
+        (["o", "t"], None, ["Own", "Both", "overview"]),
         (["t"], None, ["Own", "Outside", "Less", "Both", "overview"]),
         (["o"], 1, ["Own"]),
         ([], 3, ["Own", "Outside", "Less"]),

@@ -32,8 +32,8 @@ PAGE = (ROOT / "ros_pkgs/softrig_bringup/doc/set_up.md").read_text()
 FROM_PIP = {re.match(r"[\w.-]+", word).group() for word in LINE.replace("'", "").split() if word != "\\"}
 BRINGUP = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-OWN = yaml.safe_load((ROOT / "config/rosdep.yaml").read_text())  # keys that rosdistro has not
-SOURCES = {  # modules that another name brings
+OWN = yaml.safe_load((ROOT / "config/rosdep.yaml").read_text())  # keys that rosdistro does not have
+SOURCES = {  # modules that a package of another name installs
     "ruamel": "ruamel.yaml",
     "typing_extensions": "typing-extensions",
     "PIL": "pil",
@@ -51,7 +51,7 @@ STYLE = (ROOT / "ros_pkgs/softrig_core/test/test_style.py").read_text()
 OTHERS = {"motulator", "gym_electric_motor", "jax"}  # compared with where somebody has installed them
 
 
-RELEASED = ("softrig_core", "softrig_nodes", "softrig_bags")  # what a distribution may take
+RELEASED = ("softrig_core", "softrig_nodes", "softrig_bags")  # packages that a distribution may include
 WAITS_FOR = {"softrig_bags": ["python3-rosbags-pip"]}  # Debian has it since trixie, rosdistro knows pip's alone
 TEMPLATE = ROOT / "ros_pkgs/softrig_bringup/softrig_bringup/template/package.xml.template"
 
@@ -83,7 +83,7 @@ def test_every_key_exists():
     files = [TEMPLATE, *(folder / "package.xml" for folder in PACKAGES)]
     used = {key for file in files for kind in ("exec", "test", "build") for key in depends(file, kind)} - ours
     assert used == {*KEYS["ros"], *KEYS["system"], *KEYS["pip"], *OWN}
-    for key, system in KEYS["system"].items():  # none that rosdistro itself has from pip
+    for key, system in KEYS["system"].items():  # no key that rosdistro itself installs from pip
         names = system["ubuntu"]["*"] if isinstance(system["ubuntu"], dict) else system["ubuntu"]
         assert names == [key]
 

@@ -141,7 +141,7 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
     assert "lockstep" in words
 
     assert not re.search(r"<th[^>]*>(\s|</?p>)*</th>", (html / "reference/verbs.html").read_text())
-    assert '"latex"' in words  # which no page says
+    assert '"latex"' in words  # a word that is on no page
     violated = violations(html, tmp_path)
     assert not violated, violated
 
@@ -241,6 +241,6 @@ def test_every_formula_of_the_pages_can_be_typeset():
     """This finds daily what would break the build of the site."""
     pages = "".join(page.read_text() for page in collect.ROOT.glob("ros_pkgs/*/doc/**/*.md"))
     fences = re.findall(r"```math\n(.*?)```", pages, re.S)
-    assert len(fences) >= 14  # each system has one at least
+    assert len(fences) >= 14  # at least one for each system
     for formula in fences:
         assert conf.mathml(formula, as_block=True).startswith("<math"), formula

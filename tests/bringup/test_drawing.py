@@ -81,7 +81,8 @@ def test_frames_differ_only_in_places_radii_and_texts(name):
     numbers = [x for f in frames for s in f for p in points(s) for x in p]
     assert all(map(math.isfinite, numbers))
     assert {as_dict(s)["role"] for f in frames for s in f} <= PALETTE.keys()
-    assert [drawing.frame(row, rows[:k]) for k, row in enumerate(rows)] == frames  # what was drawn before counts not
+    # frames do not depend on what was drawn before
+    assert [drawing.frame(row, rows[:k]) for k, row in enumerate(rows)] == frames
 
 
 @pytest.mark.parametrize("name", few(DRAWN, 12))
@@ -211,7 +212,8 @@ def test_an_svg_moves_without_a_script_and_contains_everything_once(shorted):
     assert {m.get("dur") for m in moving} == {"5.05s"}
     assert {len(m.get("values").split(";")) for m in moving} == {101}
     assert len(list(root.iter(f"{space}polyline"))) == sum(type(s).__name__ == "Line" for s in made.frames[0])
-    assert "http" not in animated(made).replace("http://www.w3.org/2000/svg", "")  # nothing to fetch
+    # the file refers to nothing on the network
+    assert "http" not in animated(made).replace("http://www.w3.org/2000/svg", "")
 
 
 @pytest.mark.parametrize("form", few(["svg", "gif", "webp", "png"], 2))

@@ -217,7 +217,7 @@ def test_the_traceback_of_an_error_of_softrig_is_kept_and_listed(tmp_path, error
     assert len(logs) == kept
     assert vars(error).get("log", "") == (str(tmp_path / logs[0]) if kept else "")
     assert json.loads((tmp_path / MANIFEST).read_text()) == (sorted([*logs, "metrics.json", MANIFEST]))
-    assert ResultsFolder(tmp_path).hold() is None  # it was let go
+    assert ResultsFolder(tmp_path).hold() is None  # the lock was released
 
 
 def test_a_file_replaces_a_link_as_a_whole_and_leaves_nothing_else(tmp_path):

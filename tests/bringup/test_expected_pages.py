@@ -324,7 +324,7 @@ def test_draws_are_named_by_the_common_part_of_their_names():
     ):
         assert several.groups(runs, named) == actual
     assert several.groups(runs[:2], ["a-1", "a-2"]) == ["a-1", "a-2"]  # a band needs three
-    assert several.groups([*runs[:3], runs[0]], list("abcd")) == list("abcd")  # of another seed each
+    assert several.groups([*runs[:3], runs[0]], list("abcd")) == list("abcd")  # runs that differ only by their seed
     for more in ({"error": "x"}, {"stopped": "x"}, {"code": {}}, {"mode": "processes"}):
         assert several.groups([*runs[:2], run(seed=5, **more)], ["a-1", "a-2", "a-3"]) == ["a-1", "a-2", "a-3"]
     last = [run(seed=k, parameters={"gain": {"k": 2.0}}) for k in range(3)]

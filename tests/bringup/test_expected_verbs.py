@@ -375,7 +375,7 @@ def test_an_operating_point_is_printed_with_what_drifts(monkeypatch, capsys):
     ("there", "line"),
     [
         ({}, "the same functions and packages"),
-        ({"python": "3.11.1"}, "the same functions and packages"),  # whose blocks are all ours
+        ({"python": "3.11.1"}, "the same functions and packages"),  # a rig with shipped blocks only
         ({"numpy": "0"}, "other packages"),
         ({"math": "0", "numpy": "0"}, "other functions of the C library"),
         ({"machine": "0", "math": "0"}, "another architecture"),

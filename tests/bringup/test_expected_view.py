@@ -540,7 +540,7 @@ def test_a_browser_that_has_not_shown_the_last_state_gets_no_other(drawn):
     named(document, "echo").text = "2"
     page.update()  # the drawing is new
     named(document, "echo").text = "3"
-    page.update()  # nothing is
+    page.update()  # nothing is new
     assert named(document, "beat").text == "3"
     source.version += 1  # a picture is, and no table is due
     page.update()
@@ -813,7 +813,7 @@ def test_a_curve_has_at_most_four_points_a_column_of_pixels(monkeypatch):
     columns = {"x": np.cos(angle), "y": np.sin(angle), "z": 0.0 * angle}
     picture.show(Pane({"tank/wave": Table(angle, angle, columns)}), 6.0)
     (source,) = picture.sources.values()
-    assert len(source.data["x"]) == 2001  # each third
+    assert len(source.data["x"]) == 2001  # every third sample
     assert np.array_equal(source.data["y"], np.sin(angle)[::3])
     picture.show(Pane({"tank/wave": Table(angle[:1999], angle[:1999], {k: x[:1999] for k, x in columns.items()})}), 6.0)
     assert len(source.data["x"]) == 1999

@@ -401,7 +401,7 @@ def test_a_reduced_case_without_the_faults_that_pictures_name_runs(tmp_path):
                  "dc_motor_smc.delta=1..20", "--budget", "8", "--workers", "1", "--no-plots", "--out",
                  str(tmp_path / "a")]) == 1  # fmt: skip
     small = load_scenario(str(tmp_path / "a" / "dc_motor_smc_faults_small.yaml"))
-    assert small.faults == {}  # they were not needed
+    assert small.faults == {}  # the violation does not need the faults
     drawn = [signal for plot in small.plots for signal in plot.signals]
     assert "motor/sensors/current_a/position" in drawn
     assert not [signal for signal in drawn if "/drift/" in signal]

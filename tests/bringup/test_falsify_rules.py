@@ -300,7 +300,7 @@ def test_steps_are_tried_equal_to_their_neighbours_then_at_zero():
         (Over(-1.0, 4.0, count=2, key="a/b/c", adds=True), [[0.0, 3.0], [2.0, 0.0]]),
         (Over(0.0, 4.0, count=2, key="a/b/c", adds=True), [[0.0, 3.0], [2.0, 0.0]]),
         (Over(-4.0, 0.0, count=2, key="a/b/c", adds=True), [[0.0, 3.0], [2.0, 0.0]]),
-        (Over(1.0, 4.0, count=2, key="a/b/c", adds=True), []),  # nothing is not in its range
+        (Over(1.0, 4.0, count=2, key="a/b/c", adds=True), []),  # zero is outside of its range
         (Over(-4.0, -1.0, count=2, key="a/b/c", adds=True), []),
         (Over(-1.0, 4.0, count=2, key="a/b/c"), []),  # a fault that replaces a signal has an effect even at zero
     ],
@@ -325,12 +325,13 @@ def test_a_violation_of_level_steps_stays_level():
     [
         (Over(0.0, 8.0, key="n.k"), 0.0, 8.0, False, 3.0, 3.0),
         (Over(0.0, 8.0, key="n.k"), 8.0, 0.0, False, 3.0, 3.0),
-        (Over(0.0, 8.0, key="n.k"), 2.0, 8.0, False, -1.0, None),  # as it is it violates too
+        (Over(0.0, 8.0, key="n.k"), 2.0, 8.0, False, -1.0, None),  # the nominal value violates the requirement too
         (Over(0.01, 100.0, log=True, key="n.k"), 0.01, 100.0, False, 0.1, 0.1),
         (Over(1.0, 9.0, log=True, key="n.k"), 0.0, 9.0, False, 3.0, 3.0),  # no logarithm of what it is now
         (Over(0.0, 50.0, key="n.k"), 0, 50, True, 17, 17),
         (Over(0.0, 8.0, count=2, key="n.v"), [0.0, 4.0], [8.0, 7.0], False, 3.0, [3.0, 5.125]),
-        (Over(0.0, 8.0, count=2, key="n.v"), [0.0], [8.0, 7.0], False, 3.0, [8.0, 7.0]),  # of another length: as it is
+        # another length: the value is not changed
+        (Over(0.0, 8.0, count=2, key="n.v"), [0.0], [8.0, 7.0], False, 3.0, [8.0, 7.0]),
     ],
 )  # fmt: skip
 def test_a_parameter_is_moved_back_as_far_as_the_violation_lasts(over, nominal, worst, whole, limit, left):

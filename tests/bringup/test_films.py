@@ -73,7 +73,7 @@ def test_a_trail_has_the_sixty_rows_before_each_frame():
         assert [p["a"] for p in past] == pytest.approx(wanted, abs=1e-9)
         assert len(past) == 60
     early = film(shows(trail=1.2), {"a": Signal(t, t)}, 0.5, 0.6, 0.5)
-    assert [frame[0][1][0]["a"] for frame in early.frames] == [0.0] * 5  # none before the run began
+    assert [frame[0][1][0]["a"] for frame in early.frames] == [0.0] * 5  # no frame before the start of the run
     assert [len(frame[0][1]) for frame in early.frames] == pytest.approx([25, 26, 27, 29, 30], abs=1)
 
 

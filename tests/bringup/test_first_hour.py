@@ -119,7 +119,7 @@ def typed(command):
     """Exit status of a command, in this process."""
     try:
         return main(command.split())
-    except SystemExit as ended:  # as argparse leaves
+    except SystemExit as ended:  # argparse exits this way
         return ended.code
 
 

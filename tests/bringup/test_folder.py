@@ -86,7 +86,7 @@ def test_a_killed_run_that_cannot_be_made_again_stays(tmp_path, monkeypatch, cap
         if shard:
             (out / "log").mkdir()
             (out / "log" / "plant.shard").write_text("an hour of a run that was killed here")
-        assert main([*RUN, "--no-plots", "--no-record"]) == 0  # where nothing was kept yet, in its place
+        assert main([*RUN, "--no-plots", "--no-record"]) == 0  # if no result exists yet, the run is stored in its place
         assert (out / "metrics.json").is_file() != shard
     text = f"its run cannot be made again (in real time, and broken off: softrig bag repair {out / 'log'})"
     assert text in capsys.readouterr().err

@@ -28,7 +28,8 @@ with open("told.txt", "w") as file:
         agreed = [(m.name, flatten(m.params), m.block_class.agreed(m.params)) for m in rig.members]
         print(name, figure_parameters(rig), agreed, file=file)
 """
-CLOCK = rb'"wall_s": [-\d.e+]+|wall_s: .*|[\d.]+ s</dd>|[\d.]+ \xc3\x97 real time'  # what the wall clock says
+# values that depend on the wall clock
+CLOCK = rb'"wall_s": [-\d.e+]+|wall_s: .*|[\d.]+ s</dd>|[\d.]+ \xc3\x97 real time'
 
 
 def test_figures_have_their_arguments_in_the_order_of_the_function():

@@ -114,7 +114,7 @@ def in_a_launch(monkeypatch, capsys):
             for node in nodes_of(values):
                 event = SimpleNamespace(returncode=0, process_name=node.name)
                 node.on_exit(event, SimpleNamespace(is_shutdown=False))
-        except RuntimeError as error:  # which launch logs, and ends with status 1
+        except RuntimeError as error:  # launch logs this error and ends with status 1
             print("softrig:", error, file=sys.stderr)
             return 1
         return 0

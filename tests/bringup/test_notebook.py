@@ -98,7 +98,7 @@ def test_signals_become_a_data_frame_with_units(run):
 def test_the_only_field_of_a_channel_may_be_left_out(run):
     assert np.array_equal(run.signals[SHORT].x, run.signals[WHOLE].x)
     with pytest.raises(KeyError, match="no signal 'shaft' on motor/state; it has shaft/position, shaft/velocity"):
-        run.signals["motor/state/shaft"]  # which of them?
+        run.signals["motor/state/shaft"]  # the name is ambiguous
     assert full_name("a/b", ["a/b/x", "a/b/y"]) == "a/b"
     scenario = load_scenario("dc_motor_smc_b2")
     plots = (scenario.plots[0].model_copy(update={"signals": {SHORT: "volts"}}),)

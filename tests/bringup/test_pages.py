@@ -196,7 +196,7 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
     assert told("1.23 s") == ["1.23 has no source"]
     assert told("0.12 s of 1200") == []  # few digits
     assert told("\n```yaml\n# a.yaml\nx: 1.234\n```") == []  # what begins in a fence ends there
-    assert told(**{"0.607": ""}) == ["0.607 has no source"]  # what was measured is no source by itself
+    assert told(**{"0.607": ""}) == ["0.607 has no source"]  # a measured value still needs a source
     assert told(**{"3.14": "= pi"}) == ["3.14 is not in this section"]
     assert told("0.608", **{"0.608": "dc_motor_smc.rise_time"}) == ["0.608: the table has 0.60695"]
     assert told("0.61", **{"0.61": "dc_motor_smc.rise_time"}) == []

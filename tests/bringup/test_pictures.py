@@ -424,14 +424,14 @@ def test_runs_are_named_by_folder_or_label(folders, labels, given, result):
     ("changes", "banded"),
     [
         ([{"seed": 0}, {"seed": 1}, {"seed": 2}], True),
-        ([{"seed": 0}] * 3, False),  # nothing that differs may be taken for a draw
+        ([{"seed": 0}] * 3, False),  # runs without any difference are no draws
         ([{"seed": s, "code": {"my_laws": f"{s}"}} for s in range(3)], False),
         ([{"seed": s, "parameters": {"gain": {"k": s}}} for s in range(3)], False),
         ([{"seed": s, "versions": {"machine": "arm" if s else "x86"}} for s in range(3)], False),
         ([{"seed": 0}, {"seed": 1}, {"seed": 2, "error": "gone"}], False),
         ([{"seed": 0}, {"seed": 1}, {"seed": 2, "stopped": "stopped by SIGINT"}], False),
         ([{"seed": s, "duration_s": 1.0 + s} for s in range(3)], False),
-        ([{"seed": s, "code": {}} for s in range(3)], False),  # of before the code was noted
+        ([{"seed": s, "code": {}} for s in range(3)], False),  # runs of a version that did not record the code
         (
             [
                 {"seed": s, "wiring": {"nodes": {"gain": {"executable": "a/b", "period": 1.0, "outside": True}}}}
@@ -500,7 +500,8 @@ def test_versions_of_code_are_distinguished_by_files_and_their_imports(tmp_path,
         (tmp_path / name / "__init__.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     for function in ("_folder", "_package", "_is_own"):
-        monkeypatch.setattr(code, function, getattr(code, function).__wrapped__)  # as in a process of its own
+        # without the cache, as in a new process
+        monkeypatch.setattr(code, function, getattr(code, function).__wrapped__)
     law = importlib.import_module("softrig_a_law").Law
     before = code.fingerprints([law])
     assert list(before) == ["softrig_a_helper", "softrig_a_law", "softrig_core"]

@@ -253,7 +253,7 @@ def test_window_shows_only_its_time(whole):
     t = ax.lines[0].get_xdata()
     assert t[0] <= 0.9
     assert t[-1] >= 1.2
-    assert len(t) < 35  # of 200 samples
+    assert len(t) < 35  # fewer points than the 200 samples
 
 
 def test_short_run_is_drawn_in_milliseconds(make_rig, draw):
@@ -470,7 +470,8 @@ def test_report_shows_parameters_with_units_versions_and_command(make_run):
     assert page.tags.count("details") == len(BLOCKS)
     assert all(f"<summary><code>{node}</code>" in file.read_text() for node in BLOCKS)
     assert " · softrig</title>" in file.read_text()
-    assert "Repeat this runsoftrig run flux_demo --set" in page.text  # not by the path of whoever ran it
+    # the scenario's name, not the path of the user's file
+    assert "Repeat this runsoftrig run flux_demo --set" in page.text
     for text in ("J0.02 kg m²", "period0.001 s", platform.python_version(), "seed3", "ticks200"):
         assert text in page.text
 
@@ -515,7 +516,7 @@ def test_several_runs_get_an_index_and_are_side_by_side(make_run, tmp_path):
     assert compared[1] == ["second", "0.60695", "−1.25", "0.25"]
     assert page.references[:3] == ["#run-1", "#run-2", "#run-3"]
     assert page.tags.count("section") == 3
-    assert page.tags.count("details") == 3 * (1 + len(BLOCKS))  # each run by itself is folded
+    assert page.tags.count("details") == 3 * (1 + len(BLOCKS))  # the sections of each single run are folded
     assert "This run has no pictures" in page.text
     assert not list(tmp_path.glob("*.part"))
 

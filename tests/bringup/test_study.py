@@ -346,7 +346,7 @@ def test_undamaged_rows_are_read_and_none_of_them_is_lost(kind, folder, capsys):
     assert ("are no rows of this study" in capsys.readouterr().err) == (kind != "without its last newline")
     assert file.read_bytes().startswith(content)
     assert len(file.read_bytes()[len(content) :].splitlines()) >= 3 - right
-    assert rows_of(demo, folder / "out") == result  # nothing is left to run
+    assert rows_of(demo, folder / "out") == result  # no run is left
 
 
 def test_two_studies_do_not_write_into_one_folder(folder):

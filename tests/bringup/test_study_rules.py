@@ -235,7 +235,7 @@ def test_a_row_has_its_keys_of_their_types(change, right):
     line = json.dumps(of_case(3) | change).encode()
     assert (row_of(line) is not None) == right
     lacking = of_case(3)
-    del lacking["never"]  # of an older version
+    del lacking["never"]  # a row of an older version lacks this key
     assert row_of(json.dumps(lacking).encode()) == lacking
     for key in lacking:
         assert row_of(json.dumps({k: v for k, v in lacking.items() if k != key}).encode()) is None
@@ -280,7 +280,7 @@ def test_a_batch_runs_what_is_missing_and_returns_all_in_order(tmp_path, monkeyp
         assert [r["number"] for r in batch.rows(works)] == [3, 2, 0]
         assert [r["number"] for r in batch.rows([work.Work(case(k)) for k in (0, 1)])] == [0, 1]
     assert ran == [3, 0, 1]
-    assert len(shown) == 6  # of each that is done, also before
+    assert len(shown) == 6  # one report for each finished run, also those of an earlier call
     assert log._file.closed
     assert [r["number"] for r in log.rows()] == [2, 3, 0, 1]
 
@@ -508,7 +508,7 @@ def test_in_parallel_coordinates_the_best_is_drawn_last():
     for aim, last in (("minimise", [0.5, 0.0]), ("maximise", [0.0, 1.0])):
         (ax,) = on_paper(pictures._parallel(study(search=given | {"aim": aim}).search, rows)).axes
         assert len(ax.lines) == 4
-        assert ax.lines[-1].get_ydata() == pytest.approx(last)  # of equals the first
+        assert ax.lines[-1].get_ydata() == pytest.approx(last)  # the first of equal values
         assert [line.get_alpha() for line in ax.lines] == pytest.approx([0.2, 0.4, 0.6, 0.8])
         assert [t.get_text() for t in ax.get_xticklabels()] == ["x\n0 to 1", "f\n1 to 3"]
 

@@ -121,10 +121,10 @@ def test_a_path_has_the_ends_and_extremes_of_its_curve(values, steps, columns):
     assert piece[-1] == (x[-1], y[-1])
     assert (min(v for _, v in piece), max(v for _, v in piece)) == (y.min(), y.max())
     assert all(b[0] >= a[0] for a, b in pairwise(piece))
-    if columns == math.inf and not steps:  # what is left out lies on the line
+    if columns == math.inf and not steps:  # omitted points lie on the drawn line
         at, level = zip(*piece, strict=True)
         assert np.interp(x, at, level) == pytest.approx(y)
-    if steps and columns == math.inf:  # each value up to the next
+    if steps and columns == math.inf:  # each value is held until the next
         assert all(a[0] == b[0] or a[1] == b[1] for a, b in pairwise(piece))
     assert len(piece) <= 2 * (4 * columns + 4 if columns < math.inf else len(values))
 

@@ -34,7 +34,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "studies").mkdir()
     monkeypatch.setenv("SOFTRIG_SCENARIOS", str(tmp_path / "scenarios"))
     monkeypatch.setenv("AMENT_PREFIX_PATH", "")
-    monkeypatch.setenv("COLUMNS", "300")  # as wide as a terminal would have to be
+    monkeypatch.setenv("COLUMNS", "300")  # wide enough that no line is wrapped
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -52,7 +52,7 @@ def test_a_title_is_shown_unchanged_whatever_it_contains(title, folder, capsys):
     ]
     for arguments, status in calls:
         assert main(arguments) == status, capsys.readouterr().err
-        printed = " ".join("".join(capsys.readouterr()).split())  # as it stood before it was wrapped
+        printed = " ".join("".join(capsys.readouterr()).split())  # the text before wrapping
         assert (TEXTS | {ALL: " ".join(TEXTS.values())})[title] in printed or arguments[0] in ("check", "report")
 
 

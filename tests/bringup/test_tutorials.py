@@ -27,7 +27,7 @@ GUIDES = (
     "send",
     "studies",
     "upgrade",
-)  # whose steps follow each other
+)  # tutorials whose steps depend on each other
 TUTORIALS = (*KINDS["tutorials"][2], *GUIDES)
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$|(?<=\n\n)((?:    [^\n]*\n)+)", re.S | re.M)
 _COMMAND = re.compile(r"((?:scripts/)?softrig|ls|sed|export|cd|kill|python)\b")

@@ -153,7 +153,7 @@ def test_a_run_paused_stepped_and_changed_on_its_page_has_the_bag_of_the_same_ru
             first.until(lambda t=t: f">{mode}: {t} of 0.1 s, paused<" in first["state"].text)
         first["dc_motor_smc.c"].value = "-1.0"
         first.says("c out of range")
-        second.says("c out of range")  # what one is refused, all can read
+        second.says("c out of range")  # a refusal is shown on all pages
         first.until(lambda: first["dc_motor_smc.c"].value == second["dc_motor_smc.c"].value != "-1.0")
         first["pace"].value = "0.5"
         first.says("pace 0.5")
@@ -188,7 +188,7 @@ def test_two_pages_change_one_parameter(mode, tmp_path):
         pages[0].until(lambda: "paused" in pages[0]["state"].text and pages[0]["hold"].label == "resume")
         for k, turned in enumerate(("60.0", "70.0", "65.0"), 1):
             pages[k % 2]["dc_motor_smc.k"].value = turned
-            pages[k % 2].says(f"dc_motor_smc.k = {float(turned):g} rad/s^3")  # as its node answers
+            pages[k % 2].says(f"dc_motor_smc.k = {float(turned):g} rad/s^3")  # the value that the node reports
             pages[k % 2].press("step")
             for page in (pages[k % 2], pages[k % 2 - 1]):  # the page that sent the change receives it as well
                 page.until(lambda page=page, k=k: f">{mode}: {k * 1e-4:.6g} of 0.5 s, paused<" in page["state"].text)
@@ -524,7 +524,7 @@ def test_a_slider_changes_its_parameter_and_follows_it():
     page.update()
     assert (number.value, slider.value) == ("0.75", 0.75)
     assert len(asked) == 2
-    for typed in ("0,5", "0.5 V", ""):  # nothing that was typed is left out
+    for typed in ("0,5", "0.5 V", ""):  # no typed character is ignored
         number.value = typed
         assert (
             control.entries[-1].text == f"noise.probability = {typed!r} refused: expected a number, such as 2.5 or 1e-3"
@@ -628,7 +628,8 @@ def test_a_page_names_the_nodes_that_a_starting_rig_waits_for(tmp_path):
     says(rf"0 of 6 s, starting for \d+ s, waits for {', '.join(members)}<")
     source._complete -= 1000.0
     says(r"starting for 1\d\d\d s, waits for dc_motor_plant<", **dict.fromkeys(members[1:], "starting"))
-    says(f"waits for {', '.join(members)}<", dc_motor_plant="starting")  # all are there, and look for each other
+    # all nodes have started and search for each other
+    says(f"waits for {', '.join(members)}<", dc_motor_plant="starting")
     says("0 of 6 s, paused<", **dict.fromkeys(members, "running"))
     assert source.waited < 1000.0
 

@@ -233,7 +233,7 @@ def test_a_running_run_is_read_from_the_files_of_its_nodes(run, tmp_path, clock)
     assert (other.status["dc_motor_plant"], other.outcome, other.end) == ({"state": "done"}, "ended", 0.1)
     source.finish("ended", tmp_path)
     assert (source.results, source.status, source.outcome) == ([{"name": "a"}], {"b": {}}, "ended")
-    source.read_new()  # nothing more
+    source.read_new()  # no further message
     assert source.status == {"b": {}}
 
 
@@ -600,7 +600,7 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
     one = SimpleNamespace(not_judged=lambda why: "a result")
     monkeypatch.setattr(serve, "evaluate", lambda rig, pane, under_way: measured.append(len(pane)) or [one])
     pages.measure()
-    assert not measured  # of a recording
+    assert not measured  # a recording has its figures already
     pages._source.live = True
 
     def done(seconds):
@@ -623,7 +623,7 @@ def test_figures_are_measured_now_and_then_during_a_run(pages, monkeypatch, run)
     assert pages._figures() == (["a result"], True)
     pages._source.thinned = True
     pages.measure()
-    assert len(measured) == 2  # not of extremes
+    assert len(measured) == 2  # a recording thinned to its extremes is not measured
     del pages._source.thinned
     pages._source.results = [r.model_dump(by_alias=True) for r in run.results]
     pages.measure()

@@ -69,7 +69,7 @@ def work(area: str, seeds: list[int], results: multiprocessing.Queue, keep: Path
                 signal.alarm(0)
             if finding and keep is not None:
                 (directory / "finding").write_text(finding)
-                with contextlib.suppress(shutil.Error, OSError):  # what the case has made unreadable
+                with contextlib.suppress(shutil.Error, OSError):  # files that the case has made unreadable
                     shutil.copytree(directory, keep / f"{area}-{seed}", dirs_exist_ok=True, symlinks=True)
         results.put((area, seed, "lost" if finding else "survived", finding, cpu() - used))
 

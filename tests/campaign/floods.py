@@ -113,7 +113,7 @@ ARM = ("manipulator_adsmc", "/manipulator_plant", "/trajectory_source")
 KINDS = dict.fromkeys(("refused", "set", "list", "pauses", "steps"), MOTOR) | {"trajectories": ARM}
 KINDS |= {"simulation": MOTOR} if find_spec("simulation_interfaces") else {}
 KINDS |= {"goals": ARM} if find_spec("control_msgs") else {}
-STOP = ("pauses", "steps", "simulation")  # which leave a rig paused
+STOP = ("pauses", "steps", "simulation")  # floods that may leave a rig paused
 PLACES: tuple[tuple[str, ...], ...] = (
     ("processes",),
     ("container",),

@@ -138,7 +138,7 @@ def ended(runner: int) -> int:
 
 def judge_status(status: int, victim: str, number: int, text: str, out: Path) -> None:
     """Compare the exit status with what was done."""
-    over = (0, 1)  # it was over, or as good as over, before
+    over = (0, 1)  # the run had ended, or almost ended, before the signal
     if victim == "runner":
         allowed = (-number,) if number == signal.SIGKILL else (ENDINGS[number],)
         if not out.exists():  # the command line itself was still being read
@@ -159,7 +159,7 @@ def judge_record(scenario: Scenario, seed: int, out: Path, directory: Path) -> N
             return  # killed before anything was recorded
         bag = directory / "repaired"
         if (status := main(["bag", "repair", str(out / "log"), "--out", str(bag)])) == 2:
-            return  # not one whole message yet
+            return  # no complete message has been recorded yet
         assert status == 0, "the shards of a killed run cannot be repaired"
     recording = read_bag(bag)
     reference = expected(scenario, seed, max((t.times[-1] for t in recording.topics.values() if t.times), default=0))

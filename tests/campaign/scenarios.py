@@ -28,7 +28,7 @@ def mutated(text: str, chance: random.Random) -> str:
     lines = text.split("\n")
     at = chance.randrange(len(lines))
     kind = chance.randrange(9)
-    if kind <= 3:  # what stands behind a colon
+    if kind <= 3:  # the value after a colon
         if not (places := list(re.finditer(r": *([^\n{},\[\]]+)", text))):
             return text  # mutated before to a text without a value
         place = chance.choice(places)

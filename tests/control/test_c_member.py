@@ -134,7 +134,7 @@ def test_native_code_calls_it_by_its_address(monkeypatch: pytest.MonkeyPatch, ma
     """In Python's text, and by numba; if the library returns a status, Python runs the tick."""
     native = the_same(lambda: rig_with(PI), monkeypatch, make)
     assert native.ticks >= 48
-    fitted._counts.clear()  # it is another library
+    fitted._counts.clear()  # the library has changed
     broken = the_same(lambda: rig_with(faulty("CRASH")), monkeypatch, make)
     assert broken.given_up == 1
 
@@ -257,7 +257,7 @@ def test_the_floating_point_mode_of_the_processor_is_restored(isolated: bool) ->
     """If it rounded upward, one plus half of its last bit would be more than one; if it flushed, a subnormal number
     would be 0.
     """
-    least, bit = struct.unpack("2d", struct.pack("2d", 5e-324, 2.0**-53))  # nothing for the compiler to fold
+    least, bit = struct.unpack("2d", struct.pack("2d", 5e-324, 2.0**-53))  # values that the compiler cannot fold
     with pytest.raises(RunError, match="leaves the processor with another rounding mode"):
         simulate(rig_with(faulty("ROUNDING", isolated=isolated)))
     simulate(rig_with(PI | {"flags": ["-ffast-math"]}, duration=0.05))

@@ -222,7 +222,7 @@ def test_an_indicator_that_reaches_zero_is_an_event(played):
     assert fmu.x == [0.25]
 
 
-class FMICallException(Exception):  # as FMPy's has it
+class FMICallException(Exception):  # the same class as in FMPy
     def __init__(self, function, status):
         super().__init__(function)
         self.function, self.status = function, status

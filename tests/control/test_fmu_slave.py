@@ -225,7 +225,7 @@ def test_parameters_count_from_the_end_of_the_initialisation(made):
     fmu = made(Cart)
     begun = fmu._step
     fmu.exit_initialization_mode()
-    assert fmu._step is begun  # nothing is other
+    assert fmu._step is begun  # nothing has changed
     put(fmu, gain=4.0, word="b", on=False, count=5)
     assert get(fmu, "gain", "word", "on", "count") == [4.0, "b", False, 5]
     fmu.exit_initialization_mode()
@@ -234,7 +234,7 @@ def test_parameters_count_from_the_end_of_the_initialisation(made):
     fmu.do_step(0.0, PERIOD)
     assert get(fmu, X, SPEED) == [0.5 + PERIOD * 4.0 * 3.0, PERIOD]
     drawn = [made(Cart)._step.block.uniform(0), made(Cart)._step.block.uniform(0)]
-    assert drawn[0] == drawn[1]  # of the seed and the node's name
+    assert drawn[0] == drawn[1]  # random numbers depend on the seed and the node's name
 
 
 @pytest.mark.parametrize("block", [Cart, Law])

@@ -105,7 +105,7 @@ def test_nodes_that_cannot_be_exported_are_reported(motor, tmp_path):
     with pytest.raises(ScenarioError, match=r"^node n is external: its code is not here$"):
         _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), params=BlockParams(), external=True))
     _check(SimpleNamespace(name="n", inputs=(plain,), outputs=(plain,), params=BlockParams(), external=False))
-    assert _can(SimpleNamespace(block_class=Policy)) == ()  # what its policy remembers is opaque
+    assert _can(SimpleNamespace(block_class=Policy)) == ()  # the state of its policy is unknown
     assert _can(SimpleNamespace(block_class=DcMotorPlant)) == ("canGetAndSetFMUstate", "canSerializeFMUstate")
 
 

@@ -114,7 +114,7 @@ def test_a_loop_is_in_a_limit_cycle_after_eight_equal_swings_that_do_not_decay(s
 def test_the_detector_of_limit_cycles_is_exact_at_its_limits():
     level = [0.0, 1.0] * 6
     assert fed([x * 1.01 for x in level], 50.0)[-1] == 1.01
-    assert fed(level, 50.0)[-1] == 0.0  # as small as what does not count
+    assert fed(level, 50.0)[-1] == 0.0  # just as small as the amplitude that is ignored
     assert fed(level, -49.0)[-1] == 1.0
     halves = [0.0, 4.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0, 6.0, 2.0]  # the smallest of the eight is half of the largest
     assert fed(halves, 50.0)[-1] == 4.0
@@ -444,7 +444,7 @@ def test_a_predictive_controller_replaces_a_bad_sample_by_the_prediction_under_t
             answer = law.update(k * 10_000_000, measured=(y,), reference=None)
         assert answer["command"] == (x.u,)
     first = ByHand(GpcController(**given))
-    assert first.refused(0)["command"] == (0.0,)  # nothing was there before
+    assert first.refused(0)["command"] == (0.0,)  # there is no earlier command to hold
     assert first.update(10_000_000, measured=(1.5,), reference=None) == ByHand(GpcController(**given)).update(
         0, measured=(1.5,), reference=None
     )

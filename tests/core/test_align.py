@@ -56,7 +56,7 @@ def test_the_time_shift_is_found(tmp_path, late):
     b = bag(tmp_path / "b", lambda t: wave(t - late), 0.01, epoch=EPOCH_NS)
     (x, y) = align(a, b).deviations
     assert x.shift == pytest.approx(late, abs=1e-4)
-    assert x.shifted_rms < 2.0 * (3.0 * 0.01) ** 2 / 8.0 < 0.01 * x.rms  # what straight lines leave
+    assert x.shifted_rms < 2.0 * (3.0 * 0.01) ** 2 / 8.0 < 0.01 * x.rms  # the error of linear interpolation
     assert ("late" if late > 0 else "early") in str(x)
     assert y.shift == 0.0  # a constant comes neither early nor late
 
@@ -130,7 +130,7 @@ def test_nan_does_not_agree(tmp_path):
     b = bag(tmp_path / "b", lambda t: np.nan if t == 1.0 else wave(t), 0.01, epoch=EPOCH_NS)
     result = align(a, b, default=Tolerance(absolute=1e9))
     assert not result.equal
-    assert result.deviations[0].largest < 1e-12  # where both are numbers
+    assert result.deviations[0].largest < 1e-12  # compared only where both values are numbers
     assert json.loads(result.to_json())["deviations"][0]["agrees"] is False
 
 

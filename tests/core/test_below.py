@@ -133,7 +133,7 @@ def test_an_empty_list_has_a_type_if_rclpy_allows_it(node, public):
     uses.make_empty(node, "empty", Parameter.Type.DOUBLE_ARRAY)
     assert node.get_parameter("empty").type_ == Parameter.Type.DOUBLE_ARRAY
     public("parameters")
-    uses.make_empty(node, "empty", Parameter.Type.STRING_ARRAY)  # it stays what it is
+    uses.make_empty(node, "empty", Parameter.Type.STRING_ARRAY)  # the parameter keeps its type
     assert uses.parameters(node)["empty"].type_ == Parameter.Type.DOUBLE_ARRAY
 
 
@@ -161,7 +161,7 @@ def test_a_native_thread_publishes_everything_in_order_whatever_its_size(carried
         made.put(7 + k % 2, bytes(bytearray(data)))  # an object that nothing else holds
     made.drain()
     assert seen == expected
-    made.drain()  # nothing is left
+    made.drain()  # no message is left
 
 
 def test_a_message_that_rcl_does_not_publish_is_an_error_of_the_next(carried, monkeypatch):

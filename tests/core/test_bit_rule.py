@@ -26,7 +26,7 @@ _REFUSED = """linalg dot vdot inner matmul tensordot einsum convolve correlate p
 corrcoef exp expm1 exp2 log log1p log2 log10 tan arcsin arccos arctan arctan2 sinh cosh tanh arcsinh arccosh arctanh
 cbrt power float_power angle logspace geomspace fft vecdot matvec vecmat"""
 REFUSED = frozenset(_REFUSED.split())
-OTHERS = frozenset({"dot", "sumprod"})  # of anything else: arrays, math
+OTHERS = frozenset({"dot", "sumprod"})  # functions of other objects: arrays, math
 NOTHING: frozenset[str] = frozenset()
 OF = {"np": REFUSED, "numpy": REFUSED, "math": OTHERS, "ca": NOTHING, "casadi": NOTHING}
 # modules that judge or show what was recorded
@@ -35,7 +35,7 @@ WHOLE = ("figures", "pictures", "drawing", "study", "study_tool", "cases")
 _EXACT = """ceil copysign degrees fabs floor fmod frexp fsum gcd inf isclose isfinite isinf isnan lcm ldexp
 modf nan nextafter pi prod radians remainder sqrt tau trunc ulp"""
 EXACT = frozenset(_EXACT.split())
-PARTS = {"phase": {"atan2"}, "polar": {"atan2", "hypot"}, "rect": {"sin", "cos"}}  # of cmath
+PARTS = {"phase": {"atan2"}, "polar": {"atan2", "hypot"}, "rect": {"sin", "cos"}}  # functions of cmath
 COUNT = "a sum of whole numbers (sizes of ports, ...), or whether one is finite"
 CASADI = "casadi's own products, unrolled into scalar operations"
 CHECK = "a check or a certificate: its verdict is compared with a margin, no number of a run comes from it"
@@ -148,7 +148,7 @@ def uses(module: str, source: str) -> set[str]:
             if getattr(node.func, "id", "") == "sum" and counts(node):
                 whole.add(node.func)
         elif isinstance(node, ast.Name):
-            if node.id == "sum" and node not in whole:  # also handed on: `map(sum, rows)`
+            if node.id == "sum" and node not in whole:  # also as an argument: `map(sum, rows)`
                 result.add(where)
             continue
         elif isinstance(node, ast.ImportFrom):

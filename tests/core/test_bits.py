@@ -29,7 +29,7 @@ def python(code, **variables):
 def test_each_package_begins_with_the_core(package):
     """A node first imports its package: what pins numpy's kernels must come before anything that loads numpy."""
     statements = ast.parse((package / package.name / "__init__.py").read_text()).body
-    harmless = ("__future__", "importlib", "typing")  # nothing of numpy in them
+    harmless = ("__future__", "importlib", "typing")  # modules that do not import numpy
     first = next(s for s in statements if not isinstance(s, ast.Expr) and getattr(s, "module", "") not in harmless)
     expected = "from .bits import pin" if package.name == "softrig_core" else "import softrig_core as softrig_core"
     assert ast.unparse(first) == expected
@@ -105,7 +105,7 @@ def test_the_command_line_and_its_processes_are_pinned(tmp_path, monkeypatch):
     assert environment(1, tmp_path).items() >= bits.PINS.items()
     started = []
     monkeypatch.setattr(subprocess, "Popen", lambda command, env, **_: started.append(env) or 1 / 0)
-    with pytest.raises(ZeroDivisionError):  # nothing is started
+    with pytest.raises(ZeroDivisionError):  # no process is started
         worker._Process("module", "name", None)
     assert started[0].items() >= bits.PINS.items()
 

@@ -184,7 +184,7 @@ def test_real_time_accepts_an_answer_to_the_request_or_none(frames, seed, firmwa
         answer = line.try_ask(Kind.STEP, steps[k % len(steps)], 0.005)
         assert wire.time - begun < 0.0062  # what is waited for, and the least step of the wire's time
         if rng.random() < 0.002:
-            board.power()  # it restarts
+            board.power()  # the board restarts
         wire.time = max(wire.time, begun + 0.01)
         if answer is not None:
             used += 1

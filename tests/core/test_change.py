@@ -106,7 +106,7 @@ def test_other_gains_of_a_pid_do_not_move_its_output():
     assert pid.x.pid.integral != integral
     after = pid.update(50, state=(0.1 * 49,), reference=(10.0,))["command"][0]  # the same error once more
     period = pid.block.p.period
-    drift = 5.0 * period * (10.0 - 4.9)  # of the integral in one period
+    drift = 5.0 * period * (10.0 - 4.9)  # change of the integral in one period
     derivative = pid.x.pid.derivative
     assert after == pytest.approx(before + drift + derivative - derivative * (1.0 + 100.0 * period), abs=1e-9)
 
@@ -358,7 +358,7 @@ def test_a_fault_that_is_switched_off_is_off_whoever_switched_it_on():
     assert said(1, pressed=True) == 3.0
     assert fault.params.active
     assert said(2) == 3.0
-    fault.change(permit(type(fault.block), fault.params, {"active": False}))  # as it was given at the start
+    fault.change(permit(type(fault.block), fault.params, {"active": False}))  # the value of the start
     assert said(3) == 1.0
     fault.change(permit(type(fault.block), fault.params, {"active": True}))
     assert [said(4), said(5, pressed=True)] == [3.0, 1.0]

@@ -197,7 +197,7 @@ def test_arbitrary_numbers_are_refused_or_read_correctly(port, numbers):
 def test_a_damaged_message_is_refused_or_finite(data):
     port = PORTS[0]
     whole = bytearray(port.layout().encode(123, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)))
-    numbers = st.integers(len(whole) - 32, len(whole) - 1)  # what is refused there is refused for its value
+    numbers = st.integers(len(whole) - 32, len(whole) - 1)  # in this range a refusal can only concern the value
     for _ in range(data.draw(st.integers(1, 4))):
         whole[data.draw(numbers | st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     end = data.draw(st.just(len(whole)) | st.integers(0, len(whole)))
@@ -213,7 +213,7 @@ def test_a_damaged_message_is_refused_or_finite(data):
 def test_a_value_beyond_the_plausible_range_of_its_unit_is_refused():
     port = joint_state("a", "t", ["x", "y"], position="rad", velocity="rad/s")
     decode, encode = Decoder(port), port.layout().encode
-    large = (1e9, -1e9, 1e7, 1e7)  # each at its limit, together beyond the smallest
+    large = (1e9, -1e9, 1e7, 1e7)  # each value at its own limit, beyond the smallest of the limits
     assert decode(encode(0, large))[1] == large
     for at, value, text in (
         (1, 1.1e9, "y/position is 1.1e+09 rad, expected at most 1e+09"),

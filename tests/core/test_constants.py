@@ -197,7 +197,7 @@ def test_a_tick_that_changes_an_attribute_in_place_is_named_after_the_second(hab
 
 def test_a_late_change_is_found_by_a_thorough_run():
     late = law(lambda one, t: one.kept.append(t) if t > 500_000_000 else None)
-    Session(Rig.from_blocks({"law": late()}, 1.0)).go()  # whose first two ticks are in order
+    Session(Rig.from_blocks({"law": late()}, 1.0)).go()  # its first two ticks are valid
     with pytest.raises(RunError, match=r"self\.kept in place"):
         run(late, thorough=True)
 

@@ -161,7 +161,7 @@ def test_an_impossible_rig_names_the_line_of_its_file(folder, monkeypatch, entry
     (folder / "bad.yaml").write_text(f"extends: base\nduration: 0.5\n{entry}\n")
     with pytest.raises(ScenarioError, match=expected):
         figures_of(rig_of("bad", duration=0.2))
-    with pytest.raises(ScenarioError) as error:  # what was not written there has no line
+    with pytest.raises(ScenarioError) as error:  # a value that is not written in the file has no line
         figures_of(rig_of("base", overrides={"plant.gian": 2.0}))
     assert "line" not in str(error.value)
 

@@ -85,7 +85,7 @@ def test_a_lock_of_a_dead_process_is_freed_at_the_second_look(looks, tmp_path, p
 def test_locks_of_the_living_and_those_of_others_stay(looks, tmp_path):
     number = of_domain(DOMAIN)[11]
     held = port(tmp_path, number)
-    strange = port(tmp_path, number + 2, kind=0)  # of another layout
+    strange = port(tmp_path, number + 2, kind=0)  # a file with another layout
     other = port(tmp_path, of_domain(DOMAIN + 1)[11])
     cut = tmp_path / f"fastrtps_port{number + 4}"
     cut.write_bytes(held.read_bytes()[:300])

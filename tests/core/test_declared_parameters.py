@@ -131,9 +131,11 @@ def test_no_call_changes_type_range_or_existence(block, state, event):
                 response = node.offered[kind](parameters=[message])
                 (result,) = response.results if kind is SetParameters else [response.result]
                 actual = node._parameters[name]
-                named = any(other in result.reason for other in before)  # what no longer fits may be another one
+                # the parameter that no longer fits may be another one
+                named = any(other in result.reason for other in before)
                 assert result.successful or (plain(actual) == kept and named), (name, hostile, result)
-                first = type_ == Parameter.Type.NOT_SET and result.successful  # one without a value gets one
+                # a parameter without a value gets its first one
+                first = type_ == Parameter.Type.NOT_SET and result.successful
                 assert first or actual.type_ == type_, (name, hostile, actual.type_)
                 kept, type_ = plain(actual), actual.type_
             number = plain(node._parameters[name])

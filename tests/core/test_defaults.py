@@ -67,7 +67,7 @@ def told(value):
     if isinstance(value, float | complex):
         return f"{value:.12g}"
     if isinstance(value, int) and not isinstance(value, bool):
-        return f"{int(value)}"  # of an enumeration, too
+        return f"{int(value)}"  # also members of an enumeration
     if isinstance(value, bool | str | None):
         return repr(value)
     if isinstance(value, tuple | list):
@@ -107,7 +107,7 @@ def defaults(package):
     for name, result in public(package):
         if inspect.isclass(result) and not hasattr(result, "model_fields"):
             yield from constants(name, result, [k for k in vars(result) if not k.startswith("_")])
-            named = getattr(result, "_field_defaults", {})  # of a named tuple
+            named = getattr(result, "_field_defaults", {})  # defaults of a named tuple
             yield from (f"{name}.{k} = {told(v)}" for k, v in named.items() if isinstance(v, NUMBER))
     for name, result in public(package):
         if fields := getattr(result, "model_fields", None):
@@ -128,7 +128,7 @@ def test_no_default_changes_unnoticed(package):
     written, now = (dict(line.split(" = ", 1) for line in result) for result in (lines, defaults(package)))
     known = written.keys() & now.keys()
     assert {name: now[name] for name in known} == {name: written[name] for name in known}
-    assert len(known) > 0.9 * len(now)  # what is new is to be written down, too
+    assert len(known) > 0.9 * len(now)  # new defaults must be listed, too
 
 
 if __name__ == "__main__":

@@ -117,7 +117,7 @@ def test_environments_side_by_side_equal_single_ones():
     try:
         apart.reset(seed=[5, 6])
         assert [apart.step(np.full((2, 1), 3.0))[0].tolist() for _ in range(5)] == [f[:2].tolist() for f in results]
-        for _ in range(25):  # each ends its episode
+        for _ in range(25):  # each environment ends its episode
             _, _, terminated, truncated, _ = apart.step(np.full((2, 1), 3.0))
         assert (terminated.tolist(), truncated.tolist()) == ([False] * 2, [True] * 2)
         again = apart.step(np.full((2, 1), 3.0))[0]  # and begins the next, from rest
@@ -230,7 +230,7 @@ def test_a_violated_requirement_ends_an_episode():
     assert len(steps) < 30
     with pytest.raises(RuntimeError, match=r"no episode is under way: reset\(\) begins one"):
         env.step([0.0])
-    assert env.reset(seed=0)[0].tolist() == observation.tolist()  # it goes on after that
+    assert env.reset(seed=0)[0].tolist() == observation.tolist()  # the environment is usable after that
 
 
 class Tank(Plant):
@@ -424,7 +424,7 @@ def test_the_page_trains_a_policy_and_its_statements_hold(tmp_path, monkeypatch,
         observed, _, terminated, truncated, _ = env.step(sent[-1:])
         done = terminated or truncated
     node = known["run"].signals["motor/command/armature/effort"].x[: len(sent)].tolist()
-    assert (len(sent) > 50, sent) == (True, node)  # to the last bit
+    assert (len(sent) > 50, sent) == (True, node)  # equal to the last bit
     exec(blocks[3], known)
     act = known["damped"]([0.5, 2.0], 1, 1)
     assert [act([1.0]), act([1.0])] == [[2.0], [3.0]]

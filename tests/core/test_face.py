@@ -22,7 +22,8 @@ def test_every_public_name_is_typed_and_is_the_one_of_its_module():
         value = getattr(softrig_core, name)
         assert value is vars(sys.modules[module])[name], name
         written = getattr(value, "__module__", module)
-        assert written == module or not written.startswith("softrig"), name  # where it is written, not passed on
+        # the module that defines it, not one that re-exports it
+        assert written == module or not written.startswith("softrig"), name
 
 
 def test_an_unknown_name_is_reported():

@@ -144,7 +144,7 @@ def test_a_branch_does_not_change_its_run():
 def test_of_many_ticks_few_states_are_stored_and_any_tick_is_reached(monkeypatch):
     monkeypatch.setattr(module, "KEPT", 4)
     session = short()
-    session.set({"dc_motor_smc.delta": 0.6})  # where a state has just been kept
+    session.set({"dc_motor_smc.delta": 0.6})  # at a tick whose state has just been stored
     session.go(0.02)
     session.set(SOFTER)
     session.go()
@@ -197,7 +197,7 @@ def session_with(law):
 
 def test_a_state_that_cannot_be_stored_is_named_with_the_reason():
     session = session_with(Locked())
-    session.go(0.5)  # it runs all the same
+    session.go(0.5)  # it runs in spite of that
     text = r"^this run cannot go back: law: its state at t = 0 s cannot be kept: RuntimeError: the lock is taken"
     with pytest.raises(RunError, match=text):
         session.rewind(0.1)

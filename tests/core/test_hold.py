@@ -28,7 +28,7 @@ def test_pace_pause_and_step_may_change_at_any_moment():
     run, start = SimulatedRig(RIG, world, "lockstep", pace=1.0), world.now
     adapter = run.adapters[CLOCK]
     hold = adapter.hold
-    assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # not the node of the clock
+    assert not run.adapters["dc_motor_smc"].hold.go_at(1.0)  # only the node of the clock accepts this
     assert adapter.account.status()["pace"] == 1.0
     for moment, call in (
         (0.22, partial(hold.go_at, 0.1)),

@@ -332,7 +332,7 @@ def along(line, at, weights):
 def test_tuples_are_passed_by_their_parts_and_further_ones_unchanged():
     table = np.array([0.0, 3.0])
     calls = [
-        (Line(2.0, table), 5.0, (10.0, (1.0, 2.0))),  # as later ones most likely are
+        (Line(2.0, table), 5.0, (10.0, (1.0, 2.0))),  # the most likely types of later calls
         (Other(table, 2.0), 5.0, (10.0, (1.0, 2.0))),  # the same fields in another order
         (Line(2.0, table), 5.0, (10.0, (1.0,))),
     ]

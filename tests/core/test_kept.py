@@ -32,7 +32,7 @@ def test_a_draft_with_changed_values_equals_the_scenario_checked_as_a_whole(valu
         else:
             result = quick.faults[node].value if parameter else quick.shared[key]
             assert result == value
-    assert draft.filled() is draft.filled()  # what was changed is in no other
+    assert draft.filled() is draft.filled()  # changes do not affect the draft
     assert draft.filled().model_dump() == read_draft(draft.name).filled().model_dump()
 
 

@@ -104,7 +104,8 @@ def test_states_are_named_and_the_whole_system_is_that_of_the_motor(capsys):
     view = linear_view(motor_under_pid(), at=0.5)
     assert {"dc_motor_plant.w", "dc_motor_plant.i", "dc_motor_pid.pid.integral"} <= set(view.states)
     at = [view.states.index(f"dc_motor_plant.{x}") for x in ("w", "i")]
-    assert view.a[np.ix_(at, at)] == pytest.approx(sampled_motor().A, rel=1e-9)  # of the rig opened: the plant alone
+    # the opened loop contains only the plant
+    assert view.a[np.ix_(at, at)] == pytest.approx(sampled_motor().A, rel=1e-9)
     assert view.b[at] == pytest.approx(sampled_motor().B[:, 0], rel=1e-9)
     assert view.closed.state_labels == list(view.states)
     assert view.closed.output_labels == list(view.outputs)
@@ -249,7 +250,7 @@ def test_changing_integers_are_refused_if_outputs_depend_on_them(used):
 
     Fine.used = used
     rig = Rig.from_blocks({"plant": Unstable(), "shift": Fine(), "law": Gain()}, duration=5.0)
-    if not used:  # nothing but counts
+    if not used:  # only counters change
         assert linear_view(rig, "law/u", at=0.5).states == ("plant",)
         return
     for view in (partial(linear_view, rig, "law/u"), partial(linear_view, rig, ""), partial(steady, rig)):
@@ -581,7 +582,8 @@ def test_the_verbs_print_the_view(tmp_path, capsys, undrawn):
     out = capsys.readouterr().out
     assert re.search(r"shaft/velocity\t0.99996\d* rad/s", out)
     assert re.search(r"dc_motor_plant.theta\t.*drifts by 0.99996\d* a second", out)
-    assert main(["steady", "dc_motor_smc", "--set", "period=0.01", "--at", "2"]) == 1  # it chatters
+    # the motor chatters, so there is no operating point
+    assert main(["steady", "dc_motor_smc", "--set", "period=0.01", "--at", "2"]) == 1
     assert "no operating point near t = 2 s" in capsys.readouterr().err
 
 

@@ -461,7 +461,7 @@ def test_a_tick_that_begins_when_the_next_is_due_is_late_and_a_round_trip_lasts_
     node.hand.time = START + 41 * MS
     node.drive.tick(4, 40 * MS, START + 41 * MS)
     node.hear("command", START + 30 * MS, 1.0, at=START + 43 * MS)  # said by the clock of its second tick
-    node.hear("command", START + 35 * MS, 1.0)  # of no tick of ours
+    node.hear("command", START + 35 * MS, 1.0)  # this stamp belongs to no tick of the node
     node.hear("command", START + 40 * MS, 1.0, at=START + 44 * MS)
     figures = node.drive.statistics()
     assert {k: v for k, v in figures.items() if k.startswith("round")} == {
@@ -623,7 +623,7 @@ def test_of_two_writers_one_is_accepted_after_it_alone_has_published_without_a_g
     """Each message: number, time, whether a writer is accepted after it; a gap counts from 10 on."""
     for text in (
         [(5, 0, False), (6, 10, False), (7, 11, True), (8, 12, True)],
-        [(5, 0, False), (7, 9, False), (8, 19, False), (9, 20, True)],  # one is lost
+        [(5, 0, False), (7, 9, False), (8, 19, False), (9, 20, True)],  # one message is lost
         [(5, 0, False), (6, 11, True), (6, 12, False), (7, 99, False)],  # another one repeats a number
         [(5, 0, False), (3, 1, False), (4, 99, False)],
         [(None, 0, False), (1, 50, False), (2, 99, False)],
@@ -693,7 +693,7 @@ def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
     told(0, "other")  # silent
     assert [*SEEN] == [(0, 1.0, 0.0, None, 0)]
     assert row.held_stamp() is None
-    told(10, "out")  # it comes later
+    told(10, "out")  # the message arrives later
     node.hear("a", START + 10 * MS, 2.0)
     assert answered() == [0]
     node.hear("b", START + 10 * MS, 7.0)
@@ -855,7 +855,7 @@ def test_nodes_of_one_process_with_external_subscribers_receive_each_others_mess
         received()
         assert law.ticks == k + 1
     assert other.said["lag/command"][1] == COMMAND.layout().encode(START + 10 * MS, (2.0 * (0.01 - 1.0),))
-    assert len(hand.said["lag/reference"]) == 2  # to others, too
+    assert len(hand.said["lag/reference"]) == 2  # also published to other nodes
 
 
 # ---- the clock of a rig that a person holds ----

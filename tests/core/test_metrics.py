@@ -74,7 +74,7 @@ def test_the_final_value_is_the_last_sample_by_default():
 def test_a_level_that_is_never_reached_takes_infinite_time():
     short = {"y": (T[:1000], FIRST_ORDER["y"][1][:1000])}
     assert measures.rise_time(short, "y", final=3.0) == math.inf
-    assert measures.rise_time(short, "y", final=1e6) == math.inf  # not even the lower level
+    assert measures.rise_time(short, "y", final=1e6) == math.inf  # it does not reach even the lower level
     assert measures.settling_time(short, "y", final=3.0) == math.inf
 
 
@@ -159,5 +159,5 @@ def test_the_growth_rate_of_an_oscillation_is_its_exponent(sigma):
     assert measures.growth_rate({"x": (t, x), "r": (t, 0.0 * t + 2.0)}, "x", reference="r") == pytest.approx(
         sigma, abs=2e-6
     )
-    with pytest.raises(ValueError, match=r"x has 2 peaks between 18.7 and 19.99 s, needed 3"):  # of either sign
+    with pytest.raises(ValueError, match=r"x has 2 peaks between 18.7 and 19.99 s, needed 3"):  # peaks of either sign
         measures.growth_rate({"x": (t, x)}, "x", reference=2.0, start=18.7)

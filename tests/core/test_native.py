@@ -312,7 +312,7 @@ def test_a_report_with_a_computed_text_leaves_the_tick_to_python(monkeypatch: py
 
 
 def test_steps_record_which_ticks_were_native_and_why_others_were_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # as what is compiled: with tables of numpy
+    steps = ran(rig(), monkeypatch, lambda text: plain(text))[1]  # with numpy tables, as compiled code has
     assert {name: step.native for name, step in steps.items()} == {
         "plant": (489, "10 of its ticks were given up"),
         "law": (249, "10 of its ticks were given up"),

@@ -115,7 +115,8 @@ def test_a_node_due_at_each_eighth_tick_may_stay_in_python(period: float, member
     assert run.native.members == members
     assert [s.native for s in run.steps] == [(0, "")] * 2  # nothing is reported of generated code that Python runs
     assert ("str()" in run.native.reason) == (members == ())
-    assert run.native.ticks == (0 if not members else 100 - 1 - 12)  # one to begin with, and those of the other
+    # minus the first tick and the ticks of the other node
+    assert run.native.ticks == (0 if not members else 100 - 1 - 12)
 
 
 class Turning(Block[Params]):

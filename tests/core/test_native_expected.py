@@ -1495,7 +1495,7 @@ def test_the_values_in_which_another_block_may_differ_are_those_passed_in() -> N
     program = Program([Owner()], Writer)
     writer = Writer(program, None, {})
     own = Static(program.roots[0], (0,))
-    node = written_out("p")[0]  # of nothing that matters
+    node = written_out("p")[0]  # its content does not matter
 
     def attribute(*names: str) -> Any:
         value: Any = own

@@ -249,7 +249,7 @@ def test_repeated_messages_for_others_and_those_after_a_refused_one_are_skipped(
     assert reader.step.bad
     row.receive(said(row.port, 10 * MS, 3.0))  # a valid message is too late
     assert (reader.values["x"], len(reader.refusals)) == ((1.0,), 1)
-    row.receive(b"\0\1\0\0")  # of no tick that could be read
+    row.receive(b"\0\1\0\0")  # its tick cannot be read
     assert (len(reader.refusals), row.used) == (2, 10 * MS)
 
 
@@ -396,7 +396,7 @@ def test_an_external_message_is_recorded_at_the_tick_that_uses_it():
     reader = Reader(inputs={"x": link()})
     reader.record.foreign = {"x": 2}
     row = reader.row(state())
-    for stamps in ((0,), (10, 20), (), (30,)):  # one of them ahead of its time
+    for stamps in ((0,), (10, 20), (), (30,)):  # one message arrives ahead of its time
         reader.table.await_tick(reader.t)
         for stamp in stamps:
             row.receive(said(row.port, stamp * MS, 1.0))
@@ -649,7 +649,7 @@ def test_a_run_without_progress_ends_after_its_timeout_and_names_what_it_waits_f
             reader.ticks += 1
         else:
             reader.table.signs_of_life += 1
-        assert after(reader, stalls, 9.0) == "running"  # it has moved
+        assert after(reader, stalls, 9.0) == "running"  # the tick has advanced
         assert after(reader, stalls, 10.0) == "running"
         assert after(reader, stalls, 0.1).startswith("nothing stamped")
     reader, row, stalls = stands()

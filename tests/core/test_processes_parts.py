@@ -184,7 +184,7 @@ def test_without_room_in_shared_memory_no_transport_uses_it(reach, asked, fixed,
     monkeypatch.setattr(profile, "lacking", lambda nodes: "" if asked else f"no room for {nodes}")
     with profile.joining():
         root = ElementTree.parse(os.environ[profile.VARIABLE]).getroot()
-        assert os.environ[profile.TRANSPORTS] == "UDPv4"  # what a profile without transports of its own follows
+        assert os.environ[profile.TRANSPORTS] == "UDPv4"  # a profile without transports uses this variable
         # rmw_fastrtps adds shared memory to whatever profile a LOCALHOST participant has
         assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == {"LOCALHOST": "SYSTEM_DEFAULT"}.get(reach, reach)
     local = reach == "LOCALHOST"
@@ -483,7 +483,7 @@ def test_a_call_that_does_not_return_is_reported_once_when_the_rig_waits(watched
         run.at(k / 10 + 0.05, run.says("plant", t=k))
     run.logs["last"] = line
     run.run()
-    assert run.announced == []  # it goes on
+    assert run.announced == []  # the run continues
 
 
 def all_end(run, seconds):
@@ -506,7 +506,7 @@ def test_a_node_whose_code_ends_its_process_with_0_before_its_last_tick_is_named
     assert run.run() == ("code of node law after t = 0.5 s has ended its process with status 0", 2.0)
     run = watched()
     run.at(1.0, run.says("law", left_early=True)).at(2.0, run.ends("law", state="running"))
-    assert run.run() == (LOST.format("plant, source"), 12.0)  # by a signal, which is reported at the end
+    assert run.run() == (LOST.format("plant, source"), 12.0)  # killed by a signal, which is reported at the end
 
 
 def test_in_lockstep_remaining_nodes_have_the_timeout_from_the_last_progress(watched):
@@ -652,8 +652,8 @@ def test_a_node_that_was_killed_is_restarted_when_all_others_wait(tmp_path, monk
         return len(started)
 
     assert look(one=(1, {"ticks": 5}), two=(1, {"ticks": 4})) == 0
-    assert look(one=(1, {"ticks": 5}), two=(2, {"ticks": 4})) == 0  # one has not written since
-    assert look(one=(2, {"ticks": 6}), two=(3, {"ticks": 4})) == 0  # it has moved
+    assert look(one=(1, {"ticks": 5}), two=(2, {"ticks": 4})) == 0  # one node has written nothing since
+    assert look(one=(2, {"ticks": 6}), two=(3, {"ticks": 4})) == 0  # the node has advanced
     assert look(one=(3, {"ticks": 6, "busy": True}), two=(3, {"ticks": 4})) == 0
     assert look(one=(4, {"ticks": 6}), two=(3, {"ticks": 4})) == 1
     assert restarts.counts == {"dead": 1}
@@ -730,7 +730,7 @@ def test_missing_external_nodes_are_reported_with_what_to_do_and_present_ones_ar
     assert look(plant=lacks | wrong, source=lacks) == ["lag/command exists with type x"]
     stray = {
         "/lag/comand": [["sensor_msgs/msg/JointState", "/theirs"]],
-        "/lag/state": [["sensor_msgs/msg/JointState", "/theirs"]],  # of the rig
+        "/lag/state": [["sensor_msgs/msg/JointState", "/theirs"]],  # a topic of the rig
         "/tf": [["tf2_msgs/msg/TFMessage", "/theirs"]],
         "/plant/more": [["sensor_msgs/msg/JointState", "/plant"]],  # ours
     }

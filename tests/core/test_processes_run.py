@@ -120,7 +120,7 @@ def test_a_run_in_a_chosen_domain_leaves_the_ports_of_others_alone(stage, tmp_pa
     one.run(domain=4, wait=5.0, record=False, clock="realtime")
     assert one.asked[:2] == ["loopback", ("leftovers", None)]
     assert one.asked[-1] == ("leftovers", None)
-    assert one.started.recorders == ()  # others may be there
+    assert one.started.recorders == ()  # other nodes may exist in the domain
     assert (one.started.options["run.start_timeout"], one.started.record) == (5.0, False)
     assert ("watch", [*BASIC], True, 0) in one.asked
     part = stage()
@@ -130,7 +130,7 @@ def test_a_run_in_a_chosen_domain_leaves_the_ports_of_others_alone(stage, tmp_pa
     assert [a for a in part.asked if isinstance(a, tuple) and a[0] == "start"] == [("start", ["gain"], False)]
     guest = stage(BASIC | {"gain": {"executable": "gain", "external": True}})
     guest.run()
-    assert guest.started.options["run.start_timeout"] == 0.0  # as long as it takes
+    assert guest.started.options["run.start_timeout"] == 0.0  # no limit: the node waits as long as necessary
     assert ("leftovers", None) in guest.asked
     assert guest.said[0].startswith("waiting for gain")
     together = stage()
@@ -146,7 +146,8 @@ def test_facts_that_a_user_should_know_of_a_run_are_logged(stage):
         "domain 120: 1 to 100 are taken (by x)",
         "/dev/shm has 1 MB left: messages use UDP, which is slower",
     ]
-    assert one.started.variables == {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}  # so that no node uses what room there is
+    # so that no node uses the little shared memory
+    assert one.started.variables == {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     given = stage()
     given.run(domain=120)
     assert (given.said, given.started.variables) == ([], {})
@@ -224,7 +225,7 @@ def test_nodes_are_started_with_their_own_files_by_the_server_or_by_themselves(t
     assert "run.again" not in given
     by_server = None
     spawning.start(run, [members["gain"]])
-    assert child.log.read_text() == "x"  # of this one only
+    assert child.log.read_text() == "x"  # the log has only this start
     ((command, log, how),) = started
     assert (command, log) == (gain, str(child.log))
     assert how == {
@@ -321,7 +322,7 @@ def test_leftovers_are_removed_in_an_unused_domain_and_its_locks_belong_to_the_u
         lock = tmp_path / "softrig" / "domains" / f"{number}.lock"
         assert (lock.stat().st_mode & 0o777, lock.parent.stat().st_mode & 0o777) == (0o600, 0o700)
     with domain.free_domain(number):
-        assert asked[1:] == [None]  # others may be there
+        assert asked[1:] == [None]  # other nodes may exist in the domain
 
 
 def test_the_search_for_a_domain_begins_at_the_process_id_and_wraps_around(monkeypatch):
@@ -369,7 +370,7 @@ def test_nodes_need_a_loopback_interface_that_is_up(monkeypatch):
         raise OSError
 
     monkeypatch.setattr(domain.fcntl, "ioctl", unknown)
-    domain.require_loopback()  # it has another name here
+    domain.require_loopback()  # the loopback interface has another name here
 
 
 # ---- who knows whom ----

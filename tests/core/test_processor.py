@@ -66,7 +66,7 @@ def test_every_thread_stays_until_messages_take_long_and_returns(allowed):
 
     work, processor = placed(1)
     own, everywhere = {frozenset({allowed[1 % len(allowed)]})}, {frozenset(allowed)}
-    work.time += 100 * SHORT  # of the start: no message yet
+    work.time += 100 * SHORT  # time of the start, before any message
     processor.step()
     work.more(1, 50 * SHORT)  # nor are those that come with it judged
     processor.step()

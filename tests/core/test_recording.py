@@ -358,7 +358,7 @@ def test_a_growing_shard_is_read_as_it_is_written(limit, tmp_path, monkeypatch):
     ends = shard(path, 5, 20)
     whole, head = path.read_bytes(), ends[0][0]
     recording, tail = Recording(TOPICS), ShardTail(growing)
-    assert not tail.read(recording)  # it is not there yet
+    assert not tail.read(recording)  # the file does not exist yet
     growing.write_bytes(whole[:head])
     monkeypatch.setattr(ShardTail, "LIMIT", max(limit, head + 1))  # the head is read as a whole
     assert not tail.read(recording)
@@ -385,7 +385,7 @@ def test_a_shard_reports_whether_there_may_be_more(tmp_path, monkeypatch):
         writer.add(0, k, b"12345678")  # 22 bytes each
     writer.close()
     recording, tail = Recording(TOPICS), ShardTail(path)
-    assert not tail.read(recording)  # all of it in one look
+    assert not tail.read(recording)  # everything in one read
     writer = ShardWriter(path, TOPICS[3:])
     for k in range(9):
         writer.add(0, k, b"12345678")
@@ -444,7 +444,7 @@ def test_topics_of_a_shard_are_below_the_namespace_of_its_node(tmp_path):
     assert shard_topics(path) == {"a/said": "std_msgs/msg/Float64", "a/b/more": "std_msgs/msg/Float64"}
     empty.write_bytes(path.read_bytes()[:30])
     assert shard_topics(empty) == {}
-    empty.write_bytes(b"softrig shard 1\n" + path.read_bytes()[16:])  # of another version
+    empty.write_bytes(b"softrig shard 1\n" + path.read_bytes()[16:])  # a shard of another version
     assert shard_topics(empty) == {}
     both = read_shards([empty, none, path])
     assert found(both) == {"a/said": [], "a/b/more": [(5, b"x")], EVENTS: [(6, b"y")]}
@@ -553,7 +553,7 @@ def test_stamps_that_are_not_the_ticks_and_messages_of_several_forms_are_read_on
         "0": [1.0, 2.0],
         "1": [pytest.approx(np.nan, nan_ok=True), 2.0],
     }
-    assert table.stamp.tolist() == [-1.0] * 3  # they have none
+    assert table.stamp.tolist() == [-1.0] * 3  # these messages have no stamp
     for name, text in (
         ("rig/none/x", "no topic for signal 'rig/none/x'; recorded are rig/state, rig/rows, rig/stop, /clock"),
         ("rig/rows/7", "no signal '7' on rig/rows; it has 0, 1"),

@@ -122,7 +122,7 @@ def test_a_run_in_real_time_that_was_never_late_is_repeated_in_lockstep(seed, fa
 
 
 def test_a_run_in_real_time_that_was_late_reports_it_and_the_differences(tmp_path, capsys):
-    rng = random.Random(0)  # one message in five comes after the next tick
+    rng = random.Random(0)  # one message in five arrives after the next tick
     pressed(tmp_path / "first", "realtime", lambda *_: rng.choice([MS, MS, MS, MS, 15 * MS]))
     status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 0
@@ -136,7 +136,7 @@ def test_a_repetition_that_differs_names_the_place(tmp_path, capsys, monkeypatch
     pressed(tmp_path / "first")
     monkeypatch.setattr(
         "softrig_bringup.options.like.from_outside", lambda rig, recording: []
-    )  # what was outside is forgotten
+    )  # the repetition does not know which node was external
     status, text = repeat(tmp_path, capsys, "--like", str(tmp_path / "first"), "--mode", "inprocess")
     assert status == 1
     assert "differs from" in text

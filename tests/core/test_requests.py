@@ -115,7 +115,7 @@ def test_requests_that_arrived_before_the_clock_was_set_back_are_answered(monkey
     world.ask("a")
     world.clock.offset -= 3600 * SECOND
     world.requests.serve()
-    assert world.log == []  # it may have arrived during the look
+    assert world.log == []  # the request may have arrived during the check
     world.requests.serve()
     assert world.log == [("a", b"a")]
 

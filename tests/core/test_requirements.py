@@ -141,7 +141,7 @@ def test_of_a_record_that_ends_early_the_decided_part_is_judged():
     result = figure_of(rig, simulate(rig).signals)
     assert (result.value, result.passed) == (pytest.approx(-worst, abs=1e-15), True)
     sure_of_half = rig.scenario.model_copy(update={"expect": {"it": Expectation(at_least=0.0, at_most=1.0)}})
-    assert not figure_of(rig_of(sure_of_half), run.signals).passed  # it may yet be more
+    assert not figure_of(rig_of(sure_of_half), run.signals).passed  # the value may still increase
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_the_last_window_hides_no_violation_beside_it(live):
     assert result.open_from_s == t[still[0]]
     if live:
         upper = run.signals["requirement/it/upper/position"].x
-        assert upper[-1] == 0.3 - x[:-1].max()  # it does not see the last instant
+        assert upper[-1] == 0.3 - x[:-1].max()  # it does not include the last instant
 
 
 def test_undefined_arithmetic_is_not_judged_in_any_requirement():

@@ -176,8 +176,8 @@ def test_an_observer_publishes_its_figures_markers_and_text_to_subscribers():
     node.readers |= {"/diagnostics": 1, "~/metrics": 1, "~/markers": 2}
     for k in range(8):
         timer.call()
-        assert len(node.topics["/diagnostics"]) == len(node.topics["~/metrics"]) == (k + 1) // 4  # each second
-    assert node.topics["~/markers"] == []  # not before it runs
+        assert len(node.topics["/diagnostics"]) == len(node.topics["~/metrics"]) == (k + 1) // 4  # once a second
+    assert node.topics["~/markers"] == []  # nothing is published before the node runs
     adapter.state = "running"
     timer.call()
     (array,) = node.topics["~/markers"]
@@ -307,7 +307,7 @@ def test_sets_are_applied_at_the_next_tick_all_or_none():
         result = set_them([Parameter(name.replace("__", "."), value=value) for name, value in values.items()])
         return result.successful, result.reason
 
-    assert said(run__seed=3) == (True, "")  # not the block's
+    assert said(run__seed=3) == (True, "")  # a parameter of the node and not of its block
     assert said(run__pace=2.0) == (False, "run.pace is that of the node of the clock, in lockstep, once it has begun")
     done, reason = said(gain=3.0)
     assert (done, "gain" in reason) == (False, True)  # may not change
@@ -357,7 +357,7 @@ class Serving(ServingNode):
 def test_parameters_set_together_are_applied_together_or_one_by_one():
     node = Serving(k=1.0, n=3, text="a", row=[1.0, 2.0], whole=[1, 2], words=["a"])
     assert node.ask(k=2.0, n=4) == ([True, True], ["", ""], [{"k": 2.0, "n": 4}])
-    assert node.ask(k=1.0) == ([True], [""], [])  # it is so already
+    assert node.ask(k=1.0) == ([True], [""], [])  # it already has this value
     node.refuses = ("n",)
     assert node.ask(k=2.0, n=4) == ([True, False], ["", "refused"], [{"k": 2.0, "n": 4}, {"k": 2.0}, {"n": 4}])
     assert node.ask(n=4) == ([False], ["refused"], [{"n": 4}])
@@ -955,7 +955,7 @@ def test_a_set_or_a_press_is_answered_after_the_node_and_a_silent_node_is_named(
     for number_ in (8, 9):
         asked.remote.ask({"id": number_, "node": "plant", "call": "kick"})
         assert asked.look() == (number_, True, "kick pressed")
-    assert asked.calls[2:] == ["plant/kick", "press", "press"]  # one client each
+    assert asked.calls[2:] == ["plant/kick", "press", "press"]  # one client for each service
     asked.remote.ask({"id": 1, "node": "law", "set": {"k": 1.0}})
     asked.future = None
     assert asked.look() is None

@@ -430,7 +430,7 @@ def test_files_and_their_variants_are_found(folder):
     low = resolve("child_low", folder / "one/child.yaml")
     assert (low["title"], low["duration"]) == ("F", 2.0)
     assert low["nodes"]["plant"]["parameters"] == {"gain": 5.0, "limit": 3.0, "file": str(folder / "one/beside.csv")}
-    assert resolve("more", folder / "two/more.yaml")["title"] == "V"  # of the first folder that has it
+    assert resolve("more", folder / "two/more.yaml")["title"] == "V"  # found in the first folder that has it
     broken: list[ScenarioError] = []
     (folder / "one/broken.yaml").write_text("variants: {a b: {}}\n")
     assert "broken" not in {n for n in list_scenarios(broken) if n != "broken"}

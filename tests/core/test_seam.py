@@ -141,7 +141,7 @@ def test_the_time_until_the_next_due_call_is_reported_and_waited_for(monkeypatch
     exchange = Still(monkeypatch)
     exchange.timer(5000, partial(exchange.note, "t"), "node")
     assert exchange.serve(4999, 4999) == 5000
-    assert exchange.serve(4999, 5000) == 0  # it has waited until the end of its time
+    assert exchange.serve(4999, 5000) == 0  # it has waited until its time was over
     assert (exchange.t, exchange.log) == (5000, [])
     assert exchange.serve(5000, 0) == 5000
     assert exchange.log == [("t", 5000)]
@@ -460,7 +460,7 @@ def test_a_paused_node_reports_it_and_runs_the_steps_it_gets():
     hold.ask("step", 3)
     hold.ask("resume")
     hold.ask("pause")
-    assert hold.holds(0)  # what was not taken is forgotten
+    assert hold.holds(0)  # steps that were not executed are forgotten
 
 
 def test_a_pace_is_checked_a_hundred_times_a_second_until_there_is_none():
@@ -478,7 +478,7 @@ def test_a_pace_is_checked_a_hundred_times_a_second_until_there_is_none():
     styles.call()
     assert (turned, hold.waits) == ([1], False)
     styles.call()
-    assert turned == [1]  # nothing waits
+    assert turned == [1]  # no request waits
     assert [hold.holds(t * MS) for t in (0, 5, 9, 10, 11)] == [False, False, False, True, True]
     assert hold.go_at(2.0)
     assert hold.pace == 2.0
@@ -527,7 +527,7 @@ def test_of_durations_the_median_the_hundredth_longest_and_the_longest_are_repor
         samples = list(range(1, n + 1))
         random.Random(n).shuffle(samples)
         text = health.percentiles("x", (s * MS for s in samples), 400 * MS)
-        middle = n // 2 + 1  # of an even number the upper one
+        middle = n // 2 + 1  # the upper one if the number is even
         assert text == {"x_p50_ms": middle, "x_p99_ms": n * 99 // 100 + 1, "x_max_ms": 400.0}
 
 

@@ -189,7 +189,8 @@ def test_going_back_repeats_the_work_again(monkeypatch):
     kept = held.save()
     held.update(100_000_000, ask=None)
     held.load(kept)
-    assert (held.block.worker.log, held.block.worker.cancelled) == (["a"], 0)  # it is the same work
+    # the same request is already being computed
+    assert (held.block.worker.log, held.block.worker.cancelled) == (["a"], 0)
     held.update(200_000_000, ask="b")
     held.load(kept)
     held.refused(100_000_000)
@@ -290,7 +291,7 @@ def test_a_worker_knows_the_state_of_its_work(hands, monkeypatch):
     worker.submit("u", 7)
     assert len(hands) == 2  # another one
     worker.release()
-    assert hands[1].left == 0  # it works
+    assert hands[1].left == 0  # this process is busy
     worker.process_message(hands[1], "best", "b")
     worker.strike()
     now(state="done", answer="b", has_best=True, struck=True, job=7)
@@ -306,7 +307,7 @@ def test_a_worker_knows_the_state_of_its_work(hands, monkeypatch):
     assert [p.left for p in hands] == [1, 0, 0, 0]
     worker.warm()
     hands[-1].dead = True
-    worker.warm()  # one that has ended is replaced
+    worker.warm()  # a process that has ended is replaced
     assert len(hands) == 6
     now.__defaults__ = ()
     del worker
@@ -381,7 +382,7 @@ def test_processes_without_an_owner_serve_the_next_of_the_same_call(monkeypatch)
     assert idle == []
     first.leave()
     monkeypatch.setenv("OTHER", "1")
-    assert of("m", "f") is not first  # it would see other variables
+    assert of("m", "f") is not first  # it would have other environment variables
     monkeypatch.delenv("OTHER")
     first._process.ended = 0
     assert of("m", "f") is not first

@@ -431,7 +431,7 @@ def test_two_publishers_of_a_paired_input_end_the_run():
     assert str(adapter.error) == "2 publishers on lag/state (/a, /b), expected exactly one"
     hand, _, adapter = node(Gain(), law_links(returns=True))
     begun(adapter, hand, {"lag/command": ["plant"]})
-    hand.matched["lag/state"](2)  # one of them has died
+    hand.matched["lag/state"](2)  # one of the two publishers has died
     assert adapter.state == "running"
 
 
@@ -480,7 +480,7 @@ def test_a_topic_of_another_type_is_reported_once_and_a_watch_writes_the_status(
     hand.types = {"/lag/state": ["std_msgs/msg/Float64"], "/lag/reference": [REFERENCE.msgtype]}
     for k in range(1, 9):
         watch.call()
-        assert len(hand.logs) == (k >= 4)  # it looks at each fourth
+        assert len(hand.logs) == (k >= 4)  # it checks at every fourth call
     text = f"lag/state exists with type std_msgs/msg/Float64, expected {JOINT}"
     assert hand.logs == [f"ERROR {text}"]
     assert adapter.account.status()["reports"] == {"type of lag/state": [2, text, 1]}

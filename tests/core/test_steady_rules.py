@@ -74,7 +74,7 @@ def test_the_point_is_where_newtons_method_ends(at):
     assert point.slowest == pytest.approx(1.0 - 0.1 * root, rel=1e-7)
     assert point.stable
     assert point.moved <= 1e-9
-    assert point.drifting == {"plant[1]": pytest.approx(root / point.period, rel=1e-9)}  # what adds up goes on
+    assert point.drifting == {"plant[1]": pytest.approx(root / point.period, rel=1e-9)}  # an integral continues to grow
 
 
 def test_an_unstable_point_is_reported_as_unstable():

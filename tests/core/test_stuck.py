@@ -72,7 +72,7 @@ def test_a_signal_ends_the_process_when_the_tick_does_not_return(lines, monkeypa
     monkeypatch.setattr(stuck, "LONG", PATIENCE)
     monkeypatch.setattr(stuck.os, "_exit", lambda status: (ended.append(status), AT_LAST.set()))
     monkeypatch.setattr(stuck, "print_for", lambda who, text: lines.append(f"{who}: {text}"))
-    before = signal.signal(signal.SIGTERM, lambda number, frame: None)  # of code that never sees it
+    before = signal.signal(signal.SIGTERM, lambda number, frame: None)  # the stuck code never handles this signal
     STARTED.clear()
     killer = threading.Thread(target=lambda: STARTED.wait(PATIENCE) and os.kill(os.getpid(), signal.SIGTERM))
     killer.start()

@@ -287,7 +287,7 @@ class Flight:
 
 def test_a_goal_is_followed_reported_and_reached(monkeypatch):
     rig = Rig(monkeypatch)
-    assert rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))))) is None  # it has not begun
+    assert rig.send(goal(trajectory(point(20 * MS, (0, 0, 0))))) is None  # the run has not begun
     rig.until(10 * MS)
     refused = "follow_joint_trajectory: a goal is refused: the run has not begun"
     assert rig.adapter.step.reports["follow_joint_trajectory"] == (Level.WARN, refused, 1)

@@ -25,7 +25,8 @@ from draw import KINDS, Mutant, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
 TRACED = "tests/mutants/traced"
-OURS = ("PYTHONPATH", "AMENT_PREFIX_PATH", "VIRTUAL_ENV", "SOFTRIG_SCENARIOS")  # of this checkout: not for the worktree
+# variables of this checkout, which the worktree must not inherit
+OURS = ("PYTHONPATH", "AMENT_PREFIX_PATH", "VIRTUAL_ENV", "SOFTRIG_SCENARIOS")
 BARE = {name: value for name, value in os.environ.items() if name not in OURS}
 
 
@@ -206,7 +207,7 @@ def _tried(tree: Path, run: Warm, known: Tests, place: str, mutant: Mutant, most
         status = run(["-x", f"@{asked}"], 120.0 + 10.0 * seconds)
     finally:
         file.write_text(source)
-    if status == 4 and run(["--collect-only", f"@{asked}"], 120.0):  # not because the mutant cannot be imported
+    if status == 4 and run(["--collect-only", f"@{asked}"], 120.0):  # the cause is not a mutant that cannot be imported
         return "not tried", "pytest does not find these tests by their names"
     return "survived" if status == 0 else "killed", f"{len(chosen)} of {len(tests)} tests, {seconds:.0f} s"
 

@@ -57,7 +57,7 @@ def loaded_functions(packages):
     """All loaded functions of some packages, by file, first line and name."""
     for package in packages:
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            with suppress(Exception, SystemExit):  # of an extra that is not here
+            with suppress(Exception, SystemExit):  # modules of an extra that is not installed
                 importlib.import_module(module.name)
     result = defaultdict(list)
     for each in gc.get_objects():
@@ -93,7 +93,7 @@ def put_in(file, mutant, source, functions):
         for function in functions.get((str(file), old.co_firstlineno, old.co_qualname), ()) if old != code else ():
             try:
                 function.__code__ = code
-            except ValueError:  # it closes over something else now
+            except ValueError:  # the function now has other closure variables
                 return False
             done = True
     return done

@@ -77,7 +77,7 @@ class Table:
         self.digests |= digests
         for row in map(json.loads, rows):
             files = set(row["lines"])
-            if row["outcome"] == "failed":  # it may have ended early
+            if row["outcome"] == "failed":  # a failed test may have ended early
                 files |= set(self.tests.get(row["test"], (0.0, []))[1])
             self.tests[row["test"]] = (row["seconds"], sorted(files))
 

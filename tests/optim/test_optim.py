@@ -591,7 +591,7 @@ def test_bad_measurements_in_hold_do_not_hide_a_change(bad):
     loop.run(0.01 + 192 * 0.3 + 20.0)
     held = loop.dish.block.power(loop.dish.x)
     loop.run(1.0, **bad)
-    loop.run(0.29, objective=0.5 * held)  # one look at it
+    loop.run(0.29, objective=0.5 * held)  # a single measurement
     assert (loop.state["phase"], loop.state["restarts"]) == (Phase.HOLD, 0)
     loop.run(0.01, **bad)
     loop.run(0.02, objective=0.5 * held)
@@ -707,7 +707,7 @@ def test_short_cases_are_sent_together_and_long_ones_one_by_one(monkeypatch):
         assert len(chunks) < 100
         chunks.clear()
         assert workers.map(abs, range(4)) == [0, 1, 2, 3]
-        assert chunks == [2, 2]  # of few, each worker has its share
+        assert chunks == [2, 2]  # with few runs, each worker has its share
         workers._mean = 10.0
         chunks.clear()
         workers.map(abs, range(4))
@@ -766,7 +766,7 @@ def test_an_idle_process_serves_the_next_worker_of_its_function(monkeypatch):
 
 
 def test_a_completed_run_leaves_its_process_to_the_next():
-    while _Process.idle:  # of other tests
+    while _Process.idle:  # idle processes of other tests
         _Process.idle.pop().kill()
     nodes = {
         "plant": "plant",

@@ -253,7 +253,7 @@ SHAPES = {
     "smooth": lambda a, b: lambda x: math.cos(a * x) + 0.3 * b * x,
     "kinked": lambda a, b: lambda x: abs(x - 0.3 * a) + b * abs(x - 1.1),
     "stairs": lambda a, b: lambda x: math.floor(a * (x - b) ** 2),
-    "roots": lambda a, b: lambda x: round(3.0 * a * (math.sqrt(abs(x - b)) - 0.2 * x)),  # of which many are equal
+    "roots": lambda a, b: lambda x: round(3.0 * a * (math.sqrt(abs(x - b)) - 0.2 * x)),  # many of its values are equal
     "fine roots": lambda a, b: lambda x: round(90.0 * a * (math.sqrt(abs(x - b)) - 0.1 * x)),
     "flat": lambda a, b: lambda x: a,
     "falling": lambda a, b: lambda x: -a * x**3 - b * x,
@@ -343,7 +343,8 @@ QUARTERS = st.integers(-1, 12).map(lambda n: n / 4.0)
 @settings(max_examples=40, deadline=None, derandomize=True)
 @example([(0.0, 0.0)] * 40, 2, True)
 @example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(2.0, 1.0)] * 37, 2, True)
-@example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(0.5, 0.5)] * 37, 2, True)  # of equals the first is the best
+# the first of equal candidates is the best
+@example([(2.0, 1.0), (1.0, 2.0), (3.0, 0.25)] + [(0.5, 0.5)] * 37, 2, True)
 def test_searches_along_the_load_line_follow_their_rule(samples, corrections, gap):
     """For any measurements, also impossible ones: the commands, the best, and what is proven when."""
     settings_of = {CertifiedSearch: {"eps": 0.5 if gap else 0.0, "n_iter": 9}, RampScan: {"n_ramp": 7}}

@@ -65,7 +65,7 @@ def test_a_search_as_a_value_continues_from_any_of_its_past():
     assert again != "else"
     copied = copy.copy(line[2])
     assert (copied, copied.now.ask()) == (line[2], candidates[2])
-    assert rng.random() == np.random.default_rng(4).random()  # it is not drawn from
+    assert rng.random() == np.random.default_rng(4).random()  # no number was drawn from the generator
     native = line[2].native()
     assert native[1:] == (line[2].low, line[2].high, True, True, math.inf, 4.0)
     assert native.python() is line[2]

@@ -193,7 +193,7 @@ def test_a_port_whose_name_another_file_has_is_lost(tmp_path, monkeypatch):
         opened.enter_context(others.open("w"))
         ears = Ears()
         assert ears.lost() == ""
-        foreign.unlink()  # of a peer
+        foreign.unlink()  # a port of a peer
         assert ears.lost() == ""
         port.unlink()
         assert [ears.lost(), ears.lost()] == [port.name] * 2
@@ -212,7 +212,7 @@ def test_a_process_marks_its_ports_as_alive(tmp_path):
     port.write_bytes(MADE + bytes(36) + head + bytes(16) + node + bytes(100))
     before = port.read_bytes()
     place = before.index(node)
-    assert place % 8 == 0  # as the compiler has it
+    assert place % 8 == 0  # the alignment of the compiler
     with ExitStack() as opened:
         opened.enter_context(mmap.mmap(opened.enter_context(port.open("r+b")).fileno(), 8))
         opened.enter_context((tmp_path / "fastrtps_port7661_el").open("w"))
@@ -223,7 +223,7 @@ def test_a_process_marks_its_ports_as_alive(tmp_path):
             assert (after[:place], after[place + 8 :]) == (before[:place], before[place + 8 :])
             assert now <= struct.unpack_from("=q", after, place)[0] <= time.time_ns() // 1_000_000
             port.write_bytes(before)
-        port.write_bytes(foreign := before.replace(head, bytes(16)))  # of another Fast DDS
+        port.write_bytes(foreign := before.replace(head, bytes(16)))  # a file of another version of Fast DDS
         assert [Ears().lost(), port.read_bytes()] == ["", foreign]
 
 

@@ -98,7 +98,7 @@ def test_an_edited_module_is_imported_again_and_running_nodes_continue(package):
     package.file.write_text(TOOLS.replace('"one"', '"two, another"'))
     assert package("say").wait(60) == 0
     assert (package.folder / "say.log").read_text().endswith("two, another\n")
-    assert sleeper.poll() is None  # of the server that was replaced
+    assert sleeper.poll() is None  # a child of the replaced server
     sleeper.kill()
     assert sleeper.wait(60) == -signal.SIGKILL
 

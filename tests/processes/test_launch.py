@@ -78,7 +78,7 @@ def test_the_lease_of_launched_nodes_follows_the_timeout(place, lag, monkeypatch
     for given in ("", "/their/own.xml"):
         monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", given)
         for node in nodes_of(values):
-            if given:  # which launch hands on
+            if given:  # arguments that launch passes on
                 assert node.variables == {}
             else:
                 (profile,) = node.variables.values()
@@ -197,7 +197,7 @@ def test_a_launch_that_is_judged_ends_with_a_status(lag, tmp_path, monkeypatch, 
         status, printed = launch(values, environment(domain, tmp_path))
     assert (status, printed.splitlines()[-1]) == (1, "judged: status 1")
     assert "claim last" in capsys.readouterr().out
-    assert not (tmp_path / "runs").exists()  # nothing was to be recorded
+    assert not (tmp_path / "runs").exists()  # no recording was requested
 
 
 @pytest.mark.processes

@@ -125,7 +125,7 @@ def test_an_external_subscriber_gets_each_message_from_its_arrival_on(tmp_path, 
     world.match()
     last = container.clock.ticks
     reported = container.ends_as_in_process()
-    world.run(world.now + 10**7)  # what is under way arrives
+    world.run(world.now + 10**7)  # messages in transit arrive
     topic = container.expected.topics[output.topic.removeprefix("/")]
     assert received == topic.data[first : first + len(received)]
     assert last - first <= len(received) + 1

@@ -387,7 +387,7 @@ def test_real_time_begins_when_the_outside_controller_has_joined(tmp_path):
     assert outcome.error == ""
     command = Signals(outcome.recording, outcome.epoch)["lag/command/u/effort"]
     assert 0.0 <= command.t[0] < 0.5
-    assert len(command.t) > 20  # of 101: on a loaded machine some come late
+    assert len(command.t) > 20  # of 101 ticks: on a loaded machine some are late
     assert len({s["epoch"] for s in outcome.status.values()}) == 1
 
 

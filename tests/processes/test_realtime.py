@@ -73,7 +73,7 @@ def test_a_lost_controller_gives_the_safe_input_and_a_new_one_takes_over(bench):
     bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] == 0.0)
     bench.start("gain", "gain")
     bench.wait(lambda: ears(bench.nodes["gain"]))
-    assert ports.isdisjoint(ears(bench.nodes["gain"]))  # to those of the dead one others still send
+    assert ports.isdisjoint(ears(bench.nodes["gain"]))  # other nodes still send to the ports of the dead node
     bench.wait(lambda: "recovered lag/command" in bench.status("plant")["reports"])
     bench.wait(lambda: bench.signal("plant", APPLIED).x[-1] != 0.0)
 
@@ -93,7 +93,7 @@ def test_a_timer_that_is_always_late_lets_messages_through():
             timer.again(period - time.monotonic_ns() % period, period)
             late.append(len(late))
             executor.create_task(received.append, late[-1])
-            time.sleep((0.0003, 0.0008, 0.0011)[len(late) % 3])  # it passes its grid at another phase each time
+            time.sleep((0.0003, 0.0008, 0.0011)[len(late) % 3])  # a different phase to the grid of ticks each time
             if len(late) == 400:
                 over.set_result(None)
 

@@ -22,7 +22,7 @@ from softrig_nodes.processes.domain import free_domain
 from softrig_nodes.ros.ros import RosMiddleware, ServingNode, plain
 
 ROOT = Path(__file__).parents[2]
-FMUS = ("fmu_controller", "fmu_plant")  # nothing without a file
+FMUS = ("fmu_controller", "fmu_plant")  # these nodes require a file
 DAILY = ("dc_motor_smc", "profile_generator", "reference_source", "rectifier_plant")  # optional numbers, lists, a plant
 
 

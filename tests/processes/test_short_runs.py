@@ -6,7 +6,7 @@ import pytest
 from softrig_core import simulate
 from test_outside import SYSTEMS, short
 
-LATER = ("optimal_control_mvim", "pwa_delay", "economic_dispatch")  # whose solvers alone take seconds
+LATER = ("optimal_control_mvim", "pwa_delay", "economic_dispatch")  # their solvers alone take seconds
 
 
 @pytest.mark.parametrize("system", [pytest.param(s, marks=[pytest.mark.long] * (s in LATER)) for s in SYSTEMS])

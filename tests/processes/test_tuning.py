@@ -86,7 +86,8 @@ def test_parameters_set_by_services_and_by_the_command_are_checked(tmp_path):
             )
             assert second.returncode == 1
             assert "law refuses delta, c: " in second.stderr
-            for number in ("99999999999999999999999", "[99999999999999999999999]"):  # of which no message can be made
+            # no message can represent this number
+            for number in ("99999999999999999999999", "[99999999999999999999999]"):
                 third = subprocess.run(
                     [*command[:-2], "law.delta", number],
                     env=bench.environment,
@@ -107,7 +108,7 @@ def test_parameters_set_by_services_and_by_the_command_are_checked(tmp_path):
     assert not text["period"][0][0]
     assert "c out of range" in text["c"][0][1]
     assert "parameter delta = 'much'" in text["wrong"][0][1]
-    assert [ok for ok, _ in text["both"]] == [True, False]  # each by itself, for not all of it fits
+    assert [ok for ok, _ in text["both"]] == [True, False]  # each value separately, because not all are valid
     assert "beyond reference_limit" in text["both"][1][1]
     assert [ok for ok, _ in text["in one"]] == [True, True]
     assert [ok for ok, _ in text["whole"] + text["as it is"]] == [True, True, True]

@@ -63,7 +63,7 @@ def test_a_controller_on_a_wrong_topic_is_reported_with_the_right_one():
     assert messages == []
     node = SimulatedNode(run.world, "somebody", {})
     node.publisher("lag/comand", COMMAND.msgtype, lambda count: None)
-    node.publisher("joint_states", "sensor_msgs/msg/Imu", lambda count: None)  # of another type: its own business
+    node.publisher("joint_states", "sensor_msgs/msg/Imu", lambda count: None)  # another type, so it is ignored
     run.run(1.0)
     look(), look()
     assert messages == [

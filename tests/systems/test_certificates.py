@@ -410,7 +410,7 @@ def dispatch(rng):
         least = units.total(enumerate_kinks(units, demand))
     except InfeasibleError:
         least = math.inf
-    for _ in range(200):  # others, too, moved to the balance by one unit
+    for _ in range(200):  # also other dispatches, balanced by one unit
         P = units.p_min + rng.random(len(units)) * (units.p_max - units.p_min)
         j = int(rng.integers(len(units)))
         P[j] += demand - P.sum()
@@ -546,7 +546,7 @@ def test_no_certificate_is_false(case):
 
 
 @pytest.mark.long
-@pytest.mark.timeout(1800)  # of the wall, where others compute as well
+@pytest.mark.timeout(1800)  # wall-clock seconds on a shared machine
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_no_certificate_of_ten_thousand_is_false(case):
     _, draws, valid, refused = CASES[case]

@@ -157,7 +157,7 @@ def test_clocks_that_are_not_good_enough_are_refused_for_two_recorders(tmp_path,
     assert refused.value.status == Status.UNSYNCHRONISED
     one = File(tmp_path)
     one.tail = r.tail
-    assert read(one).rate == RATE  # of one recorder both ends have one clock
+    assert read(one).rate == RATE  # both ends of one recorder share a clock
 
 
 def test_the_stated_clock_error_enters_the_budget_and_the_frequency_is_the_recorders(tmp_path):

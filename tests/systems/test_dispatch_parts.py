@@ -244,7 +244,7 @@ def test_equal_units_are_grouped():
     assert units.groups.tolist() == [0, 2, 0, 1, 2, 0]
     given = np.array([30.0, 100.0, 50.0, 80.0, 200.0, 40.0])
     assert units.sorted_copies(given).tolist() == [50.0, 200.0, 40.0, 80.0, 100.0, 30.0]
-    assert given.tolist() == [30.0, 100.0, 50.0, 80.0, 200.0, 40.0]  # what is given stays
+    assert given.tolist() == [30.0, 100.0, 50.0, 80.0, 200.0, 40.0]  # given values do not change
 
 
 def linear(*rows):
@@ -256,7 +256,7 @@ def linear(*rows):
     ("given", "demand", "wanted"),
     [
         ((5.0, 5.0, 5.0), 17.0, (5.0, 7.0, 5.0)),  # the cheapest of those that can take it all
-        ((5.0, 5.0, 5.0), 13.0, (3.0, 5.0, 5.0)),  # what is too much is taken from the dearest
+        ((5.0, 5.0, 5.0), 13.0, (3.0, 5.0, 5.0)),  # the excess is removed from the most expensive unit
         ((5.0, 9.0, 5.0), 21.0, (5.0, 9.0, 7.0)),  # the cheapest unit has too little room
         # no unit has enough room: the one with the most moves to its limit first
         ((9.0, 8.0, 9.5), 29.5, (10.0, 10.0, 9.5)),
@@ -730,7 +730,7 @@ def test_the_balance_of_a_box_is_its_tangent_and_the_bound_of_its_error(plain):
     wrong = sum(abs(B3[i, j]) * half[i] * half[j] for i in range(3) for j in range(3))
     middle = 400.0 + B00 - sum(centre[i] * B3[i, j] * centre[j] for i in range(3) for j in range(3))
     assert (least, most) == (pytest.approx(middle - wrong), pytest.approx(middle + wrong))
-    for corner in itertools.product((-1.0, 1.0), repeat=3):  # what balances in the box is between
+    for corner in itertools.product((-1.0, 1.0), repeat=3):  # balanced points of the box lie between
         P = centre + np.array(corner) * half
         assert plain._surplus(p, P) == pytest.approx(P.sum() - lost(P) - 400.0)
         weighed = relaxed.weight @ P

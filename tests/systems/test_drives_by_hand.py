@@ -192,7 +192,8 @@ def test_the_axis_sticks_up_to_its_stiction_and_no_speed_is_beyond_its_limit():
         axis = ByHand(DcAxisPlant(**p))
         axis.advance(0, command=(volts,))
         assert (axis.outputs(MS)["true_state"][1] != 0.0) is moves
-    assert ByHand(DcAxisPlant(**{**p, "coulomb": 60.0})).outputs(0)["true_state"] == (0.0, 0.0)  # as large is no error
+    # a value as large as the limit is no error
+    assert ByHand(DcAxisPlant(**{**p, "coulomb": 60.0})).outputs(0)["true_state"] == (0.0, 0.0)
 
 
 # the DC motor ----------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ def test_outcome(name, tmp_path):
         content["small"]
     )
     worst, changes = known.get(name, ({}, {}))
-    assert content["runs"] == falsification_of(name, {}).budget  # none is left
+    assert content["runs"] == falsification_of(name, {}).budget  # no run is left
     for key, margin in worst.items():
         assert content["worst"][key] == pytest.approx(margin, rel=1e-4)
     for key, value in changes.items():

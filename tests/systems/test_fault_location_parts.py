@@ -723,7 +723,7 @@ def test_brent_stays_in_the_cells_beside_the_lowest_grid_point():
     assert brent(work_of(lambda p: abs(p - 37.0)), 1) == (pytest.approx(37.0, abs=1e-5), pytest.approx(1.0, abs=1e-5))
     assert brent(work_of(lambda p: p), 1) == (0.0, 1.0)
     assert brent(work_of(lambda p: -p), 3) == (100.0, -97.0)
-    spike = work_of(lambda p: -5.0 if p == 40.0 else abs(p - 43.0))  # what Brent never sees
+    spike = work_of(lambda p: -5.0 if p == 40.0 else abs(p - 43.0))  # a spike that Brent's method does not evaluate
     assert brent(spike, 1) == (40.0, -4.0)
     rough = work_of(lambda p: abs(p - 37.0), tolerance=1.0)
     assert brent(rough, 1)[0] == pytest.approx(37.0, abs=1.0)

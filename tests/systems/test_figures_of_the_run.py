@@ -320,7 +320,7 @@ def first_unit(signals, nodes, a):
     return signals[names[0]][1][-1]
 
 
-COMPUTED = {  # what figures take from the rig, once more
+COMPUTED = {  # independent computation of the values that figures use from the rig
     "dtc_converter_error": converter_error,
     "aqm_mean_square_window": window_square,
     "aqm_utilisation": utilisation,

@@ -300,7 +300,7 @@ def test_the_iae_of_received_samples_equals_that_of_sent_ones_except_for_lost_on
     (tmp_path / "iae.yaml").write_text(CASE)
     run = simulate(load_scenario(tmp_path / "iae.yaml"), seed=seed)
     t, x = run.signals["motor/sensors/half/current_a/position"]
-    assert len(t) < 120  # of 200
+    assert len(t) < 120  # fewer than the 200 samples
     results = {m.name: m.value for m in run.results}
     until = float(np.trapezoid(np.abs(x), t)) + abs(float(x[-1])) * (2.0 - float(t[-1]))
     assert results["iae_arrived"] == pytest.approx(until, rel=0.015)

@@ -272,7 +272,7 @@ def tenths(name: str) -> Iterator[tuple[str, float | list[float]]]:
 def _tenth(value: float, factor: float) -> float:
     if isinstance(value, float) or not value:
         return value * factor
-    other = round(value * factor)  # of a whole number the next one
+    other = round(value * factor)  # for an integer the next one
     return other if other != value else value + (1 if factor > 1.0 else -1)
 
 

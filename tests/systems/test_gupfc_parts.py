@@ -567,7 +567,7 @@ def test_changed_gains_cause_no_jump(kind, jump):
     assert after.integral == pytest.approx(x.integral + jump * (1.0 - 2.0j))
     assert after._replace(integral=x.integral) == x
     none = SeriesController(law=kind, kp=0.6, ki=0.0)
-    assert none.go_on(x, old.p) == x  # nothing integrates: nothing takes it up
+    assert none.go_on(x, old.p) == x  # without an integrator there is no state to adapt
 
 
 def test_the_shunt_controller_is_a_cascade_of_two_regulators():

@@ -426,7 +426,7 @@ def test_bad_command_is_held_then_blocks_the_converter(which, bad):
     plant.advance(0, **commands(plant, 0))
     steady = plant.outputs(0)["status"]
     plant.advance(0, **commands(plant, 1) | {name: bad})
-    assert plant.outputs(0)["status"] == pytest.approx(steady, abs=1e-6)  # as if nothing had been
+    assert plant.outputs(0)["status"] == pytest.approx(steady, abs=1e-6)  # as with a valid command
     assert plant.reports[f"{name}_held"][0] is Level.WARN
     assert f"{name}_blocked" not in plant.reports
     for k in range(2, 30):

@@ -192,7 +192,8 @@ def test_stored_messages_take_the_memory_of_their_numbers_in_the_window():
     room = sum(map(len, kept.blocks)) + len(kept.filling) + len(kept.newest)
     assert 6_000 * 24 <= room < 6_000 * 24 + 2 * MANY
     assert kept.with_messages((), 40_000, 6_000).stamps(2).size == 0
-    longer = kept.with_message(row, 20_000, (1.0, 2.0), 20_000, 15_000)  # what has left the window does not come back
+    # samples that have left the window do not return
+    longer = kept.with_message(row, 20_000, (1.0, 2.0), 20_000, 15_000)
     assert longer.stamps(2)[0] == 13_999
 
 

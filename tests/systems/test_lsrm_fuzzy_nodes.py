@@ -98,7 +98,8 @@ def test_nodes_started_one_by_one_move_the_translator_in_real_time(bench):
         bench.wait(lambda name=name: bench.status(name)["ticks"] > 20)
     bench.wait(lambda: bench.signal("lsrm_plant", "joint_states/translator/position").x[-1] > 0.1)
     assert "overcurrent" not in bench.status("lsrm_plant")["reports"]
-    bench.wait(lambda: bench.signal("speed_controller", "force_cmd/translator/effort").x.max() > 2.0)  # it needs 2.4 N
+    # the load needs 2.4 N
+    bench.wait(lambda: bench.signal("speed_controller", "force_cmd/translator/effort").x.max() > 2.0)
 
 
 @pytest.mark.long

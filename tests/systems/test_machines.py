@@ -358,7 +358,7 @@ def test_field_weakening_keeps_the_voltage():
     speed = run.signals["joint_states/shaft/velocity"]
     fast = t > 0.5
     assert 0.85 < np.hypot(d, q)[fast].max() * 3**0.5 / 540.0 <= 1.0
-    assert speed.x[-1] * 3 * 0.545 > 1.5 * 540.0 / 3**0.5  # what the magnet alone induces
+    assert speed.x[-1] * 3 * 0.545 > 1.5 * 540.0 / 3**0.5  # the voltage that the magnet alone induces
     assert run.figures["i_d_idle"] == pytest.approx((0.9 * 540.0 / 3**0.5 / 900.0 - 0.545) / 0.036, rel=0.01)
 
 

@@ -18,8 +18,8 @@ from softrig_core.run.inprocess import record, wired
 from softrig_core.scenario.scenario_file import list_scenarios
 
 Make = Callable[..., Any]
-TICKS = 150  # of the clock
-SLOWEST = 4  # of the slowest member
+TICKS = 150  # ticks of the clock
+SLOWEST = 4  # ticks of the slowest node
 
 
 def typed(made: Any) -> Any:
@@ -59,7 +59,7 @@ def held(scenario: Any, make: Make = plain) -> Native:
     assert result.topics == wanted.topics
     for name, step in steps.items():
         other = others[name]
-        if not isinstance(step.block, Solver):  # which remembers how long it took
+        if not isinstance(step.block, Solver):  # a solver stores its computation time
             assert repr(other.x) == repr(step.x) or other.x == step.x, name
         assert (other.reports, other.t, repr(other.values), repr(other.last_answer)) == (
             step.reports,

@@ -278,7 +278,7 @@ def test_newton_halves_its_steps_if_allowed_and_keeps_the_best(monkeypatch):
     assert (alpha[0], error, len(asked)) == (3.0, near(math.atan(3.0)), 6)
     asked.clear()
     monkeypatch.setattr(mvim, "_ends", ends_of(lambda a: 1e-9, lambda a: 1.0, asked))
-    assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-8) == (0.0, 1e-9)  # of alphas that are as good the first
+    assert newton(None, np.array([0.0]), 1, 1, 1.0, 1e-8) == (0.0, 1e-9)  # the first of equally good alphas
     assert len(asked) == 3  # two steps that change nothing, from what is accurate
     asked.clear()
     newton(None, np.array([0.0]), 1, 1, 1.0, 1e-9)
@@ -593,7 +593,8 @@ def test_planners_solve_their_requests():
     assert solution.details["alpha"] == " ".join(f"{a:.10g}" for a in own.alpha)
     assert (solution.details["end error"], solution.details["order"]) == (f"{own.end_error:.3g}", "6")
     assert MvimPlanner.shape(series.p) == (1, 7)
-    assert (solution.accurate, own.residual[-1] >= 1e-4) == (True, True)  # so it says how many stages would do
+    # so the planner reports how many stages suffice
+    assert (solution.accurate, own.residual[-1] >= 1e-4) == (True, True)
     stages = mvim.enough_stages(find("two_state").changed(x0=(-0.4, 0.1)), 6, 1e-4)
     assert solution.reason == f"{own.reason}; stages: {stages} do; {mvim.several(own)}"
     edge = MvimPlanner(problem="two_state", order=4, order_max=6, eps=1e-9, eps_res=own.residual[-1])
@@ -605,7 +606,7 @@ def test_planners_solve_their_requests():
     solution = CollocationPlanner.solve(request, None)
     again = collocation.solve(find("two_state"), intervals=4, samples=5)
     assert (np.reshape(solution.values, (5, 5)).tolist(), solution.order) == (again.rows.tolist(), 3)
-    assert again.end_error == 0.0  # of a free end nothing is missed
+    assert again.end_error == 0.0  # a free end has no end error
     assert solution[2:8] == (again.J, again.residual, again.end_error, True, again.residual < 1e-4, again.reason)
     assert solution.details["alpha"] == f"{again.alpha[0]} {again.alpha[1]}"
     assert (solution.details["J"], solution.details["iterations"]) == (f"{again.J:.12g}", str(again.iterations))

@@ -85,7 +85,7 @@ def test_torques_are_limited_and_biased():
     plant.advance(0, command=(2.0, 0.1, -3.0))
     same.advance(0, command=(0.6, 0.1, -0.5))
     assert plant.outputs(0)["state"][:3] == same.outputs(0)["state"][:3]
-    assert plant.outputs(0)["state"][3:] == (0.5, 0.1, -0.5)  # what the actuator gave, without the disturbance
+    assert plant.outputs(0)["state"][3:] == (0.5, 0.1, -0.5)  # the output of the actuator without the disturbance
     assert plant.reports["limited"][0] is Level.WARN
 
 
@@ -282,7 +282,7 @@ def test_a_plan_that_arrives_ticks_after_its_stamp_is_played():
     player.block.ages = lambda name: {"plan": None, "summary": 2 * S}.get(name)
     assert player.update(2 * S, state=STATE, plan=plan, summary=summary)["command"] == (0.0, 0.0, 0.0)  # half of it
     player.block.ages = lambda name: 3 * S
-    elsewhere = (0.02, *STATE[1:])  # by then
+    elsewhere = (0.02, *STATE[1:])  # the state at that time
     command = player.update(3 * S, state=elsewhere, plan=plan, summary=summary)["command"]
     assert command == pytest.approx(solution(3.5)[6:], rel=1e-12)
 

@@ -104,7 +104,7 @@ def test_tops_dips_and_basins():
     between = Characteristic(np.arange(4.0), np.array([3.0, 2.0, 1.0, -1.0]))
     assert between.open_circuit == 2.5
     flat = Characteristic(np.array([0.0, 1.0, 2.0, 3.0, 4.0]), np.array([8.0, 6.0, 3.0, 1.0, 0.0]))  # 0, 6, 6, 3, 0
-    assert flat.peaks == [Peak(1.0, 6.0, 6.0)]  # of equals the first
+    assert flat.peaks == [Peak(1.0, 6.0, 6.0)]  # the first of equal powers
     dark = Characteristic(np.array([-1.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0]))
     assert (dark.peaks, dark.valleys, dark.gmpp, dark.basin(3.0)) == ([], [], Peak(0.0, 0.0, 0.0), 0)
     reverse = Characteristic(np.array([-3.0, -2.0, -1.0, 0.0, 1.0]), np.array([1.0, 3.0, 1.0, 1.0, 0.5]))

@@ -448,9 +448,9 @@ def test_of_two_margins_by_growth_the_first_is_found():
 def test_the_growth_of_a_run_is_the_slope_of_its_maxima():
     t = np.arange(1, 4001) * 0.01
     for rate in (-0.2, 0.3):
-        sizes = np.exp(rate * t) * np.abs(np.cos(3.0 * t)) * np.where(t < 15.0, 9.0, 1.0)  # of its second half alone
+        sizes = np.exp(rate * t) * np.abs(np.cos(3.0 * t)) * np.where(t < 15.0, 9.0, 1.0)  # only the second half counts
         assert growth_rate(Run(t, sizes, np.zeros(1), 0)) == pytest.approx(rate, abs=1e-3)
-    flat = np.array([0, 0, 0, 0, 1, 1, 0, 2, 2, 1, 0, 4, 0, 0.0])  # of what is flat the last sample counts
+    flat = np.array([0, 0, 0, 0, 1, 1, 0, 2, 2, 1, 0, 4, 0, 0.0])  # the last sample of a flat peak counts
     run = Run(np.arange(14.0), np.concatenate([np.zeros(14), flat])[14:], np.zeros(1), 0)
     with pytest.raises(ValueError, match=r"^2 maxima in 6 s: the run is too short for a growth rate$"):
         growth_rate(run)

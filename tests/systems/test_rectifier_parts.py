@@ -404,7 +404,7 @@ def test_all_figures_of_known_harmonics(plain):
     result = figures(other)
     assert list(result) == list(FIGURES)
     assert result == pytest.approx(wanted)
-    assert sorted({*np.flatnonzero(other[quality.LINK_COS])}) == [6, 12]  # what figures ask for
+    assert sorted({*np.flatnonzero(other[quality.LINK_COS])}) == [6, 12]  # only the orders that figures use
 
 
 def test_figures_without_a_window_or_a_current():
@@ -418,7 +418,7 @@ def test_figures_without_a_window_or_a_current():
     assert result == pytest.approx(dict.fromkeys(FIGURES, 0.0) | {"windows": 7.0, "voltage": 390.0}, abs=1e-9)
     kept = quality.opened(still.tobytes())
     assert kept.tolist() == still.tolist()
-    kept[0, 0] = 5.0  # to be added to
+    kept[0, 0] = 5.0  # new sums are added to this value
 
 
 # Models and constants -------------------------------------------------------------------------------------
@@ -432,7 +432,7 @@ def test_the_constants_of_the_operating_point():
     z = complex(0.4, p.omega * 2.5e-3)
     assert (p.impedance, p.phi, p.drop) == pytest.approx((abs(z), np.angle(z), abs(z) * i))
     most = RectifierConstants(R=10.0, R_L=400.0**2 / (1.5 * 180.0**2 / 40.0))
-    assert most.current == pytest.approx(9.0, rel=1e-6)  # all that goes through R
+    assert most.current == pytest.approx(9.0, rel=1e-6)  # the largest current through R
     with pytest.raises(ValueError, match=r"^R_L = 100 ohm takes 1600 W, more than V_g\^2/\(4 R\) allows$"):
         _ = RectifierConstants(R=10.0, R_L=100.0).current
 

@@ -134,11 +134,11 @@ def test_its_answers_to_inputs_equal_those_of_fmpy(path):
                 given = CVODE | {"input": np.repeat(table, 2)[:-1]}
                 given["input"]["time"], steps = np.repeat(table["time"], 2)[1:], 100
             theirs = fmpy.simulate_fmu(str(path), **(about | given))
-            theirs = theirs[np.unique(np.round(theirs["time"], 9), return_index=True)[1]]  # each before its event
+            theirs = theirs[np.unique(np.round(theirs["time"], 9), return_index=True)[1]]  # the row before each event
             ours = stepped(path, cells(outputs), period, ticks, (cells(inputs), values), method=method, steps=steps)
             _same(ours[1:], theirs[1:], outputs, 1e-12 if method == "co_simulation" else 1e-5)  # at 0 FMPy has told it
             compared += 1
-            assert np.ptp(ours, axis=0).min() > 0.0  # each of them moves
+            assert np.ptp(ours, axis=0).min() > 0.0  # every output changes
     assert compared
 
 

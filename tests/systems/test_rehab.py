@@ -207,7 +207,8 @@ def test_motors_drift_to_the_requested_values():
             plant.advance(round(t * 1e9), motor_command=(5.0, -2.0))
         assert numbers(drifting.x) == pytest.approx(numbers(fixed.x), rel=1e-12)
         torques = [plant.outputs(round(t * 1e9))["joint_states"][4:] for plant in (drifting, fixed)]
-        assert torques[0] == pytest.approx(torques[1], rel=1e-12)  # of the period before, also at the next tick
+        # the torque of the previous period, also at the next tick
+        assert torques[0] == pytest.approx(torques[1], rel=1e-12)
     assert drifting.block.torque_per_ampere == (69.12, 69.12)
 
 
@@ -793,7 +794,7 @@ def test_start_outside_the_range_can_be_allowed():
             assert not plant.x.safe
     for k in range(300, 1500):
         plant.advance(k * 1_000_000, motor_command=(-24.0, 0.0))
-    assert plant.x.safe  # it had been inside
+    assert plant.x.safe  # the position was inside its range before
     assert "hip at " in plant.reports["safe"][1]
 
 

@@ -545,7 +545,7 @@ class Tuned(JointGains):
 
 def test_no_body_has_a_moment_beyond_the_sum_of_the_others():
     check_inertia("m", 1.0, "I", (1.0, 2.0, 3.0))
-    check_inertia("m", 1.0, "I", (3.0 * (1.0 + 0.9e-9), 1.0, 2.0))  # of rounding
+    check_inertia("m", 1.0, "I", (3.0 * (1.0 + 0.9e-9), 1.0, 2.0))  # a deviation by rounding
     for mass, moments, text in (
         (0.0, (1.0, 1.0, 1.0), "^m = 0 kg: expected a positive mass$"),
         (1.0, (1.0, 0.0, 1.0), r"^I = \[1.0, 0.0, 1.0\] kg m\^2: expected a positive definite inertia$"),
@@ -676,8 +676,8 @@ def test_the_tuner_requests_when_its_button_is_pressed_and_reports_the_best():
             assert outputs["result"][1:] == (0.0, 0.0)
         else:
             assert outputs["result"][2] == best
-        assert block.answer(before, k, Reply(request, value), False)[0] == before  # nothing new
-        assert block.answer(before, k, Reply(((-1.0,), 0, 0), value), True)[0] == before  # of another search
+        assert block.answer(before, k, Reply(request, value), False)[0] == before  # no new value
+        assert block.answer(before, k, Reply(((-1.0,), 0, 0), value), True)[0] == before  # a reply of another search
         x, request = block.request(x, k, start=(1.0,))
         if request is None:
             break

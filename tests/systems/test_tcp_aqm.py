@@ -219,7 +219,7 @@ def test_the_window_stops_at_its_floor():
 
 def dde_solution(equations, start, times, folder, monkeypatch):
     """Adaptive solution by jitcdde; the first delay with blind steps, as its state-dependent delays need."""
-    monkeypatch.chdir(folder)  # where it compiles
+    monkeypatch.chdir(folder)  # the solver compiles in this folder
     module = pytest.importorskip("jitcdde")
     solver = module.jitcdde(equations(module), max_delay=0.3, verbose=False)
     solver.set_integration_parameters(rtol=1e-7, atol=1e-7, first_step=1e-4, max_step=0.05)
@@ -309,7 +309,7 @@ def test_packets_are_conserved_and_events_bounded():
     plant, controller = ByHand(TcpPackets()), AqmController(period=0.01, law="pi")
     plant.reset(1)
     counts = plant.x.traffic.inside.counts
-    assert counts[MOST_EVENTS] == counts[EVENTS] == 60  # of each flow its first packet; none has gone
+    assert counts[MOST_EVENTS] == counts[EVENTS] == 60  # the first packet of each flow; no flow has ended
     loop(plant, controller, 20.0)
     sources, agenda, _, counts = plant.x.traffic.inside
     acknowledgements = sum(int(k == 1 or k == 2) for k in agenda.kind[: counts[EVENTS]])
