@@ -42,7 +42,8 @@ def _leaving(tool: Main) -> Main:
     @wraps(tool)
     def main(argv: Sequence[str] | None = None) -> int:
         status = tool(argv)
-        ros = sys.modules.get(f"{__package__}.ros")  # whoever has opened a session has it
+        # Looked up and not imported: without an open session the tool needs no ROS.
+        ros = sys.modules.get(f"{__package__}.ros")
         if ros is not None and ros.Session.opened is not None:
             leave([ros.Session.opened.node], status)
         return status

@@ -256,7 +256,8 @@ def _mat(table: Path) -> Path:
 
     columns = pyarrow.parquet.read_table(table)
     variables: dict[str, Any] = {"names": np.array(columns.column_names, dtype=object)}
-    for heading in columns.column_names:  # a signal called `names`, too, has its own variable
+    # `names` is in `variables` already, so a signal of this name gets another one.
+    for heading in columns.column_names:
         name = plain = _identifier(heading)
         k = 1
         while name in variables:

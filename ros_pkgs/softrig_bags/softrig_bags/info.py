@@ -28,7 +28,8 @@ def describe(path: Path | str) -> str:
         if bag.start >= WALL_CLOCK:
             start = datetime.fromtimestamp(bag.start / SECOND, UTC).isoformat(" ", "milliseconds")
         lines.append(f"{bag.count} messages in {(bag.end - bag.start) / SECOND:.9g} s from {start}")
-        names = [" ".join(topic.name.split()) for topic in bag.topics]  # one line each, whatever they have in them
+        # A name in a damaged bag may contain line breaks, which would break the table.
+        names = [" ".join(topic.name.split()) for topic in bag.topics]
         width = max(map(len, names), default=0)
         for i, (topic, count) in enumerate(zip(bag.topics, counts, strict=True)):
             profiles = {(q.reliability.name.lower(), q.durability.name.lower()) for q in topic.offered}

@@ -15,7 +15,7 @@ from .errors import BagError
 from .files.reader import BagReader
 from .tables import Columns, Growing
 
-EPOCH = "epoch"  # under which a run in real time leaves, in a bag's metadata, the ns that its stamps count from
+EPOCH = "epoch"  # key in a bag's metadata: the stamp of t = 0 of a run in real time, ns
 # In ns. Bag times after September 2001 are those of a wall clock; simulated times begin near zero.
 WALL_CLOCK = 10**18
 

@@ -110,6 +110,8 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
     target = Path(out).absolute() if out is not None else None
     if result.shards:
         return _repair_shards(result.shards, target or place.with_name("bag"))
+    # With an output path a new bag is wanted in any case. With a journal beside a file, a reader of the file alone
+    # would miss committed rows.
     if place.is_dir() and target is None and not result.pending and _is_sound(place):
         return Repair(None, [])
     original = None
@@ -131,6 +133,7 @@ def repair(path: Path | str, out: Path | str | None = None) -> Repair:
         if not _is_sound(temporary):
             raise BagError(f"{place}: the rest of it is not a readable bag")
         if original is not None:
+            # The old bag gives way only now that the new one has been read completely.
             place.rename(original)
         temporary.rename(target)
     finally:

@@ -108,7 +108,8 @@ class Columns:
     def _piece(self, topic: int, decoder: Decoder, block: Block) -> Piece:
         groups = [*decoder.groups(block.raw, block.at, block.size)]
         good = [(rows, made, data) for rows, made, data in groups if isinstance(made, Template)]
-        good.sort(key=lambda group: group[0][0])  # columns in the order in which they come
+        # The columns are in the order of the messages that first have them.
+        good.sort(key=lambda group: group[0][0])
         for rows, made, _ in groups:
             if isinstance(made, Undecodable):
                 self._note(topic, int(block.t[rows[0]]), str(made), len(rows))

@@ -14,7 +14,9 @@ from functools import lru_cache
 from softrig_core.kit import exact
 
 Matrix = tuple[tuple[float, ...], ...]
-OF_LARGEST, OF_ITSELF = 2.0**-48, 2.0**-46  # how far an entry may be off, relative to the largest one and to itself
+# Largest error of an entry, relative to the largest entry and to itself. Floats that meet both are kept although the
+# nearest float64 is known, because the bits of golden bags are those of the series.
+OF_LARGEST, OF_ITSELF = 2.0**-48, 2.0**-46
 
 
 def matmul(a: Sequence[Sequence[float]], b: Sequence[Sequence[float]]) -> Matrix:
@@ -120,7 +122,9 @@ def _series(a: Sequence[Sequence[float]]) -> Matrix:
     scaled = [[x / 2**squarings for x in row] for row in a]
     identity: Matrix = tuple(tuple(float(i == j) for j in n) for i in n)
     result = identity
-    for k in range(18, 0, -1):  # Horner's scheme: I + A/1 (I + A/2 (I + ...)); what is left out is below rounding
+    # Horner's scheme: I + A/1 (I + A/2 (I + ...)). With a row sum below 1 the terms left out, 1/19! and on, are below
+    # rounding.
+    for k in range(18, 0, -1):
         product = matmul(scaled, result)
         result = tuple(tuple(identity[i][j] + product[i][j] / k for j in n) for i in n)
     for _ in range(squarings):

@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 from softrig_core.kit.dense import total
 
-SWINGS = 8  # in a row, from one turning point to the next
-KEPT = 0.9  # share of the first half of them that the second half has at least, when they do not decay
-ALIKE = 0.5  # of the largest of them, each
-LONGEST = 3  # times the longest time between turning points without another one ends the swing
-BAND = 0.02  # of the reference, smaller swings do not count
+SWINGS = 8  # number of swings in a row, each from one turning point to the next
+# In a loop that settles the swings decay: the second half of them then has less than this share of the first half.
+KEPT = 0.9
+# The swings of a limit cycle are alike: the smallest has at least this share of the largest.
+ALIKE = 0.5
+LONGEST = 3  # multiple of the longest time between turning points after which the signal counts as at rest
+BAND = 0.02  # smaller swings, relative to the reference, do not count
 
 
 NONE, NEVER = (0.0,) * SWINGS, (0,) * SWINGS
@@ -67,7 +69,8 @@ def limit_cycle(x: Swinging, y: float, reference: float) -> tuple[Swinging, floa
     elif abs(y - far) > BAND * abs(reference):
         swings, spans, result = (*swings[1:], abs(far - turn)), (*spans[1:], since), min(result + 1, SWINGS)
         turn, far, up, since = far, y, not up, 0
-    if result and since > LONGEST * max(spans):  # it has come to rest
+    # Without a new turning point for so long, the signal has come to rest.
+    if result and since > LONGEST * max(spans):
         turn, far, up, since, result, swings, spans = y, y, True, 0, 0, NONE, NEVER
     x = Swinging(reference, turn, far, up, since, result, swings, spans)
     if result < SWINGS or min(swings) < ALIKE * max(swings):

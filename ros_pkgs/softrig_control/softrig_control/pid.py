@@ -79,6 +79,7 @@ class Pid:
         d = (d + self._kd_n * (error - last)) / self._decay
         u = self._kp * error + integral + d
         step = self._ki_ts * error
-        if abs(u) <= self._limit or u * step <= 0.0:  # a reverse-acting law, Ki < 0, is driven on by the other sign
+        # The sign of Ki e counts and not that of e: with Ki < 0 (a reverse-acting law) the other sign drives u further.
+        if abs(u) <= self._limit or u * step <= 0.0:
             integral += step
         return PidState(integral, d, error), u

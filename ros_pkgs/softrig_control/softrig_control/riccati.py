@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-RESIDUAL = 1e-7  # of the size of an entry: what a solution may leave of its equation
+# Largest residual of the equation, relative to the size of an entry: doubling may end at a matrix that is no solution.
+RESIDUAL = 1e-7
 
 
 def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
@@ -39,12 +40,14 @@ def riccati(a: ArrayLike, g: ArrayLike, h: ArrayLike) -> Array | None:
     A, G, H = (np.array(x, dtype=float) for x in (a, g, h))
     # A problem without a solution grows beyond all numbers, or iterates forever.
     with np.errstate(over="ignore", invalid="ignore"), suppress(np.linalg.LinAlgError):
+        # Each step doubles the number of iterations of the recursion, so this limit stands for 2^60 of them.
         for _ in range(60):
             W = solve(np.eye(len(A)) + product(G, H), np.eye(len(A)))
             AW, more = product(A, W), product(product(A.T, H), product(W, A))
             G = G + product(product(AW, G), A.T)
             A, H = product(AW, A), H + more
-            if np.max(np.abs(A)) < 1e-20:  # what is left of the start
+            # A is the influence of the start on the result; below this it cannot change H any more.
+            if np.max(np.abs(A)) < 1e-20:
                 return H if _solves(H, *(np.array(x, dtype=float) for x in (a, g, h))) else None
     return None
 
@@ -53,7 +56,8 @@ def _solves(X: Array, A: Array, G: Array, H: Array) -> bool:
     r"""Return whether X is a solution, by :math:`A^T (1 + X G)^{-1} X A + H`: another form than the doubling's."""
     XA = product(X, A)
     right = product(A.T, solve(np.eye(len(A)) + product(X, G), XA)) + H
-    sizes = np.sqrt(np.abs(np.diag(X)))  # of a solution without negative eigenvalues, no entry is beyond two of them
+    # In a matrix without negative eigenvalues no entry is larger than the product of two of these, so they scale it.
+    sizes = np.sqrt(np.abs(np.diag(X)))
     return bool(np.isfinite(X).all() and (np.abs(X - right) <= RESIDUAL * np.outer(sizes, sizes)).all())
 
 

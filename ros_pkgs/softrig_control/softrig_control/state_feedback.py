@@ -9,7 +9,9 @@ from typing import NamedTuple
 from softrig_core.kit import exact
 
 Matrix = Sequence[Sequence[float]]
-PLACED = 1e-6  # of the size of a coefficient, how far that of the loop's characteristic polynomial may be off
+# Largest error of a coefficient of the loop's characteristic polynomial, relative to its size. A rank of the
+# controllability matrix would depend on the units of the states, so the polynomial itself is checked.
+PLACED = 1e-6
 
 
 class UnstableDesign(ValueError):

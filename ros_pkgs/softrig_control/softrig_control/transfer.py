@@ -18,8 +18,10 @@ from .discretise import Matrix, augmented, matmul, zero_order_hold
 ACCURACY = 1e-9  # of the largest value of a step response: what a sampled model must reach
 CHECKED = 256  # periods over which it is checked
 CONVERGED = 1e-14  # of the same, between two numbers of bits
-GROWN = 900  # a power of two up to which an unstable response is followed
-DIGITS = 64  # bits that have to be left of the largest value
+# An unstable response is followed up to this power of two; float64 ends at 1024.
+GROWN = 900
+# Bits that the largest value must still have; with fewer, the response is computed again with more bits.
+DIGITS = 64
 
 
 class Sampled(NamedTuple):
@@ -184,6 +186,7 @@ def sampled_exactly(num: tuple[float, ...], den: tuple[float, ...], period: floa
     c = (0.0,) * (n - len(num)) + tuple(x / den[0] for x in num)
     (top,), (row,) = exact.fractions((den,)), exact.fractions(((0.0,) * (n - len(num)) + num,))
     rows = list(exact.fractions(augmented(a, b), period))
+    # The exact system is made of the given coefficients and not of `a`, whose divisions are rounded.
     rows[0] = (*(-x / top[0] * Fraction(period) for x in top[1:]), Fraction(period))
     cannot = f"the transfer function of order {n} cannot be sampled with a period of {period:g} s"
     right = Exact.continuous(rows, [x / top[0] for x in row])

@@ -26,7 +26,8 @@ def whole_records(content: bytes) -> tuple[list[McapRecord], int]:
     """Return the records in a chunk's content up to the first incomplete one, and the number of their bytes."""
     file, good = BytesIO(content), 0
     records: list[McapRecord] = []
-    # A chunk has no footer, so its end raises; the other errors are due to damage that no checksum covers.
+    # A chunk has no footer, so its end raises; the other errors are due to damage that no checksum covers. The limit is
+    # needed because a damaged record may claim any length.
     with suppress(McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError):
         for record in StreamReader(file, skip_magic=True, record_size_limit=len(content)).records:
             records.append(record)
@@ -81,6 +82,7 @@ class Recovery:
             self.lost.append(f"{damaged} damaged chunks")
         if cut:
             self.lost.append("the end of a chunk that was cut")
+        # After a whole footer only the closing magic bytes follow, and they are no loss.
         elif self._size - good > len(_MAGIC):
             self.lost.append(f"the last {self._size - good} bytes")
 

@@ -40,6 +40,7 @@ _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size and checksum of the content, letters of the compression
 _MESSAGE_HEAD = 31  # bytes of a message record before its data
 _NOTED = (SCHEMA, CHANNEL, STATISTICS, METADATA, ATTACHMENT)
+# An attachment may have gigabytes, but only its name and size are reported.
 _LONGEST = 1 << 16  # bytes of an attachment's head that are read
 # Reading records one by one is slow in Python; after so many the pattern of their lengths is tried on all that follow.
 _PROBE = 64
@@ -336,6 +337,7 @@ def message_run(content: bytes | memoryview, view: Bytes, at: int, stop: int) ->
         if len(ahead):
             results.append(ahead[:-1])
             at = int(ahead[-1])
+        # Without a pattern the next attempt sees more records, since a longer period may be found among them.
         probe = _PROBE if len(ahead) > 4 * probe else min(2 * probe, 1 << 14)
 
 

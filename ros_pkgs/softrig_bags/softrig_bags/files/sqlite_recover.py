@@ -16,6 +16,7 @@ JOURNALS = "-wal", "-journal"
 # A UnicodeDecodeError comes when a message of SQLite quotes damaged names.
 ERRORS = (sqlite3.Error, UnicodeDecodeError)
 _ROWS = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
+# The steps after a damaged page double, so this limit is reached after some forty of them if no page can be read.
 _LAST_ROW = 1 << 40
 _GAP = 1 << 20
 # Bytes that a row takes at least, which bounds how many rows a file can hold.

@@ -524,6 +524,8 @@ class LockstepPlayer:
             for _, i, data in messages:
                 tick = stamp(data) if stamped[i] else tick
                 results.append((tick, i, data))
+            # Header stamps need not ascend in a bag by arrival, and `groupby` needs the messages of a tick side by
+            # side.
             messages = iter(sorted(results, key=itemgetter(0)))
         for tick, group in groupby(messages, key=itemgetter(0)):
             yield tick, [(i, data) for _, i, data in group]
@@ -537,5 +539,6 @@ class LockstepPlayer:
             if self._ready:
                 lacking = ", ".join(a.name for a in self._answers.values() if a.missing)
                 raise RunError(f"no answer to t = {self._tick / SECOND:.9g} s on {lacking} within {self._timeout:g} s")
+            # The types of the answers must be known before their publishers can be looked for.
             absent = self._absent() if self._listening() else [f"no node publishes {', '.join(self._names)}"]
             raise RunError(f"no node to play to within {self._timeout:g} s: {'; '.join(absent)}")

@@ -217,6 +217,7 @@ class Recorder:
         subscription = self._subscriptions.pop(name)
         del self._types[name]
         self._events.remove(subscription)
+        # Messages in its queue would be lost with the subscription.
         self._receive_pending(subscription)
         self._node.destroy_subscription(subscription)
         self._lost_before[name] = self._lost_before.get(name, 0) + self._lost.pop(name, 0)

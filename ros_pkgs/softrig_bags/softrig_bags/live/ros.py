@@ -76,7 +76,8 @@ class Session:
                 self.node = ServingNode(name, enable_rosout=False, automatically_declare_parameters_from_overrides=True)
         # An argument is invalid, or the profile of the middleware could not be read.
         except ValueError as error:
-            rclpy.try_shutdown()  # a name that is none is refused after the start
+            # An invalid node name is refused only after rclpy has started.
+            rclpy.try_shutdown()
             raise BagError(str(error)) from None
         Session.opened = self
         options = {declaration.name: value for declaration, value in parameters}
@@ -108,7 +109,7 @@ class Session:
     def spin(self, seconds: float) -> None:
         """Handle events for a while; return early when stopped. An exception of a callback is raised here."""
         while seconds >= 0 and not self.stopped:
-            # Python sees a signal only between two calls, hence the slices
+            # Python handles a signal only between two calls, hence the slices.
             self._executor.spin_until_future_complete(self._stop, min(seconds, SLICE))
             seconds -= SLICE
 

@@ -285,7 +285,8 @@ def _hidden(elf: ELFFile, tables: Sequence[SymbolTableSection]) -> Hidden | None
     if names:
         return Hidden(tuple(sorted(names)), sum(names.values()))
     size = sum(s["sh_size"] for s in kept.values())
-    return Hidden((), size) if not full and size > 16 else None  # 16: what a C library's start keeps in each
+    # The start code of a C library keeps up to 16 bytes in each shared library.
+    return Hidden((), size) if not full and size > 16 else None
 
 
 def _readable(name: str) -> str:
@@ -441,7 +442,8 @@ def _word(of: str, base: str, at: str, word: str, put: bool) -> str:
 
 def _limits(leaf: Leaf) -> tuple[str, str]:
     bits = 8 * leaf.bytes
-    if bits == 64:  # what a double holds exactly
+    # Values are carried as doubles, which hold whole numbers exactly up to 2^53.
+    if bits == 64:
         return ("-9007199254740992.0" if leaf.kind == "signed" else "0.0"), "9007199254740992.0"
     if leaf.kind == "unsigned":
         return "0.0", f"{2**bits - 1}.0"

@@ -143,7 +143,8 @@ class Apart:
         self._seconds, self._methods = seconds, tuple(methods)
         self._counts = [counts(built, m) for m in methods]
         (reading, theirs), (ours, writing), (printed, saying) = os.pipe(), os.pipe(), os.pipe()
-        for descriptor in (writing, printed, saying):  # a library that reads nothing or prints much must not block
+        # A library that reads nothing, or prints more than the pipe holds, must not block the run.
+        for descriptor in (writing, printed, saying):
             os.set_blocking(descriptor, False)
         command = [str(built.program), str(built.library), str(ours), str(theirs)]
         # The library has its own process group: Ctrl-C is for the run, and processes that the library starts end with
@@ -181,7 +182,8 @@ class Apart:
 
     def _wait(self, what: int) -> None:
         """Wait until the process is ready to receive bytes or has sent some."""
-        poll = select.poll()  # `select` takes no descriptors beyond 1,024
+        # `select` cannot wait for descriptors beyond 1,024.
+        poll = select.poll()
         poll.register(self._writing if what == select.POLLOUT else self._reading, what)
         if not poll.poll(self._seconds * 1e3):
             self.end()
@@ -194,7 +196,8 @@ class Apart:
         except subprocess.TimeoutExpired:
             code = None
         data = b""
-        with suppress(BlockingIOError):  # nothing said, and something that it has started lives on
+        # The pipe is empty but still open if a process that the library started lives on.
+        with suppress(BlockingIOError):
             data = os.read(self._printed, PRINTED)
         self.end()
         return _how(code, data.decode(errors="replace").strip())
@@ -213,7 +216,8 @@ def _how(code: int | None, text: str) -> str:
 def _ended(process: subprocess.Popen[bytes], *descriptors: int) -> None:
     for descriptor in descriptors:
         os.close(descriptor)
-    with suppress(ProcessLookupError):  # nothing of its group is left
+    # No process of its group may be left.
+    with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
 

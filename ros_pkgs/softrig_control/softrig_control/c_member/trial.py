@@ -63,7 +63,8 @@ def _tried(key: _Key, methods: tuple[str, ...], params: Row, seconds: float) -> 
     try:
         straight, back, again = (_answers(apart, built, methods, order) for order in (TRIED, TRIED[::-1], TRIED))
         apart.end()
-    except RunError:  # what it does with such inputs is its own; a run's inputs may be others
+    # Inputs of a run may be quite different from these, so a library that fails on them is not refused.
+    except RunError:
         return Trial("", known)
     if not known and not straight == back == again:
         value = next(v for v in TRIED if not _same(straight[v], back[v], again[v]))

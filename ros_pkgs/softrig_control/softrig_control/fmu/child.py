@@ -94,7 +94,8 @@ class Isolated:
             try:
                 code = self._process.wait(LEAVE)
             except subprocess.TimeoutExpired:
-                code = 0  # it lives on, and cannot be asked any more
+                # It still runs, but it has closed its pipe.
+                code = 0
             self._end()
             how = (
                 f"was killed by {signal.Signals(-code).name}"
@@ -105,13 +106,15 @@ class Isolated:
             )
             raise Refusal(f"crashed: its process {how}") from None
         if not good:
-            self._end()  # in which state it is nobody knows
+            # After an error the state of the FMU is unknown.
+            self._end()
             raise Refusal(result)
         return result
 
 
 def _kill(process: subprocess.Popen[bytes], pipe: Connection) -> None:
-    process.terminate()  # its keeper, which ends all that the FMU has started
+    # This is the process of the keeper, which also ends everything that the FMU has started.
+    process.terminate()
     try:
         process.wait(LEAVE)
     except subprocess.TimeoutExpired:
@@ -123,13 +126,16 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection) -> None:
 def main() -> None:
     """Run two processes: one answers calls until the pipe is closed, the other ends processes that the first leaves."""
     parent = int(sys.argv[2])
-    os.dup2(2, 1)  # an FMU that prints does so on the terminal, not in what a program may read
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's; it ends us
-    # Waited for and never handled: of a caller that is killed we see the FMU's end first, and then this signal
+    # What an FMU prints must not mix with standard output, which another program may read.
+    os.dup2(2, 1)
+    # Ctrl-C is for the caller, which then ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # These are waited for and never handled. If the caller is killed, the end of the FMU arrives before SIGTERM.
     awaited = {signal.SIGTERM, signal.SIGCHLD}
     signal.pthread_sigmask(signal.SIG_BLOCK, awaited)
     prctl = ctypes.CDLL(None).prctl
-    prctl(PR_SET_CHILD_SUBREAPER, 1)  # what the FMU starts is ours when the FMU has gone
+    # Processes that the FMU has started become children of this one when the FMU has gone, so `_sweep` finds them.
+    prctl(PR_SET_CHILD_SUBREAPER, 1)
     prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
         os._exit(0)
@@ -137,7 +143,8 @@ def main() -> None:
     fmu = os.fork()
     if not fmu:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, awaited)
-        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # also while a call of the FMU hangs
+        # SIGKILL also ends it while a call of the FMU hangs.
+        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() == keeper:
             _answer(Connection(int(sys.argv[1])))
         os._exit(0)
@@ -148,7 +155,8 @@ def main() -> None:
     _sweep()
     if status is None:
         os._exit(0)
-    if os.WIFSIGNALED(status):  # end as it did
+    # The caller sees only this process, so it ends by the same signal, without a second core dump.
+    if os.WIFSIGNALED(status):
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         signal.signal(os.WTERMSIG(status), signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, awaited)
@@ -162,7 +170,8 @@ def _confine(folder: str) -> None:
         print_for("fmu", f"{folder} runs with all rights of this user: the system allows no namespaces ({why})")
         return
     confine([folder])
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # other rights have cleared it
+    # Linux clears this setting when the rights of a process change.
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _reaped(fmu: int) -> int | None:
@@ -203,7 +212,8 @@ def _answer(pipe: Connection) -> None:
         try:
             name, arguments = pipe.recv()
         except (EOFError, OSError):
-            os._exit(0)  # nobody waits for what the FMU has to say at its end
+            # Nothing waits for the code that an FMU runs at its end, so it is skipped.
+            os._exit(0)
         try:
             if name == "__init__":
                 instance, answer = Instance(*arguments), None
@@ -215,4 +225,5 @@ def _answer(pipe: Connection) -> None:
         try:
             pipe.send(result)
         except OSError:
-            os._exit(0)  # the caller has gone, or the FMU has closed our descriptors
+            # The caller has gone, or the FMU has closed the descriptors of this process.
+            os._exit(0)

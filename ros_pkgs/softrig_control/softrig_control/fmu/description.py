@@ -28,7 +28,7 @@ DESCRIPTION = "modelDescription.xml"
 LARGEST = 1 << 29  # bytes of an FMU when unpacked
 DEEPEST = 50  # folders in each other
 LONGEST = 10_000  # values of an array
-PRINTED = 1e-3  # relative: factors of units are printed with few digits
+PRINTED = 1e-3  # relative tolerance, because tools print the factors of units with few digits
 _VERSION = re.compile(r"""fmiVersion\s*=\s*["']([^"']*)["']""")
 _INDEXED = re.compile(r"(?P<name>.+)\[(?P<at>\d+(,\d+)*)\]")
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of the FMI's base units
@@ -243,7 +243,8 @@ def unpacked(path: Path) -> Path:
                 archive.extractall(inside)
         except (OSError, ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise ParameterError(f"parameter fmu = {str(path)!r} cannot be unpacked: {error}") from None
-        with contextlib.suppress(OSError):  # another node was first
+        # Another node may have unpacked the same FMU in the meantime; its folder has the same content.
+        with contextlib.suppress(OSError):
             inside.rename(folder)
     return folder
 
@@ -287,7 +288,8 @@ def _describe(path: Path, _changed: int, _size: int) -> Description:
         model = read_model_description(str(path), validate=False)
     except (Unfit, ScenarioError):
         raise
-    except Exception as error:  # of zipfile, of lxml, of FMPy, which raises bare Exceptions as well
+    # zipfile and lxml raise errors of many kinds, and FMPy raises bare Exceptions.
+    except Exception as error:
         raise ValueError(f"{path} cannot be read as an FMU: {type(error).__name__}: {error}") from None
     here = platform if model.fmiVersion == "2.0" else platform_tuple
     built = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
@@ -413,7 +415,8 @@ def _unit(value: Any, file: str) -> Unit:
         )
     parts = tuple(sorted((b, power) for b, power in powers.items() if power))
     ours = Unit.of(name)
-    if (factor, offset) == (1.0, 0.0):  # a name that says nothing to us, of an SI unit, becomes that unit
+    # The unit equals one of SI under a name that is unknown here, so the name of SI replaces it.
+    if (factor, offset) == (1.0, 0.0):
         return ours if ours.base == parts and ours.factor == 1.0 else Unit(text(dict(parts)), 1.0, 0.0, parts)
     same = ours.base == parts and math.isclose(ours.factor, factor, rel_tol=PRINTED) and not offset
     known = all(part in BASES for part, _ in ours.base)

@@ -82,13 +82,14 @@ def export(rig: Rig, node: str, folder: Path, native: int = 0) -> Path:
         path, made = folder / f"{node}.fmu", Path(place, f"{node}.fmu")
         code = "import sys; from pythonfmu import FmuBuilder; FmuBuilder.build_FMU(*sys.argv[1:3], [sys.argv[3]], "
         code += "**dict.fromkeys(sys.argv[4:], True))"
-        # in a process of its own: it imports the script by its name, and leaves its folder on the path
+        # The builder imports the script by its name and leaves its folder on `sys.path`, so it has its own process.
         command = [sys.executable, "-P", "-c", code, str(script), str(made), str(what), *_can(member)]
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
         if done.returncode:
             raise ScenarioError(f"node {node}: no FMU: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}")
         with naming(path):
-            shutil.move(made, path)  # whole, or not at all
+            # Moved into place, so that a reader never finds half of the file.
+            shutil.move(made, path)
     return path
 
 

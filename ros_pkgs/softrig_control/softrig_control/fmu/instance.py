@@ -90,8 +90,10 @@ class Instance:
     def _checked_call(self, call: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return call(*arguments)
-        except Exception as error:  # FMPy raises bare Exceptions as well
-            self._fmu = None  # in which state it is nobody knows: not even that it can be freed
+        # FMPy raises bare Exceptions, too.
+        except Exception as error:
+            # The state of the FMU is unknown, so that not even freeing it is safe.
+            self._fmu = None
             message = "".join(f"; it says: {text}" for text in self._log_lines if text)
             if isinstance(error, Refusal):
                 raise Refusal(f"{error}{message}") from None
@@ -111,7 +113,8 @@ class Instance:
         self._fmu = fmu
         experiment = self._model.defaultExperiment
         given = experiment.tolerance if experiment is not None else None
-        tolerance = None if given is None else float(given)  # of its own solver, by which its maker checked it
+        # The FMU's own solver uses the tolerance with which its author checked it.
+        tolerance = None if given is None else float(given)
         if not self._three:
             fmu.setupExperiment(tolerance=tolerance, startTime=0.0)
         self._tune(self.plan.start)
@@ -130,7 +133,8 @@ class Instance:
 
     def _put(self, values: Sequence[float]) -> None:
         for name, cells in self._set.items():
-            given = self._read(name, cells) if cells.arrays else [0.0] * cells.total  # what nobody maps stays
+            # An array is set as a whole, so its elements without a port keep the values that they have.
+            given = self._read(name, cells) if cells.arrays else [0.0] * cells.total
             for k, at in cells.where:
                 given[at] = _typed(name, values[k])
             getattr(self._fmu, f"set{name}")(cells.references, given)
@@ -180,7 +184,8 @@ class Instance:
         """Time at which an FMU of FMI 2.0 has ended its simulation, s; None if it has not or does not report it."""
         try:
             return float(self._fmu.getRealStatus(LAST_TIME)) if self._fmu.getBooleanStatus(TERMINATED) else None
-        except Exception:  # it need not know either question
+        # Both calls are optional in FMI 2.0.
+        except Exception:
             return None
 
     def _keep(self) -> bytes:

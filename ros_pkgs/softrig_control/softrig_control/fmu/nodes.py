@@ -133,7 +133,8 @@ class Running:
     def __init__(self) -> None:
         self._fmu: Any = None
         self._make: Callable[[], Any] | None = None
-        self._fresh: tuple[float, ...] | None = None  # its outputs, where it has only begun
+        # Outputs of an instance that has begun and done nothing else, so that it need not begin again.
+        self._fresh: tuple[float, ...] | None = None
 
     def begin(self, make: Callable[[], Any]) -> tuple[float, ...]:
         """Start the FMU; `make` creates an instance."""
@@ -155,7 +156,8 @@ class Running:
 class _Fmu(Block[FmuParams]):
     """Base of plant and controller from an FMU: the FMU, its time, and the mapping from ports to variables."""
 
-    SCRATCH = frozenset({"_running"})  # the FMU itself: x tells what it was told, and `load` brings it there
+    # The FMU has a state of its own outside of x. x lists what the FMU was given, by which `load` restores it.
+    SCRATCH = frozenset({"_running"})
 
     @classmethod
     def ports(cls, params: FmuParams) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
@@ -190,7 +192,8 @@ class _Fmu(Block[FmuParams]):
             p.log,
         )
         self._make: Callable[[], Any] = lambda: Instance(plan)
-        strange = bool(os.environ.get(STRANGE))  # then the scenario, too, is somebody else's, `isolated` included
+        # In a foreign pack the scenario is foreign too, so its `isolated: false` must not be trusted.
+        strange = bool(os.environ.get(STRANGE))
         if p.isolated or strange:
             from .child import Isolated
 

@@ -253,7 +253,8 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
                     f"delay {self.p.delay:g} s and jitter {self.p.jitter:g} s are not whole "
                     f"periods of {self.p.period:g} s: rounded up to {self._delay} and {self._jitter} periods",
                 )
-        if newest is None or sent.stamp > newest:  # the same stamp again is the same message, held
+        # The same stamp again is the same message, which the input still holds.
+        if newest is None or sent.stamp > newest:
             newest = sent.stamp
             line, k = self._send(line, k, t, sent)
         elif sent.stamp < newest:
@@ -273,7 +274,8 @@ class FieldbusDelay(Block[FieldbusDelayParams]):
 
     def _send(self, line: Line, k: int, t: int, sample: Sample) -> tuple[Line, int]:
         late = self._late
-        if self._random:  # always both numbers, so that switching one option leaves the other's sequence alone
+        # Both numbers are always drawn, so that switching one option leaves the sequence of the other as it is.
+        if self._random:
             draw, survive = self.uniform(k), self.uniform(k + 1)
             k += 2
             late += int(draw * (self._jitter + 1)) * self._period

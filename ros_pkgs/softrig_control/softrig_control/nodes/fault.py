@@ -239,14 +239,16 @@ class Fault(Block[FaultParams]):
         if down and not was_down:
             on = not on
         age, received = self.age("sent"), False
-        if isinstance(sent, Sample):  # a link of acquisition times repeats what it has until another one comes
+        # A link that preserves acquisition times shows its last sample again until a new one arrives.
+        if isinstance(sent, Sample):
             stamp, data = sent
             last, used = used, stamp if age is not None else -1
             fresh = used > last
         else:
             stamp, data, fresh = t, sent, age == 0
         if fresh:
-            repeats = k > 0  # of a kind that draws: whether there is one before
+            # Each message of this kind draws numbers, so k > 0 shows that there is a message to repeat.
+            repeats = k > 0
             draws, burst, k = self._draws(burst, k)
             there = on and self._there(t)
             if not there:
@@ -331,6 +333,7 @@ class Fault(Block[FaultParams]):
         if p.kind == "loss" and p.burst_begins:
             turn = self.uniform(k + 1)
             burst = turn >= p.burst_ends if burst else turn < p.burst_begins
+        # Two numbers are used up even without bursts, so that switching bursts on leaves the other sequence as it is.
         return [self.uniform(k)], burst, k + 2
 
     def _changed(

@@ -13,7 +13,7 @@ from softrig_core.judge.live import Live, Opened
 from softrig_core.judge.robustness import truth
 from softrig_core.scenario.port_text import ports_of
 
-ENDLESS = 1e12  # stands for a margin of which nothing is known yet
+ENDLESS = 1e12  # published for a margin without a known bound, since a message must not contain infinity
 
 
 class RequirementMonitorParams(BlockParams):

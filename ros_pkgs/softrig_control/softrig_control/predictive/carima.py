@@ -17,7 +17,9 @@ from ..discretise import Matrix, matmul
 from ..transfer import ACCURACY, Exact, Sampled, off, sampled_exactly
 
 Polynomial = tuple[float, ...]  # coefficients of z^0, z^-1, z^-2, ...
-BEST = 1e-12  # off by less, a step response is as good as coefficients in floats have it; golden bags hold their bits
+# A step response with a smaller error is as good as coefficients in floats can be. These coefficients are then kept,
+# and with them the bits of golden bags.
+BEST = 1e-12
 
 
 @dataclass(frozen=True)

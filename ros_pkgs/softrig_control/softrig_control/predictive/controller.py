@@ -18,7 +18,8 @@ from .qp import MoveSolver
 
 UNBOUNDED = 1e12
 PATIENCE = 3  # bad samples in a row before the trip
-ON_BOUND = 1e-7  # relative distance from a bound that counts as on it
+# Relative distance from a bound that counts as on it, because a solver reaches a bound only to its tolerance.
+ON_BOUND = 1e-7
 
 # health/state
 FOLLOWING, BOUNDED, HOLDING, TRIPPED = 0.0, 1.0, 2.0, 3.0
@@ -206,7 +207,7 @@ class GpcController(Block[P]):
             self.report(Level.WARN, "no_solution", f"{p.solver}: {status}; the last command is held")
             return self.law.applied(law, law.u), HOLDING, 0
         active = self._active(law.u, moves)
-        # a solver keeps a bound to its tolerance, the command keeps it exactly
+        # The solver keeps a bound only to its tolerance, but the command must keep it exactly.
         law = self.law.applied(law, min(max(law.u + moves[0], p.u_min), p.u_max))
         return law, BOUNDED if active else FOLLOWING, active
 
@@ -229,7 +230,8 @@ class GpcController(Block[P]):
         if bad >= PATIENCE and not tripped:
             law, tripped = self._trip(law, f"{PATIENCE} bad samples in a row"), True
         if not tripped:
-            if last is not None:  # the plant goes on under the held command
+            # The plant continues under the held command, so the law goes on with the last good sample.
+            if last is not None:
                 law = self.law.measure(law, last)
             law = self.law.applied(law, law.u)
         x = State(law, w, last, bad, failures, tripped, cycle)
