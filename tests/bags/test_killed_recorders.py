@@ -205,7 +205,7 @@ def test_fifty_killed_recorders_of_each_preset(tmp_path):
         check_all_saved(folders, kind)
 
 
-# What stands beside ---------------------------------------------------------------------------------------------------
+# Journals and other files beside the database -------------------------------------------------------------------------
 
 
 def database(folder, journal, count=10):

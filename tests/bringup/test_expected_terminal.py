@@ -248,7 +248,7 @@ def test_a_notebook_is_recognised_by_its_kernel(monkeypatch):
     assert progress._notebook() is None
 
 
-# what a run says ------------------------------------------------------------------------------------------------------
+# lines of a run -------------------------------------------------------------------------------------------------------
 
 
 def result(name, value, passed=True, **more):

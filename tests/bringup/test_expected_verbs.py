@@ -223,7 +223,7 @@ def test_the_layout_file_of_a_viewer_is_as_expected():
     check_expected("verbs/viewer", messages)
 
 
-# as a control engineer sees it ----------------------------------------------------------------------------------------
+# poles and margins ----------------------------------------------------------------------------------------------------
 
 Margins = namedtuple("Margins", "gain gain_down phase delay disk crossover")
 Mode = namedtuple("Mode", "pole rate shares")
@@ -865,7 +865,7 @@ def test_a_part_of_a_rig_runs_on_one_machine(lag, monkeypatch, capsys):
         part.run_part(rig, make_parser().parse_args(words[:-2]))
 
 
-# what is looked at ----------------------------------------------------------------------------------------------------
+# what `view` opens ----------------------------------------------------------------------------------------------------
 
 
 def test_a_scenario_is_viewed_as_a_run_that_begins_paused_and_a_run_as_a_recording(lag, monkeypatch):

@@ -12,7 +12,7 @@ from softrig_bringup.falsify.space import Over, Space, parse
 from softrig_bringup.study.work import LARGE
 from softrig_core import Scenario
 
-# what is asked for -----------------------------------------------------------------------------------------------
+# options of the command ------------------------------------------------------------------------------------------
 
 
 class Account:

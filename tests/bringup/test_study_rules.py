@@ -35,7 +35,7 @@ def row(number=0, *, figures=None, overrides=None, never=(), seed=0, case="", er
             "figures": figures or {}, "never": list(never), "passed": True, "error": error, "wall_s": 0.5}  # fmt: skip
 
 
-# what is drawn ---------------------------------------------------------------------------------------------------
+# random draws ----------------------------------------------------------------------------------------------------
 
 U = [0.0, 0.125, 0.5, 0.75, 0.999]
 

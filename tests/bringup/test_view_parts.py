@@ -343,7 +343,7 @@ def test_actions_on_a_rig_in_the_process_of_its_page_are_reported(tmp_path, cloc
 
 
 class NoPages:
-    """Pages that nobody looks at; a visitor leaves when the run has ended."""
+    """Pages without a visitor, or with one that leaves when the run has ended."""
 
     url, made = "http://here", []
 
@@ -537,7 +537,7 @@ class Loop:
 
 
 class NoServer:
-    """Stands for Bokeh's server: its configuration, and who is connected."""
+    """Replaces Bokeh's server: its configuration and its connections."""
 
     def __init__(self, applications, io_loop, **asked):
         self.applications, self.io_loop, self.asked = applications, io_loop, asked

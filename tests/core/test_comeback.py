@@ -99,7 +99,7 @@ def test_killed_nodes_restart(kind):
         assert killed(kind, seed, kills=1 + seed % 3)[0] == [], seed
 
 
-# who starts them again -------------------------------------------------------------------------------------------
+# the command that restarts nodes ---------------------------------------------------------------------------------
 
 
 class Process:

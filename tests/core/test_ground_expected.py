@@ -83,7 +83,7 @@ def test_declarations_are_as_expected():
     check_expected("declared", lines)
 
 
-# who speaks of the same thing ---------------------------------------------------------------------------------------
+# nodes that must agree ----------------------------------------------------------------------------------------------
 
 
 class Said(BlockParams):

@@ -96,7 +96,7 @@ def nothing_seen():
     SEEN.clear()
 
 
-# ---- which ticks a law answers, when, and with what: against a list of what has come ----
+# ---- ticks that a controller answers, compared with a list of received messages ----
 
 
 def play(node, messages, names):
@@ -302,7 +302,7 @@ def test_a_rejected_message_counts_for_its_tick_and_the_block_decides_the_answer
     assert SEEN[-1] == (30 * MS, "refused")
 
 
-# ---- what is believed, and for how long ----
+# ---- accepted stamps and their ages ----
 
 
 @pytest.mark.parametrize(("off", "text"), [(1001, "+1"), (-1001, "-1"), (1000, ""), (-1000, "")])
@@ -578,7 +578,7 @@ def test_the_aim_of_the_next_tick_is_as_expected():
         assert timer.now == asked
 
 
-# ---- what lasts is told again ----
+# ---- lasting conditions are reported repeatedly ----
 
 
 def test_a_lasting_silence_is_reported_every_ten_seconds():
@@ -671,7 +671,7 @@ def test_of_two_controllers_of_a_plant_neither_is_accepted_until_one_has_been_si
     assert not row.disputed
 
 
-# ---- who may be silent ----
+# ---- sporadic publishers ----
 
 
 def test_a_controller_waits_for_the_acknowledgement_of_a_sporadic_sender():
@@ -753,7 +753,7 @@ def test_a_rig_begins_when_the_acknowledging_node_is_there_too():
     assert Node(Law(), links).join(["other"]).drive.departure.handshake.absent()[2:] == []
 
 
-# ---- what has no stamp, and what a neighbour in the same process says ----
+# ---- messages without a stamp, and messages of nodes in the same process ----
 
 
 class Counts(Block[LawParams]):
@@ -912,7 +912,7 @@ def test_a_rig_that_is_paused_at_the_start_stays_at_t_0_and_follows_the_clock_of
     assert not hand.timers  # no node waits, so no timer is needed
 
 
-# ---- several nodes of a process that go by one timer, and what an adapter says of itself ----
+# ---- several nodes of a process on one timer, and the status of an adapter ----
 
 
 def test_a_node_reports_its_status():

@@ -211,7 +211,7 @@ def test_of_a_faster_sender_only_the_needed_message_is_used_whatever_came_before
     assert not reader.refusals
 
 
-# ---- what does not belong to a tick ----
+# ---- messages that belong to no tick ----
 
 
 def test_a_message_of_no_tick_or_a_repeated_one_is_refused_with_what_was_expected():
@@ -562,7 +562,7 @@ def test_a_row_stores_at_most_a_hundred_thousand_early_messages(monkeypatch):
     assert [text for _, text in reader.refusals] == [f"stamp 0.0{k} s from sender, expected 0 s" for k in (4, 5)]
 
 
-# ---- the first message, said again ----
+# ---- the first message, repeated ----
 
 
 def test_the_first_message_is_repeated_for_late_subscribers_while_the_node_is_at_its_first_tick():
@@ -583,7 +583,7 @@ def test_the_first_message_is_repeated_for_late_subscribers_while_the_node_is_at
     assert len(sent) == 3
 
 
-# ---- a run that stands ----
+# ---- a run that stalls ----
 
 
 class Shake:
@@ -787,7 +787,7 @@ def test_two_publishers_of_one_topic_are_named_when_the_graph_shows_them():
     assert TICK == "std_msgs/msg/Header"
 
 
-# ---- a node that comes back ----
+# ---- a node that rejoins ----
 
 
 class Drive:

@@ -334,7 +334,7 @@ def test_of_a_node_that_dies_twice_the_longer_recording_is_kept(tmp_path):
 
 
 class Process:
-    """A process that does what the test says."""
+    """A process that the test controls."""
 
     def __init__(self, pid=1, stubborn=()):
         self.pid, self.returncode, self.sent, self.stubborn = pid, None, [], stubborn
@@ -624,7 +624,7 @@ def test_a_system_clock_that_is_set_back_is_reported(monkeypatch):
     assert idle({"a": {"ticks": 0}, "b": {"ticks": 1}}) == ""
 
 
-# ---- nodes that are started again ----
+# ---- restarted nodes ----
 
 
 def test_a_node_that_was_killed_is_restarted_when_all_others_wait(tmp_path, monkeypatch):
@@ -830,7 +830,7 @@ def test_a_missing_folder_of_a_run_is_created(tmp_path, monkeypatch, lag_rig):
     assert (set(recording.topics), status) == (set(lag_rig.topics), {"plant": {}})
 
 
-# ---- what a node declares and says of itself ----
+# ---- parameters and status of a node ----
 
 
 class Declares:

@@ -373,7 +373,7 @@ def test_nodes_need_a_loopback_interface_that_is_up(monkeypatch):
     domain.require_loopback()  # the loopback interface has another name here
 
 
-# ---- who knows whom ----
+# ---- discovery ----
 
 
 LINKED = {

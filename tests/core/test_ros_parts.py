@@ -101,7 +101,7 @@ def test_only_types_of_interface_packages_are_imported():
             message_class(name)
 
 
-# ---- what people see of a node ----
+# ---- diagnostics, figures and markers of a node ----
 
 
 class FakeNode:
@@ -898,11 +898,11 @@ def test_the_garbage_collector_runs_rarely_while_it_finds_nothing():
         assert gc.log[99:] == [f"collect {generation}"] * 2
 
 
-# ---- who turns knobs from outside ----
+# ---- parameters set from outside ----
 
 
 class Asked:
-    """The node of a person, whose clients answer when the test says so."""
+    """The node of a user; the test decides when its clients answer."""
 
     def __init__(self, monkeypatch, patience=4.0):
         self.now, self.said, self.timers, self.calls, self.ready, self.future = 50.0, [], [], [], False, None

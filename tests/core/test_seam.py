@@ -369,7 +369,7 @@ def test_requesting_recorders_are_awaited_except_on_topics_that_they_leave_out()
     assert [Peer("a", space, "").full_name for space in ("/", "/rig", "/rig/")] == ["/a", "/rig/a", "/rig/a"]
 
 
-# ---- who computes for long, and who is held, says so ----
+# ---- reports of long computations and held nodes ----
 
 
 def solving(monkeypatch):

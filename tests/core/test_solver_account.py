@@ -25,7 +25,7 @@ class Memory(NamedTuple):
 
 
 class Asking(Solver[SolverParams]):
-    """Requests what the test says."""
+    """Makes the requests that the test sets."""
 
     INPUTS = OUTPUTS = ()
 
@@ -44,7 +44,7 @@ class Asking(Solver[SolverParams]):
 
 
 class Hands:
-    """Stands for a worker: it is done when the test says so."""
+    """Replaces a worker; the test decides when it is done."""
 
     def __init__(self, function=None):
         self.state, self.job, self.struck, self.has_best, self.error, self.status = "idle", None, False, False, "", {}

@@ -69,7 +69,7 @@ def test_arguments_of_others_are_those_outside_of_rclpys():
     assert non_ros_arguments(["node", "a", "--ros-args", "-p", "x:=1", "--", "b"]) == ["a", "b"]
 
 
-# ---- who is not there yet ----
+# ---- nodes that are not discovered yet ----
 
 
 class Meeting:
@@ -318,7 +318,7 @@ def test_a_start_that_does_not_arrive_ends_the_run_with_a_reason():
     assert one.timer.now is None
 
 
-# ---- what a node says of its ticks ----
+# ---- reports of a node about its ticks ----
 
 
 def law_links(**more):
@@ -638,7 +638,7 @@ def test_a_block_that_fails_ends_the_run_in_the_name_of_its_node():
     assert [str(e) for e in broken] == ["law: failed"]
 
 
-# ---- how it ends ----
+# ---- the end of a process ----
 
 
 def ended(state, error=None, absent=(), shard=None, broken=False):

@@ -123,7 +123,7 @@ def _alone(answer):
     """A step whose input has a name that is not a word of Python, and what it has published."""
 
     class Odd(Block):
-        """Publishes what the test says."""
+        """Publishes the values that the test sets."""
 
         INPUTS = (scalars("for", "for", {"x": ""}), scalars("of-all", "all", {"x": ""}))
         OUTPUTS = (scalars("out", "out", {"a": "V", "b": "V"}),)

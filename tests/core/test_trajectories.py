@@ -100,7 +100,7 @@ def test_points_that_do_not_fit_are_refused(values, reason):
         TrajectorySource(goal=values)
 
 
-# what becomes of a message --------------------------------------------------------------------------------------------
+# how a trajectory message is processed --------------------------------------------------------------------------------
 
 ROW = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.01, 0.02, 0.03)
 

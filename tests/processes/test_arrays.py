@@ -27,7 +27,7 @@ types = store.types
 
 
 def message(dims, values):
-    """A message as written by somebody who knows ROS and not softrig."""
+    """A message as written by a user of ROS without softrig."""
     dimension, layout = types["std_msgs/msg/MultiArrayDimension"], types["std_msgs/msg/MultiArrayLayout"]
     strides = np.cumprod([size for _, size in reversed(dims)])[::-1].tolist()
     dim = [dimension(label, size, stride) for (label, size), stride in zip(dims, strides, strict=True)]

@@ -57,7 +57,7 @@ node.create_timer(0.005, send)
 
 
 class Hand:
-    """A clamped motor started alone, and a person who commands it."""
+    """A clamped motor started alone, and a user's node that commands it."""
 
     def __init__(self, bench):
         self.bench = bench
