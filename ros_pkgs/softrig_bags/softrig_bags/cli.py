@@ -72,7 +72,8 @@ def _parameters(parser: Parser, options: argparse.Namespace) -> list[tuple[Decla
     result = []
     for action in parser._actions:
         value = getattr(options, action.dest, None)
-        if value is None or value == [] or action.dest == "use_sim_time":  # a list without values has no type
+        # An empty list has no type in ROS, and every node declares `use_sim_time` by itself.
+        if value is None or value == [] or action.dest == "use_sim_time":
             continue
         value = str(value) if isinstance(value, Path) else value
         bounds = (action.type.low, action.type.high) if isinstance(action.type, Number) else (None, None)

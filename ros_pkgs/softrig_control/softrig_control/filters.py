@@ -36,6 +36,8 @@ class SecondOrderFilter:
 
     def __init__(self, omega: float, damping: float, period: float) -> None:
         step = omega * period
+        # Jury's criterion: the poles of the sampled filter have the product 1 - 2 damping step and the sum 2 - step^2 -
+        # 2 damping step.
         if not (step > 0.0 and damping > 0.0 and step * step + 4.0 * damping * step < 4.0):
             raise ValueError(
                 f"omega = {omega:g} rad/s with damping {damping:g} and a period of {period:g} s: not stable"

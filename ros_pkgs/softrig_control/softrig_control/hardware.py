@@ -52,6 +52,7 @@ def axis_urdf(
     tag : sequence of str
         From `hardware_tag`.
     """
+    # URDF requires ends for a prismatic joint, so they are put out of reach.
     ends = ' lower="-1e9" upper="1e9"' if kind == "prismatic" else ""
     lines = [
         '<?xml version="1.0"?>',

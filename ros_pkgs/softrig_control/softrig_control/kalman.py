@@ -69,7 +69,7 @@ class SteadyKalman:
         gain = steady_kalman_gain(a, c, q, r)
         kc = matmul(gain, c)
         keep = [[float(i == j) - kc[i][j] for j in n] for i in n]
-        # one matrix for the whole step: x_k = M (x_(k-1), u_(k-1), y_k)
+        # One matrix for the whole step, x_k = M (x_(k-1), u_(k-1), y_k), so that a sample is one product.
         self._rows = [
             (*row_a, *row_b, *row_k) for row_a, row_b, row_k in zip(matmul(keep, a), matmul(keep, b), gain, strict=True)
         ]

@@ -62,6 +62,7 @@ def place(a: Matrix, b: Sequence[float], c: Sequence[float], poles: Sequence[com
     wanted = [1.0 + 0.0j]  # coefficients of the product of all (s - pole)
     for pole in poles:
         wanted = [up - pole * down for up, down in zip([*wanted, 0.0j], [0.0j, *wanted], strict=True)]
+    # For conjugate pairs the coefficients are real up to rounding.
     if max(abs(w.imag) for w in wanted) > 1e-9 * max(map(abs, wanted)):
         raise ValueError(f"poles {_names(poles)}: complex ones must come in conjugate pairs")
     augmented = np.zeros((n + 1, n + 1))

@@ -65,7 +65,8 @@ class Container:
         # Only in real time do ticks have a time that publishing takes from them.
         carried = mode is None or mode.value != "lockstep"
         middleware = ContainedMiddleware(node, self.exchange, carrier() if carried else None)
-        with interrupt.leaving(partial(leave, self.nodes, 0)):  # to compile takes seconds
+        # Compilation takes seconds, in which a signal must be able to end the process.
+        with interrupt.leaving(partial(leave, self.nodes, 0)):
             self._middlewares.append(middleware)
             self.adapters.append(make_adapter(node, load_block(package, executable), middleware))
 
@@ -95,7 +96,8 @@ class Container:
         except FAILURES as error:
             if rclpy.ok():
                 self._broke(error)
-            else:  # a signal has shut the context down under a node that was about to publish
+            # A signal has shut the context down while a node was about to publish, which is no error of the node.
+            else:
                 stopped = True
         return self._conclude(stopped)
 
@@ -105,18 +107,22 @@ class Container:
         next_step = time.monotonic_ns() + LOOK
         while rclpy.ok():
             # External publishers are processed as soon as the loop has nothing to do, and otherwise now and then.
+            # While another process publishes to this one, the executor must get its turn: only it receives such
+            # messages.
             awake = 0 if exchange.listens else SPIN
             remaining = exchange.serve(time.monotonic_ns() + LOOK, awake)
             states = {a.state for a in self.adapters}
             if states <= {"done", "failed"}:
                 return True
             if "failed" in states:
+                # The others may have waited for the failed node and will then name it, or report the actual cause.
                 limit = limit or time.monotonic() + GRACE
                 if time.monotonic() > limit:
                     return True
             if time.monotonic_ns() >= next_step:
                 garbage.step()
                 next_step = time.monotonic_ns() + LOOK
+            # It returns before the next timer is due, because waking up takes time; `serve` waits awake for the rest.
             executor.spin_once((remaining - SPIN // 2) / SECOND if remaining > SPIN else 0.0)
         return False
 
@@ -164,8 +170,10 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
             container.connect()
     except KeyboardInterrupt:
         leave(container.nodes, 0)
-    except FAILURES as error:  # every start-up error ends in one line: what was wrong and where
-        if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under them
+    # Every error of the start ends in one line that states what was wrong and where.
+    except FAILURES as error:
+        # A signal has shut the context down in the meantime, and the error is its consequence.
+        if not interrupt.early and not rclpy.ok():
             leave(container.nodes, 0)
         name = container.nodes[-1].get_name() if len(container.nodes) > len(container.adapters) else where
         print_for(name, error)

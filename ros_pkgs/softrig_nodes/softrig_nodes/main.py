@@ -79,8 +79,10 @@ def run_node(block_class: type[Block], argv: Sequence[str]) -> NoReturn:
             node.get_logger().info(introduction(adapter.block, adapter.options) + reach)
     except KeyboardInterrupt:
         leave([node] if node else [], 0)
-    except FAILURES as error:  # every start-up error ends in one line: what was wrong and where
-        if not interrupt.early and not rclpy.ok():  # a signal has shut the context down under it
+    # Every error of the start ends in one line that states what was wrong and where.
+    except FAILURES as error:
+        # A signal has shut the context down in the meantime, and the error is its consequence.
+        if not interrupt.early and not rclpy.ok():
             leave([node] if node else [], 0)
         where = node.get_name() if node is not None else name
         print_for(where, error)

@@ -33,7 +33,8 @@ def rehearse(block_class: type[Block], params: Any, name: str, always: bool = Fa
     if issubclass(block_class, Solver) or not (always or _native(block_class)):
         return False
     with suppress(*FAILURES), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the values are no real ones
+        # Warnings about these invented values would mislead.
+        warnings.simplefilter("ignore")
         block = block_class(params, name)
         spare = ByHand(block)
         inputs, _ = block.ports(params)

@@ -458,4 +458,6 @@ class Decoder:
             del known[:-_KEPT]
 
 
-_KEPT = 256  # templates of one length that are tried
+# Templates of one length that are kept. Every message is tried against them, so a topic whose messages all have other
+# shapes must not collect them without end.
+_KEPT = 256

@@ -16,6 +16,7 @@ def is_stamped(topic: BagTopic) -> bool:
     """Return whether messages of a topic begin with a header or a time."""
     if topic.msgtype in TYPES:
         return TYPES[topic.msgtype].stamped
+    # Constants have no place in a message, so the first field is the first line that is none.
     lines = (line.partition("#")[0].split() for line in topic.definition.splitlines())
     first = next((words[0] for words in lines if words and not _is_constant(words)), "")
     return first in ("std_msgs/Header", "std_msgs/msg/Header", "Header", "builtin_interfaces/Time")

@@ -61,6 +61,7 @@ class McapFile:
     """
 
     SUFFIX = ".mcap"
+    # A crash loses at most the open chunk, so it is small.
     CHUNK_BYTES = 1 << 19
 
     def __init__(self, path: Path, compression: str, metadata: str) -> None:
@@ -206,6 +207,7 @@ class McapFile:
         self.flush()
         # An earlier close that found no room has noted its metadata already; only the first record was written.
         del self._metadata_index[1:]
+        # A checksum of 0 means that the data section has none; every chunk has its own.
         data_end = self._metadata_record(metadata) + _record(DATA_END, pack("<I", 0))
         counts = {n: c for n, c in sorted(self.counts.items()) if c}
         statistics = pack(

@@ -154,6 +154,7 @@ def _profile(item: Mapping[str, Any]) -> Qos:
     history, reliability, durability, liveliness = (_policy(item, name) for name in _DEFAULTS)
     times = [_time(item.get(name)) for name in ("deadline", "lifespan", "liveliness_lease_duration")]
     plain = str(item.get("avoid_ros_namespace_conventions", "")).lower() == "true"
+    # A text of 19 digits may exceed 64 bits; such a depth is due to damage.
     number = int(depth) if depth.isdecimal() and len(depth) < 19 else 10
     return Qos(history, number, reliability, durability, times[0], times[1], liveliness, times[2], plain)
 

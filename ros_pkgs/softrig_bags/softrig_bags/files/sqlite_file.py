@@ -34,6 +34,7 @@ class Sqlite3File:
     """
 
     SUFFIX = ".db3"
+    # A crash loses at most the pending rows, which are as many bytes as an open chunk of MCAP.
     COMMIT_BYTES = 1 << 19
 
     def __init__(self, path: Path, compression: str, metadata: str) -> None:

@@ -51,6 +51,7 @@ class SqliteSource:
             for file in (path, *beside):
                 shutil.copyfile(file, Path(self._copy.name) / file.name)
             path = Path(self._copy.name) / path.name
+        # With `immutable` SQLite creates neither a journal nor a lock beside the file, whose folder may be read-only.
         mode = "" if beside else "?mode=ro&immutable=1"
         try:
             self._db = sqlite3.connect(path.absolute().as_uri() + mode, uri=True, check_same_thread=False)
@@ -113,6 +114,7 @@ class SqliteSource:
                 block = self._block(result)
                 yield place, block, int(block.t[-1])
                 place += len(block)
+                # Messages may be long, so the number of rows grows from one on, as their bytes allow.
                 n = max(1, min(ROWS, 2 * n, BYTES * n // max(len(block.raw), 1)))
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             raise Damaged(str(error)) from error

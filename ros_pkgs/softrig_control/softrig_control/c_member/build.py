@@ -181,7 +181,8 @@ def _built(stamp: tuple[tuple[Path, int, int], ...], prefix: str, plant: bool, f
 
     shared = kept(f"shim_{prefix}-{key}.so", make("-fPIC", "-shared"))
     program = kept(f"shim_{prefix}-{key}", make("-DSR_PROGRAM"))
-    # a file for each library: two of one layout must not share what their shims have bound
+    # Each library has a file of its own: a shim that is loaded once binds one library, even if two have the same
+    # layout.
     own_shim = kept(f"shim_{prefix}-{key}{digest[:16]}.so", lambda product: _write(product, shared.read_bytes()))
     return Built(copy, own_shim, program, result, hidden, intrusive, digest)
 

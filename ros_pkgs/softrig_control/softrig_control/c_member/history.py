@@ -26,6 +26,7 @@ class History:
 
     def after(self, reported: Call) -> History:
         """Return the history with one call more."""
+        # After a rewind the shared list already has other calls behind this history; they belong to another branch.
         rows = self.shared if self.length == len(self.shared) else self.shared[: self.length]
         rows.append(reported)
         return History(rows, self.length + 1)

@@ -22,7 +22,7 @@ from .instance import Instance, Numbers, Plan, Refusal
 
 LEAVE = 3.0  # s: after which a process that does not end is killed
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
-START = 60.0  # s: a process needs its time to begin on a busy machine, whatever a call may take
+START = 60.0  # s: on a busy machine a process may need longer to start than the timeout of a call
 
 
 class Isolated:

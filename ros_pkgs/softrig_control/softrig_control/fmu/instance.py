@@ -160,6 +160,7 @@ class Instance:
             self._put(values)
         for k in range(n):
             a = start + (end - start) * k / n
+            # The last step ends exactly at `end`, without the rounding of the division.
             b = end if k == n - 1 else start + (end - start) * (k + 1) / n
             if self.plan.exchange:
                 self._integrate(a, b)

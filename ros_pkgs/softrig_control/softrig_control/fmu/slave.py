@@ -56,7 +56,8 @@ class _Shown(Link):
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
         """Receive an answer."""
         for port, row in zip(self.step.outputs, rows, strict=True):
-            if row is not None:  # none is delayed: no samples here
+            # A row is never a `Sample`, because nodes with delayed ports cannot be exported.
+            if row is not None:
                 self._numbers[port.name][:] = cast(tuple[float, ...], row)
 
 
@@ -86,7 +87,7 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         self._numbers = {p.name: list(p.safe) for p in (*self._inputs, *self._outputs)}
         for name, row in self._what["start"].items():
             self._numbers[name][:] = row
-        # an optional input that no node of the scenario publishes has no value until the tool sets it
+        # An optional input that no node of the scenario publishes has no value until the tool sets it.
         self._silent = {p.name for p in self._inputs if p.held} - self._what["start"].keys()
         for port in self._inputs:
             self._register(port, Fmi2Causality.input)

@@ -153,6 +153,7 @@ def invert(m: Sequence[Sequence[float]]) -> Matrix:
     rows = [[*map(float, row), *(float(i == j) for j in range(n))] for i, row in enumerate(m)]
     for k in range(n):
         pivot = rows[k][k]
+        # A pivot this small beside its diagonal entry consists of rounding errors.
         if not pivot > 1e-13 * m[k][k]:
             raise ValueError("G' G + lambda I is singular: expected lambda > 0, or fewer moves Nc")
         rows[k] = [x / pivot for x in rows[k]]

@@ -51,7 +51,8 @@ class MoveSolver:
         n = len(hessian)
         self._n, self._solve = n, solve
         self._h, self._q, self._sums = np.array(hessian, dtype=float), np.zeros(n), np.tril(np.ones((n, n)))
-        # by row: first the moves, then their partial sums, whose bounds each programme has
+        # The first n rows bound the moves and never change. The others bound their partial sums, and each programme
+        # sets them.
         self._lower, self._upper = np.full(2 * n, -most), np.full(2 * n, most)
         self._sense = np.zeros(2 * n, dtype=np.int32)
 

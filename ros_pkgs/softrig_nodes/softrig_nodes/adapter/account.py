@@ -16,7 +16,7 @@ from ..seam.middleware import other_types
 if TYPE_CHECKING:
     from .adapter import Adapter
 
-CHECK_EVERY = 4  # watches between two looks at whether messages can arrive: by their types, and at all
+CHECK_EVERY = 4  # watches from one check whether messages can arrive (by their types, and at all) to the next
 PAUSED = "paused"  # key of a report
 WATCH_PERIOD = SECOND // 4  # ns: progress check, status file, flush of the shard
 

@@ -122,6 +122,7 @@ class Adapter:
         self.inputs: list[Input] = []  # what is read of other nodes, by the table of the drive
         self.paces: list[Input] = []  # /clock and the ticks of other nodes
         ends = [Output(p, middleware.resolve(p.topic), i) for i, p in enumerate(outputs)]
+        # In real time nodes follow the wall clock, so no node publishes /clock.
         owns_clock = self.links.owns_clock and options.mode == "lockstep"
         self.record = Record(
             ends,

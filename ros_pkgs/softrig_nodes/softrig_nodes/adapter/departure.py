@@ -28,7 +28,7 @@ from .handshake import CHECK, Handshake
 READY, START = "softrig/ready", "softrig/start"
 LEAD = SECOND // 2  # ns from the first message with the start time to t = 0, in which it has to reach every node
 CLOCKS = SECOND // 2  # ns from which on two clocks are taken for different
-REPEAT = 5  # checks between two messages in which a node reports that it is ready
+REPEAT = 5  # checks from one message that a node is ready to the next; it is repeated because it may be lost
 
 
 class Departure(Reader):

@@ -10,7 +10,9 @@ from ..seam.middleware import Peer, other_types
 from .adapter import Adapter
 
 CHECK = 1_000_000_000 // 50  # ns between two checks
-SETTLED = 25  # checks in a row (half a second) in which the graph has not changed
+# Checks in a row, half a second, in which the graph has not changed. A foreign node announces its endpoints one by one;
+# those that appear within this time of each other lose no message.
+SETTLED = 25
 
 
 class Handshake:

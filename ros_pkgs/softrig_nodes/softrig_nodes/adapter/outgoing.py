@@ -94,7 +94,7 @@ class Outgoing:
         messages are recorded while it works. (Each wake-up between two messages costs as much as the controller.)
         """
         stamp, record = self._node.epoch + t, self._node.record
-        # In a container this is nearly always so.
+        # In a container this is nearly always so, and the encoding of messages is then saved.
         if self._unread:
             if record.add_row is not None:
                 record.add_row(stamp, numbers)

@@ -28,9 +28,10 @@ from .uses import RCLError, works
 SLOTS = 1024  # messages that may wait; a tick that finds no free slot waits for one
 TAKEN = 32  # free slots that are counted together
 PAUSE, NAPS = 50, 4  # us, and how many naps of that length the thread takes before it has to be woken
-NICER = 5  # by which the thread leaves a processor to the ticks
+NICER = 5  # added to the niceness of the thread, so that ticks have priority on a shared processor
 PATIENCE = 10.0  # s: for all messages at the end
-OFFSET = bytes.__basicsize__ - 1  # from an object of bytes to its content, behind which it has a 0
+# Distance from the address of a bytes object to its content. The basic size includes the 0 after the content.
+OFFSET = bytes.__basicsize__ - 1
 SEMAPHORE = 8  # words; the C libraries of Linux need four
 SLOT = struct.Struct("qqq")  # publisher, address, length
 

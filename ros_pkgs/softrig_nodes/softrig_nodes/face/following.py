@@ -34,7 +34,7 @@ TRAJECTORY, STATES = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/Joi
 LOOK = SECOND // 50  # ns of the wall between two looks at a goal whose joints are not measured
 FEEDBACK = SECOND // 20  # ns of the wall between two messages of feedback, as action_monitor_rate is by default
 LEAVE = SECOND // 10  # ns of the run: before its end, so that the result of a goal is sent while the node is there
-WAITING = 10  # trajectories of the topic that wait for their share of the time
+WAITING = 10  # trajectories of the topic that may wait for their share of the time; the oldest are dropped
 # s for a client that requests the result of a goal later. It is short, because each change of a goal publishes the
 # status of all goals that are kept.
 KEPT = 10

@@ -102,7 +102,8 @@ class Simulation:
         )
         for name, answer in zip(SERVICES, answers, strict=True):
             service = node.create_service(types[name], re.sub("(?<=.)([A-Z])", r"_\1", name).lower(), answer)
-        self._send, service.send_response = service.send_response, self._send_unless_late  # of the last, StepSimulation
+        # `service` is the last one, StepSimulation, whose answer is due only when all of its steps have been taken.
+        self._send, service.send_response = service.send_response, self._send_unless_late
         self._action = ActionServer(node, self._simulating, "simulate_steps", self._simulate)
 
     def _answer(self, result: Any, code: str = "RESULT_OK", text: str = "") -> None:

@@ -188,8 +188,8 @@ class Paired(Sender):
         self.have = earlier
         self.rejected_stamp = -1
         self.pending: dict[int, Any] = {}
-        self.last_stamp_zero = False  # of the last message that was no step of ours
-        self._holds = 0  # until this time the awaited message serves
+        self.last_stamp_zero = False  # whether the last message that fits no tick had the stamp 0
+        self._holds = 0  # time up to which the message in use is still the awaited one
         # with our period: due whenever we are, up to its last tick
         alike = schedule.period == table.node.schedule.period and not earlier
         self._alike = -1 if not alike else _FOREVER if schedule.last is None else schedule.last
@@ -360,7 +360,7 @@ class Counted(Paired):
         self._queue: deque[tuple[int, tuple[float, ...] | None, bytes]] = deque()  # None: refused
         self._announced: deque[int] = deque()  # the ticks at which they were sent
         self._acknowledged = -1  # the newest tick that the publisher has acknowledged
-        self._behind = self.port.delayed and self.node.links.returns  # its number is behind a message
+        self._behind = self.port.delayed and self.node.links.returns  # whether a number follows each message
 
     def resume(self, used: int, reached: int) -> None:
         """See `Paired.resume`."""

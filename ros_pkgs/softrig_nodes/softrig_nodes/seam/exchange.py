@@ -17,8 +17,9 @@ from typing import Any
 from .middleware import Receive
 
 BATCH = 16  # calls between two looks at the time
-BURST = 8  # messages for other processes that go out together: to wake a reader costs four times as much as to send
-SLACK = 150_000  # ns to the next timer from which on they go out at once
+# Messages for other processes that are published together: waking a reader costs four times as much as publishing.
+BURST = 8
+SLACK = 150_000  # ns to the next timer that leave enough time to publish them before it
 SLICE = 5_000_000  # ns: how long the queue may keep a timer waiting
 
 
@@ -75,7 +76,7 @@ class Exchange:
         self.writers: dict[object, int] = {}
         self._culprit: Callable[..., Any] | None = None
         self._outbox: list[tuple[Receive, bytes]] = []
-        self._turns = 0  # that the outbox has waited
+        self._turns = 0  # number of turns for which the outbox has waited
 
     @property
     def listens(self) -> bool:

@@ -50,7 +50,8 @@ def _exchange(new: Path, path: Path) -> None:
     exchange of the two names takes 70 us in total. Not every system and file system supports it.
     """
     if _renameat2 is None or _renameat2(AT_FDCWD, os.fsencode(new), AT_FDCWD, os.fsencode(path), RENAME_EXCHANGE):
-        new.replace(path)  # the first time there is nothing to exchange it with
+        # The first time there is no old file that it could be exchanged with.
+        new.replace(path)
     else:
         new.unlink()
 

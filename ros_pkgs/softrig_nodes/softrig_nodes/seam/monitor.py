@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Self
 
 LONG = 5_000_000  # ns: longer work is for the executor, since the receiving thread takes no other message in this time
-SHORT_ONES = 20  # in a row, after which messages are worked on where they come again
+SHORT_ONES = 20  # short pieces of work in a row after which messages are processed in the receiving thread again
 
 
 class Monitor:
