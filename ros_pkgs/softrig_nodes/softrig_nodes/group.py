@@ -120,6 +120,8 @@ def _whole(drives: Iterable[Realtime], links: Sequence[_Link]) -> bool:
     """Return whether nodes read only each other, with checked links and at their ticks; free inputs may be external."""
     rows = [row for drive in drives for row in drive.senders.rows]
     fed = [row for row in rows if row.local]
+    # One timer for all nodes needs a common t = 0. The outputs of faults are excluded, because each reader has to check
+    # them (`Live.receiver`).
     return (
         bool(fed)
         and all(row.paired and type(row) is Live for row in fed)

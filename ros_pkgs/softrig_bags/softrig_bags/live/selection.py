@@ -62,4 +62,5 @@ class Selection:
             return False
         if self.regex:
             return bool(self.regex.search(topic))
+        # ROS hides topics with a part that begins with an underscore; a tool takes them only if they are requested.
         return not self.names and "/_" not in topic

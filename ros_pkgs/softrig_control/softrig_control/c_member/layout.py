@@ -118,12 +118,14 @@ def _of(die: DIE, where: str, access: str) -> Iterator[Leaf]:
     elif die.tag in ("DW_TAG_structure_type", "DW_TAG_class_type"):
         for member in _members(die):
             name = _name(member)
+            # C reaches the members of an anonymous struct without a name in between.
             yield from _leaves(member, where, f"{access}.{name}" if name else access)
     elif die.tag == "DW_TAG_union_type":
         members = _members(die)
         if len(members) == 1:
             yield from _leaves(members[0], where, f"{access}.{_name(members[0])}")
         else:
+            # Which member of a union is valid is not known here, so its bytes are carried as they are.
             yield from (Leaf(f"{access}[{k}]", "word", WORD) for k in range(-(-size // WORD)))
     elif die.tag == "DW_TAG_array_type":
         yield from _array(die, where, access)

@@ -235,6 +235,7 @@ def unpacked(path: Path) -> Path:
     if folder.is_dir():
         return folder
     folder.parent.mkdir(parents=True, exist_ok=True)
+    # Unpacked beside the target and then renamed, so that no other node finds half of the content.
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix="unpacking_") as place:
         inside = Path(place, "fmu")
         try:

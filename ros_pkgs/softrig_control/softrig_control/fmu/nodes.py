@@ -277,6 +277,7 @@ class _Fmu(Block[FmuParams]):
         if kept is not None:
             self._asked(x.k, self._running.call, "restore", kept)
         else:
+            # Each call refers to the one before it, so they are listed from the last to the first.
             for call in reversed([*calls_before(x.calls)]):
                 self._asked(x.k, self._running.call, call.name, *call.arguments)
         return x

@@ -206,7 +206,9 @@ class Node(Base):  # type: ignore[misc,unused-ignore]
         if self._values != self._what["parameters"] or self._start:
             self._begin()
         step = self._step
-        if not self._inputs and not isinstance(step.block, Plant):  # a source has its first value before any step
+        # A tool reads the outputs before the first step, and a source has a value then. Its state is loaded back
+        # because the first step answers the same tick again.
+        if not self._inputs and not isinstance(step.block, Plant):
             kept = step.save()
             step.answer(self._schedule.time(self._k))
             step.load(kept)

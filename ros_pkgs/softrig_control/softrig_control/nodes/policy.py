@@ -45,6 +45,7 @@ def linear(weights: Sequence[float], observations: int, actions: int) -> Act:
         result = []
         for row in rows:
             total = row[-1]
+            # A row has its constant behind the weights and is thus longer than the observation.
             for weight, value in zip(row, observed, strict=False):
                 total += weight * value
             result.append(total)

@@ -76,6 +76,7 @@ class Overheard(Input):
             text = f"{self.refused} messages on {self.port.topic} are not recorded: {error}"
             node.step.note(Level.WARN, f"unrecorded {self.port.topic}", text)
             return
+        # As in a reader, channels that a partial message leaves out keep these values.
         self.decode.kept = values
         self.received_any = True
         # A message equal to the last one is a repetition if it has a stamp or a number. Without either this is only

@@ -118,6 +118,7 @@ class Realtime(Link):
     def join(self, local: Set[str]) -> None:
         """Begin, or wait for the others if t = 0 must be agreed; `local` are the other nodes of this process."""
         node = self.node
+        # A `Beat` may have set it already by `follow`.
         self._begun = self._begun or self._by_itself()
         acknowledgements = listen(
             self.senders, [r for r in self.senders.rows if isinstance(r, Sporadic) and r.who not in local]

@@ -48,6 +48,7 @@ class Sporadic(Live):
         t = stamp - self.node.epoch
         want = self.node.epoch + self.schedule.awaited(t)
         newest = -1 if self.stamp is None else self.stamp
+        # Messages of a writer arrive in order, so one with a later stamp shows that those before it have arrived.
         while self._sent and self._sent[0] <= newest:
             self._sent.popleft()
         there = newest >= want or (self._acknowledged >= want and not (self._sent and self._sent[0] <= want))

@@ -52,6 +52,8 @@ class Credit:
         try:
             yield
         finally:
+            # The time of the block itself earns no credit. The lower limit keeps one long call from blocking services
+            # for longer than MOST / SHARE.
             self._since = time.monotonic()
             self.left = max(-self.MOST, self.left - (self._since - start))
 
