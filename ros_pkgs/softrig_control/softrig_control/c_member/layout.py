@@ -10,7 +10,7 @@ from elftools.dwarf.die import DIE
 from elftools.elf.elffile import ELFFile
 
 LARGEST = 4096  # numbers of one struct
-WORD = 4  # bytes of a union that are carried as one whole number
+WORD = 4  # bytes of a union that are carried as one whole number, which a double holds exactly
 CONSTANTS = ("k", "constants")  # members of the state that NODE_init alone writes, beside one of the type NODE_params
 _REAL, _BOOL, _WHOLE = {4}, {2}, {5: True, 6: True, 7: False, 8: False, 16: False}  # DW_ATE_*: whether signed
 

@@ -47,7 +47,7 @@ class Variable:
     doc: str
     low: float | None = None
     high: float | None = None
-    flag: str = ""  # of an input that may have no value: what says that it has one
+    flag: str = ""  # in C, whether an optional input has a value; empty for all others
 
 
 def export_native(rig: Rig, node: str, folder: Path, start: Mapping[str, Sequence[float]], version: int) -> Path:

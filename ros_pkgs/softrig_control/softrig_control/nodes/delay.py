@@ -40,7 +40,8 @@ class FieldbusDelayParams(LinkParams):
         return self
 
 
-BLOCK = 64  # messages
+# Messages of a block. A tick copies the block into which it inserts, so a block is small even if the line is long.
+BLOCK = 64
 
 
 class Line:

@@ -86,7 +86,8 @@ class Gpc:
         self.hessian: Matrix = tuple(
             tuple(x + tuning.weight * (i == j) for j, x in enumerate(row)) for i, row in enumerate(squares)
         )
-        self._pull = tuple(dense.total(row) for row in transposed)  # G' 1: what multiplies w
+        # G' 1, the factor of w: the set point is constant over the horizon.
+        self._pull = tuple(dense.total(row) for row in transposed)
         self._outputs = matmul(transposed, f)
         self._past = matmul(transposed, h) if h[0] else ((),) * tuning.moves
         inverse = invert(self.hessian)
