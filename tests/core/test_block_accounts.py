@@ -273,8 +273,10 @@ def test_messages_received_together_are_one_row():
     [
         ((3.0, 4.0), True),
         ((3.0, 4.1), False),
-        ((), False),
+        ((), True),
         ((1, 2), False),
+        ((1, 2.0), False),
+        ((True, 2.0), False),
         ((math.nan,), False),
         (("x",), False),
         ((10**400,), False),

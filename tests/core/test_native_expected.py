@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from expected_text import check_expected
 from softrig_core import Block, BlockParams, ByHand, Level
-from softrig_core.block.answer import sum_of_products
+from softrig_core.block.answer import only_floats, sum_of_products
 from softrig_core.kit.dense import total
 from softrig_core.kit.draws import Draws
 from softrig_core.kit.jit import Jit, jit, power
@@ -1321,7 +1321,14 @@ def calling(case: str, typed: bool, owner: Owner | None = None) -> Any:
     code = Writer(program, None, {}).code(value) if not isinstance(value, Static) else None
     mine = ByHand(owner := owner or Owner())
     words = TEXTS if typed else {w: text for w, text in TEXTS.items() if w not in OWN}
-    scope = {"same_": same, "sum_of_products": sum_of_products, **BASE, **({} if typed else OWN), **program.names}
+    scope = {
+        "same_": same,
+        "only_floats": only_floats,
+        "sum_of_products": sum_of_products,
+        **BASE,
+        **({} if typed else OWN),
+        **program.names,
+    }
     scope |= {name: thing.py_func for name, thing in program.names.items() if isinstance(thing, Jit)}
     for text in [*(words[w] for w in sorted(program.words) if w in words), *program.functions]:
         exec(text, scope)
@@ -1520,3 +1527,22 @@ def test_the_values_in_which_another_block_may_differ_are_those_passed_in() -> N
         "a[1]",
         "['k'].b",
     ]
+
+
+def test_a_text_that_adds_up_a_mapping_suits_only_blocks_with_its_order_of_keys() -> None:
+    class Added:
+        def __init__(self, **gains: float) -> None:
+            self.gains = gains
+
+        def total(self, x: float) -> float:
+            result = 0.0
+            for gain in self.gains.values():
+                result = result + gain * x
+            return result
+
+    first, turned, other = Added(a=0.1, b=0.2, c=0.3), Added(c=0.3, b=0.2, a=0.1), Added(a=1.0, b=2.0, c=3.0)
+    program = Program([first], Writer)
+    made(program, Added.total, [Static(first, (0,)), Dynamic("x", 1.0)], {}, set())
+    assert first.total(1.0) != turned.total(1.0)
+    assert program.differs([turned])
+    assert not program.differs([other])

@@ -16,6 +16,7 @@ from faultrig import COMMAND, REFERENCE, STATE, Lag, Source
 from softrig_core import (
     Block,
     BlockParams,
+    Plant,
     Recording,
     Rig,
     RunError,
@@ -29,6 +30,7 @@ from softrig_core import (
     param,
     rig_of,
     run_inprocess,
+    scalars,
     simulate,
 )
 from softrig_core.block.codec import encoder
@@ -477,3 +479,31 @@ def test_a_run_comes_back_from_another_process_whole():
     there = pickle.loads(pickle.dumps(simulate(wired()))).branch(0.05, {"law.k": 1.0})
     assert there.recording.topics == simulate(wired()).branch(0.05, {"law.k": 1.0}).recording.topics
     assert pickle.loads(pickle.dumps(back)).figures == run.figures
+
+
+class Whole(Plant):
+    """A plant that returns a whole number beside a float."""
+
+    OUTPUTS = (scalars("level", "tank/level", {"height": "m", "depth": "m"}),)
+
+    def outputs(self, x, t):
+        return {"level": (0, 0.5)}
+
+    def advance(self, x, t):
+        return x
+
+
+class Turned(Block):
+    """A law whose answer depends on the sign of a zero."""
+
+    INPUTS, OUTPUTS = Whole.OUTPUTS, (command("pump", "tank/pump", ["pump"], "V"),)
+
+    def update(self, x, t, level):
+        return x, {"pump": (math.atan2(-level[0], -1.0),)}
+
+
+@pytest.mark.parametrize("runs", [1, 10**6])
+def test_a_whole_number_beside_a_float_reaches_its_reader_as_a_float(runs):
+    """As over ROS: -0 is 0, and -0.0 is not, so Python and native code, and two placements, would differ."""
+    run = simulate(Rig.from_blocks({"tank": Whole(), "law": Turned()}, duration=0.1), runs=runs)
+    assert set(run.signals["tank/pump/pump/effort"].x.tolist()) == {-math.pi}

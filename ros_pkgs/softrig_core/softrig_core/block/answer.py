@@ -102,6 +102,7 @@ def _squares(p: tuple[Any, ...], q: tuple[Any, ...]) -> Any:
     return sum(map(mul, p, q))
 
 
+only_floats = frozenset({float}).issuperset
 sum_of_products = getattr(math, "sumprod", _squares)  # from Python 3.12 on
 
 
@@ -112,12 +113,8 @@ def flat(rows: Any) -> tuple[float, ...]:
 
 def usual(values: tuple[Any, ...], bound: float) -> bool:
     """Return whether all values are floats and their sum of squares is at most a bound; a fast check."""
-    try:
-        size = sum_of_products(values, values)
-        # A sum of another type comes from integers, bools or numpy's scalars, which `admit` converts to floats.
-        return type(size) is float and size <= bound
-    except (TypeError, OverflowError):
-        return False
+    # Integers, bools and numpy's scalars are converted by `admit`: -0 would be another number than -0.0.
+    return only_floats(map(type, values)) and bool(sum_of_products(values, values) <= bound)
 
 
 Where = tuple[int, int, int | None, int | None]  # numbers of an output: from, to; its stamp and flag, where it has them

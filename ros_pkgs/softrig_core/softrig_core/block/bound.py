@@ -14,7 +14,7 @@ from types import CodeType
 from typing import TYPE_CHECKING, Any
 
 from ..errors import FAILURES
-from .answer import sum_of_products
+from .answer import only_floats, sum_of_products
 from .fill import value_text
 from .port import Port, Sample
 
@@ -62,7 +62,7 @@ PLAIN = """
             {rows} = rows = {found}
             step.numbers = numbers = {numbers}
             fits = len(found) == {count} and {sizes}
-            fits = fits and type(size := sum_of_products(numbers, numbers)) is float and size <= bound
+            fits = fits and only_floats(map(type, numbers)) and sum_of_products(numbers, numbers) <= bound
         except (KeyError, TypeError, OverflowError):  # reported by `checked`
             fits = False
         if not fits:
@@ -173,6 +173,7 @@ def _made(name: str, text: str, step: Step, known: dict[str, Any]) -> Callable[.
         "step": step,
         "values": step.values,
         "events": step.block.events,
+        "only_floats": only_floats,
         "sum_of_products": sum_of_products,
         "Sample": Sample,
         "FAILURES": FAILURES,

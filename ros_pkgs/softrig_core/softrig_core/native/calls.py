@@ -535,8 +535,8 @@ class Calls(Expressions):
             keys = tuple(table.value)
             values = [Static(table.value[k], None if table.path is None else (*table.path, ("item", k))) for k in keys]
             if table.path is not None:
-                # Only the keys choose this text; each value that does has its own guard.
-                self.program.guards[table.path] = ("keys", tuple(sorted(keys)))
+                # Only the keys and their order choose this text; each value that does has its own guard.
+                self.program.guards[table.path] = ("keys", keys)
             if name == "items":
                 return Group(tuple(Group((Static(k), v)) for k, v in zip(keys, values, strict=True)))
             return Group(tuple(values)) if name == "values" else Static(keys)

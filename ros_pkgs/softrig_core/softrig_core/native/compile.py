@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..block.answer import sum_of_products
+from ..block.answer import only_floats, sum_of_products
 from ..block.bound import code_of
 from ..kit.compiled import Compiled
 from ..kit.jit import HOW, Jit, our_numba, tokens_of
@@ -84,7 +84,7 @@ def plain(made: RigText) -> Callable[..., Any]:
         As `compiled`, but its tables are lists.
     """
     names = made.program.names
-    scope = {"same_": same, "sum_of_products": sum_of_products, **BASE, **OWN, **names}
+    scope = {"same_": same, "only_floats": only_floats, "sum_of_products": sum_of_products, **BASE, **OWN, **names}
     exec(code_of(made.text, "rig"), scope)
     for name, thing in names.items():
         if isinstance(thing, Jit):

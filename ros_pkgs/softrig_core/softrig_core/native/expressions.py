@@ -160,7 +160,7 @@ class Expressions(Ways):
             kinds = {tuple(sorted(v)) if isinstance(v, Mapping) else None for v in base.value}
             keys = kinds.pop() if len(kinds) == 1 else None
             if keys is not None and base.path is not None:
-                self.program.guards[(*base.path, ("item", 0))] = ("keys", keys)
+                self.program.guards[(*base.path, ("item", 0))] = ("keys", tuple(base.value[0]))
         table, at = self.dynamic(base), self.dynamic(index)
         if table.parts or table.sample is UNKNOWN:
             raise self.unknown("an item of something that is not a table", node)

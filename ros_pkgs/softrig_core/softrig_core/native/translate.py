@@ -199,7 +199,7 @@ class Program:
         for path, wanted in self.guards.items():
             try:
                 value = follow(path, roots)
-                result = ("keys", tuple(sorted(value))) if wanted[0] == "keys" else signature(value)
+                result = ("keys", tuple(value)) if wanted[0] == "keys" else signature(value)
             except (AttributeError, LookupError, TypeError):
                 # A value that another block does not have needs another text, too.
                 return written(path)

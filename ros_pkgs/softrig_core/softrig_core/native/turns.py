@@ -385,12 +385,10 @@ def _row_of(q: str, numbers: Sequence[str], flags: Sequence[str], size: int, bou
         return [f"{q} = ({', '.join(numbers)}, {text})", f"if not ({squares} <= {bound!r}):", f"    {GIVEN_UP}"]
     return [
         f"{q} = ({', '.join(numbers)},)",
-        f"squares_ = sum_of_products({q}, {q})",
-        # Integers in an answer are found by the type of the sum, and are converted to floats.
-        "if type(squares_) is not float:",
+        # Integers in an answer are converted, since -0 is another number than -0.0.
+        f"if not only_floats(map(type, {q})):",
         f"    {q} = tuple(map(float, {q}))",
-        f"    squares_ = sum_of_products({q}, {q})",
-        f"if not (squares_ <= {bound!r} and len({q}) == {size}):",
+        f"if not (sum_of_products({q}, {q}) <= {bound!r} and len({q}) == {size}):",
         f"    {GIVEN_UP}",
         *([f"{q} = (*{q}, {text})"] if flags else []),
     ]
