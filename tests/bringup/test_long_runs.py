@@ -59,12 +59,13 @@ def test_a_killed_run_leaves_the_first_part_of_its_messages(size, tmp_path):
 
 @pytest.mark.long
 def test_memory_does_not_grow_with_the_messages(tmp_path):
-    """A run of 25 s has 3.6 million messages more than one of 5 s; all of them would take 440 MB.
+    """A run of 60 s has 6.4 million messages more than one of 25 s; all of them would take 770 MB.
 
-    The first run compiles its native code, which takes memory of its own.
+    The first run compiles its native code, which takes memory of its own. A shorter one would stay in Python, without
+    the memory of LLVM.
     """
     peak = []
-    for duration in ("5", "5", "25"):
+    for duration in ("25", "25", "60"):
         out = str(tmp_path / duration)
         child = subprocess.Popen([sys.executable, "-c", RUN, *WORDS, "--duration", duration, "--out", out])
         _, status, used = os.wait4(child.pid, 0)
