@@ -102,8 +102,7 @@ def _can(member: Member) -> tuple[str, ...]:
 def _first(rig: Rig, member: Member) -> dict[str, list[float]]:
     """Return each input's first value in the scenario, if its publisher sends a message at its first tick."""
     bare = rig.scenario.having(figures={}, expect={}, claims={}, requirements={}, plots=())
-    classes = {m.name: m.block_class for m in rig.members}
-    short = rig_of(bare, duration=float(rig.clock.schedule.period), classes=classes)
+    short = rig_of(bare, duration=float(rig.clock.schedule.period), classes=rig.classes)
     recording = simulate(short, seed=rig.scenario.seed).recording
     result = {}
     for port in member.inputs:

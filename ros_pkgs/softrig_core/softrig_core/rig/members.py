@@ -84,6 +84,11 @@ class Members:
         return self.clock.schedule.end
 
     @property
+    def classes(self) -> dict[str, type[Block]]:
+        """The class of each node's block: with the scenario, all that a rig is built of."""
+        return {m.name: m.block_class for m in self.members}
+
+    @property
     def topics(self) -> dict[str, Port]:
         """Every published topic in the order in which one tick's messages follow from each other."""
         result = {"/clock": CLOCK} | {port.topic: port for m in self.members for port in m.outputs}

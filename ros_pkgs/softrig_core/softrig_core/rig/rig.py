@@ -67,7 +67,7 @@ class Rig(Members):
         ScenarioError
             As `from_scenario`.
         """
-        new = {m.name: m for m in members_of(scenario, {m.name: m.block_class for m in self.members}, names)}
+        new = {m.name: m for m in members_of(scenario, self.classes, names)}
         members = [new.get(m.name, m) for m in self.members]
         members += [m for m in new.values() if m not in members]
         return self.having(scenario, members, list(new.values()))

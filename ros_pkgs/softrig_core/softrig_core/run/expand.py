@@ -56,7 +56,7 @@ def rig_of(
     if overrides is not None and not (isinstance(overrides, Mapping) and all(isinstance(k, str) for k in overrides)):
         raise ScenarioError(f"overrides: expected a mapping of 'node.parameter' to value, got {overrides!r}")
     if isinstance(what, Rig):
-        classes = {m.name: m.block_class for m in what.members} | dict(classes or {})
+        classes = what.classes | dict(classes or {})
         what = what.scenario
     if isinstance(what, str | Path):
         what = read_draft(str(what))

@@ -99,7 +99,7 @@ class Run:
         kept = {f.name: getattr(self, f.name) for f in fields(self)} | {"blocks": {}, "wanted": None}
         for name in ("rig", "begun"):
             if (rig := kept[name]) is not None:
-                kept[name] = rig.scenario, {m.name: m.block_class for m in rig.members}
+                kept[name] = rig.scenario, rig.classes
         return kept
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
@@ -266,7 +266,7 @@ class Run:
         begun = self.begun or self.rig
         scenario = begun.scenario.having(changes=branched(begun, self.recording, at, values, self.epoch))
         scenario = scenario.changed(duration=self.rig.scenario.duration if duration is None else duration)
-        rig = rig_of(scenario, classes={m.name: m.block_class for m in self.rig.members})
+        rig = rig_of(scenario, classes=self.rig.classes)
         result = simulate(rig, seed=self.seed, progress=progress, runs=runs)
         # A run in real time is not repeatable, so only runs in simulated time are compared.
         if where := "" if self.epoch else parted(self.recording, result.recording, at):
