@@ -1,4 +1,4 @@
-"""What people write, in files or as parameters, as validated data."""
+"""Base of all data that people write in files or as parameters."""
 
 from __future__ import annotations
 

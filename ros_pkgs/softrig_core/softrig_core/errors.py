@@ -14,7 +14,7 @@ class ScenarioError(ValueError):
 
 
 class RunError(RuntimeError):
-    """A run broke: the text names the node and topic (exit status 3)."""
+    """A run failed while it ran; the text names the node and topic (exit status 3)."""
 
     node = ""  # whose block it was, if it was one
 
@@ -48,7 +48,7 @@ def describe(error: BaseException) -> str:
 
 @contextmanager
 def blaming(where: str) -> Iterator[None]:
-    """Raise an error of a user's code within the ``with`` block as bad input of a place.
+    """Report an error of a user's code within the ``with`` block as bad input at a named place.
 
     Raises
     ------

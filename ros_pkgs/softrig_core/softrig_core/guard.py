@@ -117,7 +117,7 @@ def stopped_by(error: KeyboardInterrupt) -> str:
 
 
 def end_within(seconds: float, status: int) -> None:
-    """End the process after some time, even if a user's threads or processes continue, for which Python would wait."""
+    """End the process after some time, even if threads or processes of a user's code are still running."""
     known: Any = sys.modules.get("multiprocessing")  # else there are none of its processes
     others = [one for one in threading.enumerate() if one is not threading.main_thread()]
     others += known.active_children() if known else []
@@ -190,7 +190,7 @@ def _warn(other: Callable[..., None], message: Warning | str, category: type[War
 
 
 def incomplete(what: object) -> None:
-    """Print one line about input that was not read whole: the command's result is about less, and its status not 0."""
+    """Print one line about input that was not read completely; the exit status is then not 0."""
     global _incomplete
     _incomplete = True
     print_line(what)
@@ -207,7 +207,7 @@ def print_for(who: str, what: object) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name the file or folder that an OSError is about where Python does not: of an open it does, of a write not."""
+    """Add the name of a file or folder to an OSError that lacks it; only an error of `open` has it."""
     try:
         yield
     except OSError as error:
@@ -217,7 +217,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def replace(path: Path, text: str | bytes) -> None:
-    """Write a file that appears whole or not at all; a link in its place is replaced, not followed."""
+    """Write a file completely or not at all; a link at its path is replaced, not followed."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with naming(path):

@@ -53,7 +53,7 @@ class Interrupt:
             self._leave = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Raise an error: so early, nothing has been published, recorded or printed."""
+        """Raise an error that ends the program; at this point nothing has been published, recorded or printed."""
         self._times += 1
         if self.early:
             os._exit(0)

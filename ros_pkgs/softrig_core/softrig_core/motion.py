@@ -118,9 +118,7 @@ class Path:
 
 
 def _between(p: list[Sequence[float]], q: list[Sequence[float]], T: float) -> tuple[Polynomial, ...]:
-    """Return the polynomials of all joints from one point to the next, T s later, from the fields that both
-    points have.
-    """
+    """Return the polynomials of all joints from one point to the next, T s later."""
     (p0, v0, a0), (p1, v1, a1) = p, q
     if not v0:
         return tuple((b, (e - b) / T, 0.0, 0.0, 0.0, 0.0) for b, e in zip(p0, p1, strict=True))

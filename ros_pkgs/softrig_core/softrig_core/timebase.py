@@ -45,7 +45,7 @@ class Pace:
         self._stopped = now if self._stopped is None else self._stopped
 
     def go_on(self, now: float) -> None:
-        """Let the time continue."""
+        """Let the time run on."""
         if self._mark is not None and self._stopped is not None:
             self._mark = self._mark[0] + now - self._stopped, self._mark[1]
         self._stopped = None
@@ -55,7 +55,7 @@ class Pace:
         self._mark = None
 
     def reach(self, now: float, t: int) -> int | None:
-        """Return the ns up to which a run that is at `t` may go without asking again; None: it has to wait there."""
+        """Return the time in ns up to which a run at `t` may continue; None if it has to wait."""
         rate = self.pace * SECOND
         since, first = self._mark = self._mark or (now, t)
         reached = first + round((now - since) * rate)

@@ -24,7 +24,7 @@ ON_AXIS = 1e-6
 
 
 def resolved(response: Response, omega: Array) -> tuple[Array, NDArray[np.complex128]]:
-    """Add frequencies until the loop L, and 1 + L, turn and grow by little from each to the next.
+    """Add frequencies until L and 1 + L change little in angle and magnitude from each frequency to the next.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class _Watched(Link):
         self._published, self._topics = published, [p.topic for p in step.outputs]
 
     def send(self, t: int, rows: Rows, numbers: tuple[float, ...]) -> None:
-        """Store an answer."""
+        """Publish an answer, and store its values as the newest ones."""
         for topic, row in zip(self._topics, rows, strict=True):
             if row is not None:
                 self._published[topic] = row
@@ -57,14 +57,14 @@ class _Watched(Link):
 
 
 class _Acts(Link):
-    """Has the agent wait for an action."""
+    """A link that makes its step wait until the agent has set an action."""
 
     def __init__(self, step: Step, waits: Callable[[], bool]) -> None:
         super().__init__(step)
         self._waits = waits
 
     def lacks(self, t: int) -> bool:
-        """Return whether a value is missing."""
+        """Return whether the action of this tick is still missing."""
         return self._waits()
 
 
@@ -102,7 +102,7 @@ class Now(Mapping[str, float]):
         return (name for name, (topic, _) in self._known.items() if topic in self.published)
 
     def __len__(self) -> int:
-        """Count them."""
+        """Return the number of signals that have a value."""
         return sum(1 for _ in self)
 
 
@@ -243,7 +243,9 @@ class RigEnv(gym.Env[Array, Array]):
         return self.held.copy(), self._info()
 
     def begin(self, tick: int = 0) -> None:
-        """Continue from a tick of the runner, up to the agent; the steps hold the state before that tick."""
+        """Continue a run from one of its ticks, at which the steps hold the state before it, up to the agent's next
+        tick.
+        """
         self._ticks = Loop(list(self.steps.values())).run(tick)
         ended = self._go_on()
         if ended:
@@ -345,7 +347,7 @@ class RigEnv(gym.Env[Array, Array]):
         return rig_of(Scenario.model_validate(data), classes=classes)
 
     def _current_action(self, _: Sequence[float]) -> list[float]:
-        """Act as the policy of the agent's node: return the action of the current step, once."""
+        """Return the action of the current step as the policy of the agent's node, and use it up."""
         # The action is used up, so the loop stops again at the agent's next tick.
         action, self._action = self._action, None
         assert action is not None

@@ -120,7 +120,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
     # Gymnasium's own ----------------------------------------------------------------------------------------------
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode in all of them.
+        """Begin an episode in all instances.
 
         Parameters
         ----------
@@ -220,7 +220,7 @@ class RigVectorEnv(VectorEnv[Any, Any, Any]):
         self._t[j] = self.envs[j].clock.t / SECOND
 
     def _loaded(self, j: int) -> None:
-        """Let an instance continue in Python."""
+        """Restore an instance into the steps, so that it continues in Python."""
         if self._k[j] < 0:
             return
         env, k = self.envs[j], int(self._k[j])

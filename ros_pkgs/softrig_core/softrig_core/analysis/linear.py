@@ -56,7 +56,7 @@ class Linear(NamedTuple):
     """s; of a model of differences: x of the next period in place of dx. 0: a model of derivatives."""
 
     def system(self, **names: Sequence[str]) -> control.StateSpace:
-        """Return it as a system of the python-control library, for poles, margins, Bode and step figures.
+        """Return the model as a system of the python-control library, for poles, margins, Bode and step plots.
 
         Parameters
         ----------

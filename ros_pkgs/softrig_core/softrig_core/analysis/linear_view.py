@@ -322,7 +322,7 @@ class LinearView:
         return result
 
     def _confirm(self, gain: float, z: complex) -> None:
-        """Check that the loop closed over a gain has a pole at z, within the accuracy of its matrix."""
+        """Check that the loop with this gain has a pole at z, within the accuracy of the matrix."""
         A, b, c, d, _ = self._loop
         # A gain of zero or infinity stands for "no crossing", so there is no pole to look for.
         if not 0.0 < gain < math.inf or not len(b):
@@ -336,7 +336,9 @@ class LinearView:
             )
 
     def _ends(self) -> list[tuple[float, complex]]:
-        """Find the factors with which a pole leaves at z = 1 or -1: the loop is real there without a crossing."""
+        """Find the gains at which a pole crosses the unit circle at z = 1 or -1, where the loop is real without a
+        crossing.
+        """
         A, b, c, d, _ = self._loop
         result: list[tuple[float, complex]] = []
         for z in (1.0, -1.0):
@@ -599,7 +601,9 @@ def _check_link(result: StateMap, link: str) -> None:
 
 
 class Differences:
-    """The columns of a rig's map, found from what moves: a state moves, or is moved by something that does."""
+    """The columns of a rig's linear map, found by moving its states: those that move in the run, and those that they
+    move.
+    """
 
     def __init__(self, state_map: StateMap, outputs: Sequence[str], inputs: Sequence[str], link: str) -> None:
         self.map, self.outputs, self.inputs, self.link = state_map, list(outputs), list(inputs), link
@@ -646,8 +650,8 @@ class Differences:
         return kept, whole[np.ix_(counts, counts)], received[:, counts]
 
     def _explore(self) -> None:
-        """Find the columns of everything that has moved, that rests in a plant, or that is moved by a value
-        with a column.
+        """Find the columns of the states that have moved in the run, that rest in a plant, or that a known column
+        affects.
         """
         waiting = {int(i) for i in np.flatnonzero((self.map.moved | self.map.resting) & self.finite)}
         waiting |= {int(i) for column, _ in self.columns.values() for i in np.flatnonzero(column)}
@@ -673,7 +677,7 @@ class Differences:
         return bool(direct[-1] or _between(self._square(on), column[on], c).any())
 
     def _dwarfed(self) -> set[int]:
-        """Return the states that were moved far less than others move them: a state at zero has no size of its own."""
+        """Return the states that were moved much less than others move them; a state at zero has no size of its own."""
         sizes = self.map.sizes
         natural = np.zeros(len(sizes))
         for key, (column, _) in self.columns.items():
@@ -684,7 +688,7 @@ class Differences:
         return result
 
     def again(self, kept: list[int]) -> Array:
-        """Return A where the map's `start` is now."""
+        """Return A at the present `start` of the map."""
         self._begin()
         for i in kept:
             self._number(i)
@@ -841,13 +845,13 @@ class Differences:
         return best[1], best[2]
 
     def _off(self, kept: list[int]) -> Array:
-        """Return how far all states are moved off together."""
+        """Return the offset of each state for the check in which all states are moved together."""
         signs = np.where(np.arange(len(kept)) % 3 == 1, -1.0, 1.0)
         return signs * np.array([self.steps[i] for i in kept]) * NEARER
 
     def _apart(self, kept: list[int], periods: int, times: float = 1.0) -> Iterator[tuple[Array, Array]]:
-        """Return the distance of states (after it) and outputs (before it) in each period, when moved in both
-        directions.
+        """Yield half the difference of two runs with opposite offsets, in each period: of the states after it, of the
+        outputs before it.
         """
         m, off = self.map, times * self._off(kept)
         ways = []
@@ -862,7 +866,7 @@ class Differences:
             yield 0.5 * (up - down), 0.5 * (heard_up - heard_down)
 
     def _variation(self, kept: list[int], A: Array, C: Array, judged: NDArray[np.bool_]) -> tuple[float, list[float]]:
-        """Compare the linear rig with the rig, with all states moved together in both directions; judge some states."""
+        """Compare the linear model with the rig when all states are moved together, in both directions."""
         if not len(kept):
             return 0.0, [0.0] * len(C)
         off, sizes = self._off(kept), self._sizes(kept)
@@ -934,7 +938,7 @@ class Differences:
         return A, C[: len(self.outputs)] if len(kept) else np.empty((len(self.outputs), 0))
 
     def along(self, periods: int) -> LinearAlong:
-        """Find A, B, C and D at each of some periods, and hold them against the rig."""
+        """Find A, B, C and D at each of some periods, and compare the linear model with the rig."""
         m, t = self.map, self.map.t
         kept = self._reached(self.states()[0], periods)
         if not kept:
@@ -971,7 +975,7 @@ class Differences:
         )
 
     def _reached(self, kept: list[int], periods: int) -> list[int]:
-        """Return the states with all that they move later (places of a ring that another tick reads)."""
+        """Return these states and all that they move later, such as the places of a ring that another tick reads."""
         m, reached = self.map, set(kept)
         while True:
             off = np.zeros(len(m.start))
@@ -990,7 +994,7 @@ class Differences:
                 self._too_many(sorted(reached))
 
     def driven(self, kept: list[int]) -> tuple[Array, Array]:
-        """Return B and D where the map's `start` is now."""
+        """Return B and D at the present `start` of the map."""
         columns = []
         for name in self.inputs:
             up, down = (self.map(self.map.start, {name: sign * self.steps[name]}) for sign in (1.0, -1.0))
@@ -1014,18 +1018,18 @@ class Differences:
 
 
 def shares(seen: Array, values: Array) -> list[float]:
-    """Return by how much two courses of each output differ, of the largest that either does."""
+    """Return the largest difference of two courses of each output, relative to the largest value of both."""
     apart, largest = np.abs(seen - values).max(axis=0), np.maximum(np.abs(seen), np.abs(values)).max(axis=0)
     return (apart / np.where(largest > 0.0, largest, 1.0)).tolist()  # type: ignore[no-any-return]
 
 
 def _power(size: float) -> float:
-    """Return the power of two next to a size: a step of it is added without rounding where it can be."""
+    """Return the power of two nearest to a size; adding it to a state usually needs no rounding."""
     return float(2.0 ** round(math.log2(size)))
 
 
 def _reach(A: Array, start: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the states that can be reached from some, x_k to x_{k+1} by the nonzero entries of A."""
+    """Return the states that some states affect, directly or through others (nonzero entries of A)."""
     reached, links = start.copy(), A != 0.0
     while True:
         wider = reached | links[:, reached].any(axis=1)

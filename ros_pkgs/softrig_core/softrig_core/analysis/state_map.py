@@ -88,14 +88,14 @@ def is_source(member: Member) -> bool:
 
 
 class _Known(NamedTuple):
-    """The state of a member, and the values that its inputs hold."""
+    """The state of a member and the present values of its inputs."""
 
     x: Any
     inputs: tuple[Any, ...]
 
 
 class _Probe(Link):
-    """Reads a value of an output from a tick on, and changes what others receive of it."""
+    """Reads one value of an output at each tick, and changes the value that other members receive."""
 
     value: float = math.nan
     fixed: float | None = None
@@ -276,11 +276,11 @@ class StateMap:
         return names, np.concatenate(rows)
 
     def _now(self) -> list[Array]:
-        """Return the values alone, those of each member."""
+        """Return the present values without names, one row for each member."""
         return [numbers_of(_Known(step.x, tuple(step.values.values()))) for step in self._steps.values()]
 
     def others(self) -> list[tuple[str, Any]]:
-        """Return name and value of all that is no float, after the last period: no part of a linear view."""
+        """Return names and values of all that is not a float after the last period; the linear view leaves it out."""
         return [
             (f"{name}.{path}" if path else name, value)
             for name, step in self._steps.items()
@@ -372,7 +372,7 @@ class StateMap:
             yield result, {name: probe.value for name, probe in self.probes.items()}
 
     def advance(self) -> None:
-        """Begin one period of the whole later: where the run that is not moved is then."""
+        """Move the start of the map one period of the rig later, along the undisturbed run."""
         next(self.go_on(self.start, 1))
         self._saved = self._tables.keep()
         self._first += self._every

@@ -176,7 +176,7 @@ def steady(
 
 
 def _core(A: Array, received: Any) -> Any:
-    """Return the states with a lasting effect on others: not those that only count or integrate them unread."""
+    """Return the states with a lasting effect on others; a counter or an integral that nothing reads is left out."""
     on = np.ones(len(A), dtype=bool)
     own = np.diag(A)
     # A state with a pole at 0 or 1 only copies or integrates others; unread, it may drift without any effect.

@@ -133,7 +133,7 @@ def places(outputs: Sequence[Port]) -> list[Where]:
 
 
 def part(numbers: Sequence[float], stamps: Sequence[int], where: Where) -> Row | None:
-    """Return the message of one output, from everything that a step does at a tick; None: nothing."""
+    """Return the message of one output from the outputs of a step at a tick; None if it published nothing."""
     low, high, stamp, flag = where
     if flag is not None and not numbers[flag]:
         return None

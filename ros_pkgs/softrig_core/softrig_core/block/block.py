@@ -189,7 +189,7 @@ class Block(Generic[P]):
 
     @classmethod
     def main(cls, args: Sequence[str] | None = None) -> NoReturn:
-        """Run the block as a node until its process ends; an executable's entry point names ``module:Class.main``.
+        """Run the block as a node until its process ends; entry points of executables name ``module:Class.main``.
 
         Parameters
         ----------
@@ -248,7 +248,8 @@ class Block(Generic[P]):
         return x
 
     def save(self, x: Any) -> Any:
-        """Return a value from which `load` restores x any number of times; x itself, unless part of it is opaque.
+        """Return a value from which `load` can restore x any number of times; it is x itself unless part of x is
+        opaque.
 
         Something that cannot be an immutable value (a solver, an FMU, a policy) is in x as an object; its block defines
         here how that object is stored.
@@ -275,7 +276,7 @@ class Block(Generic[P]):
         self.setup()
 
     def warm_up(self) -> None:
-        """Call native code that a first tick does not reach; called before a node begins, on a spare block."""
+        """Call native code that no first tick calls, before a node begins, on a block that is not used otherwise."""
 
     def reset(self, seed: int) -> None:
         """Set a seed and clear all reports; the owner of the block then calls `first`."""
@@ -331,7 +332,7 @@ class Block(Generic[P]):
         return finishes(cls) or issubclass(cls, Plant | Observer)
 
     def health(self, *x: Any) -> Mapping[str, str]:
-        """Return name to text of further entries in /diagnostics, about once a second; gets x."""
+        """Return further entries for /diagnostics, name to text; called about once a second with the state x."""
         return {}
 
     def latched(self) -> Mapping[str, str]:
@@ -365,7 +366,7 @@ class Block(Generic[P]):
         raise NotImplementedError
 
     def refused(self, *x_t: Any) -> Any:
-        """Answer a tick one of whose inputs a node has refused (NaN, wrong names); called in place of `update`.
+        """Answer a tick at which the node rejected an input (NaN, wrong names); called instead of `update`.
 
         ``refused(x, t) -> (x, values)``
 
@@ -418,5 +419,5 @@ class Observer(Block[P]):
     """
 
     def status(self, *x: Any) -> Mapping[str, tuple[float, str]]:
-        """Return name to (value, unit) of the figures so far; gets x."""
+        """Return the figures so far, name to (value, unit), from the state x."""
         raise NotImplementedError

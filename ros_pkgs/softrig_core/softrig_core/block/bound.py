@@ -1,4 +1,4 @@
-"""The functions that compute the ticks of a step, generated for it: what they read and write is bound once.
+"""Functions that compute the ticks of one step, generated for it with all that they read and write bound in advance.
 
 A function that goes through tables of ports at each tick takes a third longer than one whose text names them.
 """
@@ -147,7 +147,7 @@ def _answer_text(
 
 
 def mover(step: Step) -> Callable[..., None]:
-    """Create the function that moves a plant on; see `Step.advance`."""
+    """Create the function that advances a plant; see `Step.advance`."""
     over = step.overriding("over")
     known = {"move": step.move} | ({} if over is None else {"over": over.over})
     return _made("advance", _move_text(tuple(step.values), over is not None), step, known)

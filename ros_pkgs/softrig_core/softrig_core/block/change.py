@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Fixing(Protocol):
-    """A block some of whose live parameters may not change all the same, as the variables of an FMU."""
+    """A block with ``live`` parameters that may not change while it runs, such as some variables of an FMU."""
 
     @classmethod
     def fixed(cls, params: Any) -> Any:
@@ -64,7 +64,7 @@ def changeable(model: type[BlockParams]) -> list[str]:
 
 
 def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
-    """Return the parameters with other values.
+    """Return a copy of the parameters with other values.
 
     Raises
     ------
@@ -81,12 +81,12 @@ def revise(params: BlockParams, values: Mapping[str, Any]) -> BlockParams:
 
 
 def _known_to_others(ports: tuple[tuple[Port, ...], tuple[Port, ...]]) -> list[list[Port]]:
-    """Return what others know of ports: a held one gives nothing before its first message, whatever it calls safe."""
+    """Return the properties of ports that other nodes rely on; the safe value of a held port is not one of them."""
     return [[replace(p, safe=()) if p.held and not p.partial else p for p in side] for side in ports]
 
 
 def permit(block_class: type[Block], params: BlockParams, values: Mapping[str, Any], name: str = "") -> BlockParams:
-    """Ensure that a block could begin with the changed parameters, and that its rig would still fit together.
+    """Ensure that a block could start with the changed parameters, and that its ports would still fit the rig.
 
     Parameters
     ----------

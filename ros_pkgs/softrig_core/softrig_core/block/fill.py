@@ -68,7 +68,7 @@ class Fill(NamedTuple):
 
     @property
     def silent(self) -> bool:
-        """Return whether its source may publish nothing at a tick, or a message with another stamp."""
+        """Return whether the source may publish nothing at a tick, or a message with an earlier stamp."""
         port = self.source.outputs[self.output]
         return port.sporadic or port.delayed
 
@@ -78,7 +78,7 @@ class Fill(NamedTuple):
         return self.source.outputs[self.output].unchecked
 
     def value_of(self, row: Row) -> Row:
-        """Return the input's value of the row that the output publishes at the tick of its source."""
+        """Return the value of the input from the row that the output publishes at a tick."""
         if isinstance(row, Sample):
             return row if self.pick is None else Sample(row.stamp, picked(self.pick, row.data))
         data = picked(self.pick, row)
@@ -89,6 +89,6 @@ class Fill(NamedTuple):
         self.reader.values[self.port.name] = self.value_of(row)
 
     def last_published(self) -> int | None:
-        """Return when the output has published last, ns; None: never."""
+        """Return the time of the output's newest message, ns; None before the first."""
         source = self.source
         return source.t if source.plain else source.published_at[self.output]

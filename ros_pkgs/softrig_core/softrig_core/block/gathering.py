@@ -66,7 +66,7 @@ class _Seen:
         self.stamps, self.values = array("q"), array("d")
 
     def messages(self) -> ReceivedMessages:
-        """Return what was collected, and start again."""
+        """Return the collected messages and clear the collection."""
         stamps, values = np.frombuffer(self.stamps, np.int64), np.frombuffer(self.values)
         # New arrays: an array whose memory numpy refers to cannot grow (BufferError).
         self.stamps, self.values = array("q"), array("d")
@@ -122,7 +122,7 @@ class Gathering(Link):
         return self.step.block.at_once(x, self._t, messages)  # type: ignore[attr-defined]
 
     def settle(self) -> None:
-        """Process the ticks collected so far."""
+        """Let the block process all ticks collected so far."""
         self.step.x = self._processed(self.step.x)
         super().settle()
 

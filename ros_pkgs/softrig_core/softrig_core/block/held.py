@@ -13,14 +13,14 @@ from .scene import Marker
 
 @runtime_checkable
 class Steered(Protocol):
-    """A block one of whose parameters something in the run moves, such as the button of a fault."""
+    """A block with a parameter that something in the run changes, such as the button of a fault."""
 
     def params(self, x: Any) -> BlockParams:
         """Return the present parameters; `p` has the initial ones."""
 
 
 class Kept(NamedTuple):
-    """Everything that determines a block's future: references, if no part of it is opaque."""
+    """A stored state of a block: all that determines its future."""
 
     params: BlockParams
     x: Any
@@ -157,7 +157,7 @@ class ByHand(RunningBlock):
         return self._keep(self.block.finish(self.x, t, **inputs))  # type: ignore[attr-defined]
 
     def refused(self, t: int) -> Any:
-        """Answer a tick at which an input was rejected."""
+        """Answer a tick at which an input was rejected; return the values."""
         return self._keep(self.block.refused(self.x, t))
 
     def outputs(self, t: int) -> Any:

@@ -84,6 +84,6 @@ class Link:
             self.inner.changed(t, values)
 
     def over(self, t: int) -> None:
-        """Handle the end of a tick: a plant has advanced, another block has answered."""
+        """Handle the end of a tick, after a plant has advanced or another block has answered."""
         if self.inner is not None:
             self.inner.over(t)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=1024)
 def rational(seconds: float | str | Fraction) -> Fraction:
-    """Return the number of seconds that is meant.
+    """Return the exact number of seconds that a float stands for: the simplest fraction near it.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ schedule_of = lru_cache(maxsize=256)(Schedule)  # runs of a study have the same 
 
 
 class Plan:
-    """The ticks at which any of some members is due, by their numbers.
+    """The ticks, by number, at which at least one of some members is due.
 
     Parameters
     ----------
@@ -220,31 +220,31 @@ class Plan:
         self.ticks = None if results[0].ticks is None else results[0].ticks // self.stride
 
     def every(self, schedule: Schedule) -> int:
-        """Return how many of these ticks are one of a member's own."""
+        """Return how many ticks of the plan lie between two ticks of a member."""
         return schedule.every // self.stride
 
     def due(self, schedule: Schedule, k: int) -> bool:
-        """Return whether tick k is one of a member's own."""
+        """Return whether a member has a tick at tick k of the plan."""
         return k % self.every(schedule) == 0
 
     def following(self, schedule: Schedule, k: int) -> int:
-        """Return the first tick from k on that is one of a member's own."""
+        """Return the first tick from k on at which a member is due."""
         every = self.every(schedule)
         return -(-k // every) * every
 
     def newest(self, schedule: Schedule, k: int) -> int:
-        """Return the last tick up to k that is one of a member's own."""
+        """Return the last tick up to k at which a member is due."""
         return k - k % self.every(schedule)
 
     def own(self, schedule: Schedule, first: int, last: int) -> range:
-        """Return a member's own ticks among those from `first` up to `last`, by its own numbers."""
+        """Return the ticks of a member, by its own numbers, that lie between two ticks of the plan."""
         every = self.every(schedule)
         return range((first + every - 1) // every, (last + every - 1) // every)
 
     def answers(self, schedule: Schedule, k: int) -> bool:
-        """Return whether a member that is no plant and is due at tick k answers it: at the end only some do."""
+        """Return whether a member other than a plant, due at tick k, answers it; at the end of a run only some do."""
         return k != self.ticks or schedule.last == self.clock.time(k)
 
     def moves(self, schedule: Schedule, k: int) -> bool:
-        """Return whether a plant that is due at tick k moves on: not beyond the end."""
+        """Return whether a plant that is due at tick k advances; it does not advance beyond the end."""
         return self.ticks is None or k + self.every(schedule) <= self.ticks

@@ -116,7 +116,7 @@ class Step(RunningBlock):
 
     @property
     def link(self) -> Link | None:
-        """See above."""
+        """The outermost link; see above."""
         return self._link
 
     @link.setter
@@ -152,7 +152,7 @@ class Step(RunningBlock):
 
     @property
     def ask(self) -> Callable[..., Any]:
-        """The method of the block that answers a tick."""
+        """The method of the block that answers a tick: `outputs` of a plant, else `update`."""
         block = self.block
         if isinstance(block, Plant):
             return block.outputs
@@ -160,7 +160,7 @@ class Step(RunningBlock):
 
     @property
     def move(self) -> Callable[..., Any]:
-        """The method of a plant that moves it on."""
+        """The method `advance` of a plant."""
         assert isinstance(self.block, Plant)
         return self.block.advance
 

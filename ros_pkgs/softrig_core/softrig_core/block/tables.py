@@ -1,4 +1,4 @@
-"""Everything that changes while a rig runs, as a value between two ticks to which the rig can return."""
+"""All that changes while a rig runs, stored between two ticks so that the rig can return to it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Tables:
         return result
 
     def go_back(self, moment: Moment) -> None:
-        """Restore stored values, of these tables or of the same rig wired again; any number of times.
+        """Restore a stored state, of this rig or of one built from the same scenario; any number of times.
 
         Raises
         ------

@@ -41,7 +41,7 @@ class Plc(Protocol):
         """Return the answer."""
 
     def wait(self, seconds: float) -> None:
-        """Bound the time of the calls that follow."""
+        """Limit the time that the following calls may take."""
 
     def close(self) -> None:
         """Close the connection."""
@@ -176,7 +176,7 @@ class AdsLine(RemoteLine):
     # the connection -------------------------------------------------------------------------------------------------
 
     def _join(self, wait: float) -> bool:
-        """Read the build of the program."""
+        """Read the build of the program, which begins a session."""
         end = self._clock() + wait
         if not self._there(wait):
             return False
@@ -192,7 +192,7 @@ class AdsLine(RemoteLine):
         return True
 
     def _there(self, wait: float) -> bool:
-        """Return whether the PLC is connected, after a try to connect."""
+        """Return whether the PLC is connected, after an attempt to connect."""
         given = max(wait, 0.001) if self._opened.patient else self.timeout
         return self._connected(f"the PLC {self.port} cannot be reached", given)
 

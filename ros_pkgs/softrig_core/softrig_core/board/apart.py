@@ -1,4 +1,4 @@
-"""Ports that are opened in a thread of their own, so that no tick in real time waits for it."""
+"""Ports that a separate thread opens, so that a tick in real time never waits for them."""
 
 from __future__ import annotations
 

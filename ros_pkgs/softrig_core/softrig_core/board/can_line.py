@@ -178,7 +178,7 @@ class CanLine(RemoteLine):
             self._post(frame, row)
 
     def _post(self, frame: Frame, row: tuple[float, ...]) -> None:
-        """Send a message; it is lost, as if it had been disturbed, where the bus is not there."""
+        """Send a message; if the bus is not open it is lost, as on a disturbed bus."""
         import can
 
         data, limited = encoded(frame, {TICK: max(self._tick, 0), RUN: self._run}, row)
@@ -252,14 +252,14 @@ class CanLine(RemoteLine):
         self._ready = build
 
     def _same(self, key: Key, values: dict[int, float] | None) -> None:
-        """Ensure that a repeated answer to one tick is the same."""
+        """Check that a second answer to a tick equals the first."""
         if values is not None and self._parts.get(key, values) != values:
             raise RunError(f"two answers to tick {self._tick} at {self.port} differ; are two nodes on the bus?")
 
     # the bus ------------------------------------------------------------------------------------------------------
 
     def _there(self) -> bool:
-        """Return whether the bus is open, after a try to open it."""
+        """Return whether the bus is open, after an attempt to open it."""
         if self._connection is not None:
             return True
         if not self._connected(f"the bus {self.port} cannot be opened"):

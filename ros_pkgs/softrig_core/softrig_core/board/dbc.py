@@ -183,13 +183,13 @@ def _signals(values: Sequence[Value], receiver: str) -> Iterator[Any]:
 
 
 def _shown(unit: str) -> str:
-    """Return a unit as a DBC can have it: without quotation marks, in the letters of one page."""
+    """Return a unit as a DBC can contain it: no quotation marks, one code page."""
     shown = "".join(sign if sign.isprintable() and sign not in '"\\' else "_" for sign in unit)
     return shown.encode("cp1252", errors="replace").decode("cp1252")
 
 
 def _another(given: str | None, unit: str) -> str:
-    """Return why a signal's unit differs from that of its channel: a number would be wrong by a factor such as 1000."""
+    """Describe why a signal's unit does not fit its channel; empty if it does. A wrong unit would scale the number."""
     if (given or "") in ("", _shown(unit)):
         return ""
     if why := misfit(str(given), unit):

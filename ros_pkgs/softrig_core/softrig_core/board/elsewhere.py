@@ -18,7 +18,7 @@ class Elsewhere(Block):
     """Replaces a block; it knows only the number of ticks of its state."""
 
     def first(self) -> LinkState:
-        """Begin before the first tick."""
+        """Return the state before the first tick."""
         return LinkState()
 
     def go_on(self, x: LinkState, before: Any) -> LinkState:
@@ -30,5 +30,5 @@ class Elsewhere(Block):
         return self.p
 
     def markers(self, x: LinkState) -> tuple[()]:
-        """Draw nothing: the block's state is on the board."""
+        """Return no markers, because the block's state is on the board."""
         return ()

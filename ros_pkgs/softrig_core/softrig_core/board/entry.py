@@ -86,7 +86,7 @@ def absolute_port(port: str) -> str:
 
 
 def require_own_ports(entries: Mapping[str, LinkEntry], where: str) -> None:
-    """Ensure that no two nodes have the same port; on a CAN bus, the same identifier.
+    """Ensure that no two nodes use the same port, or on a CAN bus the same identifier.
 
     Raises
     ------

@@ -171,7 +171,7 @@ class Line:
         self.joined = False
 
     def remarks(self) -> str:
-        """Return what was unusual, in words; empty when nothing was."""
+        """Describe unusual events; empty if there were none."""
         return self.counts.remarks()
 
     def close(self) -> None:
@@ -236,7 +236,7 @@ class Line:
         )
 
     def _restarted(self) -> str:
-        """Report, if it is so, that the board answers and has restarted."""
+        """Report that the board has restarted, if it answers again."""
         self.begin(self._params)
         while self._there():
             self._join(self._clock() + self.timeout)
@@ -442,7 +442,7 @@ class Line:
         return frame.kind == Kind.HELLO and frame.values == self._session.to_bytes(2, "little")
 
     def _stray(self, frame: Frame) -> None:
-        """Count an unexpected answer; a second answer to one request indicates a second board."""
+        """Count an unexpected answer; a second answer to one request shows that there are two boards."""
         if self._missing.late(frame.number):
             return
         self.counts.strays += 1

@@ -14,7 +14,7 @@ from .line import REOPEN, Counts, Missing
 
 
 class RemoteLine(ABC):
-    """The base of lines to a node that has parameters of its own and stays where it is; it has the methods of a `Line`.
+    """Base of lines to a node that has its own parameters and keeps its state; it has the methods of a `Line`.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def compiled(files: Mapping[str, str], libraries: Sequence[str], name: str, debi
 
 
 def made_of(files: Mapping[str, str], compiler: str, flags: Sequence[str], libraries: Sequence[str], name: str) -> Path:
-    """Return the compiler's product of some files, from the cache if it exists for the same files.
+    """Return the file that a compiler makes of some source files, from the cache if it made it before.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What every drawing has: the signals it needs, by the ports of its plant, and its frames."""
+"""The parts that all drawings share: the signals that a drawing needs, by the ports of its plant, and its frames."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Drawing:
         raise NotImplementedError
 
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
-        """Draw one instant: always the same shapes in the same order, whose places, radii and texts alone differ."""
+        """Draw one instant; shapes and their order are always the same, only positions, radii and texts differ."""
         raise NotImplementedError
 
     def frame(self, row: Row, past: Sequence[Row] = ()) -> list[Shape]:
@@ -148,7 +148,7 @@ class Drawing:
         return next(iter(fitting), None)
 
     def _linked(self, member: Member) -> bool:
-        """Return whether a node reads the plant or is read by it."""
+        """Return whether a node publishes to the plant or subscribes to it."""
         links = [*member.links.values()], [*self.plant.links.values()]
         return any(k.source is self.plant for k in links[0]) or any(k.source is member for k in links[1])
 
@@ -171,12 +171,12 @@ def readings(
 
 
 def tail(past: Sequence[Row], row: Row, points: int) -> list[Row]:
-    """Select this many rows of the past and now, evenly; the first is repeated while there are fewer."""
+    """Select `points` rows of the past, evenly up to now; while there are fewer, the first one is repeated."""
     rows = [*past, row]
     last = len(rows) - 1
     return [rows[max(0, last - round((points - 1 - k) * max(last, 1) / (points - 1)))] for k in range(points)]
 
 
 def held(value: float, limit: float) -> float:
-    """Keep a value within plus and minus a limit: a drawing ends somewhere."""
+    """Limit a value to plus or minus `limit`, where the drawing ends."""
     return min(max(value, -limit), limit)

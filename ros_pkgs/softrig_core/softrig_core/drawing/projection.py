@@ -20,7 +20,7 @@ def turned(q: Quaternion, p: Place) -> Place:
 
 
 def times(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the rotation b followed by a."""
+    """Return the product of two rotations: first b, then a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -68,7 +68,7 @@ class Camera:
         return math.cos(self.elevation) * (ca * p[0] + sa * p[1]) + math.sin(self.elevation) * p[2]
 
     def fitted(self, places: Sequence[Place], left: float, top: float, width: float, height: float) -> Camera:
-        """Return the camera that sees these places in a rectangle, as large as they go."""
+        """Return a camera that shows these places in a rectangle, as large as possible."""
         raw = Camera(self.azimuth, self.elevation)
         xs, ys = zip(*map(raw, places), strict=True)
         scale = min(width / max(max(xs) - min(xs), 1e-9), height / max(max(ys) - min(ys), 1e-9))

@@ -52,7 +52,7 @@ class Robot(Drawing):
         self.camera, self.ground = self._view()
 
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
-        """Ground, shadow, path, links; then the values."""
+        """Draw ground, shadow, path and links; then the values."""
         q = [joint(row) for joint in self.joints]
         places = self._places(q)
         self._floor(pen, places)
@@ -91,7 +91,7 @@ class Robot(Drawing):
         return {name: place for name, (place, _) in where.items()}
 
     def _view(self) -> tuple[Camera, float]:
-        """Return the camera that sees the robot's work widest, and the half side of the ground that is drawn."""
+        """Return the camera that shows the robot's work largest, and half the side of the ground."""
         limits = _limits(self.scene.description)
         draw = Random(0)
         seen: list[Place] = [(0.0, 0.0, 0.0)]
@@ -155,7 +155,7 @@ class Robot(Drawing):
 
 
 def _limits(description: str) -> dict[str, tuple[float, float]]:
-    """Range of each joint, rad or m; of one that turns at most from one side to the other."""
+    """Return the range of each joint with limits, rad or m, at most half a turn to either side."""
     result = {}
     for joint in ElementTree.fromstring(description).iterfind("joint"):
         limit = joint.find("limit")

@@ -1,4 +1,4 @@
-"""A small oscillogram inside a drawing: the newest stretch of some signals, or one over another."""
+"""A small oscilloscope inside a drawing: the newest part of some signals over time, or one signal over another."""
 
 from __future__ import annotations
 

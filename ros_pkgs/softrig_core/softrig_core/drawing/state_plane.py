@@ -16,7 +16,7 @@ class StatePlane(Drawing):
     trail = 3.0
 
     def setup(self) -> None:
-        """States, cell, delay."""
+        """Name the states, the cell and the delay."""
         port = next(p for p in self.plant.outputs if p.name == "state")
         self.names = [label.rpartition("/")[0] or label for label in port.labels if not label.endswith("/effort")]
         self.states = [self.quantity("state", label) for label in port.labels if not label.endswith("/effort")]
@@ -27,7 +27,7 @@ class StatePlane(Drawing):
         return tuple(self.p.x0)
 
     def draw(self, pen: Pen, row: Row, past: Sequence[Row]) -> None:
-        """Plane or time on the left, values on the right."""
+        """Draw the plane, or time, on the left and the values on the right."""
         r = self.reach
         if len(self.states) > 1:
             x, y = self.states[:2]

@@ -157,7 +157,7 @@ class Base:
         raise self.unknown("a value that changes its type")
 
     def group(self, parts: Sequence[Value], kind: Tuple) -> Value:
-        """Return a tuple of its parts."""
+        """Return the parts of a tuple as one value."""
         inner = ", ".join(
             f".{identifier(n)} = {self.coerced(p, p.kind).c}"
             for n, p in zip(kind.names, parts, strict=True)
@@ -175,7 +175,7 @@ class Base:
         return Value(row, f"(&{table.c}[{place} * {row.size}])")
 
     def room(self, kind: Table) -> Value:
-        """Return an array of this function: on the stack, or, where it may be returned, in the node's struct."""
+        """Return a new array: on the stack, or in the node's struct if the function may return it."""
         name = f"w{len(self.local_tables)}"
         if self.result is not None and leaves(self.result):
             name = f"s->m.{self.name}_{name}"
@@ -183,7 +183,7 @@ class Base:
         return Value(kind, name)
 
     def filled(self, table: Value, item: str) -> Value:
-        """Write one value, which may depend on the place `i`, into an array."""
+        """Write a value into each place of an array; the value may depend on the place `i`."""
         assert isinstance(table.kind, Table)
         self.emit(f"for (int64_t i = 0; i < INT64_C({table.kind.size}); i++) {{")
         self.emit(f"    {table.c}[i] = {item};")

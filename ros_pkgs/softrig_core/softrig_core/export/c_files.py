@@ -71,7 +71,7 @@ class Exported:
 
 
 def check_class(member: Member) -> None:
-    """Refuse a class that has no C in any run.
+    """Refuse a class that cannot become C, whatever happens in the run.
 
     Raises
     ------
@@ -639,7 +639,7 @@ class _Files:
         return [*lines, "} else {", "    s->discarded = true;", "}"] if lines else ["s->discarded = true;"]
 
     def _kept(self, k: int) -> list[str]:
-        """Write code that copies the arrays of a state: a copied node has its own."""
+        """Write code that copies the arrays of a state, because a copy of a node needs its own."""
         lines: list[str] = []
         for path, table in leaves(self.forms[k]):
             store = f"s->a.{_store(path)}"
@@ -648,7 +648,8 @@ class _Files:
         return lines
 
     def _as(self, value: Value, kind: Kind, tests: list[str]) -> str | None:
-        """Return a value as one of a type, with the conditions under which it is one; None: never."""
+        """Return a value converted to a type, with the conditions under which it has that type; None if it never has.
+        """
         if isinstance(value.kind, Maybe):
             if isinstance(kind, Absent):
                 tests.append(f"!{value.c}.some")
@@ -923,7 +924,7 @@ int main(int argc, char **argv)
 
 
 def numbers_of(ports: Sequence[Port], values: Mapping[str, Any], flag: str) -> list[str]:
-    """Return how a row of golden rows has the values of ports; those with that flag may be absent."""
+    """Return how the golden rows contain the values of ports; ports that may be absent have a flag."""
     row = []
     for port in ports:
         given = values.get(port.name)
@@ -950,7 +951,7 @@ def _read(struct: str, ports: Sequence[Port], flag: str) -> list[str]:
 
 
 def compared(ports: Sequence[Port], out: str = "out", channel: int = 0) -> list[str]:
-    """Return code that compares outputs with the numbers of a row, counted from a channel on."""
+    """Return code that compares outputs with the numbers of a golden row, from a column on."""
     lines: list[str] = []
     for port in ports:
         name = identifier(port.name)
@@ -978,7 +979,7 @@ def compared(ports: Sequence[Port], out: str = "out", channel: int = 0) -> list[
 def _settable(
     block: Block, law: Law, slots: Sequence[Any], values: Sequence[Any], states: Sequence[Any]
 ) -> dict[str, tuple[int, ...]]:
-    """Return the live parameters that only constants of the text repeat: name to slots.
+    """Return the live parameters that can be set in C, because only constants contain them: name to slots.
 
     Tried, not deduced: another block is made with that parameter moved, and takes states over where C cannot.
     """
@@ -1004,7 +1005,7 @@ def _settable(
 
 
 def _stay(other: Block, block: Block, states: Sequence[Any]) -> bool:
-    """Return whether a block with another parameter uses the same states."""
+    """Return whether a block uses the same states after one of its parameters has changed."""
     try:
         # By their text, in which NaN equals NaN and 0.0 differs from -0.0.
         return all(repr(other.go_on(x, block.p)) == repr(x) for x in states)
@@ -1028,7 +1029,7 @@ def _moved(block: Block, known: Mapping[str, Any], name: str) -> tuple[Block | N
 
 
 def _fields(paths: Sequence[str]) -> list[str]:
-    """Return names of C for paths of Python, each once."""
+    """Return C names for paths of Python, each name only once."""
     result: list[str] = []
     for path in paths:
         name = identifier(path.removeprefix("p.")) or "value"

@@ -196,7 +196,7 @@ class Calls(Expressions):
         return result
 
     def _is_long(self, value: Value) -> bool:
-        """Return whether a value is a constant tuple for which a function is written once more, with a table in it."""
+        """Return whether a value is a constant tuple so long that its function is written again, with a table in it."""
         return value.c in self.unit.fixed and isinstance(value.kind, Tuple) and len(value.kind.items) > LONG
 
     def _builtin(self, called: Any, given: list[Value], node: ast.AST) -> Value:

@@ -1,4 +1,4 @@
-"""Compile exported C and hold it against its golden rows: on this machine, or on a Cortex-M under qemu."""
+"""Compile exported C and compare it with its golden rows, on this machine or on a Cortex-M under qemu."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def c_of(rig: Rig, node: str, *, rows: int = ROWS, drawn: int = DRAWN, single: b
 
 
 def advised(reason: str) -> str:
-    """Return the reason of a refusal with what to write instead, if that is known."""
+    """Return the reason of a refusal; if it is known what to write instead, that is added."""
     return next(
         (f"{reason}; instead, {text}" for pattern, text in ADVICE.items() if re.search(pattern, reason)), reason
     )

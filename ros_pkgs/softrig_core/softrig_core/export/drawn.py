@@ -103,7 +103,7 @@ def _sequence(
 
 
 def asks_anew(call: Call, at_hand: Sequence[Any]) -> bool:
-    """Return whether a call needed a kept answer for another value than the one that C stores."""
+    """Return whether a call needed a cached answer for another value than the one that C stores."""
     return any(asked is not None and asked != known for asked, known in zip(call.kept, at_hand, strict=False))
 
 

@@ -132,7 +132,7 @@ class Expressions(Base):
         return [self.of_python(part, node) for part in parts]
 
     def _own(self, value: Value) -> Value:
-        """Return a copy of a constant array: the object that has it writes into its own."""
+        """Return a copy of a constant array whose object writes into it."""
         if value.thing is None or not isinstance(value.kind, Table):
             return value
         table = self.room(value.kind)

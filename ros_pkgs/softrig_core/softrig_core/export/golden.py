@@ -96,7 +96,7 @@ def methods(block: Block) -> tuple[str, ...]:
 
 
 def kept_of(block: Block) -> list[Newest[Any, Any]]:
-    """Return the kept answers of a block: C has only the one that is stored after the first calls."""
+    """Return the cached answers of a block; C has only the one that is stored after the first calls."""
     return [one for one in vars(block).values() if isinstance(one, Newest)]
 
 

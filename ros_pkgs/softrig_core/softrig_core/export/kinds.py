@@ -216,7 +216,7 @@ def leaves(kind: Kind, path: str = "") -> list[tuple[str, Table]]:
 
 
 def roomy(kind: Kind, rooms: Mapping[tuple[Any, ...], int], path: str = "") -> Kind:
-    """Return a type whose arrays have the capacity (rows) given in `rooms`, with keys from `room_of`."""
+    """Return a type whose arrays have the capacities (rows) in `rooms`; `room_of` returns its keys."""
     if isinstance(kind, Table):
         return Table(kind.item, (rooms[room_of(path, kind)], *kind.shape[1:])) if kind.shape else kind
     if isinstance(kind, Tuple):

@@ -88,7 +88,7 @@ def states_of(block: Block, calls: Sequence[Call]) -> tuple[list[Kind], dict[For
 
 
 def there_of(call: Call) -> tuple[str, ...]:
-    """Return the inputs that a call has."""
+    """Return the names of the inputs that have a value in a call."""
     return tuple(sorted(name for name, value in call.inputs.items() if value is not None))
 
 
@@ -152,7 +152,9 @@ def _going_on(
     roots: dict[Form, str],
     arrays: dict[Form, tuple[str, ...]],
 ) -> None:
-    """Add the functions that move a state when parameters change between two ticks; the second root is before."""
+    """Add the functions that adapt a state when parameters change; their second root has the parameters before the
+    change.
+    """
     before = Static(block.p, (1, ("attr", "p")))
     move: Any = type(block).go_on
     results: dict[Form, tuple[str, tuple[str, ...]]] = {}

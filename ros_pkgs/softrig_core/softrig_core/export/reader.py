@@ -112,7 +112,7 @@ class Reader(Calls):
     # statements ---------------------------------------------------------------------------------------------------
 
     def block(self, statements: Sequence[ast.stmt]) -> None:
-        """Read statements, as far as they are reached."""
+        """Write statements up to the first that ends the function."""
         for one in statements:
             if self.ended:
                 return
@@ -219,7 +219,7 @@ class Reader(Calls):
         self.fork(test, lambda: self.block(node.body), lambda: self.block(node.orelse))
 
     def fork(self, test: str, one: Callable[[], Any], other: Callable[[], Any]) -> None:
-        """Write both branches of a test, and merge the names after them."""
+        """Write both branches of a test, and merge the values of names after them."""
         lines, before = self.lines, dict(self.env)
         ways = []
         for way in (one, other):
@@ -303,7 +303,7 @@ class Reader(Calls):
         self._loop(head, inside, node)
 
     def _each(self, node: ast.For) -> None:
-        """Write a loop over the parts of a tuple, turn after turn."""
+        """Write a loop over a tuple as one copy of its body for each part."""
         if any(isinstance(n, (ast.Break, ast.Continue)) for one in node.body for n in ast.walk(one)):
             raise self.unknown("a loop over a tuple that is left", node)
         for part in [self.named(v) for v in self.listed(node.iter)]:
@@ -350,7 +350,7 @@ class Reader(Calls):
             self.emit(f"{c} = {self.coerced(value, self.kinds_of[c]).c};")
 
     def _turn_over(self) -> None:
-        """Bring the variables of the innermost loop up to date."""
+        """Update the variables of the innermost loop at the end of a turn."""
         for name, was_there in self.loops[-1]:
             value = self.env.get(name)
             if value is None or isinstance(value.kind, Absent):

@@ -77,7 +77,7 @@ def rig_files(rig: Rig, most: int, *, single: bool = False) -> tuple[Exported, d
 
 @contextmanager
 def _left_out(left: dict[str, str], member: Member) -> Iterator[None]:
-    """Record why a member has no C."""
+    """Record the reason why a member has no C."""
     try:
         yield
     except NotNative as reason:
@@ -265,7 +265,7 @@ class _RigFiles:
         return lines
 
     def _turn(self, member: Member, act: Act) -> list[str]:
-        """Write one action of a node, if it is due, then the inputs that it fills."""
+        """Write one action of a node under the condition that it is due, then the inputs that it fills."""
         own, every = self._c(member), self.plan.every(member.schedule)
         what, given = {
             "outputs": ("outputs", f"&s->{own}_out"),

@@ -55,7 +55,7 @@ class Unit:
     result: str = ""
 
     def text(self) -> str:
-        """Return it as structured text."""
+        """Return the declaration as structured text."""
         if self.kind == "TYPE":
             inner = "".join(f"    {n} : {t};\n" for n, t in self.fields)
             return f"TYPE {self.name} :\nSTRUCT\n{inner}END_STRUCT;\nEND_TYPE\n"
@@ -173,7 +173,7 @@ class _Printer:
         raise NotNative(f"structured text of {type(node).__name__}")
 
     def written(self, kind: Any) -> str:
-        """Return how a type is written."""
+        """Return the spelling of a type."""
         if isinstance(kind, tuple) and kind[0] == "ARRAY":
             return f"ARRAY [0..{kind[2] - 1}] OF {self.written(kind[1])}"
         if isinstance(kind, tuple):
@@ -347,7 +347,7 @@ class _Printer:
         self.depth -= 1
 
     def statement(self, node: Any) -> None:
-        """Print one."""
+        """Print one statement."""
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
             raise NotNative(f"structured text of a C statement {type(node).__name__}")
@@ -433,7 +433,7 @@ class _Printer:
         self.emit("END_IF;")
 
     def _for(self, node: Any) -> None:
-        """Print a loop as WHILE: FOR with equal ends runs no time in one compiler."""
+        """Print a loop as WHILE, because one compiler does not run a FOR loop whose ends are equal."""
         if isinstance(node.init, c_ast.DeclList):
             for one in node.init.decls:
                 self._decl(one)

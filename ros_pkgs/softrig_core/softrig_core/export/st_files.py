@@ -45,7 +45,7 @@ class Executed:
 
 
 def st_of(rig: Rig, node: str, *, rows: int = ROWS, drawn: int = DRAWN) -> tuple[list[Unit], Exported]:
-    """Return a controller of a rig in structured text, and its C, whose golden rows hold for both.
+    """Return a controller of a rig in structured text and in C; the golden rows of the C apply to both.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def _plain(name: str) -> str:
 
 
 def _data(text: str) -> str:
-    """Return a text as character data: an index before a comparison may form its end mark, ``]]>``."""
+    """Return a text as CDATA; a blank separates ``]]>`` that indices before a comparison may form."""
     return text.replace("]]>", "]]]]><![CDATA[>")
 
 

@@ -45,14 +45,14 @@ class Pointer:
 
 
 def copied(value: Any) -> Any:
-    """Return a value as an assignment hands it on."""
+    """Return a value as an assignment copies it."""
     if isinstance(value, Struct):
         return value.copy()
     return [copied(v) for v in value] if isinstance(value, list) else value
 
 
 def pointer(value: Any) -> Pointer:
-    """Return where an array is, or the bits of a number."""
+    """Return the reference to an array, or the bits of a number."""
     if isinstance(value, float):
         return Pointer(list(struct.unpack("q", struct.pack("d", value))))
     return value if isinstance(value, Pointer) else Pointer(value)

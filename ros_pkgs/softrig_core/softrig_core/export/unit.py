@@ -1,4 +1,4 @@
-"""What is printed for one block: values of C, types, tables, and functions by the types of their arguments."""
+"""The output for one block: C values, types, tables, and functions by the types of their arguments."""
 
 from __future__ import annotations
 
@@ -88,7 +88,8 @@ class Unit:
     rooms: dict[str, Table] = field(default_factory=dict)  # arrays of functions that return one
 
     def used(self, roots: Sequence[str]) -> tuple[list[str], list[str]]:
-        """Return the tables and functions that these functions need, in order: a type that did not stay left others."""
+        """Return the tables and functions that these functions need, in order; abandoned translations have left others.
+        """
         known = {_title(text): text for text in self.functions}
         reached: set[str] = set()
         open_ = list(roots)
@@ -104,7 +105,9 @@ class Unit:
         return [text for name, text in self.tables.items() if reads(name, whole)], functions
 
     def _check_rooms(self, root: str, known: Mapping[str, str]) -> None:
-        """Ensure that an array that a function returns is made only once in a tick: it has one place."""
+        """Ensure that each array that a function returns is made only once in a tick, because it has one place in
+        memory.
+        """
         counts: dict[str, int] = {}
 
         def count(name: str, times: int) -> None:
@@ -158,7 +161,7 @@ class Unit:
         return Value(kind, self.places[id(value)], value)
 
     def number(self, c: str) -> float:
-        """Return the number that a text of C writes out, or names; NaN: it is no constant."""
+        """Return the number that a C expression spells out or names; NaN if it is not a constant."""
         result = self.fixed.get(c)
         if isinstance(result, float):
             return result
@@ -166,14 +169,14 @@ class Unit:
         return math.nan if match is None else float(match[1])
 
     def tabled(self, c: str, item: Number) -> Value:
-        """Return the numbers of a constant tuple, by how C writes it, as a constant array of one type."""
+        """Return a constant tuple, given as C expression, as a constant array of one type."""
         if (c, item) not in self.parts:
             types = {"real_t": float, "int64_t": np.int64, "bool": bool}
             self.parts[c, item] = np.array(self.fixed[c], types[item.c])
         return self.table(self.parts[c, item], "values")
 
     def part(self, c: str, part: slice) -> Value:
-        """Return rows of a constant array, by how C names it, as another one."""
+        """Return rows of a constant array, given by its C name, as an array of their own."""
         if (c, str(part)) not in self.parts:
             self.parts[c, str(part)] = np.ascontiguousarray(self.by_name[c][part])
         return self.table(self.parts[c, str(part)], "part")
@@ -288,7 +291,7 @@ def bare(test: str) -> str:
 
 
 def reads(name: str, text: str) -> bool:
-    """Return whether a text of C has a name."""
+    """Return whether a C text contains a name."""
     return re.search(rf"\b{re.escape(name)}(?!\w)", text) is not None
 
 

@@ -1,4 +1,4 @@
-"""The program by which a PLC answers the ticks of a node over ADS, in TwinCAT's files, and the verb that writes it."""
+"""The TwinCAT files of a program that answers the ticks of a node over ADS on a PLC, and the verb that writes them."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _fields(ports: Sequence[Port], flag: str) -> list[tuple[str, str]]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Be the verb ``export ads``."""
+    """Run the verb ``export ads``."""
     parser = Parser(
         prog="softrig export ads",
         description="The program by which a PLC (TwinCAT) answers the ticks of a node of a rig over ADS.",

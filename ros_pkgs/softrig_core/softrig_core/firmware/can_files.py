@@ -1,4 +1,4 @@
-"""The C with which a node answers its ticks on a CAN bus: messages as in the DBC, beside the exported node."""
+"""C code that answers the ticks of an exported node on a CAN bus, with the messages of a DBC."""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ SEVERAL = ("min", "max")  # functions of two numbers or more; the others take on
 
 
 def _each(function: Callable[..., float]) -> Callable[..., Array]:
-    """Create a function of numbers one of arrays, NaN where it is undefined: numpy's own differ from CPU to CPU."""
+    """Turn a function of numbers into one of arrays, NaN where undefined; numpy's own functions differ from CPU to CPU.
+    """
 
     def one(*given: float) -> float:
         try:
@@ -85,7 +86,7 @@ def carries(tree: Tree) -> bool:
 
 
 def sure(values: Any) -> Any:
-    """Return the values with NaN in place of those that are not numbers."""
+    """Return the values, with NaN for those that are not finite."""
     finite = np.isfinite(values)
     # An infinity is no distance: it would let a comparison pass or fail by a division by zero.
     return values if finite.all() else np.where(finite, values, np.nan)

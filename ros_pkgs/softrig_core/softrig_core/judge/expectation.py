@@ -45,7 +45,9 @@ class Expectation(Entry):
 
     @property
     def follows(self) -> bool:
-        """Return whether the numbers follow the nodes' values: none except zero is a fixed number of one machine."""
+        """Return whether all numbers except zero are references to parameters, so that they apply to a changed machine,
+        too.
+        """
         return bool(self.text) or not any((self.expected, self.tolerance, self.at_most, self.at_least))
 
     def resolved(self, value: Callable[[str], Any]) -> Expectation:
@@ -135,7 +137,7 @@ def parse(given: Any) -> Any:
 
 
 def _following(text: str, value: Callable[[str], float]) -> Expectation:
-    """Read a form with references, `value` giving the numbers of its parts."""
+    """Parse an expectation with references; `value` computes the numbers of its parts."""
     if match := _FOLLOWING.fullmatch(text):
         if match[1]:
             return Expectation(**{f"at_{match[1]}": value(match[2])}, text=text)

@@ -49,12 +49,12 @@ class Condition:
 
     @property
     def variable(self) -> str:
-        """Its name in the formula that sentil sees."""
+        """Its name in the formula that sentil parses."""
         return f"_{self.edge or 'true'}__{self.signal}"
 
 
 def named(reference: str) -> str:
-    """Return the name that a reference ``node.parameter`` has in a formula that is read: ``node__parameter``."""
+    """Return the name by which a parsed formula has a reference ``node.parameter``: ``node__parameter``."""
     return reference.replace(".", "__")
 
 
@@ -124,7 +124,7 @@ def _read(given: str, items: tuple[tuple[str, float | None], ...]) -> tuple[Tree
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A formula with the names of its numbers: variants of a rig, which have other numbers, share it.
+    """A formula with names in place of its numbers, so that variants of a rig with other numbers share it.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ UNKNOWN = np.array(((-INF, -INF), (INF, INF)))
 
 
 class Opened(NamedTuple):
-    """An operator at the first instant: its certain result, and the instants that are still open."""
+    """The state of an operator at the first instant: its certain result, and the instants that are still undecided."""
 
     sure: tuple[Array, Array]
     """Its value so far, and how long `until` has held; nobody writes into them."""
@@ -53,7 +53,7 @@ class Live:
         self._grow(tree)
 
     def first(self) -> tuple[Opened, ...]:
-        """Return the open instants before the first one."""
+        """Return the state before the first instant."""
         return tuple(part.first() for part in self._parts)
 
     def push(

@@ -471,7 +471,7 @@ def shared(signals: SignalMap, key: Hashable, make: Callable[[], _T]) -> _T:
 
 
 def begin(t: Array, start: float | None) -> float:
-    """Return from when on times of a window count: `start`, or its first sample.
+    """Return the start of a time window: `start`, or the first sample of the times.
 
     Parameters
     ----------
@@ -486,7 +486,7 @@ def begin(t: Array, start: float | None) -> float:
 def held(
     signals: SignalMap, signal: str, start: float | None = None, end: float | None = None
 ) -> tuple[Array, Array, Array]:
-    """Cut a held signal to a time window, which begins with the value that was valid before it.
+    """Cut a held signal to a time window; the window begins with the value that was valid before it.
 
     Parameters
     ----------
@@ -603,16 +603,14 @@ def newest(times: Array, at: Array) -> NDArray[np.intp]:
 
 
 def places(at: NDArray[np.intp]) -> Places:
-    """Return some places as a slice where they follow one another, so that values there need no copy."""
+    """Return indices as a slice if they are consecutive, so that indexing copies nothing."""
     if len(at) and at[0] >= 0 and (np.diff(at) == 1).all():
         return slice(int(at[0]), int(at[-1]) + 1)
     return at
 
 
 def _one_each(times: Array, at: Array) -> NDArray[np.intp]:
-    """Return the result of `newest` for two nodes of one period without a search: each instant has its own
-    newest time.
-    """
+    """Return the result of `newest` for two nodes of the same period, without a search."""
     first = int(np.searchsorted(times, at[0], side="right")) - 1
     last = first + len(at)
     # Two nodes of one period have one time for each instant. The guess is checked as a whole, else it is searched for.

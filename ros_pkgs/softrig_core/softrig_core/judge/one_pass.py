@@ -31,7 +31,7 @@ _COMPARED = ("Greater", "GreaterEqual", *_REVERSED, "Equal", "NotEqual")
 
 
 class Extreme(NamedTuple):
-    """The least or greatest of what is compared in a window: its value, the index of its sample, spans of violation.
+    """The extreme of a comparison in a window: its value, the index of its sample, and the spans of violation.
 
     `spans` has the first and the last index of each.
     """
@@ -42,7 +42,7 @@ class Extreme(NamedTuple):
 
 
 class OnePass:
-    """The instructions of a formula.
+    """A formula as instructions for native code.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class OnePass:
     def __call__(
         self, samples: Mapping[str, Array], numbers: Mapping[str, Any], first: int, last: int
     ) -> Extreme | None:
-        """Return what decides the formula; None where the reference has to decide it.
+        """Return the extreme that decides the formula; None where the reference implementation has to decide it.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class OnePass:
         self._add(FINITE, 0)
 
     def _value(self, tree: Tree, visible: bool) -> None:
-        """Add the instructions of an expression; `visible`: what is no number in it stays so in its result."""
+        """Add the instructions of an expression; `visible`: a NaN in a part of it stays NaN in its result."""
         ((kind, body),) = tree.items()
         if not variables(tree):
             self._add(CONSTANT, 1, len(self._constants))

@@ -64,13 +64,13 @@ COMPARED: Mapping[str, Callable[[Array, Array], Array]] = {
 
 
 def opposite(values: Array) -> Array:
-    """Negate: the least becomes the greatest."""
+    """Return the negated bounds; the lower becomes the upper one."""
     return _each(np.negative, values[::-1, ::-1])
 
 
 @elementwise
 def _each(function: Callable[..., Array], *values: Array) -> Array:
-    """Call a function of numbers; only once for all four if they are known to be equal."""
+    """Apply a function to the four bounds, only once if they are known to be equal."""
     if any(any(v.strides[:2]) for v in values):
         return function(*values)
     return np.broadcast_to(function(*(v[0, 0] for v in values)), values[0].shape)
@@ -84,7 +84,7 @@ def _joined(kind: str, a: Array, b: Array) -> Array:
 
 @elementwise
 def _uncertain(values: Array, *late: NDArray[Any]) -> Array:
-    """Return the four numbers of a comparison where values may be undefined, or signals have not arrived yet."""
+    """Return the four bounds of a comparison with values that may be undefined or signals that have not arrived yet."""
     undefined = np.isnan(values)
     result = np.array((np.where(undefined, -INF, values), np.where(undefined, INF, values)))
     for those in late:
@@ -96,7 +96,7 @@ def _uncertain(values: Array, *late: NDArray[Any]) -> Array:
 
 @elementwise
 def _opened(values: Array, over: NDArray[Any], which: int, none: float) -> Array:
-    """Put what nothing may follow in the place of one bound where a window goes beyond the record."""
+    """Make one of the bounds infinite where a window extends beyond the record."""
     result = np.array(values)
     result[which][:, over] = none
     return result
@@ -135,7 +135,7 @@ def extremes(values: Array, first: NDArray[Any], last: NDArray[Any], pick: Pick,
 
 
 def _extremes(values: Array, first: Any, last: Any, pick: Pick, none: float, a: int, b: int) -> Array:
-    """Return some of the `extremes` of many windows; only what they need of the values is in memory."""
+    """Return the `extremes` of the windows a to b - 1, reading only the values that these windows need."""
     begins, ends = np.asarray(first[a:b]), np.asarray(last[a:b])
     low = int(np.min(begins, initial=len(first)))
     part = np.asarray(values[..., low : max(low, int(np.max(ends, initial=-1)) + 1)])
@@ -251,7 +251,9 @@ class Record:
         return self._over_time(kind, body, self.times)
 
     def _at(self, tree: Tree, k: int) -> Array:
-        """Return a formula's robustness at one instant, shape (2, 2), without that at all others where that can be."""
+        """Return a formula's robustness at one instant, shape (2, 2); other instants are computed only where it depends
+        on them.
+        """
         ((kind, body),) = tree.items()
         if kind == "Not":
             return opposite(self._at(body, k))
@@ -378,7 +380,7 @@ class Record:
         return result
 
     def _decides(self, tree: Tree, arrived: int, lost: int, k: int) -> int:
-        """Return the index of the instant whose comparison gives a bound of a formula at instant `k`."""
+        """Return the instant whose comparison determines a bound of a formula at instant `k`."""
         ((kind, body),) = tree.items()
         if kind == "Not":
             return self._decides(body, 1 - arrived, 1 - lost, k)

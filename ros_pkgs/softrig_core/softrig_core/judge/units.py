@@ -39,7 +39,7 @@ def compose(template: str, signal: str) -> str:
 
 
 def text(parts: dict[str, int]) -> str:
-    """Write powers as a unit, with divisors last."""
+    """Write a unit from powers, with divisors last."""
 
     def one(name: str, power: int) -> str:
         return name if power == 1 else f"{name}^{power}"

@@ -1,4 +1,4 @@
-"""A step of numba's compiler: a function that only reads its array arguments does not count references to them.
+"""A pass of numba's compiler that omits reference counts in functions that only read their array arguments.
 
 Each count is a call with an atomic addition, and all numbers leave their registers before and after it. In a loop of a
 few operations that is half of the time. The caller must hold the arrays until the function has returned.
@@ -59,7 +59,7 @@ class Borrowed(FunctionPass):  # type: ignore[misc, unused-ignore]
 
 
 class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
-    """numba's compiler with that step, but without it for a function that creates temporary arrays."""
+    """numba's compiler with that pass, except for functions that create temporary arrays."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -74,7 +74,7 @@ class Borrowing(Compiler):  # type: ignore[misc, unused-ignore]
             return Compiler(*self._arguments).compile_extra(func)
 
     def define_pipelines(self) -> list[Any]:
-        """Return numba's own, each with one step more."""
+        """Return numba's pipelines with the pass added."""
         result: list[Any] = super().define_pipelines()
         for pipeline in result:
             # The step needs the types that numba has inferred, and must come before the code is lowered.

@@ -1,4 +1,4 @@
-"""Code that needs numba: its type for our functions, and a cache of native code with digests as file names.
+"""Code that needs numba: the type of our functions, and a cache of native code whose files are named by digests.
 
 numba's own cache keys a function by the date of its file. It therefore keeps old code when a function called in
 another file changes, and two processes that compile at the same time may corrupt its index. Here a file is named by a
@@ -87,7 +87,7 @@ class Cache:
 
 
 def teach(numba: Any, functions: type, power: Callable[[float, float], float]) -> None:
-    """Register our functions with numba, and those of the C library under a name that its optimiser does not recognise.
+    """Register our functions with numba, and the C library's under names that its optimiser does not know.
 
     Parameters
     ----------

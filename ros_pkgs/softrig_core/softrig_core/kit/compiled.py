@@ -109,7 +109,7 @@ class Compiled:
         self._spare: list[_Buffer] = []
 
     def __call__(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Evaluate.
+        """Evaluate the function.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class Compiled:
 
     @cached_property
     def places(self) -> tuple[int, int, int, int]:
-        """Return where its four tables begin in `scratch`, in numbers: arguments, results, whole numbers, numbers."""
+        """Return the first index of each of the four tables in `scratch`: arguments, results, integers, numbers."""
         f = self._function
         arguments = self.n_in + self.n_out
         results = arguments + f.sz_arg()
@@ -223,7 +223,7 @@ def kept(name: str, make: Callable[[Path], object]) -> Path:
 
 
 def moved(place: Path, make: Callable[[Path], object]) -> None:
-    """Create a file and move it into place whole, so that any number of processes may do so at the same time.
+    """Create a file and move it into place; any number of processes may do so at the same time.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Run a process without rights: no network, no files but those that it must read, no writing but to a scratch folder.
+"""Run a process without rights: no network, only the files that it must read, and one folder to write to.
 
 It uses namespaces of the kernel (namespaces(7)), which most systems allow to every user. If a system does not,
 `confine` raises an error with the reason.
@@ -98,7 +98,7 @@ def _places(keep: Iterable[str | Path]) -> tuple[list[str], list[str]]:
 
 
 def forbidden() -> str:
-    """Return why a process cannot be confined here; empty where it can."""
+    """Describe why a process cannot be confined on this machine; empty if it can."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:

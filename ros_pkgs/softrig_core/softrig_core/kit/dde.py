@@ -123,7 +123,7 @@ class Track:
         self._shared = _Shared(begin, self._count)
 
     def open(self, rows: int = 0) -> Trajectory:
-        """Return its form for native loops, with space for further steps; with none it is only read."""
+        """Return the form for native loops, with space for some more steps."""
         shared, count = self._shared, self._count
         if rows and (count != shared.written or count + rows > len(shared.past.begin)):
             room = max(2 * self._capacity, self._capacity + rows)
@@ -134,9 +134,7 @@ class Track:
         return shared.past
 
     def after(self, past: Trajectory) -> Track:
-        """Return the track with the steps that native loops have appended to this one, in the result of the
-        last `open`.
-        """
+        """Return the track with the steps that native loops have added to the result of the last `open`."""
         new: Track = Track.__new__(Track)
         new._capacity, new._shared = self._capacity, self._shared
         new._count = new._shared.written = int(past.meta[0])
@@ -248,7 +246,7 @@ def between(s: float, step: float, x0: float, x1: float, dx0: float, dx1: float)
 
 @jit
 def delayed(past: Trajectory, t: float, channel: int) -> float:
-    """Read one channel at a time.
+    """Create the native function that reads one channel of a past, at any time.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _begun: dict[tuple[Any, ...], Any] = {}
 
 
 def _once(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-    """Return what was drawn for an earlier run from the same state of a generator, else draw it."""
+    """Return the numbers that were drawn before from the same state of a generator; draw them the first time."""
     if key not in _begun:
         result = make()
         while len(_begun) >= STREAMS:
@@ -37,7 +37,7 @@ def _once(key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
 
 
 class Stream:
-    """A stream of uniform numbers for native loops that draw it themselves, one after the other.
+    """A stream of uniform numbers from which native loops draw by themselves.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Draws:
 
     @property
     def _key(self) -> tuple[str, str]:
-        """Return what decides all numbers."""
+        """Return all that determines the numbers."""
         return self._kind, repr(self._before[0])
 
     def first(self, count: int) -> NDArray[np.float64]:
@@ -134,7 +134,7 @@ class Draws:
         return result
 
     def drawing(self) -> Callable[[int], NDArray[np.float64]]:
-        """Return what draws the next numbers at each call, from the first on."""
+        """Return a function that draws the next numbers at each call, from the first on."""
         result: Callable[[int], NDArray[np.float64]] = getattr(self._stream(), self._kind)
         return result
 
@@ -186,7 +186,7 @@ class Window:
         return float(self.table[place]) if HEAD <= place < len(self.table) else None
 
     def follow(self, missed: float) -> None:
-        """Draw on, so that a number that native code has missed is in the table; `missed` is its index + 1."""
+        """Move the window to a number that native code has missed; `missed` is its index + 1."""
         import numpy as np
 
         k, begin = int(missed) - 1, int(self.table[0])

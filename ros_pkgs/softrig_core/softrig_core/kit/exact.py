@@ -35,7 +35,7 @@ class UnsettledError(ArithmeticError):
 
 
 def settled(function: Callable[[int], Result], same: Callable[[Result, Result], bool] = operator.eq) -> Result:
-    """Evaluate with more and more bits until 64 more of them change nothing.
+    """Evaluate with more and more bits until 64 further bits no longer change the result.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def fractions(rows: Sequence[Sequence[float]], factor: float = 1.0) -> Rows:
 
 
 def balance(rows: Rows) -> tuple[Rows, list[int]]:
-    """Scale a matrix so that each row is about as large as its column: fewer bits are lost between small and large.
+    """Scale a matrix so that each row is about as large as its column, which loses fewer bits.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def recursion(a: Integers, bits: int) -> list[int]:
 
 
 def _reached(rows: Rows) -> NDArray[np.bool_]:
-    """Return where any power of a matrix has terms that are not zero: elsewhere its exponential is exactly zero."""
+    """Return the entries that may be nonzero in some power of a matrix; its exponential is exactly zero elsewhere."""
     result = np.array([[bool(x) for x in row] for row in rows]) | np.eye(len(rows), dtype=bool)
     for k in range(len(rows)):
         result |= np.outer(result[:, k], result[k])

@@ -63,7 +63,7 @@ def others(x: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def numbers(x: Any) -> Array:
-    """Return all of them in one row."""
+    """Return all floats of a state in one row."""
     return np.concatenate([np.empty(0), *(row for _, row in read(x))])
 
 

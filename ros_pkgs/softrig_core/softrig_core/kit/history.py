@@ -147,7 +147,7 @@ class History:
 
     @classmethod
     def of(cls, step: float, longest: float, rows: list[tuple[float, ...]]) -> History:
-        """Return the history of samples as they are, as many as it keeps."""
+        """Return a history with these samples, at most as many as it stores."""
         new: History = _new(History)
         new._line, new._count = _Line(step, longest, len(rows), rows), len(rows)
         return new

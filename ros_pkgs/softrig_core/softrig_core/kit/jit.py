@@ -98,11 +98,11 @@ class Jit:
 
     @property
     def direct(self) -> Callable[..., Any]:
-        """Return the function that a call runs, from the first call on; before it the object itself."""
+        """Return the function that a call runs; before the first call this is the object itself."""
         return self if self._run == self._first else self._run
 
     def pays(self, *arguments: Any) -> bool:
-        """Return whether to call it for these arguments saves time against a form that numpy executes.
+        """Return whether the native function is faster for these arguments than the same computation in numpy.
 
         Loading native code takes some ms and compiling it seconds. So it is loaded after some calls, and compiled
         after many.
@@ -127,7 +127,7 @@ class Jit:
         return self._run(*arguments)
 
     def straight(self) -> types.FunctionType:
-        """Return the plain function with plain functions in place of the compiled ones that it calls.
+        """Return the plain function, in which the compiled functions that it calls are plain, too.
 
         A call through such an object costs as much as a line of arithmetic. As in native code, functions of the module
         and of an enclosing function are constants.

@@ -63,7 +63,7 @@ def once_for_objects(function: Callable[S, A]) -> Callable[S, A]:
 
 
 def of_these(kept: Kept[A], objects: Sequence[Any], make: Callable[[], A]) -> A:
-    """Return what was made of the same objects before, else make it; see `once_for_objects`."""
+    """Return the result for these objects, made at the first call; see `once_for_objects`."""
     key = tuple(map(id, objects))
     if key not in kept:
         result = make()
@@ -78,7 +78,7 @@ _made: dict[tuple[Any, bytes], Any] = {}
 
 
 def shared(function: Callable[[Any, Any], A], of: Any, values: Any) -> A:
-    """Return the result of a function of a class and plain data: the same object as for equal data before.
+    """Return the result of a function for a class and plain data; equal data give the same object.
 
     Types count: 1, 1.0 and True are three values.
     """

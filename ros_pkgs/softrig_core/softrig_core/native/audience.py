@@ -27,7 +27,7 @@ def _times(schedule: Schedule, first: int, last: int) -> NDArray[np.int64]:
 
 
 def _readings(source: Step, reader: Step) -> list[tuple[Fill, Where]]:
-    """Return which of a step's answers another one reads, and which part of them (`part`)."""
+    """Return the connections from one step to another, each with its part of the answer."""
     where = places(source.outputs)
     return [(fill, where[fill.output]) for fill in reader.fed.values() if fill.source is source]
 
@@ -204,7 +204,7 @@ class Audience:
         return True
 
     def _seen(self, source: Step, watcher: Step, own: range, numbers: Any) -> dict[str, Messages] | None:
-        """Return the messages of a member that a watcher reads, by its inputs; None if it must run at each tick."""
+        """Return a member's messages that a watcher reads, by input; None if the watcher must run at each tick."""
         result: dict[str, Messages] = {}
         every, often = self._plan.every(watcher.schedule), self._plan.every(source.schedule)
         readings, step = _readings(source, watcher), max(1, every // often)  # of its messages, one in so many is seen

@@ -211,7 +211,7 @@ class Calls(Expressions):
         return self.call(function, *self._arguments(node), node)
 
     def _until(self, stop: bool, node: ast.GeneratorExp) -> Value:
-        """Read `any` or `all` of tests that may raise: those after the one that decides are not computed."""
+        """Translate `any` or `all`; tests after the deciding one are not computed, because they may raise."""
         part = node.generators[0]
         values = self.listed(part.iter)
         if len(node.generators) > 1 or part.ifs or values is None:
@@ -306,7 +306,7 @@ class Calls(Expressions):
     def _worded(
         self, parts: Sequence[str | ast.FormattedValue], numbers: list[str], node: ast.Call
     ) -> Callable[[Sequence[float]], str]:
-        """Return what writes the text of a report; the numbers that it needs are added."""
+        """Return a function that writes the text of a report later, and add the numbers that it needs."""
         made_of = [p if isinstance(p, str) else (self._shown(self.value(p.value), numbers, node), p) for p in parts]
         return lambda row: "".join(
             p if isinstance(p, str) else format(CONVERSIONS[p[1].conversion](p[0](row)), spec_of(p[1])) for p in made_of

@@ -76,7 +76,7 @@ def compiled(made: RigText) -> Callable[..., Any]:
 
 
 def plain(made: RigText) -> Callable[..., Any]:
-    """Return the function of a rig in Python, which needs no compilation and is faster than single ticks.
+    """Return the function of a rig in Python: it needs no compilation and is faster than single ticks.
 
     Returns
     -------

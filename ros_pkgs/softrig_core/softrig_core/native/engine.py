@@ -305,7 +305,7 @@ class Engine:
         return True
 
     def _others(self) -> bool:
-        """Return whether states or constants have other types or are new objects: the code may then differ."""
+        """Return whether types of states or constants have changed, so that other code may be needed."""
         return self._core.forms() != self._forms or (self._fit is not None and self._fit.remade)
 
     def _watched(self, step: Step) -> bool:
@@ -354,7 +354,9 @@ class Engine:
         return reached
 
     def _on(self, first: int, reached: int, last: int, after: Any) -> int:
-        """Continue at ticks that a node requires in Python; everything is published at the end in one batch."""
+        """Run the ticks that a node requires in Python, then continue natively; outputs are published in one batch at
+        the end.
+        """
         at, fit, core = first, self._fit, self._core
         assert fit is not None
 
@@ -414,7 +416,7 @@ class _Later(Link):
         self._store(Link.send, t, rows, numbers)
 
     def over(self, t: int) -> None:
-        """Apply it, or store it."""
+        """Apply the end of a tick, or store it."""
         self._store(Link.over, t)
 
     def send_all(self, times: Any, numbers: Any, stamps: Any) -> None:
@@ -423,7 +425,7 @@ class _Later(Link):
         self.inner.send_all(times, numbers, stamps)
 
     def hand_on(self) -> None:
-        """Apply the stored results."""
+        """Send all stored messages."""
         for call, *arguments in self.kept or ():
             call(self, *arguments)
 

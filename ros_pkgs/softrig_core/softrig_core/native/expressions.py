@@ -421,7 +421,7 @@ class Expressions(Ways):
         return result
 
     def _in_turn(self, node: ast.Compare) -> Value:
-        """Read a chain whose later terms are computed only if the earlier comparisons are true."""
+        """Translate a chained comparison; later terms are computed only if the earlier comparisons are true."""
         # With spaces in them, these are no names of the function.
         first, second = (f"{part} of {self._fresh()}" for part in ("left", "right"))
         self.env[first], self.env[second] = (self._held(self.value(v)) for v in (node.left, node.comparators[0]))

@@ -137,7 +137,7 @@ def refuse(kinds: tuple[Any, ...], reason: str) -> None:
 
 
 def _worth_another(kinds: Any) -> bool:
-    """Return whether one more text of a kind of rig is worth its making: the first, then one in some runs."""
+    """Return whether one more text for a kind of rig pays: the first does, later ones only after some runs."""
     asked, made = _counts.get(kinds, (0, 0))
     worth = asked >= made * RUNS_A_TEXT
     _counts[kinds] = (asked + 1, made + worth)
@@ -145,7 +145,7 @@ def _worth_another(kinds: Any) -> bool:
 
 
 def known(steps: Sequence[Step], make: Make) -> bool:
-    """Return whether there is such a text for nodes of these classes, observers left out."""
+    """Return whether a text exists for nodes of these classes, not counting observers."""
     # The engine has no text for observers, which get batches of messages.
     classes = tuple(type(s.block) for s in steps if not isinstance(s.block, Observer))
     return any(kept.kinds[:2] == (classes, make) for kept in _texts)
@@ -213,12 +213,12 @@ class Fitted:
 
     @property
     def remade(self) -> bool:
-        """Return whether a block has recreated constants, so that another text may be needed."""
+        """Return whether a block has created constants again, so that another text may be needed."""
         return [one.key for one in self._newest] != self._keys
 
     @property
     def size(self) -> float:
-        """Return the bytes of answers of a tick of the clock, on average."""
+        """Return the average size in bytes of the answers of one clock tick."""
         return sum(8.0 * (size + stamps) / self._plan.every(s.schedule) for _, s, size, stamps in self._written)
 
     def under_way(self) -> str:
@@ -256,7 +256,7 @@ class Fitted:
             yield id(s), len(self._plan.own(s.schedule, self._begin, last)), numbers, stamps
 
     def _name(self) -> None:
-        """Order the arguments of native code."""
+        """Name the arguments of native code in their order."""
         named = self._tables | {WHEN: self._when, "reports": self._reported}
         for k, s, _, _ in self._written:
             named[f"o{k}"], named[f"p{k}"] = self.rows[id(s)]
@@ -271,7 +271,7 @@ class Fitted:
         return result
 
     def _handed(self) -> tuple[Any, ...]:
-        """Return the arguments of the function after its ticks."""
+        """Return the arguments of the function as they are after its ticks."""
         kept = self.kept
         before = (
             *(applied(way, s.x) for way, s in zip(self._pack, self._steps, strict=True)),
@@ -342,7 +342,7 @@ class Fitted:
             return int(n[0]), after
 
     def compilation(self, k: int) -> Callable[[], None]:
-        """Return a function that compiles the text: a call that answers no tick, with the arguments of tick k."""
+        """Return a function that compiles the text by a call that answers no tick."""
         self.kept.made = True
         self.begin(k, k)
         arguments = k, k, *self._handed()

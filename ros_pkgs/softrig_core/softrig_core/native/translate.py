@@ -245,8 +245,7 @@ class Same:
 
 
 def signature(value: Any, inside: bool = False) -> Any:
-    """Return the part of a value that must be equal for the same text: numbers and texts themselves, the type of
-    objects.
+    """Return the part of a value that must be equal for the same text: numbers and texts, and the type of an object.
 
     What is `inside` of another value has no path of its own: it must be the same object.
     """
@@ -314,7 +313,7 @@ def parsed(function: types.FunctionType) -> ast.FunctionDef:
 def made(
     program: Program, function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value], arrays: set[str]
 ) -> Value:
-    """Specialise a Python function to the fixed ones of its arguments, and return the code of the call.
+    """Specialise a Python function to its fixed arguments, and return the code of the call.
 
     Parameters
     ----------
@@ -378,7 +377,7 @@ def made(
 
 
 def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the arguments of a call by the names that the function has for them."""
+    """Return the arguments of a call by the parameter names of the function."""
     signature = inspect.signature(function)
     try:
         bound = signature.bind(*given, **words).arguments
@@ -396,7 +395,7 @@ def _arguments(function: types.FunctionType, given: Sequence[Value], words: Mapp
 
 
 def is_number_slot(value: Any) -> bool:
-    """Return whether a fixed number is an argument, not written into the text."""
+    """Return whether a fixed number is passed as an argument; others are written into the text."""
     return isinstance(value, (float, complex)) or (isinstance(value, int) and abs(value) > SMALL)
 
 

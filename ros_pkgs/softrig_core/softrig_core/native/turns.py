@@ -27,7 +27,7 @@ WHEN = "when"
 
 @dataclass(frozen=True)
 class Holding:
-    """A link without a message of its tick at each tick of the native nodes: its subscriber holds the newest one.
+    """A link that does not bring a message at each tick, so that its subscriber holds the newest one.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ def holdings(steps: Sequence[Step]) -> list[Holding]:
 
 
 def speakers(steps: Sequence[Step]) -> list[tuple[int, int]]:
-    """Return the numbers of the outputs that are silent at times: of the member, and of its output."""
+    """Return the outputs that are sometimes silent, each as number of its member and its own number."""
     return [(k, j) for k, s in enumerate(steps) for j, p in enumerate(s.outputs) if p.sporadic]
 
 
@@ -90,18 +90,18 @@ def wiring(steps: Sequence[Step]) -> Any:
 
 @runtime_checkable
 class Deciding(Protocol):
-    """A block with rare ticks that are no arithmetic, such as the next step of a search.
+    """A block that leaves rare ticks to Python because they are not arithmetic, such as the next step of a search.
 
     What native code cannot translate it leaves to Python by itself, but it finds out late and computes the ticks before
     that one again.
     """
 
     def decides(self, x: Any, t: int) -> bool:
-        """Return whether native code is to leave a tick to Python."""
+        """Return whether native code must leave a tick to Python."""
 
 
 def decides(step: Step) -> bool:
-    """Return whether there are ticks that a member leaves to Python."""
+    """Return whether a member may leave ticks to Python."""
     return isinstance(step.block, Deciding)
 
 
@@ -152,7 +152,7 @@ class Turns:
         return f"{k} * {n}" if d == 1 else f"(2 * {k} * {n} + {d}) // {2 * d}"
 
     def every(self, k: int) -> int:
-        """Return at how many ticks of the text a member has one of its own."""
+        """Return how many ticks of the text lie between two ticks of a member."""
         return self.plan.every(self.steps[k].schedule)
 
     # the turns ----------------------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ class Turns:
         return self._due(k, [f"r{k} = ({''.join(f'{x}, ' for x in texts)})"])
 
     def decided(self, state: str) -> list[str]:
-        """Write code that stops at a tick which a member leaves to Python."""
+        """Write code that stops before a tick that a member leaves to Python."""
         lines: list[str] = []
         for k, step in enumerate(self.steps):
             if decides(step):

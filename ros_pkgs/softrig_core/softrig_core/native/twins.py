@@ -99,7 +99,7 @@ def unpacker(sample: Any) -> Way:
 
 
 def _by_parts(kind: Any, ways: Sequence[Way], other: Any = None) -> Way:
-    """Return how a tuple is rebuilt, with its own type or another, where one of its parts is replaced."""
+    """Return a function that rebuilds a tuple with a replaced part, with the same or another type."""
     own = other or (kind if hasattr(kind, "_fields") else None)
     changed = [(k, way) for k, way in enumerate(ways) if way is not None]
     # Most states are numbers alone, which go into native code and back as they are.

@@ -76,7 +76,7 @@ def inside(value: Group | Record) -> Iterable[Any]:
 
 
 def mapped(value: Group | Record, function: Callable[[Any, Any], Any]) -> Group | Record:
-    """Return a tuple or mapping with other parts: the results of a function of the place or key of each, and of it."""
+    """Apply a function to the place or key and the value of each part of a tuple or mapping."""
     if isinstance(value, Record):
         return Record({k: function(k, v) for k, v in value.items.items()})
     return Group(tuple(function(k, v) for k, v in enumerate(value.items)))
@@ -92,7 +92,7 @@ def sample_of(value: Value) -> Any:
 
 
 def is_sure(value: Value) -> bool:
-    """Return whether a value's type is that of its sample, all through."""
+    """Return whether a value certainly has the type of its sample, down to its leaves."""
     if isinstance(value, Static):
         return True
     if isinstance(value, Dynamic):

@@ -75,7 +75,7 @@ class Ways:
         return f"t{self._temporaries - 1}_"
 
     def as_before(self, env: Mapping[str, Value]) -> bool:
-        """Return whether no name was bound since, as `:=` does."""
+        """Return whether no expression has bound a name in the meantime, as `:=` does."""
         return self.env.keys() == env.keys() and all(self.env[name] is value for name, value in env.items())
 
     def temporary(self, code: str) -> str:
@@ -162,7 +162,7 @@ class Ways:
         raise self.unknown(f"{type(result).__name__} as a value")
 
     def simple(self, value: Dynamic) -> Dynamic:
-        """Return a value by a name, so that it is computed once."""
+        """Return a name for a value, so that it is computed only once."""
         # A name, or an item at a fixed place, costs nothing when it is read again.
         if value.code.replace("_", "").replace(".", "").replace("[", "").replace("]", "").isalnum():
             return value
@@ -252,7 +252,7 @@ class Ways:
         raise NotImplementedError
 
     def _held(self, value: Value) -> Value:
-        """Return a value that stays unchanged while names are bound again."""
+        """Return a value that does not change when names are bound again."""
         if isinstance(value, Dynamic):
             return replace(value, code=self.temporary(value.code))
         return value if isinstance(value, Static) else mapped(value, lambda k, v: self._held(v))
@@ -302,7 +302,7 @@ class Ways:
         self.ended = True
 
     def _fork(self, test: str, used: Any, one: Callable[[], Any], other: Callable[[], Any]) -> tuple[Any, Any]:
-        """Write both branches of a test, and merge what is known after them."""
+        """Write both branches of a test, and merge the known facts after them."""
         used = used if used is UNKNOWN else bool(used)
         before, lines = dict(self.env), self.lines
         ways: list[tuple[list[str], dict[str, Value], bool]] = []

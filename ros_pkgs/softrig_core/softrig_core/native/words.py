@@ -1,4 +1,4 @@
-"""Replacements for functions of Python in native code: they return the same bits, and discard the tick on an error.
+"""Native replacements for Python functions: the same bits; an error discards the tick.
 
 Each is a function of its own in the compiled text. If one raises, the tick is discarded and Python computes it again,
 with its own type and text of the error.

@@ -55,7 +55,8 @@ class Writer(Calls):
         return Dynamic("", known[0].sample if known else UNKNOWN, sure, first.keys, first.parts)
 
     def run(self, statements: Sequence[ast.stmt]) -> None:
-        """Write statements as far as they are reached; statements that always lead to a report may discard the tick."""
+        """Write statements up to the first that ends the function; statements that always report may discard the tick.
+        """
         aside = self.program.aside
         try:
             self._run(statements)
@@ -105,7 +106,7 @@ class Writer(Calls):
             self._give_up()
 
     def statement(self, node: ast.stmt) -> None:
-        """Write one."""
+        """Write one statement."""
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
             raise self.unknown(f"{type(node).__name__.lower()}", node)

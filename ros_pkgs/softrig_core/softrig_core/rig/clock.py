@@ -1,4 +1,4 @@
-"""A clock that is no plant: time for rigs without one, or faster than every plant of a rig."""
+"""A clock for rigs without a plant, or with a shorter period than every plant."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..block.params import BlockParams, param
 
 
 class ClockParams(BlockParams):
-    """A period as long as that of the slowest node."""
+    """Parameters of the clock; its default period is that of the slowest node."""
 
     period: float = param(0.01, "period; also a fraction as text: 1/2880", "s", gt=0.0, le=86400.0)
 

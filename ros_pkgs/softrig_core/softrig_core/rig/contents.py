@@ -133,7 +133,7 @@ def differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
 
 
 def in_place(of: type[Block], changed: Sequence[str]) -> str:
-    """Describe which attributes the ticks of a block change, and what to do."""
+    """Describe which attributes the ticks of a block change, and what the author can do about it."""
     return (
         f"its ticks change {', '.join(changed)} in place ({of.__name__}); make its state a field of x, or name the "
         "attribute in SCRATCH if no answer depends on it"

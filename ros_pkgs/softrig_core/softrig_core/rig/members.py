@@ -97,7 +97,7 @@ class Members:
         return result
 
     def readers(self, member: Member, port: Port) -> list[tuple[Member, Port]]:
-        """Return the members that read an output."""
+        """Return the members that subscribe to an output."""
         return [
             (m, p)
             for m in self.members
@@ -106,7 +106,9 @@ class Members:
         ]
 
     def leaves(self) -> list[Member]:
-        """Members that no other waits for at each tick; they acknowledge ticks so that no other runs ahead of them."""
+        """Return the members for which no other waits at each tick; they acknowledge ticks so that no other runs ahead
+        of them.
+        """
 
         def awaited(m: Member) -> bool:
             # the inputs and conditions of an outside node are not known

@@ -102,11 +102,11 @@ class OverheardLink(InputLink):
 
     @classmethod
     def of(cls, port: Port, **link: Any) -> OverheardLink:
-        """Return the link of an output whose messages are read by a port."""
+        """Return the link for an output to which a port subscribes."""
         return cls(shape=asdict(port), **link)
 
     def made(self) -> Port:
-        """Return the port."""
+        """Return the port that the link describes."""
         return Port(**{name: _tuples(value) for name, value in self.shape.items()})
 
 

@@ -129,7 +129,7 @@ def _of_module(name: str, module: types.ModuleType, names: list[str]) -> Iterato
 
 
 def _is_kept(value: Any) -> bool:
-    """Return whether a value may hold state: code can replace a number or text, and change a container."""
+    """Return whether a value may store state: a number or text can be replaced, and a container changed."""
     return isinstance(value, (*CHANGEABLE, *_OTHERS, str, bytes, tuple)) or not _is_library(type(value).__module__)
 
 

@@ -73,7 +73,7 @@ class Rig(Members):
         return self.having(scenario, members, list(new.values()))
 
     def having(self, scenario: Scenario, members: list[Member], new: list[Member]) -> Rig:
-        """Return the rig of all these nodes; the new ones are still to be linked."""
+        """Return a rig of all these nodes, in which the new ones are not linked yet."""
         clock = self.clock
         for m in new:
             try:
@@ -289,7 +289,7 @@ def _whole_names(scenario: Scenario, members: list[Member]) -> Scenario:
 
 @lru_cache(maxsize=KEPT)
 def _signals(*ports: Port) -> frozenset[str]:
-    """Return the names of the signals of ports: one object for equal ports, which a block may make again."""
+    """Return the signal names of ports; equal ports share one object, because a block may create its ports again."""
     return frozenset(f"{p.topic}/{label}" for p in ports for label in p.labels)
 
 

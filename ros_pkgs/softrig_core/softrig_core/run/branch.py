@@ -15,7 +15,7 @@ from ..wire.recording import Recording
 def branched(
     rig: Rig, recording: Recording, at: float, values: Mapping[str, Any], epoch: int = 0
 ) -> list[dict[str, Any]]:
-    """Return the changes of a run that repeats a recorded one up to a time and continues with other parameters.
+    """Return the parameter changes of a run that repeats a recorded one up to a time and then uses other parameters.
 
     Changes that were made before that time are repeated. Changes that people made later are left out. The changes of
     the scenario itself stay.

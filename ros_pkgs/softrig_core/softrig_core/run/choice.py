@@ -127,7 +127,7 @@ def _timed(loop: Loop) -> Generator[int | None, None, tuple[int, float]]:
 
 
 def writes(steps: Sequence[Step], left: float) -> bool:
-    """Return whether one text of all members that Python runs is worth its making, for a run or for such runs so far.
+    """Return whether generating one text of all members that run in Python pays for this run or for such runs so far.
 
     No if native code is `switched_off`.
     """

@@ -112,7 +112,7 @@ def run_inprocess(
 
 
 def check_here(rig: Rig) -> None:
-    """Ensure that a rig can run in one process; a ScenarioError names the node that cannot."""
+    """Ensure that a rig can run in one process; a ScenarioError names a node that cannot."""
     for member in rig.members:
         if member.external:
             raise ScenarioError(f"node {member.name} is external: in-process runs have no place for it")
@@ -185,14 +185,14 @@ def keeper(step: Step, sink: Sink, ports: Sequence[Port], numbers: Sequence[int]
 
 
 class _ToSink(Link):
-    """Records changes of parameters."""
+    """Records the parameter changes of a step."""
 
     def __init__(self, step: Step, sink: Sink) -> None:
         super().__init__(step)
         self._sink = sink
 
     def changed(self, t: int, values: Mapping[str, Any]) -> None:
-        """Record them."""
+        """Record changed parameters."""
         self._sink.note(t, parameter_event.encode(t, f"/{self.step.name}", values))
 
 

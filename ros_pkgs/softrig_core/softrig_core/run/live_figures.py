@@ -27,7 +27,7 @@ from .expand import rig_of
 
 
 class FiguresParams(WatchParams):
-    """Whose figures; in a rig those of its scenario, at the period of its clock."""
+    """Parameters of the figures: which ones; in a rig those of its scenario, at the period of its clock."""
 
     scenario: str = param("", "started by hand: the scenario whose figures these are, by name or file")
     figures: str = param(

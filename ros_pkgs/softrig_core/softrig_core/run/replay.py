@@ -48,7 +48,7 @@ def feed(member: Member, seed: int, recording: Recording) -> Recording:
 
 
 class _Fed(Link):
-    """Has a step read a recording."""
+    """A link that supplies a step with recorded messages."""
 
     def __init__(self, step: Step, inputs: Sequence[_Input]) -> None:
         super().__init__(step)

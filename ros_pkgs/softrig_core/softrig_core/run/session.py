@@ -25,7 +25,7 @@ KEPT = 256
 
 
 class _Turned(NamedTuple):
-    """New values of parameters of a node, set when tick k was the next one."""
+    """New values of parameters of a node, set before tick k."""
 
     k: int
     node: str
@@ -93,7 +93,7 @@ class Session:
         self._keep()
 
     def _begin(self, blocks: dict[str, Block], recording: Recording, k: int = 0, moment: Moment | None = None) -> None:
-        """Wire blocks, and let them continue from tick k."""
+        """Wire the blocks, and continue from tick k."""
         self.recording, self._k, self.error = recording, k, ""
         self.steps = wired(self.rig, blocks)
         record(self.rig, self.steps, recording)

@@ -1,4 +1,4 @@
-"""Reports a block whose code does not return, and lets Ctrl-C end the process then.
+"""Report a block whose code does not return, and let Ctrl-C end the process in that case.
 
 Python handles a signal between two of its own instructions, so a loop in native code of this process cannot be
 interrupted. A thread checks the stacks once a second, at no cost for the ticks. It receives the signal through a pipe,
@@ -59,7 +59,7 @@ class Watch(threading.Thread):
                 signal.set_wakeup_fd(before)
 
     def run(self) -> None:
-        """Look until the end."""
+        """Check the calls until `stop` is called."""
         seen: dict[int, tuple[FrameType, float]] = {}
         now, wait = 0.0, LOOK
         ends: tuple[int, float, FrameType | None] = 0, 0.0, None  # signal, time, the call that is to return before it
@@ -91,7 +91,7 @@ class Watch(threading.Thread):
                 os._exit(128 + ends[0])
 
     def stop(self) -> None:
-        """End it."""
+        """End the checks."""
         if self._listens:
             signal.set_wakeup_fd(-1)
         os.write(self._write, _STOP)

@@ -1,4 +1,4 @@
-"""Faults of a scenario: each becomes a node of its own between a sender and its readers, put in by remapping."""
+"""Faults of a scenario: each becomes a node between a publisher and its subscribers, inserted by remapping."""
 
 from __future__ import annotations
 

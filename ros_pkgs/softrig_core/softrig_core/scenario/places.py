@@ -50,7 +50,7 @@ def _levels(name: str, path: Path, seen: tuple[str, ...] = ()) -> Iterator[tuple
 
 
 def _line(file: Path, keys: Sequence[Any]) -> tuple[int, int]:
-    """Follow keys into a file as far as they exist; return how many do, and the line of the last."""
+    """Follow keys into a file as far as they exist; return their number and the line of the last one."""
     node, line = compose(file.read_text(encoding="utf-8")), 1
     for depth, key in enumerate(keys):
         below: list[tuple[Any, Any]] = []

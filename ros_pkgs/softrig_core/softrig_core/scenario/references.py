@@ -75,7 +75,7 @@ def fill(value: Any, shared: Mapping[str, Any]) -> Any:
 
 
 def fill_parameters(value: Any, parameter: Callable[[str, str], Any]) -> Any:
-    """Copy plain data with every string ``$node.parameter`` replaced by the result of `parameter` for the two names.
+    """Copy plain data with each ``$node.parameter`` replaced by the result of `parameter`.
 
     Parameters
     ----------

@@ -163,7 +163,7 @@ class Scenario(Entry):
         return self
 
     def written_in(self, file: Path | None) -> Scenario:
-        """Remember where all that is in it is written."""
+        """Store the place in the files at which each key is written."""
         self._file = file
         return self
 
@@ -225,7 +225,7 @@ class Scenario(Entry):
         return new.written_in(None if overrides else self._file).changing(before)
 
     def having(self, **keys: Any) -> Scenario:
-        """Return the scenario with other values of some keys, checked; a ScenarioError names an invalid value."""
+        """Return the scenario with other values of some keys; a ScenarioError names an invalid one."""
         known = {key: value for key, value in self if key in self.model_fields_set}
         try:
             return Scenario.model_validate(known | keys).changing(self._changed_from)
@@ -259,7 +259,7 @@ def load_scenario(name: str, overrides: Mapping[str, Any] | None = None) -> Scen
 
 @dataclass(frozen=True)
 class Draft:
-    """A scenario from its files: inheritance and variant are applied, shared values are not yet filled in.
+    """The content of a scenario's files with inheritance and variant applied, but without its shared values.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ class Draft:
     raw: dict[str, Any]
 
     def filled(self, overrides: Mapping[str, Any] | None = None) -> Scenario:
-        """Create the scenario of it; see `load_scenario`."""
+        """Create the scenario; see `load_scenario`."""
         if not overrides:
             return self._published
         raw = dict(self.raw)
@@ -315,7 +315,7 @@ class Draft:
 
 
 def read_draft(name: str) -> Draft:
-    """Read the files of a scenario by name or file, as `load_scenario` does: for one that is filled many times.
+    """Read the files of a scenario once, as `load_scenario` does, to create many scenarios from them.
 
     Raises
     ------

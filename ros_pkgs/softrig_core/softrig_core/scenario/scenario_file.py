@@ -232,7 +232,7 @@ def inherit(base: Mapping[str, Any], change: Any) -> dict[str, Any]:
 
 
 def _by_new_names(below: Any, change: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Replace old names of executables: one inherited under its new name is the same executable."""
+    """Replace old names of executables, so that an inherited entry with the new name counts as the same executable."""
     nodes, below = change.get("nodes"), below if isinstance(below, Mapping) else {}
     if not isinstance(nodes, Mapping):
         return change
@@ -247,14 +247,14 @@ def _by_new_names(below: Any, change: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _without(old: Any, new: Any, what: str, lost: tuple[str, ...]) -> Any:
-    """Drop the keys `lost` of an entry if the overriding one has another `what`."""
+    """Remove the keys `lost` of an entry if the overriding entry has another `what`."""
     if not isinstance(old, Mapping) or not isinstance(new, Mapping) or new.get(what, old.get(what)) == old.get(what):
         return old
     return {k: v for k, v in old.items() if k not in lost}
 
 
 class Over(NamedTuple):
-    """Changes to a mapping that is written ``$name``: merged when the shared values are filled in."""
+    """Changes to a mapping that is written as ``$name``; they are merged when the shared values are filled in."""
 
     below: str
     changes: tuple[Mapping[str, Any], ...]
@@ -309,7 +309,7 @@ def parent_of(path: Path, parent: Any) -> Path:
 
 
 def find(name: str, first: Path | None = None) -> Path | None:
-    """Find the file of a scenario: that of its own name, else the longest prefix of the name with such a variant.
+    """Find the file of a scenario by its name, or by the longest prefix of it that is a file with such a variant.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ S = TypeVar("S", bound=SolverParams, default=Any)
 
 
 class Result(NamedTuple):
-    """The result of a request."""
+    """A request and its answer."""
 
     stamp: int
     """Time of the request, ns."""
@@ -211,7 +211,7 @@ class Solver(Block[S]):
         return self.worker.state == "working" if self.realtime else t < effect
 
     def carry_on(self, x: Any, t: int) -> Any:
-        """Start the pending request if none is in progress; called in place of `begin` at a tick without a request."""
+        """Start the pending request if none is in progress; replaces `begin` at ticks without a request."""
         jobs: Jobs = x.jobs
         if jobs.active is None and jobs.waiting is not None:
             jobs = Jobs(None, jobs.waiting, t + to_ns(self.p.latency), jobs.result)

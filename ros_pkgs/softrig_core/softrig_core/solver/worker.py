@@ -167,7 +167,7 @@ class Worker:
 
 
 class _Process:
-    """The process as its callers see it, one after the other.
+    """The process behind a worker; successive workers may use the same one.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class _Process:
 
     @classmethod
     def of(cls, module: str, name: str) -> _Process:
-        """Return one that is idle, or a new one."""
+        """Return an idle process, or a new one."""
         # The thread belongs to the key, because the kernel kills the process when the thread that started it ends.
         key = (module, name, os.getpid(), threading.get_ident(), tuple(sys.path), _directory(), _variables())
         for process in reversed(cls.idle):
@@ -213,18 +213,18 @@ class _Process:
         threading.Thread(target=self._listen, daemon=True).start()
 
     def alive(self) -> bool:
-        """Return whether it has not ended."""
+        """Return whether the process is running."""
         return self._process.poll() is None
 
     def write(self, content: Any) -> None:
-        """Send it something."""
+        """Send an object to the process."""
         assert self._process.stdin is not None
         # The process has ended; the listener reports why.
         with contextlib.suppress(BrokenPipeError):
             _send(self._process.stdin, content)
 
     def leave(self) -> None:
-        """Release the process of a worker: keep it for another worker if it is idle, else kill it."""
+        """Release the process: an idle one is kept for another worker, a busy one is killed."""
         if self.busy or not self.alive():
             self.kill()
             return

@@ -109,7 +109,8 @@ class Figure:
 
 
 class _Whole(Mapping[str, Signal]):
-    """The signals of a run, each in memory as a whole: figures of others may do with an array whatever numpy can."""
+    """The signals of a run as whole arrays in memory, because figures of other packages may use any function of numpy.
+    """
 
     def __init__(self, signals: SignalMap) -> None:
         self._signals = signals
@@ -178,7 +179,7 @@ def _resolved(
 
 
 def _computed(argument: Any, rig: Members) -> Any:
-    """Return an argument; of arithmetic over references its number."""
+    """Return an argument of a figure; arithmetic over references is computed."""
     arithmetic = isinstance(argument, str) and bool(references(argument)) and any(c in argument for c in " *+")
     return number(argument, rig.reference) if arithmetic else argument
 
@@ -206,7 +207,7 @@ def read_by(figures: Iterable[Figure], units: Mapping[str, str]) -> set[str]:
 
 
 def _called(name: str, units: Mapping[str, str]) -> Iterable[str]:
-    """Return the signals of a name, which may be a pattern."""
+    """Return the signals that match a name, which may be a pattern."""
     return (name,) if name in units else _matching(name, tuple(units))
 
 
@@ -300,14 +301,14 @@ def evaluate(
 
 
 def follows(figure: Figure, limits: Expectation | None) -> bool:
-    """Return whether the expectation of a figure follows the machine."""
+    """Return whether the expectation of a figure applies to a changed machine, too."""
     if isinstance(figure.function, Judge):
         return figure.function.follows
     return bool(limits and limits.follows) or bool(getattr(figure.function, "follows", False))
 
 
 def changed_from(rig: Members) -> str:
-    """Return the original values of a machine that overrides have changed: ``motor.J = 0.01``; empty for none."""
+    """Describe the original values of a machine that overrides have changed: ``motor.J = 0.01``; empty if none."""
     params = {m.name: m.params for m in rig.members}
     parts = []
     for key, before in rig.scenario.changed_from.items():

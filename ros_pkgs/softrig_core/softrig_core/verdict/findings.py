@@ -52,7 +52,7 @@ class Finding(BaseModel):
 
     @property
     def false(self) -> str:
-        """Describe why its verdict is not borne out."""
+        """Describe why the verdict of the claim is wrong; empty if it is right."""
         why = "cannot be checked" if self.holds is None else "does not hold"
         return f"the verdict {self.verdict} {why}: measured {self.measured_text}, {self.asked} {self.unit}".rstrip()
 
@@ -70,7 +70,7 @@ def values(results: Iterable[Result]) -> dict[str, float]:
 
 
 def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units: Mapping[str, str]) -> list[Finding]:
-    """Hold the claims of a scenario against measurements.
+    """Compare the claims of a scenario with measurements.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def findings(scenario: Scenario, figures: Callable[[str], Figures | None], units
 def hold(
     name: str, claims: Mapping[str, Claim], figures: Callable[[str], Figures | None], units: Mapping[str, str]
 ) -> list[Finding]:
-    """Hold claims, of a scenario or of a study, against measurements; see `findings`.
+    """Compare claims, of a scenario or of a study, with measurements; see `findings`.
 
     Parameters
     ----------

@@ -182,7 +182,7 @@ def _newest(times: Array, values: Array, grid: Array) -> tuple[Array, NDArray[np
 
 @once_for_times
 def _arrived(times: Array, grid: Array) -> tuple[Places, NDArray[np.bool_] | None]:
-    """Return which of some times is the newest at each tick, and at which ticks none has arrived yet."""
+    """Return the index of the newest of some times at each tick, and the ticks before the first one."""
     if len(times) >= len(grid) and np.array_equal(times[: len(grid)], grid):  # one a tick
         return slice(0, len(grid)), None
     at = newest(times, grid)
@@ -363,7 +363,7 @@ def _scaled(shape: Outline, units: Items, scale: Items) -> tuple[Tree, str, OneP
 
 
 def _ticker(rig: Members) -> str:
-    """Return a signal that is sent at each tick of its node, to the end of the run."""
+    """Return a signal with a sample at each tick of its node, up to the end of the run."""
     ports = [(m, p) for m in rig.members for p in m.outputs if p.labels and not p.sporadic]
     _, port = max(ports, key=lambda each: (each[0].schedule.last or 0, -each[0].schedule.every))
     return f"{port.topic}/{port.labels[0]}"

@@ -1,4 +1,4 @@
-"""A figure of a run as it was measured and judged; for pages that only read it, without what measures it."""
+"""The measured and judged value of a figure, for pages that display it and need none of the code that measures."""
 
 from __future__ import annotations
 
@@ -63,16 +63,16 @@ class Result(BaseModel):
 
     @property
     def limited(self) -> bool:
-        """Return whether there is anything to hold it against."""
+        """Return whether the figure has anything to be compared with."""
         return any(x is not None for x in (self.expected, self.at_most, self.at_least))
 
     @property
     def judged(self) -> bool:
-        """Return whether anything is expected of it, in this run."""
+        """Return whether the figure has an expectation that applies to this run."""
         return self.limited and not self.published_for
 
     def not_judged(self, why: str) -> Result:
-        """Return it as one of a changed run: no longer judged, unless the expectation follows the machine.
+        """Return the result for a changed machine: not judged, unless the expectation applies to it, too.
 
         Parameters
         ----------

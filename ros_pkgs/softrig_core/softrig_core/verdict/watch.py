@@ -1,4 +1,4 @@
-"""Observers as a window and a list of figures: the functions that a recording is measured with, on a running rig."""
+"""Observers with a window of messages, and figures that are measured on it while the rig runs."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Kept(NamedTuple):
 
     @property
     def forgot(self) -> bool:
-        """Return whether there was anything that has left the window."""
+        """Return whether messages have left the window."""
         oldest = self.blocks[0] if self.blocks else self.filling or self.newest
         return self.dropped or (oldest != b"" and STAMP.unpack_from(oldest)[0] < self.since)
 
@@ -148,7 +148,7 @@ def packed(messages: Messages) -> bytes:
 
 
 def _since(blocks: tuple[bytes, ...], stamp: int, size: int) -> tuple[bytes, ...]:
-    """Return those blocks that reach to a stamp or beyond it; `size` bytes a message."""
+    """Return the blocks with messages at or after a stamp; a message has `size` bytes."""
     gone = 0
     # The last block contains the newest message, which is in the window, so the loop ends.
     while STAMP.unpack_from(blocks[gone], len(blocks[gone]) - size)[0] < stamp:
@@ -183,7 +183,7 @@ class Watch(Observer[W]):
         self.nothing = (Kept(),) * len(inputs)
 
     def first(self) -> Any:
-        """Return the initial state: nothing seen yet."""
+        """Return the initial state, without messages."""
         return Window(self.nothing)
 
     def update(self, x: Any, t: int, **inputs: Any) -> tuple[Any, Mapping[str, tuple[float, ...]]]:
@@ -237,7 +237,7 @@ class Recent(Mapping[str, Signal]):
     @property
     @abstractmethod
     def forgot(self) -> set[str]:
-        """Topics that have older messages, too."""
+        """Topics whose older messages have left the window."""
 
     def topic(self, name: str) -> str:
         """Return the topic of a signal; empty if there is none."""
@@ -272,7 +272,8 @@ def status_of(figures: Iterable[Figure], signals: Recent) -> Mapping[str, tuple[
 
 
 def left_behind(since: str, signals: Recent, forgot: Container[str]) -> bool:
-    """Return whether the newest steps of signals were before the stored messages: then a first sample is not a step."""
+    """Return whether the newest steps of signals are older than the stored messages; a first sample is then not a step.
+    """
     return all(
         signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
         for name in since.split(", ")
@@ -294,7 +295,7 @@ class Seen(Recent):
 
     @property
     def forgot(self) -> set[str]:
-        """See `Recent`: those whose messages have left the window."""
+        """Topics whose older messages have left the window; see `Recent`."""
         return {topic for topic, kept in self._kept.items() if kept.forgot}
 
     def __getitem__(self, name: str) -> Signal:

@@ -63,7 +63,7 @@ class Columns(NamedTuple):
 
     @property
     def clock(self) -> object:
-        """Return the common clock of all messages that were published together."""
+        """Return the array of times that all messages published together share."""
         return self.times
 
     def column(self, k: int) -> NDArray[np.float64]:
@@ -73,7 +73,7 @@ class Columns(NamedTuple):
     def between(
         self, k: int, before: Sequence[NDArray[np.float64]], after: Sequence[NDArray[np.float64]]
     ) -> NDArray[np.float64] | None:
-        """Return one number of each message between those of others, without a copy; None without room for them."""
+        """Return a column with free rows before and after it, without a copy; None if there is no room for them."""
         sizes = [sum(map(len, parts)) for parts in (before, after)]
         if self.whole is None or max(sizes) > SPARE:
             return None
@@ -96,7 +96,7 @@ class Columns(NamedTuple):
         return [raw[i : i + n] for i in range(0, len(raw), n)]
 
     def part(self, first: int, last: int) -> Columns:
-        """Return some of them."""
+        """Return the messages from `first` up to `last`."""
         return Columns(self.times[first:last], self.values[first:last], self.layout)
 
 
@@ -210,7 +210,7 @@ class Stored(NamedTuple):
 
     @property
     def clock(self) -> object:
-        """Return the common clock of all messages that were published together."""
+        """Return the array of times that all messages published together share."""
         return self.rows
 
     @property

@@ -1,4 +1,4 @@
-"""Arrays that are too long for memory: read, or computed from others, a stretch at a time.
+"""Arrays that are too long for memory: they are read or computed one stretch at a time.
 
 A run of minutes has millions of samples of each signal. Figures are written as functions of whole arrays; with these
 they need the memory of one stretch. Numbers have the same bits as those of whole arrays, sums included.
@@ -56,7 +56,7 @@ class LongArray(NDArrayOperatorsMixin):
 
     @cached_property
     def begins(self) -> NDArray[Any]:
-        """Return the number with which each stretch begins."""
+        """Return the first number of each stretch."""
         return np.array([self.read(first, first + 1)[0] for first in range(0, self._length, STRETCH)], self.dtype)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
@@ -107,7 +107,7 @@ class LongArray(NDArrayOperatorsMixin):
         return np.asarray(self)[key]
 
     def _gathered(self, places: NDArray[np.intp]) -> NDArray[Any]:
-        """Return what is at some places."""
+        """Return the numbers at some places."""
         places = np.where(places < 0, places + self._length, places)
         low, end = int(np.min(places, initial=0)), int(np.max(places, initial=-1)) + 1
         if low < 0 or end > self._length:
@@ -187,7 +187,7 @@ class LongArray(NDArrayOperatorsMixin):
 
 
 def elementwise(function: _F) -> _F:
-    """Let a function of arrays that works on each place of the last axis alone also take long arrays."""
+    """Let a function that works on each place of the last axis separately accept long arrays, too."""
 
     @wraps(function)
     def call(*given: Any) -> Any:
@@ -202,7 +202,7 @@ def is_long(x: Any) -> bool:
 
 
 def gathered(values: Any, places: Any) -> Any:
-    """Return values at some places: a long array of them, if the places are one."""
+    """Return the values at some places; a long array of places gives a long array."""
     if isinstance(places, LongArray) and not isinstance(values, LongArray):
         return LongArray(len(places), lambda a, b: values[places.read(a, b)])
     return values[places]
@@ -217,13 +217,13 @@ def stretches(x: Any) -> Iterator[NDArray[Any]]:
 
 
 def true_places(flags: Any) -> NDArray[np.intp] | slice:
-    """Return the places of what is true; as a slice if they are all from the beginning to one place."""
+    """Return the indices of the true values; a slice if they are all before the first false one."""
     end = len(flags) if flags.all() else int(flags.argmin())
     return np.flatnonzero(flags) if flags[end:].any() else slice(0, end)
 
 
 def counted(first: int, last: int) -> NDArray[np.intp]:
-    """Return the whole numbers from `first` up to `last`."""
+    """Return the integers from `first` up to `last` as a long array."""
     return cast("NDArray[np.intp]", LongArray(last - first, lambda a, b: np.arange(first + a, first + b)))
 
 
@@ -234,7 +234,7 @@ def _whole(x: Any) -> Any:
 
 
 def _apply(function: Callable[..., Any], *given: Any) -> LongArray:
-    """Return what a function computes of each place alone."""
+    """Apply a function that works on each place separately."""
     size = next(x.shape[-1] for x in given if isinstance(x, LongArray))
 
     def part(x: Any, first: int, last: int) -> Any:

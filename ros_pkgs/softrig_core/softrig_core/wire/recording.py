@@ -37,7 +37,7 @@ def relative(name: str) -> str:
 
 
 class Sink(Protocol):
-    """The destination of a block's published bytes."""
+    """Receives the published bytes of blocks."""
 
     def add(self, topic: int, t: int, data: bytes) -> None:
         """Append one message of topic number `topic`, published at tick time `t` (ns)."""
@@ -420,7 +420,9 @@ class Recording:
         return size - at
 
     def _store(self, path: Path, head: Mapping[str, Any], places: list[tuple[int, int]], namespace: str) -> None:
-        """Add the messages of rows that stay in a shard; `places` are first byte and length of stretches of them."""
+        """Add the messages of rows that stay in a shard; `places` has the first byte and the length of each stretch of
+        rows.
+        """
         layouts = [(head["topics"][number][0], Layout(*form)) for number, form in head["row"]]
         width = sum(layout.size for _, layout in layouts)
         length = row_type(width).itemsize
@@ -551,7 +553,7 @@ def _add_rows(block: NDArray[np.uint8], row: Sequence[tuple[Topic | None, Layout
 
 
 def _note_rows(places: list[tuple[int, int]], start: int, at: int, size: int) -> None:
-    """Note where rows are in a file, joined to those right before them."""
+    """Store the place of rows in a file, joined with the rows directly before them."""
     if places and sum(places[-1]) == start + at:
         places[-1] = places[-1][0], places[-1][1] + size
     else:

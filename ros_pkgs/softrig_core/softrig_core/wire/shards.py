@@ -1,4 +1,4 @@
-"""Record a run in one process: a shard for each node, as nodes in processes of their own write them."""
+"""Record a run in one process into one shard for each node, as separate nodes would."""
 
 from __future__ import annotations
 

@@ -87,13 +87,13 @@ def full_name(name: str, known: Iterable[str]) -> str:
 
 
 def short_name(name: str, known: Iterable[str]) -> str:
-    """Return the shortest name of a signal that `full_name` leads back to it: without its field when it has but one."""
+    """Return the shortest name that `full_name` expands to a signal: without the field if there is only one."""
     short = name.rpartition("/")[0]
     return short if full_name(short, known) == name else name
 
 
 def topic_of(name: str, topics: Iterable[str]) -> str:
-    """Return the topic of a signal; empty if it belongs to none of them."""
+    """Return the topic of a signal; empty if no topic has it."""
     return max((t for t in topics if name.startswith(f"{t}/")), key=len, default="")
 
 
@@ -266,7 +266,7 @@ def _decode(topic: Topic, epoch: int) -> Table:
 
 
 def _as_carried(x: Array, flag: bool) -> Array:
-    """Return a column as a message carries it: a flag is 0 or 1."""
+    """Return a column as messages carry it: a flag is 0 or 1."""
     return (x != 0.0).astype(np.float64) if flag else x
 
 

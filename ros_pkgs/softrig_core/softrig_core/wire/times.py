@@ -1,4 +1,4 @@
-"""Arrays of times that many runs share, and results that depend only on them: computed once in a process.
+"""Arrays of times that many runs share, and results that depend only on them, computed once in a process.
 
 The runs of a study publish at the same ticks, so that the places of samples, their distances and windows are the same
 in each of them; only the values differ. Arrays that are kept here are read-only.
@@ -33,7 +33,9 @@ class _Kept:
         self.size = 0
 
     def keep(self, parts: Iterable[Any]) -> None:
-        """Store the arrays among some parts of a result, so that results that depend on them can be stored, too."""
+        """Store the arrays of times among the parts of a result, so that results that depend on them can be stored,
+        too.
+        """
         for array in parts:
             if isinstance(array, np.ndarray) and array.base is None and id(array) not in self.arrays:
                 array.flags.writeable = False
@@ -74,7 +76,7 @@ def common(times: _T) -> _T:
 
 
 def once_for_times(function: _F) -> _F:
-    """Keep the results of a function of arrays of times and of hashable values.
+    """Cache the results of a function of arrays of times and hashable values.
 
     Results for arrays that are not kept here (`common`, or results of such functions, and parts of them) are computed
     at each call.
