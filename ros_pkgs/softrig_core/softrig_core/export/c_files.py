@@ -648,8 +648,7 @@ class _Files:
         return lines
 
     def _as(self, value: Value, kind: Kind, tests: list[str]) -> str | None:
-        """Return a value converted to a type, with the conditions under which it has that type; None if it never has.
-        """
+        """Return a value converted to a type, with the conditions under which it has it; None if it never has."""
         if isinstance(value.kind, Maybe):
             if isinstance(kind, Absent):
                 tests.append(f"!{value.c}.some")

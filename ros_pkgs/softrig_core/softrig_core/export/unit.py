@@ -88,8 +88,7 @@ class Unit:
     rooms: dict[str, Table] = field(default_factory=dict)  # arrays of functions that return one
 
     def used(self, roots: Sequence[str]) -> tuple[list[str], list[str]]:
-        """Return the tables and functions that these functions need, in order; abandoned translations have left others.
-        """
+        """Return the tables and functions that these functions need, in order; abandoned translations left others."""
         known = {_title(text): text for text in self.functions}
         reached: set[str] = set()
         open_ = list(roots)

@@ -21,8 +21,7 @@ SEVERAL = ("min", "max")  # functions of two numbers or more; the others take on
 
 
 def _each(function: Callable[..., float]) -> Callable[..., Array]:
-    """Turn a function of numbers into one of arrays, NaN where undefined; numpy's own functions differ from CPU to CPU.
-    """
+    """Turn a function of numbers into one of arrays, NaN where undefined; numpy's own depend on the CPU."""
 
     def one(*given: float) -> float:
         try:

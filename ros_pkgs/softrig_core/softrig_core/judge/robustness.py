@@ -96,7 +96,7 @@ def _uncertain(values: Array, *late: NDArray[Any]) -> Array:
 
 @elementwise
 def _opened(values: Array, over: NDArray[Any], which: int, none: float) -> Array:
-    """Make one of the bounds infinite where a window extends beyond the record."""
+    """Set one of the bounds to infinity where a window extends beyond the record."""
     result = np.array(values)
     result[which][:, over] = none
     return result

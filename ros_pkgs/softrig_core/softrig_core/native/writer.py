@@ -55,8 +55,7 @@ class Writer(Calls):
         return Dynamic("", known[0].sample if known else UNKNOWN, sure, first.keys, first.parts)
 
     def run(self, statements: Sequence[ast.stmt]) -> None:
-        """Write statements up to the first that ends the function; statements that always report may discard the tick.
-        """
+        """Write statements up to the first that ends the function; those that always report may discard the tick."""
         aside = self.program.aside
         try:
             self._run(statements)

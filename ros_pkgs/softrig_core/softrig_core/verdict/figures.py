@@ -109,8 +109,7 @@ class Figure:
 
 
 class _Whole(Mapping[str, Signal]):
-    """The signals of a run as whole arrays in memory, because figures of other packages may use any function of numpy.
-    """
+    """The signals of a run as whole arrays in memory; figures of other packages may use any function of numpy."""
 
     def __init__(self, signals: SignalMap) -> None:
         self._signals = signals

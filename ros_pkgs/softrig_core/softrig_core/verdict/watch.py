@@ -272,8 +272,7 @@ def status_of(figures: Iterable[Figure], signals: Recent) -> Mapping[str, tuple[
 
 
 def left_behind(since: str, signals: Recent, forgot: Container[str]) -> bool:
-    """Return whether the newest steps of signals are older than the stored messages; a first sample is then not a step.
-    """
+    """Return whether the newest steps of signals are older than the stored messages, so a first sample is no step."""
     return all(
         signals.topic(name) in forgot and newest_step(signals, name)[0] == signals[name].t[0]
         for name in since.split(", ")
