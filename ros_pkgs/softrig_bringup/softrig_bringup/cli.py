@@ -171,7 +171,7 @@ def _verb(arguments: list[str]) -> int:
 
 
 def _judging(arguments: list[str]) -> list[str]:
-    """Return the form of today of `results` and `golden --check`, which work until 0.4."""
+    """Return the present form of the old commands `results` and `golden --check`, which work until 0.4."""
     if arguments[:1] == ["results"]:
         now = ["check", "--claims", *arguments[1:]]
     elif arguments[:1] == ["golden"] and "--check" in arguments:
@@ -205,7 +205,7 @@ def _check_verb(word: str) -> None:
 
 
 def _check_drawn(word: str) -> None:
-    """Refuse a run where `draw` expects the kind of drawing."""
+    """Refuse `draw RUN` without the kind of drawing, and name the kinds."""
     from pathlib import Path
 
     from .folder import kind_of
@@ -215,7 +215,7 @@ def _check_drawn(word: str) -> None:
 
 
 class _Unasked:
-    """Ignores the options of a verb: declaring those of all verbs takes 10 ms of each command."""
+    """Stands for the options of verbs that were not called; declaring those of all verbs takes 10 ms."""
 
     def __getattr__(self, _: str) -> Any:
         return lambda *_, **__: self
@@ -292,7 +292,7 @@ class _Version(argparse.Action):
 
 
 def _late(target: str, options: argparse.Namespace) -> int:
-    """Call a verb's function, ``module:function``, imported no sooner."""
+    """Import the function of a verb, ``module:function``, and call it."""
     from importlib import import_module
 
     module, _, name = target.partition(":")
@@ -314,7 +314,7 @@ def _of_the_script(arguments: list[str]) -> bool:
 
 
 def of_the_script(_: object = None) -> int:
-    """Refuse a command that only scripts/softrig can run, which sets up a checkout."""
+    """Refuse a command that exists only in a checkout, as part of scripts/softrig."""
     raise ScenarioError(
         f"{', '.join(SCRIPT)}, `env COMMAND` and --workspace are of scripts/softrig, which has not been used here; "
         "a package of yours is used once it is installed: pip install ./my_rig"
@@ -322,7 +322,7 @@ def of_the_script(_: object = None) -> int:
 
 
 def node(options: argparse.Namespace) -> int:
-    """Become an executable."""
+    """Replace this process by an executable of a package."""
     from softrig_nodes.processes.executables import node_main
 
     return node_main(options.package, options.executable, options.arguments)

@@ -42,7 +42,7 @@ _held: WeakSet[ResultsFolder] = WeakSet()
 
 
 def _let_go_of_all() -> None:
-    """Close locks that a fork has inherited from its parent: a worker that ends later would keep the folder locked."""
+    """Close the locks inherited by a fork; otherwise a worker that ends late would keep the folder locked."""
     for folder in list(_held):
         folder.let_go()
 
@@ -140,7 +140,7 @@ class ResultsFolder:
             return False
 
     def once(self, broken_off: Callable[[Iterable[Path]], Iterable[str]]) -> str:
-        """Describe why the results of an earlier run cannot be reproduced; empty if they can.
+        """Describe why results of the earlier run here cannot be made again; empty if they can.
 
         Parameters
         ----------
@@ -206,7 +206,7 @@ class ResultsFolder:
 
     @contextmanager
     def anew(self) -> Iterator[Path]:
-        """Yield a folder for new files; the new files replace the old ones when all are written, or none is replaced.
+        """Yield a temporary folder; its files replace the old ones when all are written, or none is replaced.
 
         Raises
         ------
@@ -232,7 +232,7 @@ class ResultsFolder:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Hold the folder against other calls at the same time.
+        """Lock the folder against other calls while the block runs.
 
         Raises
         ------
@@ -313,7 +313,7 @@ def _listed(path: Path) -> set[str]:
 
 
 def list_too(file: Path) -> None:
-    """List a file that was written into the folder of a finished run, so that a later run there may replace it."""
+    """Add a file to the list of a finished run, so that a later run there may replace it."""
     names = _listed(file.parent)
     if names and RUN.fullmatch(file.name) and not any(name.startswith(UNDER_WAY) for name in names):
         replace(file.parent / MANIFEST, json.dumps(sorted({*names, file.name}), indent=1) + "\n")

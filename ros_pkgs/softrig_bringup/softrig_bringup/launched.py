@@ -59,7 +59,7 @@ ARGUMENTS: dict[str, tuple[str | None, tuple[str, ...], str]] = {
 
 
 def strange(words: Sequence[str]) -> str:
-    """Describe which word of a `ros2 launch` command is not an argument of our file; launch itself accepts any word.
+    """Describe which argument of a `ros2 launch` command our launch file does not have; launch accepts any.
 
     Empty when none is, or when the file is included by another one, whose arguments they may be.
     """

@@ -76,7 +76,7 @@ class _Link(NamedTuple):
 
 
 def _links(nodes: Sequence[Adapter]) -> list[_Link]:
-    """Find which node reads which other node.
+    """Find which nodes subscribe to which other nodes of the process.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def _links(nodes: Sequence[Adapter]) -> list[_Link]:
 
 
 def _feed(links: Sequence[_Link]) -> None:
-    """Fill the inputs immediately with published messages."""
+    """Fill the inputs with the messages that have been published so far."""
     for writer, output, reader, item, pick in links:
         writer.step.hands_to(output.name, reader.step, item.name, pick)
 

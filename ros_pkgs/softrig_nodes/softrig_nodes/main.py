@@ -124,7 +124,7 @@ def _answered(block_class: type[Block], entry: str, params: Any, name: str) -> t
 
 
 def introduction(block: Block, options: RunOptions) -> str:
-    """Describe in one line a node that was started alone, and what it waits for."""
+    """Describe in one line a node that was started alone, and the messages that it waits for."""
     inputs, outputs = block.ports(block.p)
     what = (type(block).__doc__ or type(block).__name__).strip().splitlines()[0].rstrip(".")
     wanted = [p.topic for p in inputs if not p.held]

@@ -139,7 +139,7 @@ def prepare(task: Falsification) -> Prepared:
 
 
 def _before(over: Over, nominal: Any) -> str:
-    """Return the values that a search changes, before the change."""
+    """Return the unchanged values of all that a search changes."""
     return f"{over.key} as it is" if nominal is None else f"{over.key} = {shown(nominal)}"
 
 
@@ -231,7 +231,7 @@ def _requirements(scenario: Scenario, wanted: Sequence[str]) -> tuple[str, ...]:
 
 
 def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:
-    """Return the scales by which margins are divided before they are compared with those of other requirements."""
+    """Return the scales of margins: each margin is divided by its scale before margins are compared."""
     # One margin keeps its unit; several are divided by their nominal size to be compared.
     if len(nominal) == 1:
         return dict.fromkeys(nominal, 1.0)
@@ -239,7 +239,7 @@ def _sizes(nominal: Mapping[str, float | None]) -> dict[str, float]:
 
 
 def margin(margins: Mapping[str, float | None], sizes: Mapping[str, float]) -> float:
-    """Return the least of several margins, each in its size; NaN where one could not be measured."""
+    """Return the least of several margins, each divided by its scale; NaN if one could not be measured."""
     results = [m / sizes[n] for n, m in margins.items() if m is not None]
     return min(results) if len(results) == len(margins) else math.nan
 

@@ -67,7 +67,7 @@ def _standing_alone(text: str, file: Path) -> Scenario:
 
 
 def _kept(outcome: Outcome) -> dict[str, Any]:
-    """Faults of the scenario as it is, without the profiles of the search."""
+    """Return the scenario's own faults, without the profiles that the search adds."""
     added = {
         t.partition(".")[0] for t, o in zip(outcome.space.targets, outcome.space.overs, strict=True) if o.on_signal
     }

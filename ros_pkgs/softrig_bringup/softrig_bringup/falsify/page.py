@@ -29,7 +29,7 @@ MEANING = (
 
 
 def lead(task: Falsification, outcome: Outcome, units: Mapping[str, str], files: Mapping[str, Path]) -> list[Element]:
-    """Create the head of the page.
+    """Create the head of the page: question, answer, what the numbers mean, and the change that causes the violation.
 
     Parameters
     ----------

@@ -143,7 +143,7 @@ def _sample(
     over: Callable[[], bool],
     result: SearchResult,
 ) -> None:
-    """Ask for batches until it is over."""
+    """Ask the sampler for batches until the budget is used or the search is decided."""
     if sampler == "random":
         rng = np.random.default_rng(seed)
         while not over():

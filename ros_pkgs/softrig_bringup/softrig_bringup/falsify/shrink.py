@@ -15,7 +15,7 @@ HALVINGS = 12
 
 
 def shrink(space: Space, overrides: dict[str, Any], violates: Callable[[Case], bool], budget: int) -> tuple[Case, int]:
-    """Create a violation small while it stays one.
+    """Reduce a violation as long as it remains one.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def _greedily(
 
 
 def _without_faults(space: Space, case: Case) -> Iterator[Case]:
-    """Each fault dropped, from the pictures too."""
+    """Yield the case without each of its faults; pictures of the fault are dropped, too."""
     scenario, overrides = case
     for name, fault in scenario.faults.items():
         faults = {n: f for n, f in scenario.faults.items() if n != name}
@@ -70,7 +70,7 @@ def _without_faults(space: Space, case: Case) -> Iterator[Case]:
 
 
 def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
-    """Each parameter at its nominal value, or as near to it as the violation lasts, by halving."""
+    """Move each parameter to its nominal value, or by halving as near to it as the violation allows."""
     for over, target, nominal, whole in zip(space.overs, space.targets, space.nominal, space.whole, strict=True):
         scenario, overrides = case
         if target not in overrides or over.on_signal:
@@ -84,7 +84,7 @@ def _nominal(space: Space, case: Case, still: Callable[[Case], bool]) -> Case:
 
 
 def _nearer(over: Over, target: str, nominal: Any, whole: bool, case: Case, still: Callable[[Case], bool]) -> Case:
-    """A parameter between its nominal value and its own, as near as the violation lasts; lists as a whole."""
+    """Move one parameter towards its nominal value as far as the violation allows; a list moves as a whole."""
     scenario, overrides = case
     worst, good = (x if isinstance(x, list) else [x] for x in (overrides[target], nominal))
     # Lists of different lengths have no values in between.
@@ -127,7 +127,7 @@ def _fewer_steps(space: Space, case: Case) -> Iterator[Case]:
 
 
 def _levelled(points: list[float], i: int, value: float) -> list[float]:
-    """Return both steps that meet at `i` one value, for as long as each lasts."""
+    """Return the profile with one value for the two steps that meet at `i`, each for its own length."""
     first = last = i
     while first > 0 and points[first - 1] == points[i - 1]:
         first -= 1

@@ -52,7 +52,7 @@ class Film:
 
 
 def comfortable(span: float) -> float:
-    """Return the speed of the series 1, 2, 5 at which so many simulated seconds make a loop of a convenient length.
+    """Return a speed (1, 2 or 5 times a power of ten) that makes a loop of convenient length.
 
     Examples
     --------

@@ -57,7 +57,7 @@ def _shifted(first: Sequence[Point], now: Sequence[Point], by: Point) -> bool:
 
 
 def _jumps(places: Sequence[Sequence[Point]]) -> bool:
-    """Return whether a shape jumps somewhere: then it is not moved between frames."""
+    """Return whether a shape jumps; a jumping shape is not moved smoothly between frames."""
     return any(
         abs(a[0] - b[0]) > JUMP or abs(a[1] - b[1]) > JUMP
         for before, now in pairwise(places)

@@ -1,4 +1,4 @@
-"""The controller of a scenario as a class of one's own to change: its ports named, its behaviour at first the same."""
+"""The controller of a scenario as a class for the user to change; at first it behaves as the original."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _written(expected: Expectation) -> Any:
 
 
 def _change(member: Member) -> str:
-    """Return a parameter to change first, with a value near its present one, in the form of ``--set``."""
+    """Return a parameter worth changing first, with a value near its present one, in the form of ``--set``."""
     values = flatten(member.params)
     numbers = [d for d in declarations(type(member.params)) if isinstance(values[d.name], float) and values[d.name]]
     chosen = min(numbers, key=lambda d: (not d.live, d.name.endswith("period")))

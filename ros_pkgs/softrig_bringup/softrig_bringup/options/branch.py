@@ -31,7 +31,7 @@ def continued(scenario: Scenario, run: Recalled, at: float, values: Mapping[str,
 
 
 def began_as(before: Recalled, run: Run, at: float, made_with: Mapping[str, Any]) -> tuple[bool, list[str]]:
-    """Report whether a run equals the recorded one up to the time (s) of its branch; in words, as `compared`."""
+    """Describe whether a run equals the recorded one up to the time (s) of its branch; see `compared`."""
     if not at:
         return True, []
     old = replace(before, recording=before.recording.before(before.epoch + to_ns(at)))

@@ -98,7 +98,7 @@ def _plain(value: Any) -> Any:
 
 
 def strangers(content: Mapping[str, Any], bag: Mapping[str, str], there: str = "") -> list[str]:
-    """Describe which parts of a run do not belong together; empty if all do, or if an older version wrote the run.
+    """Describe which parts belong to different runs; empty if none does or if an older version wrote the run.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ class Recalled:
 
 
 def _reached(recording: Recording, epoch: int) -> int:
-    """Return the newest tick in a recording, ns from t = 0."""
+    """Return the time of the newest tick in a recording, ns from t = 0."""
     return recording.newest(epoch) - epoch
 
 
@@ -323,7 +323,7 @@ def first_version(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
 
 
 def words(late: Mapping[str, Mapping[str, int]]) -> str:
-    """Describe the counts of nodes."""
+    """Describe the numbers of nodes and messages."""
     return "; ".join(
         f"{node} {', '.join(f'{n} {LATE.get(key, key)}' for key, n in counts.items())}" for node, counts in late.items()
     )

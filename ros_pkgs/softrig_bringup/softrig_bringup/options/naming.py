@@ -38,7 +38,7 @@ def folder_of(parts: Sequence[str], apart: Sequence[str] = ()) -> str:
 
 
 def elsewhere(path: Path | None) -> list[str]:
-    """Return the path of a file outside the current folder, whose name alone may be ambiguous."""
+    """Return the whole path of a file outside the current folder, because its name alone may be ambiguous."""
     if path is None or path.absolute().parent == Path.cwd():
         return []
     return [from_here(path)]

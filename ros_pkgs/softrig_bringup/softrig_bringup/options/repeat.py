@@ -31,7 +31,8 @@ def _ours(prefix: Path) -> bool:
 
 
 def words(packages: Iterable[str], *verb: str) -> list[str]:
-    """Return the beginning of a command: ours by its whole path, with the workspace of people's own packages.
+    """Return the beginning of a command that works in any folder: the path of our command, and the workspace of the
+    user's packages.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def scenario_word(name: str) -> str:
 
 
 def for_reader(command: str) -> str:
-    """Return a command that repeats a run on any machine, without folders of the machine that ran it.
+    """Return a command that repeats a run on any machine, without paths of the machine that made the run.
 
     Parameters
     ----------

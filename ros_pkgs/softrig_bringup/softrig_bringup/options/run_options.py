@@ -145,7 +145,7 @@ class Again(argparse.ArgumentParser):
         arguments(self)
 
     def error(self, message: str) -> NoReturn:
-        """Refuse."""
+        """Raise an ArgumentError."""
         raise argparse.ArgumentError(None, message)
 
 
@@ -182,7 +182,7 @@ def _external(nodes: Mapping[str, NodeEntry], name: str) -> dict[str, Any]:
 
 
 def _has(node: NodeEntry, parameter: str) -> bool:
-    """Return whether a node declares a parameter; True if its block is not known here."""
+    """Return whether a node declares a parameter; True if its block is not installed here."""
     from softrig_core.block.params import declarations
     from softrig_core.rig.installed import load_block
 

@@ -124,7 +124,7 @@ class Cargo:
 
 
 def true_name(text: str) -> str:
-    """Return a name as it is written: every character that could pass for another one is shown by its number."""
+    """Return a name in which every character that could be mistaken for another is shown by its number."""
     return text if text.isascii() and text.isprintable() else ascii(text)[1:-1]
 
 
@@ -156,7 +156,7 @@ def cargo_of(folder: Path, about: About) -> Cargo:
 
 
 def brings(folder: Path, about: About) -> list[str]:
-    """List whose code only the pack has: packages that its nodes need, and nodes that run C or a board."""
+    """List the code that only the pack has: packages that its nodes need, and nodes that run C or a board."""
     packages = [n for n in about.packages if (folder / PACKAGES / n).is_dir() and not _is_rig_package(n)]
     return [*packages, *dict.fromkeys(native.node for native in _natives(folder))]
 
@@ -253,7 +253,7 @@ def _is_rig_package(name: str) -> bool:
 
 
 def check_scenario(folder: Path, scenario: Scenario, about: About) -> None:
-    """Refuse a scenario that reaches out of its pack: to files elsewhere, or to packages that it does not name.
+    """Refuse a scenario that uses files outside its pack, or packages that it does not name.
 
     Raises
     ------

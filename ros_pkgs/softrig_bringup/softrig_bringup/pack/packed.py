@@ -98,7 +98,7 @@ class About(BaseModel):
 
 
 def placeless(value: Any) -> Any:
-    """Return text, or all text in a value, without the folders of this machine before the names of files.
+    """Return text, or all texts in a value, with paths shortened so that no folder of this machine remains.
 
     What begins with no folder that is here is left alone: a topic, an address.
     """

@@ -65,7 +65,7 @@ def cited(keys: Sequence[str]) -> tuple[Citation, ...]:
 
 @lru_cache(maxsize=16)
 def _entries(path: Path, written: int) -> dict[str, Citation]:
-    """Read a file; a new `written` time makes it read again."""
+    """Read the entries of a file; a changed `written` time makes it read the file again."""
     from bibtexparser import entrypoint, middlewares
 
     try:
@@ -107,7 +107,7 @@ def _plain(text: str) -> str:
 
 
 def _place(fields: dict[str, str]) -> str:
-    """Journal 2(6), 582–587; or the publisher."""
+    """Return where a paper appeared: journal 2(6), 582–587, or the publisher."""
     volume = fields.get("volume", "") + (f"({fields['number']})" if "number" in fields else "")
     where = fields.get("journal", fields.get("booktitle", fields.get("publisher", "")))
     return _plain(", ".join(filter(None, (" ".join(filter(None, (where, volume))), fields.get("pages", "")))))

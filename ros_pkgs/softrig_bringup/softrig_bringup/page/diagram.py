@@ -84,12 +84,12 @@ def draw_diagram(wiring: Wiring) -> Element:
 
 
 def _far(wire: Wire, home: Mapping[str, int]) -> list[int]:
-    """Columns of the readers that are not in the column after the source."""
+    """Return the columns of subscribers that are not next to the publisher's column."""
     return sorted({home[r] for r in wire.readers} - {home[wire.source] + 1})
 
 
 def _lanes(wires: Sequence[Wire], home: Mapping[str, int], column: int) -> list[str]:
-    """Lanes of the channel after a column: those of its own wires, the lowest first, then those from the tracks."""
+    """Return the lanes of the channel after a column: first those of its own wires, then those that lead to tracks."""
     own = [f"{w.topic} out" for w in wires if home[w.source] == column and w.readers]
     return own[::-1] + [f"{w.topic} in" for w in wires if column + 1 in _far(w, home)]
 

@@ -35,7 +35,7 @@ class Column(NamedTuple):
 
     @property
     def decimals(self) -> int:
-        """Decimals of all its numbers; negative: tens, hundreds."""
+        """Number of decimals of all its values; negative for tens, hundreds."""
         for numbers, digits in ((self.halves, SURE), (self.values, DIGITS)):
             largest = max((abs(x) for x in numbers if math.isfinite(x)), default=0.0)
             if largest:

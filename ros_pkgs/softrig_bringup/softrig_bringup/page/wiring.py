@@ -85,7 +85,7 @@ def wiring_of(rig: Rig) -> Wiring:
 
 
 def columns(wiring: Wiring) -> list[list[str]]:
-    """Arrange the nodes as a control engineer draws them, by column from left to right.
+    """Arrange the nodes in columns from left to right, as control engineers draw a loop.
 
     Nodes that act on a plant are left of it, as near as their readers allow. The plants follow, then the nodes that
     only observe. Wires out of a plant do not affect the order, because they are the feedback. Inside a column nodes are

@@ -35,7 +35,9 @@ def in_words(metric: Result) -> str:
 
 
 def measured_here(metric: Result) -> bool:
-    """Return whether the run yields a result: a value, or that it never happens, or that a requirement holds."""
+    """Return whether the run has a result for a figure: a value, an event that never happened, or a requirement that
+    holds.
+    """
     return in_words(metric) != "not measured"
 
 

@@ -174,7 +174,7 @@ def _quantised(y: Array) -> bool:
 
 
 def _open_limits(ax: Axes) -> None:
-    """Keep rounding noise of a constant signal from filling the axes."""
+    """Widen the limits of a constant signal, so that its rounding noise does not fill the axes."""
     low, high = ax.get_ylim()
     least = 1e-6 * max(abs(low), abs(high), 1e-6)
     if high - low < least:

@@ -105,7 +105,7 @@ class Words(Artist):
     boxed: bool = False
 
     def set_in_layout(self, counts: bool) -> None:
-        """Accept matplotlib's switch for the layout: texts inside axes never take part in it here."""
+        """Accept matplotlib's layout option, which has no effect: texts inside axes are not part of the layout."""
 
 
 @dataclass(frozen=True)
@@ -442,12 +442,12 @@ class Axes:
         self._called("set_xlabel", None, text, **({"fontsize": fontsize} if fontsize else {}))
 
     def set_ylabel(self, text: str, *, gid: str | None = None) -> None:
-        """Set the title of the y axis; `gid` of one that is a unit alone."""
+        """Set the title of the y axis; `gid` marks a title that is only a unit."""
         self.titles["y"], self.unit_alone = text, gid is not None
         self._called("set_ylabel", None, text, gid=gid)
 
     def set_title(self, text: str, *, loc: Literal["left", "right"], fontsize: float, color: str | None = None) -> None:
-        """Write above the axes."""
+        """Write a title above the axes."""
         self.heads[loc] = text, fontsize, color or "#222222"
         self._called("set_title", None, text, loc=loc, fontsize=fontsize, **({"color": color} if color else {}))
 
@@ -647,26 +647,26 @@ class Figure:
         return axes
 
     def suptitle(self, text: str, **how: Any) -> None:
-        """Write the title; `how` is for print alone, as in the next two."""
+        """Write the title of the picture; `how` applies only to print, as in the next two methods."""
         self.title = text
         self.calls.append(Call(self, "suptitle", (text,), how, None))
 
     def supxlabel(self, text: str, **how: Any) -> None:
-        """Write below all axes."""
+        """Write a title below all axes."""
         self.below = text
         self.calls.append(Call(self, "supxlabel", (text,), how, None))
 
     def text(self, x: float, y: float, text: str, **how: Any) -> None:
-        """Write, small, in the upper right corner."""
+        """Write a small text in the upper right corner."""
         self.run = text
         self.calls.append(Call(self, "text", (x, y, text), how, None))
 
     def align_ylabels(self) -> None:
-        """Align titles of y axes, which an SVG of softrig always does."""
+        """Do nothing; an SVG of softrig always aligns the titles of y axes."""
         self.calls.append(Call(self, "align_ylabels", (), {}, None))
 
     def colorbar(self, cells: Cells, *, ax: Sequence[Axes], label: str) -> None:
-        """Show which colour is which value, at the right of all axes."""
+        """Draw the colour scale at the right of all axes."""
         self.bar = cells, label
         self.calls.append(Call(self, "colorbar", (cells,), {"ax": ax, "label": label}, None))
 

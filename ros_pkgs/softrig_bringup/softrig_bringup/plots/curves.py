@@ -139,7 +139,7 @@ def logical(y: Array) -> bool:
 
 
 def inked(y: Array) -> float:
-    """Return how far a signal moves in all."""
+    """Return the total movement of a signal: the sum of its absolute changes."""
     return float(np.abs(np.diff(y)).sum())
 
 
@@ -152,7 +152,7 @@ def reduced(curve: Curve) -> Curve:
 
 
 def inside(curve: Curve, window: tuple[float, float] | None) -> Curve:
-    """Cut a curve over time to a window, to whose edges it is drawn: no value from outside of it.
+    """Cut a curve to a time window and interpolate at its edges; no value from outside remains.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class Source:
         self.end = max((signals.table(t).t[-1] for t in self.published), default=0.0)
 
     def curve(self, name: str, label: str = "") -> Curve:
-        """Return a signal over time; without points when nothing was published."""
+        """Return a signal over time; it has no points if nothing was published."""
         topic = self.topic(name)
         table = self.signals.table(topic)
         x, y = table.t, table.columns.get(name[len(topic) + 1 :], table.t[:0])

@@ -1,4 +1,4 @@
-"""What pages know of pictures without drawing any: their files, and how a signal is drawn."""
+"""Names and display data of pictures, for pages that draw none themselves."""
 
 from __future__ import annotations
 

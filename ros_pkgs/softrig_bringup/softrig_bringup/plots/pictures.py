@@ -59,7 +59,7 @@ def plot_entry(
 
 
 def letters(font: float | None, inches: float | None) -> int:
-    """Return how many letters of a legend fit into a picture of a width."""
+    """Return how many letters of a legend fit into a picture of a given width."""
     return int(110 * (inches or look.WIDTH) / look.WIDTH * 9.0 / (font or 9.0))
 
 
@@ -290,5 +290,5 @@ def time_scale(groups: Iterable[Sequence[Curve]]) -> tuple[float, str]:
 
 
 def _joined(words: Iterable[str]) -> str:
-    """The different words, in their order."""
+    """Return the different words in their order, joined."""
     return ", ".join(dict.fromkeys(w for w in words if w))

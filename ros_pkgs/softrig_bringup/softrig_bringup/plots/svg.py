@@ -96,7 +96,7 @@ def described(figure: Figure) -> Iterator[str]:
 
 
 def width_of(text: str, size: float) -> float:
-    """Return about how wide a text is, in the unit of its size; never less than it is in DejaVu Sans."""
+    """Estimate the width of a text in units of its size, never less than in DejaVu Sans."""
     return size * max((sum(_WIDTH.get(letter, 0.66) for letter in line) for line in text.split("\n")), default=0.0)
 
 
@@ -465,7 +465,7 @@ def path(x: Array, y: Array, steps: bool, columns: float) -> str:
 
 
 def _corners(points: Whole, along: bool) -> NDArray[np.bool_]:
-    """Choose the points that a path needs: no point twice in a row, none on a level between two others."""
+    """Return the points that a path needs: no repeated point, and no point on a level between two others."""
     keep = np.ones(len(points), bool)
     keep[1:] = (np.diff(points, axis=0) != 0).any(axis=1)
     if along and keep.sum() > 2:
@@ -510,7 +510,7 @@ def _dashes(line: Dashes) -> Sequence[float]:
 
 
 def _rows_of(entries: Sequence[tuple[Artist, str]], ncols: int) -> tuple[list[Sequence[tuple[Artist, str]]], int]:
-    """Part the entries of a legend into columns; returns them and how many lines of text the longest has."""
+    """Arrange the entries of a legend in columns; return them and the number of lines of the longest."""
     each = -(-len(entries) // max(1, min(ncols, len(entries)))) if entries else 0
     columns = [entries[k : k + each] for k in range(0, len(entries), each)] if each else []
     lines = max((sum(name.count("\n") + 1 for _, name in column) for column in columns), default=0)

@@ -75,7 +75,7 @@ def texts(ticks: Sequence[float], power: int, limits: tuple[float, float]) -> li
 
 
 def minus(text: str) -> str:
-    """Return a number's text with the sign that is as wide as a digit."""
+    """Return the text of a number with a minus sign as wide as a digit."""
     return text.replace("-", "\N{MINUS SIGN}")
 
 

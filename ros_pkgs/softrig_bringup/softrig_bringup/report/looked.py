@@ -1,4 +1,4 @@
-"""Looking into a pack: its run without any code of its sender, and its figures as its own bag has them."""
+"""The run in a pack, read without running code of its sender; its figures are computed from its bag."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class _Status(BaseModel):
 
 
 class _Changed(BaseModel):
-    """A change during the run: the node, and the tick from which it acts."""
+    """A change during the run: the node, and the first tick with the change."""
 
     at_s: float
     node: str
@@ -35,7 +35,7 @@ class _Changed(BaseModel):
 
 
 class Origin(BaseModel):
-    """From which run, and when, one went on otherwise; the command of the first of them."""
+    """The run from which this one continues: its command, and the time from which the two differ."""
 
     run: str
     at_s: float
@@ -79,7 +79,7 @@ class RunRecord(BaseModel):
 
     @property
     def made_by(self) -> str:
-        """Return the command that identifies the rig: for a run continued from another one, that of the first."""
+        """Return the command that identifies the rig; for a run continued from another one, that of the first."""
         return self.command if self.origin is None else self.origin.command
 
     @field_validator("nodes")

@@ -140,7 +140,7 @@ def _result(metric: Result) -> Element | str:
 
 
 def _gauge(metric: Result) -> Element | str:
-    """The measured value (dot) in its band of tolerance (bar); off the bar means a miss."""
+    """Draw the measured value as a dot in its tolerance bar; a dot outside of the bar is a miss."""
     if metric.value is None or metric.expected is None or not metric.tolerance:
         return ""
     place = (metric.value - metric.expected) / metric.tolerance
@@ -276,7 +276,7 @@ def _plain(status: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _heading(name: str) -> str:
-    """``cpu_s`` as "cpu (s)"."""
+    """Return the heading of a column: ``cpu_s`` becomes "cpu (s)"."""
     words, _, last = name.rpartition("_")
     unit = {"s": "s", "ms": "ms", "mb": "MB"}.get(last)
     return f"{words} ({unit})".replace("_", " ") if unit else name.replace("_", " ")

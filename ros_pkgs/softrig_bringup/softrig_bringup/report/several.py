@@ -29,7 +29,7 @@ APART = 4.0  # runs of which one is so many times longer than the other have no 
 
 
 def groups(runs: Sequence[RunRecord], named: Sequence[str]) -> list[str]:
-    """Describe of each run which draws it belongs to: those of equal code, parameters and machine that all ended.
+    """Return the group of each run: runs of equal code, parameters and machine that differ only in their seed.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def overlaid(runs: Sequence[tuple[Path, RunRecord]], named: Sequence[str]) -> It
 
 
 def _lengths(ends: dict[int, float]) -> list[list[int]]:
-    """Part runs by their length, the longest first, so that each picture shows all of its runs."""
+    """Group runs by length, the longest first, so that a picture shows each run completely."""
     parts: list[list[int]] = []
     for k in sorted(ends, key=lambda k: -ends[k]):
         if parts and ends[parts[-1][0]] <= APART * ends[k]:

@@ -157,7 +157,7 @@ def command(scenario: str) -> str:
 
 
 def _run(row: Finding, out: Path | None) -> Element:
-    """The scenario, and the run's report and first picture, as far as they are there."""
+    """Return the scenario with its report and its first picture, if they exist."""
     name = row.figure.rpartition(".")[0] or row.scenario
     place = Path("runs", name)
     if out is None or not (out / place / "report.html").is_file():

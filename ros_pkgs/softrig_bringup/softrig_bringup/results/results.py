@@ -37,7 +37,7 @@ RESULTS = Path("runs/results")
 
 
 class Measured(NamedTuple):
-    """Figures of one scenario in process: values, units, which missed what the scenario expects, or why it broke."""
+    """Figures of one scenario: values, units, missed expectations, or the reason of its failure."""
 
     name: str
     figures: dict[str, float]

@@ -164,7 +164,7 @@ def checked(scenario: Scenario) -> Rig:
 
 
 def gaps(rig: Rig, recording: Recording) -> str:
-    """Describe which topics of a lockstep run lack or double a tick; empty when none does."""
+    """Describe which topics of a lockstep run lack a tick or have one twice; empty if none does."""
     results = []
     expected = {} if rig.clock.external else {CLOCK.topic: rig.clock.schedule}
     for member in rig.members:
@@ -258,7 +258,7 @@ def once_broken_off(rig: Rig, shards: Iterable[Path]) -> list[str]:
 
 
 def turned(run: Run) -> list[str]:
-    """Describe the changes by a user during the run, without the scenario's own changes."""
+    """Describe the changes that a user made during the run, without those of the scenario."""
     scripted = {
         (m.schedule.next(c.at - 1), m.name, name): value
         for m in run.rig.members

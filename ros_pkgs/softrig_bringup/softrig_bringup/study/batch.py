@@ -68,7 +68,7 @@ class Batch:
             yield row
 
     def rows(self, works: Sequence[Work]) -> list[dict[str, Any]]:
-        """Return the rows of all, in their order, those of earlier calls among them."""
+        """Return the rows of all runs in their order, including those of earlier calls."""
         known = self._known
         known |= {row["number"]: row for row in self.run(works)}
         return [known[work.case.number] for work in works]

@@ -190,11 +190,11 @@ class Study(Entry):
 
     @property
     def written(self) -> str:
-        """Return for what its expectations are published where it was changed; else nothing."""
+        """Describe the unchanged study to which the expectations apply; empty if nothing was changed."""
         return f"the study without other {', '.join(self.changed)}" if self.changed else ""
 
     def each_case(self, summary: Summary) -> bool:
-        """Return whether a summary is a number of each case."""
+        """Return whether a summary is computed for each case."""
         return len(self.cases) > 1 and not {"case", "scenario"} & summary.where.keys()
 
 

@@ -1,4 +1,4 @@
-"""Points of a study: grids, random draws and such that fill space evenly."""
+"""The points of a study: grids, random draws, and draws that fill the space evenly."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ class OtherContentError(ScenarioError):
 
 
 def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str, Any]:
-    """Return the inputs of rows besides the text of a study: its scenarios, their code, files that blocks read."""
+    """Return all that rows depend on besides the text of the study: scenarios, code, and files that blocks read."""
     # counters that do not occur in a run in process
     free = {"title", "source", "cites", "claims", "plots", "timeout", "start_timeout", "containers", "record"}
     rigs = list(rigs)
@@ -166,7 +166,7 @@ def made_of(scenarios: Mapping[str, Scenario], rigs: Iterable[Rig]) -> dict[str,
 
 
 def same(content: dict[str, Any], file: Path, what: str) -> str:
-    """Ensure that a folder has this content or none, because its rows are reused by number; return the content as text.
+    """Ensure that a folder has this content or none, because stored rows are reused by number.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def _search(study: Study, search: Search, batch: Batch, drafts: Mapping[str, Dra
 
 
 def beyond(row: Mapping[str, Any], figure: str, limits: Expectation) -> float:
-    """Return how far a figure of a run violates its expectation; at most 0 if it does not."""
+    """Return the distance by which a figure violates its expectation; at most 0 if it does not."""
     value = value_of(row, figure)
     if limits.holds(value):
         return 0.0

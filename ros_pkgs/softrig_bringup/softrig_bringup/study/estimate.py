@@ -175,14 +175,14 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def runs_for_mean(spread: float, width: float) -> int:
-    """Compute how many runs a t interval of this whole width needs, of a standard deviation."""
+    """Compute how many runs a t interval of this width needs, given the standard deviation."""
     from scipy import stats
 
     return _least(lambda n: 2.0 * float(stats.t.ppf(0.5 + LEVEL / 2.0, n - 1)) * spread / math.sqrt(n), width)
 
 
 def runs_for_share(portion: float, width: float) -> int:
-    """Compute how many runs a Wilson interval of this whole width needs, of a share."""
+    """Compute how many runs a Wilson interval of this width needs for a share."""
 
     def width_of(n: int) -> float:
         _, low, high = share(portion, n)

@@ -59,7 +59,7 @@ def standing_alone(study: Study) -> tuple[Study, dict[str, dict[str, Any]]]:
 
 
 def rows_alone(rows: Sequence[Row]) -> bytes:
-    """Write rows without folders of this machine: scenarios by name, error texts of failed runs without paths."""
+    """Return rows without paths of this machine: scenarios by name, errors of failed runs without paths."""
     lines = []
     for row in rows:
         entries = {**row, "scenario": locate(row["scenario"])[0], "error": placeless(row["error"])}

@@ -66,7 +66,7 @@ def best(study: Study, rows: Sequence[Row]) -> list[Row]:
 
 
 def _figures_of(rows: Sequence[Row], name: str) -> str:
-    """A figure of some runs: its mean, and how many have none."""
+    """Return the mean of each figure over some runs, and the number of runs without it."""
     values = [value_of(row, name) for row in rows]
     there = [v for v in values if math.isfinite(v)]
     if len(rows) == 1:

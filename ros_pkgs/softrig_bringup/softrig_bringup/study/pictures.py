@@ -177,7 +177,7 @@ def _median(values: Array) -> float:
 
 
 def _lost(ax: Axes, x: Sequence[float] | Array, text: str) -> None:
-    """Mark runs without a value at the top of the axes."""
+    """Mark the runs without a value at the top of the axes."""
     for at in x:
         ax.plot(
             [at], [0.96], "x", color=LOST, markersize=6, transform=ax.get_xaxis_transform(), clip_on=False, zorder=4

@@ -215,7 +215,7 @@ def _at(values: Array, q: float) -> Estimate:
 
 
 def _over(table: Array, independent: Callable[[Array], Estimate], statistic: estimate.Statistic) -> Estimate:
-    """Estimate over single runs by the rule for those, over runs that belong together by a bootstrap."""
+    """Estimate over independent single runs by the usual rule, over dependent runs by a bootstrap."""
     return independent(table.ravel()) if table.shape[1] == 1 else estimate.clustered(table, statistic)
 
 
@@ -265,7 +265,7 @@ def bound_text(figure: str, limits: Expectation) -> str:
 
 
 def _differences(study: Study, samples: Mapping[str, Sample], figure: str, unit: str) -> Iterator[Difference]:
-    """Hold each case against the first one, at the same grid point, run by run."""
+    """Compare each case with the first one, at the same grid point and run by run."""
     first = next(iter(study.cases), "")
     for group, sample in samples.items():
         # Cases are compared at equal draws and seeds, which removes their contribution to the spread.

@@ -131,7 +131,7 @@ def each_case(study: Study) -> Iterator[tuple[str, str, Summary]]:
 
 
 def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list[Result]:
-    """Judge the summaries of a study as it is written, of a changed one compute them; `units` has those of figures."""
+    """Judge the summaries of a study; those of a changed machine are only computed. `units` are of figures."""
     result = []
     for name, entry, summary in each_case(study):
         value = summarise(rows, summary)
@@ -155,7 +155,7 @@ def results(study: Study, rows: Sequence[Row], units: Mapping[str, str]) -> list
 
 
 def claims(study: Study, gathered: Sequence[Result]) -> list[Finding]:
-    """Hold the claims of a study against its summaries; those of a changed one stay open."""
+    """Compare the claims of a study with its summaries; those of a changed machine stay open."""
     values = {r.name: r.number for r in gathered}
     held = hold(study.name, study.claims, lambda name: values if name == study.name else None, {})
     return [claim.model_copy(update={"holds": None}) for claim in held] if study.written else held

@@ -17,7 +17,7 @@ DIGITS = 2  # of the width of an interval that are written
 
 
 class Tabled(NamedTuple):
-    """A table; its first `keys` columns identify a row. `answers` marks a table that answers the study's question."""
+    """A table; its first `keys` columns identify a row. `answers` marks the table with the study's result."""
 
     title: str
     heads: Sequence[str]

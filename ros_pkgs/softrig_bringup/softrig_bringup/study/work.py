@@ -211,7 +211,7 @@ def absent(values: Iterable[float]) -> str:
 
 
 def _sampled(signal: Any, samples: int) -> dict[str, Any]:
-    """Hold a signal between its samples and sample it at equal distances."""
+    """Sample a signal at equal distances; it holds its value between its samples."""
     t, x = signal
     if t.size == 0:
         return {"end": 0.0, "x": []}

@@ -21,7 +21,7 @@ def complete(parser: argparse.ArgumentParser) -> None:
 
 
 def asked(foreign: Container[str]) -> list[str]:
-    """Return the words of the verb that a shell asks about, if it is one with a parser of its own."""
+    """Return the words of the verb that a shell completes, if the verb has its own parser."""
     try:
         words = shlex.split(os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))] + "|")
     except ValueError:  # within quotes

@@ -21,7 +21,7 @@ OnTick = Callable[[int], None]
 
 @contextmanager
 def progress(title: str, duration: float) -> Iterator[OnTick]:
-    """Show how far a run is until it ends.
+    """Show the progress of a run until it ends.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def progress(title: str, duration: float) -> Iterator[OnTick]:
 
 @contextmanager
 def busy(what: str) -> Iterator[None]:
-    """Print what is done within the block if that takes longer than `SILENT`."""
+    """Print a line about the work within the block if it takes longer than `SILENT`."""
     if is_quiet():
         yield
         return

@@ -16,7 +16,7 @@ WORDS = ("unit", "")  # heads of what stands to the left
 
 
 def fits(console: Console, table: Table) -> bool:
-    """Return whether a table is no wider than the terminal without a line of it broken."""
+    """Return whether the terminal can show a table without breaking a line."""
     return Measurement.get(console, console.options.update(max_width=10_000), table).maximum <= console.width
 
 

@@ -101,7 +101,7 @@ class Golden:
         return simulate(self.rig, seed=self.recipe.seed).recording
 
     def shaken(self, bits: float) -> Recording:
-        """Run the scenario with the parameters of its plants changed by `bits` of their last place.
+        """Run the scenario with the parameters of its plants changed by `bits` units in the last place.
 
         Another build of a library changes results by about as much.
         """
@@ -259,7 +259,7 @@ def _era(python: str) -> int:
 
 
 def line(others: Iterable[str]) -> str:
-    """Describe which line of the table of doc/bits.md a machine is.
+    """Describe which row of the table in doc/bits.md this machine belongs to.
 
     Parameters
     ----------

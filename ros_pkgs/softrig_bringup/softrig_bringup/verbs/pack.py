@@ -244,7 +244,7 @@ def _elsewhere(content: Mapping[str, Any], made: Mapping[str, str]) -> dict[str,
 
 
 def _retold(before: Recalled, aside: Path, made: Mapping[str, str]) -> Path | None:
-    """Write the bag of a run without folders of this machine; None if it names none."""
+    """Write the bag of a run without paths of this machine; None if the bag names none."""
     messages = {
         key: json_of(text) if key in ("from", "branched") else text for key, text in before.bag_metadata.items()
     }
@@ -316,7 +316,7 @@ def _one_run(run: Path, rig: Rig, content: Mapping[str, Any], before: Recalled) 
 
 
 def _offers(package: str) -> dict[str, dict[str, str]]:
-    """List the entry points of a package, by group."""
+    """List the entry points of a package by group."""
     result: dict[str, dict[str, str]] = {}
     for point in importlib.metadata.distribution(package).entry_points:
         if point.group in GROUPS:

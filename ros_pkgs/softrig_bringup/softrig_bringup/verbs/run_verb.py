@@ -283,7 +283,7 @@ def _write_junit(options: argparse.Namespace, done: Run) -> None:
 
 
 def _contradictions(like: Path) -> list[str]:
-    """Describe statements of a pack or a run about itself that its own bag contradicts."""
+    """Describe what a pack or a run states about itself that its own bag contradicts."""
     from ..options.identity import contradictions
     from ..report.looked import record_of_pack
 

@@ -182,7 +182,7 @@ class Control:
         self._call(who, self.clock, what, what, after)
 
     def go_back(self, who: str, t: float) -> None:
-        """Return to a time of the run, s, also when it is over."""
+        """Return to a time of the run, s; this is possible after its end, too."""
 
         def answered(done: bool, reason: str) -> None:
             self.add_entry(who, reason if done else f"back to {t:g} s refused: {reason}", not done)
@@ -191,7 +191,7 @@ class Control:
         self._ask({"node": self.clock, "back": t}, answered)
 
     def go_at(self, who: str, pace: float) -> None:
-        """Set the pace, simulated by wall-clock time; 0: as fast as possible."""
+        """Set the pace: simulated seconds for each second of wall clock; 0 means as fast as possible."""
         text = f"pace {pace:g}" if pace else "as fast as it goes"
 
         def answered(done: bool, reason: str) -> None:

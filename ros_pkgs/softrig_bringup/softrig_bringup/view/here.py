@@ -158,7 +158,7 @@ class Here(Growing):
     # ticks ---------------------------------------------------------------------------------------------------------
 
     def turn(self) -> float:
-        """Run the ticks that are due, for a limited time; return how long the next ones may wait, s."""
+        """Run the due ticks for a limited time; return how long the next ones may wait, s."""
         session, until = self.session, time.monotonic() + SLICE
         while not session.over and not self.control.held:
             now = time.monotonic()

@@ -194,7 +194,7 @@ class Page:
         return row(self._slider, self._play, sizing_mode="stretch_width")
 
     def _backwards(self) -> Any:
-        """A time to go back to, typed or moved to, with its line in the pictures."""
+        """Create the widgets to go back to a time, typed or moved to, with its line in the pictures."""
         about: dict[str, Any] = {"stylesheets": [self._sheet], "align": "end"}
         end = self._source.length
         self._to = TextInput(title="t, s", value="0", width=90, name="back to", **about)
@@ -311,7 +311,7 @@ class Page:
             self._texts = ()
 
     def _moved(self, attr: str, old: Any, new: Any) -> None:
-        """A browser has zoomed or moved: it shows the chosen window until it follows again."""
+        """Show the window that a browser has chosen by zooming or moving, until it follows again."""
         if not self._calm:
             self._set_follow(False)
 
@@ -453,7 +453,7 @@ class Page:
 
 
 def bare(document: Document, control: Control, who: str, error: Exception) -> None:
-    """Show the rest of a page that cannot be made: the reason, and how the run continues."""
+    """Show a page without the rig's widgets, with the reason and how the run continues."""
     why = html.escape(f"{type(error).__name__}: {error}")
     document.add_root(Div(text=f"<h1>This page cannot be shown</h1><p>{why}</p><p>The run does not depend on it.</p>"))
     for what in ("resume", "pause") if control.held is not None else ():
@@ -463,7 +463,9 @@ def bare(document: Document, control: Control, who: str, error: Exception) -> No
 
 
 def reach(knob: Knob) -> tuple[float, float] | None:
-    """Return the ends of a slider: those declared, or near the value where they are far; None: no slider."""
+    """Return the ends of a slider: the declared bounds, or values near the present one if they are far away; None for
+    no slider.
+    """
     low, high, value = *knob.bounds, knob.value
     if value is None or math.isinf(high - low):
         return None

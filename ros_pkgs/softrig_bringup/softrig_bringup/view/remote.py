@@ -70,7 +70,7 @@ class Remote:
 
 
 def let_go(process: subprocess.Popen[str], patience: float) -> None:
-    """End a process that reads its standard input until it ends: by that, or after `patience` (s) by force.
+    """End a process that reads its standard input to the end; after `patience` s it is killed.
 
     By force its group ends, too, if it leads one: a page that is still starting has a process of its own.
     """

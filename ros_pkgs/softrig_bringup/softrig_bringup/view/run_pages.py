@@ -65,7 +65,7 @@ class RunPages:
         return subprocess.Popen(command, stdin=subprocess.PIPE, stderr=self.stream, text=True, process_group=0)
 
     def _keep(self) -> None:
-        """Start a page that breaks again."""
+        """Restart the page process when it ends with an error, a limited number of times."""
         for left in range(RESTARTS, -1, -1):
             assert self._process is not None
             status = self._process.wait()

@@ -245,7 +245,7 @@ class Pages:
             bare(document, self._control, who, error)
 
     def left(self) -> bool:
-        """Update the connections; return whether a browser has shown a page and all have left without reloading."""
+        """Update the connections; return whether all browsers have left after at least one has shown a page."""
         sessions = self.server.get_sessions(PAGE)
         # A page that was requested, but has no websocket yet, may belong to a slow machine.
         self.visited = self.visited or any(session.connection_count > 0 for session in sessions)
@@ -277,7 +277,7 @@ class Pages:
         future.add_done_callback(lambda value: self.server.io_loop.add_callback(done, value))
 
     def close(self) -> None:
-        """Serve no more."""
+        """Stop the server."""
         self._worker.shutdown(cancel_futures=True)
         self.server.unlisten()  # its sessions end with the process
 

@@ -97,7 +97,7 @@ class Growing:
 
     @property
     def waited(self) -> float:
-        """Seconds since all nodes were there."""
+        """Time since all nodes have reported, s."""
         return time.monotonic() - self._complete
 
     @property

@@ -46,7 +46,7 @@ def head(source: Source, how: str, control: Control) -> str:
 
 
 def _going(source: Source, control: Control) -> str:
-    """Describe which nodes are awaited; then whether the rig runs, at what pace, and whether the machine keeps up."""
+    """Describe the awaited nodes, or whether the rig runs, at which pace, and whether the machine keeps up."""
     if names := source.awaited:
         return f"starting for {source.waited:.0f} s, waits for {', '.join(names)}"
     if control.held:

@@ -1,4 +1,4 @@
-"""What a node reports about itself: reports and rejected messages in the log, and its status file."""
+"""The account of a node: reports and rejected messages in the log, and its status file."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class Account:
             self._node.middleware.log(level, text)
 
     def _notice_unseen(self) -> None:
-        """Log which external node the start waits for: under a launch nothing else does."""
+        """Log which external node the start waits for; under a launch no other process reports it."""
         node = self._node
         if node.state == "starting" and node.lacking and node.middleware.steady() - self._since > UNSEEN:
             topics = ", ".join(node.lacking)

@@ -32,7 +32,7 @@ from .record import Record
 
 
 class Drive(Protocol):
-    """Decides when the ticks of a node are ready.
+    """The part of a node that decides when its ticks are ready.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Drive(Protocol):
         """Check for stalls and missing peers; called every `WATCH_PERIOD`."""
 
     def on_last_message(self) -> None:
-        """Leave if the node waited only for this message after its last tick."""
+        """End the node if, after its last tick, it waited only for this message."""
 
     def busy(self) -> bool:
         """Return whether peers that wait for this node must extend their timeouts."""
@@ -77,7 +77,9 @@ class Drive(Protocol):
 
 
 def _by_hand(block: Block, options: RunOptions) -> Links:
-    """Return the links of a node without a rig; in lockstep it acknowledges its ticks if it may be silent."""
+    """Return the links of a node that was started without a rig; in lockstep it acknowledges its ticks if it may be
+    silent.
+    """
     if options.mode != "lockstep":
         return Links()
     plant = isinstance(block, Plant)
@@ -142,7 +144,7 @@ class Adapter:
         self.hold = Hold(options.paused, options.pace, owns_clock) if self.pauses else Hold()
 
     def begin(self, drive: Drive) -> None:
-        """Offer and read the topics, driven by `drive`."""
+        """Create publishers and subscriptions; `drive` decides when ticks run."""
         self.drive = drive
         self.overheard.subscribe(drive.on_last_message)
         for port in self.step.inputs:
@@ -160,7 +162,9 @@ class Adapter:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def _may_stand(self) -> bool:
-        """Return whether it has the clock of a real-time rig that can be stopped: all nodes follow it and are ours."""
+        """Return whether the node has the clock of a real-time rig that can be paused: all nodes are ours and follow
+        it.
+        """
         links = self.links
         own = links.owns_clock and links.starter == self.middleware.name and not links.guests
         # With a given epoch there is no common start, and so no topic that announces that the clock is paused.

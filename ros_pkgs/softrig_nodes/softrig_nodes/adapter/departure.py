@@ -127,7 +127,7 @@ class Departure(Reader):
         self._publish(TickWriter()(self._epoch, [str(self._node.middleware.now()), *self._words]))
 
     def _deaf(self) -> str:
-        """Name the nodes that do not read the start message, as far as the graph shows it."""
+        """Name the nodes that do not subscribe to the start message, as far as the graph shows it."""
         middleware = self._node.middleware
         there = {middleware.name, *(peer.name for peer in middleware.subscribers(middleware.resolve(START)))}
         return ", ".join(n for n in self._node.links.starts if n not in there) or f"one of {len(there)} nodes"

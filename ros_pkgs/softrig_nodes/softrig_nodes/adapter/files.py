@@ -1,4 +1,4 @@
-"""The files that the nodes of a run have written, for a node that is started again."""
+"""The files that the nodes of a run have written, read by a node that is restarted."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class Outgoing:
         self._unread = False  # whether nothing is sent, and the answers are plain, which are then only recorded
 
     def begin(self) -> None:
-        """Offer the topics."""
+        """Create the publishers."""
         node, middleware, links = self._node, self._node.middleware, self._node.links
         if links.acknowledges if node.options.mode == "lockstep" else links.silence_readers:
             self.acknowledge = self._acknowledging()
@@ -72,7 +72,7 @@ class Outgoing:
         self._check_subscribers()
 
     def _noting(self, output: Output) -> Matched:
-        """Return a callable that gets the number of readers of an output."""
+        """Return a callback that stores the number of subscribers of an output."""
 
         def matched(count: int) -> None:
             output.matched(count)
@@ -118,7 +118,7 @@ class Outgoing:
                 record.sink.add(record.clock, stamp, CLOCK_LAYOUT.encode(stamp, ()))
 
     def keep(self, times: NDArray[np.int64], numbers: NDArray[np.float64]) -> None:
-        """Record many answers that have no readers: their ticks, shape (n,), and all their numbers, (n, size)."""
+        """Record many answers that have no subscribers: their ticks, shape (n,), and all their numbers, (n, size)."""
         shard = self._node.record.shard
         if shard is not None and numbers.shape[1]:
             shard.add_rows(self._node.epoch + times, numbers)

@@ -60,7 +60,7 @@ class Overheard(Input):
         self._last = b""
 
     def receive(self, data: bytes) -> None:
-        """Record a message, and renew the patience with its topic."""
+        """Record a message, and restart the timeout of its topic."""
         # Before t = 0 is set in real time, and after the run, it belongs to no tick.
         if self._node.state == "running" or (self._node.state, self._node.options.mode) == ("starting", "lockstep"):
             self._record(data)
@@ -169,7 +169,7 @@ class OverheardTopics:
         self._then()
 
     def over(self) -> None:
-        """Record all messages from now on: the last tick of the node is answered."""
+        """Record every message from now on, because the node has answered its last tick."""
         for row in self._rows.values():
             row.used = False
 

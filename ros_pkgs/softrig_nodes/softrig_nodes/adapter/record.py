@@ -89,6 +89,6 @@ class Record:
         self.by_numbers = self.add_row is not None or self.sink is None or not row
 
     def change(self, stamp: int, who: str, values: Mapping[str, Any]) -> None:
-        """Record parameters of a node that have changed before the tick of a stamp, ns."""
+        """Record changed parameters of a node with the stamp of the tick that uses them, ns."""
         if self.sink is not None:
             self.sink.note(stamp, encode(stamp, f"/{who}", values))

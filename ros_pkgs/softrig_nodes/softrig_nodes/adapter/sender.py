@@ -1,4 +1,4 @@
-"""The table of a node's senders: which node sends what, and which messages have arrived for which tick.
+"""The table of a node's publishers: who publishes what, and which messages have arrived for which tick.
 
 The table has a row for each topic that the node reads. Every message is processed by its row. The kind of row decides
 what the message means for the ticks: `paired` for lockstep, `live` for real time.
@@ -16,7 +16,7 @@ from .adapter import Adapter
 
 
 class Sender(Input):
-    """A row of the table: one topic that the node reads, and its sender.
+    """A row of the table: one input topic and its publisher.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Sender(Input):
             self.node.drive.on_matched(self)
 
     def deaf(self) -> bool:
-        """Return whether no message counts any more."""
+        """Return whether messages are ignored now."""
         return self.node.state in ("done", "failed")
 
     def read(self, data: bytes) -> tuple[int, Any]:
@@ -69,7 +69,7 @@ class Sender(Input):
         return self.decode(data)
 
     def rejected(self, data: bytes) -> None:
-        """A message was refused: no value of it reaches the block."""
+        """Handle a rejected message: no value of it reaches the block."""
         raise NotImplementedError
 
     def accept(self, stamp: int, value: Any, data: bytes) -> None:
@@ -79,7 +79,7 @@ class Sender(Input):
     # what the kinds of rows have in common -------------------------------------------------------------------------
 
     def value(self, stamp: int, values: tuple[float, ...]) -> Any:
-        """Return the value to hold; channels that a partial message leaves out keep the values of this one."""
+        """Return the value to hold; channels that a partial message leaves out keep their values."""
         if self.port.partial:
             self.decode.kept = values
         return Sample(stamp - self.node.epoch, values) if self.port.delayed else values
@@ -115,5 +115,5 @@ class Sender(Input):
         return True
 
     def repeated(self, number: int, expected: int) -> None:
-        """Refuse an array that was there before."""
+        """Refuse an array that has arrived before."""
         self.node.account.refuse(self, f"number {number} from {self.who}, expected {expected} (already there)")

@@ -19,7 +19,7 @@ from .adapter import Adapter
 
 @watched()
 def spin(node: Node, adapter: Adapter) -> int:
-    """Spin; return the exit status."""
+    """Run the executor until the node ends; return the exit status."""
     finished: Future[None] = Future()
     adapter.on_finished = lambda: None if finished.done() else finished.set_result(None)
     stopped = False

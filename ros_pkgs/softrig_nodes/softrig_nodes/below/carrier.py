@@ -83,12 +83,12 @@ class Carrier:
         threading.Thread(target=work, daemon=True).start()
 
     def sender(self, publisher: Any) -> Callable[[bytes], None]:
-        """Return a callable that publishes the bytes of a message soon."""
+        """Return a function that puts the bytes of a message into the ring."""
         handle, put = publisher.handle.pointer, self.put
         return lambda data: put(handle, data)
 
     def put(self, handle: int, data: bytes) -> None:
-        """Publish a message soon; wait while the ring is full.
+        """Put a message into the ring; wait while the ring is full.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class Carrier:
             self._room = int(not self._c.sem_wait(self._free))
 
     def drain(self) -> None:
-        """Wait, in bounded time, until all that was put is published.
+        """Wait, for a bounded time, until all messages in the ring are published.
 
         Raises
         ------
@@ -136,7 +136,9 @@ class Carrier:
 
 
 def tested() -> bool:
-    """Return whether messages reach rcl as it expects them: the loop is run once, with a function that looks at one."""
+    """Return whether rcl receives messages as it expects them, tested by one turn of the loop with a function that
+    checks them.
+    """
     if sys.platform != "linux" or switched_off() or len(os.sched_getaffinity(0)) < 2:
         return False
     seen = []

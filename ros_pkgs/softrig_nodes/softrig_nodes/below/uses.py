@@ -240,7 +240,9 @@ def make_empty(node: Node, name: str, kind: Parameter.Type) -> None:
 
 
 def leave_to_us(node: Node, subscription: Any) -> None:
-    """Remove a subscription from the executor's wait set; see `works("subscriptions")` first."""
+    """Remove a subscription from the executor's wait set, so that softrig takes its messages; see
+    `works("subscriptions")` first.
+    """
     node._subscriptions.remove(subscription)
 
 
@@ -257,7 +259,7 @@ def executor() -> Any:
 
 
 def leave_requests_to_us(node: Node, service: Any) -> None:
-    """Remove a service from the executor's wait set; see `works("requests")` first."""
+    """Remove a service from the executor's wait set, so that softrig takes its requests; see `works("requests")`."""
     node._services.remove(service)
 
 
@@ -299,7 +301,7 @@ def answer_readers(node: Node, service: Any) -> set[bytes]:
 
 
 def news(node: Node, handlers: Iterable[Any]) -> list[tuple[Callable[[Any], None], Any]]:
-    """Return the callbacks of those event handlers that have a new status, with it."""
+    """Return the callbacks of event handlers with a new status, each with that status."""
     handlers = list(handlers)
     with ExitStack() as stack:
         for held in (node.context.handle, *handlers):

@@ -137,11 +137,11 @@ class Following(Reader):
             raise BadGoal(result.reason)
 
     def _hold(self) -> None:
-        """Stay where the reference is now."""
+        """Hold the reference at its present values."""
         self._set(hold(len(self._joints), *self._now()))
 
     def _accept(self, data: bytes) -> None:
-        """Follow a published trajectory, without an answer, as soon as there is time."""
+        """Follow a published trajectory as soon as there is time; a topic has no answer."""
         with self._node.monitor:
             if len(self._waiting) == WAITING:
                 self._report("joint_trajectory", f"a trajectory is dropped: {OVERDRAWN}")
@@ -208,7 +208,7 @@ class Following(Reader):
         return result
 
     def _begin(self, handle: Any) -> tuple[str, str, Future[tuple[str, str]] | None]:
-        """Begin to follow; return the reason for a refusal, or the event of its end."""
+        """Start to follow a trajectory; return the reason for a refusal, or the event that signals its end."""
         try:
             now, result, on_way, at_end, until = self._checked(handle.request)
             self._set(result.values)
@@ -242,7 +242,7 @@ class Following(Reader):
             return CancelResponse.ACCEPT
 
     def _stop(self, code: str, text: str) -> None:
-        """End the goal because a bound is violated, and stay."""
+        """End the goal because a bound is violated, and hold the present position."""
         try:
             self._hold()
         except BadGoal as error:
@@ -252,7 +252,7 @@ class Following(Reader):
     # how far it is -----------------------------------------------------------------------------------------------
 
     def matched(self, count: int) -> None:
-        """Note how many publishers of measured joints there are."""
+        """Store the number of publishers of measured joints."""
         self._sources = count
 
     def _check(self) -> None:

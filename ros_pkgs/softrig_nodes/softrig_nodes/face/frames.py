@@ -1,4 +1,4 @@
-"""/tf and /tf_static of a node: where the frames are in which its messages and its drawings are."""
+"""/tf and /tf_static of a node: the positions of the frames in which its messages and drawings are expressed."""
 
 from __future__ import annotations
 

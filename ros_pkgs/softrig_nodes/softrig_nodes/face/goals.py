@@ -108,7 +108,7 @@ def motion(message: Any, joints: Sequence[str], now: int, row: Sequence[float], 
 
 
 def hold(joints: int, now: int, row: Sequence[float]) -> Mapping[str, Any]:
-    """Return the parameters with which a reference stays where it is now."""
+    """Return the parameters that hold a reference at its present position."""
     values: dict[str, Any] = {"goal.start": to_s(now), "goal.times": [0.0], "goal.positions": [*row[:joints]]}
     return values | {"goal.velocities": [], "goal.accelerations": []}
 
@@ -177,7 +177,7 @@ class Tolerances:
         return bool(self._bounds)
 
     def beyond(self, error: Sequence[Sequence[float]]) -> str:
-        """Describe the first error out of bounds; empty if there is none.
+        """Describe the first error that exceeds its bound; empty if none does.
 
         Parameters
         ----------

@@ -156,7 +156,7 @@ class Simulation:
     # steps -----------------------------------------------------------------------------------------------------
 
     def _begin_steps(self, count: int, callback: Callable[[int], object], over: Callable[[str], object]) -> str:
-        """Run steps; return why not, if refused."""
+        """Start to run steps; return the reason for a refusal."""
         adapter = self._adapter
         if adapter.state != "running" or not adapter.hold.held:
             return f"steps are taken of a paused run: this one is {'running' if adapter.ticks else adapter.state}"
@@ -201,7 +201,7 @@ class Simulation:
         return response
 
     def _send_unless_late(self, response: Any, header: Any) -> None:
-        """Answer, or store the client for later."""
+        """Send the answer to a request, or keep it for a request that is answered later."""
         if id(response) in self._late:
             self._late[id(response)] = response, header
         else:
@@ -226,7 +226,7 @@ class Simulation:
     # entities --------------------------------------------------------------------------------------------------
 
     def _poses(self, q: list[float]) -> dict[str, Pose]:
-        """Return the places of the bodies with the joints at q."""
+        """Return the poses of the bodies for joint positions q."""
         scene = self._scene
         return {} if scene is None else {pose.child: pose for pose in (*scene.fixed(), *scene.moving(q))}
 

@@ -76,7 +76,7 @@ class LastPublished:
         return keep
 
     def again(self) -> None:
-        """Publish it again."""
+        """Publish the newest message of each topic again."""
         for send, kept in self._kept:
             for message in kept:
                 send(*message)
@@ -118,7 +118,7 @@ class _Recorded:
                 row.record(node.t, self.data[k])
 
     def unused(self) -> Iterator[tuple[int, bytes]]:
-        """Return number and bytes of those that are not used."""
+        """Return the number and the size in bytes of the messages that are not used."""
         return enumerate(self.data[self.next :], self.next)
 
 
@@ -130,7 +130,7 @@ class _Returning(Link):
         self._lacks = lacks
 
     def lacks(self, t: int) -> bool:
-        """Return whether that is not enough for a tick."""
+        """Return whether the recorded messages are not enough for a tick."""
         return self._lacks(t)
 
 
@@ -199,14 +199,14 @@ class Comeback:
         return False
 
     def _has(self, row: Paired, want: int) -> bool:
-        """Return whether a sender had published at one of its ticks."""
+        """Return whether a publisher had published at one of its ticks."""
         if want < self._files.answered.get(row.who, 0):
             return True
         times = self._paired[row].times if row in self._paired else []
         return want < 0 or (not row.silent and bool(times) and times[-1] >= want)
 
     def _resume(self) -> None:
-        """Let the table of senders continue from here."""
+        """Let the table of publishers continue from here."""
         drive, node = self._drive, self._node
         for row in (*drive.senders.rows, *drive.senders.unpaced):
             received = self._paired.get(row)

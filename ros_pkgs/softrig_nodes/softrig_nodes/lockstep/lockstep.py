@@ -133,7 +133,7 @@ class Lockstep(Link):
         self._starter = node.middleware.timer(CHECK, self._start)
 
     def _place(self) -> Place:
-        """Return the node's place: in a loop of two only one works at a time; a follower works in the meantime."""
+        """Return the node's place on the processors: in a loop of two nodes only one works at a time."""
         links = self.node.links
         loop = set(links.starts) - set(links.followers)
         # Only in a loop of two does one node wait while the other works, so that they can share a processor.
@@ -196,7 +196,7 @@ class Lockstep(Link):
                 self._leave()
 
     def _patient(self) -> None:
-        """A solver is at work somewhere in the rig: the time without progress starts again."""
+        """Restart the time without progress, because a solver of the rig is at work."""
         self.senders.signs_of_life += 1
 
     def on_last_message(self) -> None:
@@ -265,7 +265,7 @@ class Lockstep(Link):
         node.record.change(node.epoch + t, node.middleware.name, values)
 
     def over(self, t: int) -> None:
-        """Count a tick; one that has answered its last leaves."""
+        """Count a tick; a node that has answered its last tick leaves."""
         node = self.node
         node.ticks += 1
         if node.buttons.pressed:
@@ -275,7 +275,7 @@ class Lockstep(Link):
 
     @property
     def alone(self) -> bool:
-        """Return whether no other process and no person takes part in its ticks."""
+        """Return whether no other process and no user takes part in the ticks."""
         node = self.node
         return (
             node.outgoing.alone

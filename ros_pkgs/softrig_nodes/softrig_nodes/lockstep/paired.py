@@ -81,11 +81,11 @@ class PairedSenders:
         self.rows = [r for r in self.rows if r.who not in local and not r.local]
 
     def follow_clock(self, link: InputLink) -> None:
-        """Pace the node by /clock."""
+        """Let /clock pace the node."""
         self._listen(Pace(self, CLOCK, link.node, self.node.peer(link)), awaited=True)
 
     def follow_ticks(self, local: Set[str], then: Callable[[], object]) -> None:
-        """Read the acknowledgements of nodes of other processes that we wait for or that may be silent.
+        """Subscribe to the acknowledgements of nodes in other processes that this one waits for or that may be silent.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class Newest(Sender):
     """An input that uses the newest value, at whatever tick it arrives."""
 
     def rejected(self, data: bytes) -> None:
-        """The next answer would have used it."""
+        """Handle a rejected message as one that the next answer would have used."""
         self.node.step.bad = True
 
     def accept(self, stamp: int, value: Any, data: bytes) -> None:
@@ -222,7 +222,7 @@ class Paired(Sender):
         return want
 
     def resume(self, used: int, reached: int) -> None:
-        """Continue after the sender's tick in use and the tick up to which its silences are known; -1: none."""
+        """Continue after a tick of the publisher; its silences are known up to the tick `reached` (-1: none)."""
         self.used, self.reached = max(self.used, used), max(self.reached, reached)
         # An awaited stamp that no tick has makes the next `lacks` check everything again.
         self.want, self._holds, self.have = -_FOREVER, 0, False
@@ -255,7 +255,7 @@ class Paired(Sender):
             self.record(self.node.t, data)
 
     def _arrived(self) -> None:
-        """Count one message less that the current tick needs; continue if it was the last one."""
+        """Count that one message for the current tick has arrived; run the tick if it was the last one."""
         self.have = True
         self.table.missing -= 1
         if not self.table.missing:
@@ -296,7 +296,9 @@ class Paired(Sender):
         self.receive(data)
 
     def rejected(self, data: bytes) -> None:
-        """A controller answers a tick with a bad measurement too; a plant waits for a good command."""
+        """Answer the tick of a rejected message: a controller also answers bad measurements, a plant waits for a good
+        command.
+        """
         if not self.node.is_plant:
             self._count_rejected(readable_stamp(data))
 
@@ -307,7 +309,7 @@ class Paired(Sender):
             self._put(position, KEEP)
 
     def _again(self, position: int) -> bool:
-        """Return whether a message is one that was there before, or older than one that serves in its place."""
+        """Return whether a message has arrived before, or is older than one that was used in its place."""
         if position <= self.used or position in self.pending:
             return True
         return not self.silent and any(position < p <= self.want for p in self.pending)
@@ -458,7 +460,7 @@ class Pace(Paired):
 
 
 class Behind(Pace):
-    """The acknowledgements of a follower, which keep the clock from running too far ahead of it."""
+    """The acknowledgements of a follower; they keep the clock from running too far ahead of it."""
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -467,7 +469,7 @@ class Behind(Pace):
         self._alike = -1
 
     def wanted(self, t: int) -> int:
-        """Return the tick of the node that must be answered before ours."""
+        """Return the tick that the follower must acknowledge before the present tick of this node."""
         return needed(self.schedule, self.node.schedule, t)
 
     def accept(self, stamp: int, value: Any, data: bytes) -> None:

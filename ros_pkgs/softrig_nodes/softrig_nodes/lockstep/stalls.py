@@ -72,7 +72,7 @@ class Stalls:
                 self._judge(waited)
 
     def _begun(self) -> bool:
-        """Return whether the rig has sent anything; until then a node may still wait for an outside node."""
+        """Return whether any node of the rig has published; before that, a node may still wait for an external one."""
         node = self._node
         if node.links.owns_clock or self._senders.signs_of_life:
             return True

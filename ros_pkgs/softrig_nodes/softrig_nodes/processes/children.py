@@ -59,7 +59,7 @@ def stop(children: list[Child]) -> None:
 
 
 def end_left(children: list[Child]) -> None:
-    """End what code of nodes has started and left, such as a fork: nobody else would, and it holds a node's files.
+    """End processes that a node's code has started and left; they would keep the node's files open.
 
     Each node leads a process group of its own. Its members are killed one by one: a signal to a group whose number were
     wrong would reach other programs.

@@ -56,7 +56,7 @@ class DeadLocks:
         self._held: set[Held] = set()
 
     def release(self, domain: int) -> int:
-        """Unlock each mutex whose owner was already dead at the last check; return how many were unlocked.
+        """Unlock each mutex whose owner was dead at two checks in a row; return how many were unlocked.
 
         Two looks are needed, because the owner of another PID namespace is not visible here. (A live owner would have
         to be preempted with the mutex locked at both looks. Its port would lose a notification, and no message.)
@@ -102,7 +102,7 @@ def _held(key: tuple[str, int], file: int, place: int) -> Iterator[Held]:
 
 
 def _place(path: str) -> int:
-    """Return where the description of a port begins; -1 if its mutexes are not where they are expected."""
+    """Return the offset of a port's description; -1 if its mutexes are not at the expected places."""
     segment = Path(path).read_bytes()
     place = judged(segment, Path(path))
     if place < 0 or len(segment) < place + MUTEXES[0] + BOTH.size:

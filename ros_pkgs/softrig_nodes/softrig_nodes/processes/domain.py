@@ -96,7 +96,7 @@ def free_domain(wanted: int | None = None) -> Iterator[int]:
 
 
 def holders(domains: Iterable[int]) -> str:
-    """Describe in brackets which processes use domains, as far as visible to this user; empty for none."""
+    """Describe in brackets the processes that use domains, as far as this user can see them; empty if none."""
     names = {f"@softrig-domain-{number}" for number in domains}
     with suppress(OSError):  # not Linux
         lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()]

@@ -91,14 +91,14 @@ def environment(
 
 
 def patient(profile: Path, directory: Path, silence: float) -> Path:
-    """Write a profile of ours, ``profile.xml``, with a lease longer than a silence of the given seconds."""
+    """Write a Fast DDS profile, ``profile.xml``, whose lease is longer than a given silence in seconds."""
     file = directory / "profile.xml"
     replace(file, leased(profile.read_text(), silence))
     return file
 
 
 def leased(profile: str, silence: float) -> str:
-    """Return the text of a profile of ours with such a lease."""
+    """Return the text of a profile with such a lease."""
     lease = f"<leaseDuration><sec>{math.ceil(silence) + MARGIN}</sec></leaseDuration>"
     return re.sub("<leaseDuration>.*</leaseDuration>", lease, profile)
 

@@ -203,7 +203,7 @@ def prepare(variables: Mapping[str, str]) -> ForkServer:
 
 
 def forget() -> None:
-    """Start a new server for the next node; the present one ends with its last node."""
+    """Use a new server for the next node; the present one ends with its last node."""
     global _server
     _server = None
 
@@ -334,7 +334,7 @@ def _become(link: socket.socket, request: Mapping[str, Any], output: int) -> Any
 
 
 def _call_itself(command: Sequence[str]) -> None:
-    """Set the process name in /proc, for ps and kill."""
+    """Set the name of the process in /proc, which ps and kill show."""
     LIBC.prctl(PR_SET_NAME, os.fsencode(Path(command[1]).name))
     fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
     begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end of proc(5)

@@ -22,7 +22,7 @@ HINT = f"where it runs on Cyclone DDS: export CYCLONEDDS_URI='{CYCLONE}'"
 
 
 class Guests:
-    """The external nodes of a run: reports what they must do, and when they have joined."""
+    """Reports what users must start for a run, and when these external nodes have joined."""
 
     def __init__(self, rig: Rig, announce: Callable[[str], object] | None) -> None:
         self._announce = announce
@@ -51,7 +51,7 @@ class Guests:
         self._announce("\n".join(lines))
 
     def check(self, states: Mapping[str, Mapping[str, Any]]) -> None:
-        """Report the nodes that have joined since the last call and, once, what prevents the others from joining.
+        """Report nodes that have joined since the last call and, once, what prevents others from joining.
 
         Parameters
         ----------

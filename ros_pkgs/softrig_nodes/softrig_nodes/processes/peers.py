@@ -128,12 +128,12 @@ def _silence_readers(rig: Rig, member: Member) -> list[str]:
 
 
 def _clocked(rig: Rig) -> list[Member]:
-    """Members that pace themselves by /clock: sources, and plants that do not own it."""
+    """Return the members that /clock paces: sources, and plants that do not own it."""
     return [m for m in rig.members if m is not rig.clock and (m.is_plant or not m.links)]
 
 
 def _gatherer(rig: Rig) -> Member | None:
-    """Return the member that waits for the acknowledgements: the clock, or the node that commands an external clock."""
+    """Return the member that waits for acknowledgements: the clock, or the node that commands an external clock."""
     if not rig.clock.external:
         return rig.clock
     senders = [k.source for k in rig.clock.links.values()]
@@ -164,6 +164,6 @@ def _followers(rig: Rig) -> list[str]:
 
 
 def _acknowledging(rig: Rig) -> list[Member]:
-    """Return the members that others would otherwise run ahead of: those that no node waits for, and further plants."""
+    """Return the members that others could run ahead of: those that no node waits for, and further plants."""
     leaves = rig.leaves()
     return [m for m in rig.members if m is not rig.clock and not m.external and (m.is_plant or m in leaves)]

@@ -73,7 +73,7 @@ def _free(numbers: range, at: int, used: Collection[int]) -> int:
 
 
 def _participants(domain: int) -> int:
-    """Return how many there are; the next one listens twice as many ports further on than the first."""
+    """Return the number of participants of a domain on this host."""
     bound, first = udp_ports(), of_domain(domain)[WELL_KNOWN["offsetd1"]]
     return next(k for k in count() if first + 2 * k not in bound)
 

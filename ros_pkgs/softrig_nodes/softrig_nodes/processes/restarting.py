@@ -86,7 +86,7 @@ class Restarts:
         return lost
 
     def _stand(self, dead: Child, children: list[Child]) -> bool:
-        """Return whether all others wait or have ended; a node without a status is ignored."""
+        """Return whether all other nodes wait or have ended; a node without a status is ignored."""
         waiting = self._progress.setdefault(dead.member.name, {})
         for child in children:
             with suppress(OSError):

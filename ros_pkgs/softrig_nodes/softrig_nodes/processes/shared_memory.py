@@ -163,7 +163,7 @@ class Ears:
         self._places: dict[tuple[Path, int], int] = {}
 
     def lost(self) -> str:
-        """Name one of our ports that was taken away; empty if there is none."""
+        """Name a port of this process that another process has taken; empty if none."""
         if self._good and not self._since and all(_inode(path) == inode for path, inode in self._good.items()):
             self._judge()
             return ""
@@ -180,7 +180,7 @@ class Ears:
         return next((path.name for path, since in self._since.items() if self._time - since >= self.PATIENCE), "")
 
     def _judge(self) -> None:
-        """Write into each sound port of ours that its readers have just been checked, as Fast DDS does."""
+        """Mark each sound port of this process as checked just now, as Fast DDS does."""
         for path, inode in self._good.items():
             with suppress(OSError), path.open("r+b", buffering=0) as file:
                 if (place := self._places.get((path, inode))) is None:
@@ -236,7 +236,7 @@ def _mapped() -> dict[Path, set[int]]:
 
 
 def _older(path: Path, age: float) -> bool:
-    """Return whether a file is there for more than some s."""
+    """Return whether a file has existed for more than some seconds."""
     try:
         return time.time() - path.stat().st_mtime >= age
     except OSError:
@@ -244,7 +244,7 @@ def _older(path: Path, age: float) -> bool:
 
 
 def _unfinished(path: Path) -> bool:
-    """Return whether the maker of a segment is not, or was never, ready with it."""
+    """Return whether the creator of a segment has not finished it."""
     try:
         with path.open("rb") as file:
             return file.read(len(MADE)) != MADE

@@ -47,7 +47,7 @@ class Stopping:
 
 @contextmanager
 def stoppable() -> Iterator[Stopping]:
-    """Turn the first signal into `Stopped` raised in the main thread, and let no later one disturb the cleanup.
+    """Raise `Stopped` in the main thread at the first signal; later signals do not disturb the cleanup.
 
     In other threads, which get no signals, it does nothing. A long wait asks `Stopping.check` now and then.
     """

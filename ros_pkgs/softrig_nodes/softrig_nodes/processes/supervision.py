@@ -170,7 +170,7 @@ def _ended(children: Sequence[Child]) -> str:
 
 
 def _mute(states: Mapping[str, Mapping[str, Any]], patience: float) -> str:
-    """Name the nodes that have not reported a status yet; empty if there are none."""
+    """Name the nodes that have not reported a status; empty if none."""
     names = ", ".join(name for name, state in states.items() if not state)
     return f"node {names} has reported nothing within {patience:g} s of its start" if names else ""
 
@@ -214,7 +214,7 @@ def _reason(children: list[Child], failed: list[Child], restarts: Restarts) -> s
 
 
 def blamed(waits: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the nodes whose errors show the cause: those that waited for none, or for one that has not failed.
+    """Return the nodes whose errors show the cause: those that waited for no node, or for one that has not failed.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class Answering:
             self._node.values[row.name] = value
 
     def excuse(self, row: Live, due: int, now: int) -> None:
-        """A bad one has."""
+        """Process a rejected message of the tick that `due` belongs to."""
         # Before t = 0 is set there is no tick that could be answered.
         if not self._node.epoch:
             return
@@ -75,7 +75,7 @@ class Answering:
             self._pending.append(stamp)
 
     def act(self) -> None:
-        """Run complete ticks, and set the time limit of the others."""
+        """Run the complete ticks, and set the time limit for the others."""
         if self._pending:
             self._answer_complete()
 

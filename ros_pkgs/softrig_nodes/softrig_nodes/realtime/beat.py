@@ -1,4 +1,4 @@
-"""Real-time ticks of nodes of one process that read only each other: at each tick all due nodes run in order.
+"""Real-time ticks of nodes in one process that subscribe only to each other: all due nodes run in order at each tick.
 
 They need not wait for messages: the outputs of one are in the inputs of the others before these run, as in process.
 """

@@ -87,7 +87,7 @@ class LiveSenders:
             self.record(due)
 
     def believe(self, stamp: int, delayed: bool = False) -> None:
-        """Ensure that a stamp is near enough to now.
+        """Check that a stamp is close to the present time.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class LiveSenders:
             raise Refused(f"stamp is {off / SECOND:+.3g} s from now, {most}")
 
     def grid_time(self, now: int) -> int:
-        """Return the newest tick of ours at a time, both in ns of the wall clock."""
+        """Return the newest tick of this node at a given time; both are ns of the wall clock."""
         epoch = self.node.epoch
         return epoch + self.node.schedule.held(now - epoch)
 
@@ -188,7 +188,7 @@ class Live(Sender):
 
     @property
     def disputed(self) -> bool:
-        """Return whether several writers publish it and it is unknown which one is valid."""
+        """Return whether several nodes publish the topic and it is unknown which one is valid."""
         return self.publishers > 1 and (self.local or not self._rivals.alone)
 
     def deaf(self) -> bool:
@@ -253,7 +253,7 @@ class Live(Sender):
         return receive
 
     def fed(self, now: int) -> None:
-        """A neighbour has put something into the input."""
+        """Handle a value that a node of the same process has put into the input."""
         self.arrived = now
         if self.table.stale:
             self._recovered()
@@ -289,7 +289,7 @@ class Live(Sender):
         self.table.on_value(self, stamp, due, value, now)
 
     def excuse(self, stamp: int, now: int) -> None:
-        """Store the stamp of a rejected message: its tick need not wait for another."""
+        """Store the stamp of a rejected message, so that its tick does not wait for another."""
         self.stamp = stamp if self.stamp is None else max(stamp, self.stamp)
         self.arrived = now
         self.fresh = True
@@ -363,7 +363,7 @@ class Live(Sender):
         return True
 
     def _silence(self) -> int:
-        """Return the longest silence that is not too long, ns."""
+        """Return the longest time without a message that is accepted, ns."""
         node, table = self.node, self.table
         learned = self.schedule is not None or not node.is_plant
         slower = min(Block.STALE_PERIODS, node.block.STALE_PERIODS) * self._interval

@@ -94,7 +94,7 @@ class Realtime(Link):
         self._over = False  # the last tick is answered
 
     def connect(self, output: Output, reader: Realtime, row: Live, pick: Pick | None) -> None:
-        """Pass an output to a node of this process, too."""
+        """Pass the messages of an output to a node of this process, too."""
         self._local_readers.setdefault(reader, []).append((output.number, row.receiver(pick, output.port.unchecked)))
 
     def follow(self, begun: Callable[[], object], newest: Callable[[], object]) -> None:
@@ -160,7 +160,7 @@ class Realtime(Link):
             self._stand.serve(self.departure.announce)
 
     def progress(self) -> None:
-        """Report a silence again while it lasts; end a node whose senders ended before it, after the run."""
+        """Report a silence again while it lasts; end a node whose publishers ended before it when the run is over."""
         node = self.node
         if self.departure is not None:
             node.lacking = self.departure.handshake.lacking
@@ -244,7 +244,7 @@ class Realtime(Link):
         self.commanded(stamp, now)
 
     def commanded(self, stamp: int, now: int) -> None:
-        """The command of a plant's tick is there."""
+        """Handle the command for a plant's tick."""
         # The newest stamps are at the end, and a command answers one of them.
         for published, sent in reversed(self._sent):
             if published <= stamp:

@@ -1,4 +1,4 @@
-"""Detect whether only one of several writers on a topic still publishes, because the others are silent."""
+"""Detect whether only one of several publishers of a topic still publishes."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class Sporadic(Live):
         return there
 
     def ready(self, stamp: int) -> bool:
-        """There need not be a value: before the first one it is that of the port."""
+        """Return True: before the first message the block gets the safe value of the port."""
         return True
 
     def value_at(self, stamp: int) -> object:

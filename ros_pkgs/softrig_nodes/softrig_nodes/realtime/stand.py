@@ -1,4 +1,4 @@
-"""A clock of a real-time rig that a person can pause: all nodes stop at one time and resume from there.
+"""The clock of a real-time rig that a user can pause: all nodes stop at the same time and resume from there.
 
 The stop time is announced in advance. From then on the clocks of the nodes lag behind the wall clock by the length of
 the pause. Ticks, stamps and timeouts use this clock, so a pause makes nothing late or stale. The state of the clock is
@@ -54,7 +54,7 @@ class Stand:
             self._turn()
 
     def receive(self, words: Iterable[str]) -> None:
-        """Pause or resume, as received."""
+        """Pause or resume as the received message demands."""
         messages = {key: int(value) for key, _, value in (word.partition("=") for word in words) if value}
         if not messages.keys() >= {"ahead", "from", "until"}:
             return

@@ -46,7 +46,7 @@ class ContainedMiddleware(RosMiddleware):
         return partial(self._exchange.carry, super()._sending(publisher))
 
     def drain(self) -> None:
-        """Wait, in bounded time, until every reader has what was sent."""
+        """Wait, for a bounded time, until all subscribers have the published messages."""
         if self._carrier is not None:
             self._carrier.drain()
         super().drain()
@@ -83,7 +83,7 @@ class _Exchanged(Reader):
 
 
 def _noting(matched: Matched) -> Callable[[list[int], int], None]:
-    """Return a callable that stores a number of readers and passes it to `matched`."""
+    """Return a callback that stores the number of subscribers and passes it to `matched`."""
 
     def note(readers: list[int], count: int) -> None:
         readers[0] = count

@@ -1,4 +1,4 @@
-"""Keeps Python's search for reference cycles out of the loop of a container, and out of threads of the middleware.
+"""Keep Python's garbage collection out of the loop of a container and out of threads of the middleware.
 
 A search takes 50 ns an object: after 200,000 new ones 11 ms, which is 220 ticks at 20 kHz. A loop mostly creates and
 keeps numbers, which contain no cycles. So new objects are excluded from the search unseen, which takes 5 us. From time
@@ -16,7 +16,7 @@ CLEAN, UNCLEAN = 100, 10  # steps to the next look, after one without and with a
 
 
 class Garbage:
-    """Searches for reference cycles rarely while none occur, and as usual while some do.
+    """Runs the garbage collector rarely while it finds nothing, and as usual while it finds cycles.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Garbage:
             collector.disable()
 
     def step(self) -> None:
-        """Set aside the objects made since the last step; to be called about ten times a second."""
+        """Exclude objects created since the last step from the next collections; call it about ten times a second."""
         self._left -= 1
         if self._left <= 0:
             self._clean = self._gc.collect(self._of) == 0

@@ -1,4 +1,4 @@
-"""A third-party node with a clock of its own: it gets its inputs, its clock is advanced, its answer is awaited.
+"""A third-party node with its own timer: it gets its inputs, its clock is advanced, and its answer is awaited.
 
 It is started in the namespace of the rig's node, with /clock remapped into that namespace. So it reads and publishes
 there and not on the topics of the rig. After each input of a tick it gets two requests, one after the other, and its
@@ -155,7 +155,7 @@ class Guest:
         return self._node.create_publisher(message_class(port.msgtype), self._topic(port), QOS)
 
     def _meet(self, limit: float) -> None:
-        """Wait until the third-party node has all its endpoints, spins, and uses the clock."""
+        """Wait until the third-party node has all its endpoints, runs its executor, and uses /clock."""
         wanted: dict[str, Callable[[], int]] = {
             f"a subscription of {self._topic(p)}": self._publishers[p.name].get_subscription_count for p in self._inputs
         }

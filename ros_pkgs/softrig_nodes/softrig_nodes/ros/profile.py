@@ -101,7 +101,7 @@ def third() -> bool:
 
 
 def watch_ports(node: Node) -> None:
-    """Check the ports of a tool's node each second, so that a process that opens one knows that it is alive.
+    """Mark the ports of a tool's node each second as alive, so that other processes do not remove them.
 
     Locks that killed processes held in ports of its domain are freed, too.
     """
@@ -110,7 +110,7 @@ def watch_ports(node: Node) -> None:
 
 
 def own(profile: bytes, *, exclusive: bool = False, memory: bool = True) -> bytes:
-    """Return a profile file whose participants have ports, unless it names some.
+    """Return a profile file with ports for its participants, unless the given profile names some.
 
     Parameters
     ----------

@@ -101,7 +101,9 @@ class Remote:
         send: Callable[[], Any],
         read: Callable[[Any], tuple[bool | None, str]],
     ) -> None:
-        """Send when the node is there, answer when it has; a node that does neither in time is named."""
+        """Send when the node is present, and answer when it has answered; an error names a node that does neither in
+        time.
+        """
         limit = time.monotonic() + self._patience
         sent: list[Any] = []
 

@@ -39,7 +39,7 @@ class Credit:
         self.left, self._since = self.MOST, time.monotonic()
 
     def wanting(self) -> float:
-        """Return how long to wait until there is some again, s; zero if there is."""
+        """Return the time to wait until there is credit again, s; zero if there is."""
         now = time.monotonic()
         self.left = min(self.MOST, self.left + self.SHARE * (now - self._since))
         self._since = now
@@ -188,7 +188,7 @@ class Requests:
         return min(offers, key=lambda o: o.header.received_timestamp, default=None)  # type: ignore[no-any-return]
 
     def _reply(self, offer: _Offer, response: Any, header: Any) -> None:
-        """Send an answer, or let it wait for its client."""
+        """Send an answer, or keep it until its client is visible."""
         reply = _Reply(offer, response, header, time.monotonic() + UNKNOWN)
         if not self._sent(reply, answer_readers(self._node, offer.service)):
             self._replies.append(reply)
@@ -205,7 +205,7 @@ class Requests:
         return there
 
     def _send(self) -> None:
-        """Send the answers that wait to the clients that have appeared."""
+        """Send the kept answers to clients that have become visible."""
         if not self._replies or time.monotonic_ns() < self._again:
             return
         self._again = time.monotonic_ns() + AGAIN

@@ -192,7 +192,7 @@ class ServingNode(Node):  # type: ignore[misc]
         return RosTimer(self.create_timer(ns / 1e9, callback, clock=Clock(clock_type=ClockType.STEADY_TIME)))
 
     def wanting(self) -> float:
-        """Return how long a call from outside has to wait until there is time for it, s; zero if there is."""
+        """Return how long an external request has to wait for time to serve it, s; zero if there is time."""
         return 0.0 if self.paused() else self.credit.wanting()
 
     def serve_by(self, timer: Callable[[int, Callable[[], None]], Periodic]) -> None:
@@ -270,7 +270,7 @@ class ServingNode(Node):  # type: ignore[misc]
         return f"parameter {wanted.name} = {repr(plain(wanted))[:LONG]}: expected {KINDS.get(kind, kind.name)}"
 
     def _meant(self, message: Any) -> Parameter:
-        """Return the intended value: numbers as floats if these are expected, whatever type they were given as."""
+        """Return the intended value: where floats are expected, numbers of any type become floats."""
         given = Parameter.from_parameter_msg(message)
         known = parameters(self).get(given.name)
         # rclpy does not store a parameter that was declared without a value.
@@ -528,7 +528,7 @@ class RosMiddleware(Middleware):
 
     @contextmanager
     def _deaf(self) -> Iterator[None]:
-        """Ignore messages for the length of a ``with`` block: see `arrival` for why."""
+        """Ignore messages while the ``with`` block runs; see `arrival` for the reason."""
         for arrival in self._arrivals:
             arrival.end()
         try:
@@ -639,7 +639,7 @@ class RosMiddleware(Middleware):
             log(logger, severity, text)
 
     def drain(self) -> None:
-        """Wait for a limited time until every reader has the last messages: a reader may be paused."""
+        """Wait, for a bounded time, until all subscribers have the last messages; a subscriber may be paused."""
         until = time.monotonic() + LAST
         for publisher in self.node.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(0.0, until - time.monotonic())))

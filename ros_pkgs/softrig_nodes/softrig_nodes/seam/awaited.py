@@ -55,6 +55,6 @@ class Awaited(Reader):
             self._middleware.log(Level.ERROR, f"refused on {RECORDER}: {error}")
 
     def of(self, topic: str) -> list[str]:
-        """Name those that read a topic, by its full name."""
+        """Name the recorders that subscribe to a topic, given by its full name."""
         asking = self._middleware.publishers(RECORDER)
         return self._named + [p.name for p in asking if f"{p.full_name}:{topic}" not in self._left_out]

@@ -1,4 +1,4 @@
-"""Push buttons that a service presses: one tick down and at least one up, at any rate of calls."""
+"""Push buttons that a service presses: each press lasts one tick and is followed by at least one tick without."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class Exchange:
 
     @property
     def listens(self) -> bool:
-        """Return whether a writer in another process is matched."""
+        """Return whether a publisher in another process is matched."""
         return any(self.writers.values())
 
     def timer(self, ns: int, callback: Callable[[], None], node: str) -> ExchangeTimer:
@@ -103,7 +103,7 @@ class Exchange:
         self._queue.append(partial(receive, data))
 
     def carry(self, publish: Receive, data: bytes) -> None:
-        """Queue a message for other processes: it is published soon, in a burst, when the loop has time."""
+        """Queue a message for other processes; the queue is published in bursts when the loop has time."""
         self._outbox.append((publish, data))
         if len(self._outbox) >= BURST:
             self.flush()
@@ -155,7 +155,7 @@ class Exchange:
                 return 0
 
     def _wait(self, limit: int) -> None:
-        """Stay awake until a time (ns, monotonic)."""
+        """Poll until a time (ns, monotonic) without sleeping."""
         now = time.monotonic_ns
         # Sleeping and waking up takes longer than the remaining time.
         while now() < limit:

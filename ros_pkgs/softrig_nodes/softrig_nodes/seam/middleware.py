@@ -129,7 +129,7 @@ class Middleware(Protocol):
         """Readers of a topic, by its full name, as the graph shows them."""
 
     def unfit(self, topic: str, msgtype: str) -> list[tuple[str, str]]:
-        """Name the readers of a topic of ours that are never matched, with why: they ask for more than it offers."""
+        """Name the subscribers that are never matched because they ask for more than is offered, with the reason."""
         return []
 
     def subscriptions_of(self, peer: Peer) -> list[str]:
@@ -139,7 +139,7 @@ class Middleware(Protocol):
         """Message types under which each topic exists, by its full name."""
 
     def deaf(self) -> str:
-        """Describe why messages cannot arrive any more; empty while they can."""
+        """Describe why messages can no longer arrive; empty if they can."""
 
     def log(self, level: Level, text: str) -> None:
         """Log a message for the operator of the node."""

@@ -105,7 +105,7 @@ class Busy(Input):
         middleware.subscribe(BUSY, TICK, self)
 
     def receive(self, data: bytes) -> None:
-        """Report it."""
+        """Report that a solver is at work."""
         self._on_message()
 
     def matched(self, count: int) -> None:
