@@ -406,14 +406,8 @@ def foreign_bag(directory: Path, start: int = 0) -> None:
     for k in range(3):
         stamp = start + k * 500_000_000
         imu = types["sensor_msgs/msg/Imu"](
-            header(time(stamp // 10**9, stamp % 10**9), "imu"),
-            turn(0.0, 0.0, 0.0, 1.0),
-            np.arange(9.0),
-            vector(0.0, 0.0, k * 0.25),
-            np.zeros(9),
-            vector(0.0, 0.0, 9.81),
-            np.zeros(9),
-        )
+            header(time(stamp // 10**9, stamp % 10**9), "imu"), turn(0.0, 0.0, 0.0, 1.0), np.arange(9.0),
+            vector(0.0, 0.0, k * 0.25), np.zeros(9), vector(0.0, 0.0, 9.81), np.zeros(9))  # fmt: skip
         layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
         numbers = types["std_msgs/msg/Float64MultiArray"](layout, np.arange(k + 1.0))
         messages = [imu, types["std_msgs/msg/String"]("x"), numbers]

@@ -29,12 +29,7 @@ from softrig_nodes.processes.spawning import node_parameters
 
 BAGS = Path(__file__).parents[2] / "bags"
 GOLDEN = sorted(p.parent.name for p in BAGS.glob("*/golden.yaml"))
-THROUGH_PROCESSES = (
-    "dc_motor_smc_b1",
-    "dc_motor_smc_b4",
-    "dc_motor_fsfb",
-    "pv_mppt",
-)
+THROUGH_PROCESSES = ("dc_motor_smc_b1", "dc_motor_smc_b4", "dc_motor_fsfb", "pv_mppt")  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -198,12 +193,7 @@ def digests(names, kernels):
     return json.loads(done.stdout)
 
 
-DIFFERED = [
-    "fault_location_m4k",
-    "gupfc_s2_short",
-    "pwa_delay_p3",
-    "dc_motor_fsfb_s7",
-]
+DIFFERED = ["fault_location_m4k", "gupfc_s2_short", "pwa_delay_p3", "dc_motor_fsfb_s7"]  # fmt: skip
 
 
 @pytest.mark.long

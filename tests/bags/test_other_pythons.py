@@ -42,13 +42,8 @@ def test_golden_bags_under_another_python(version, tmp_path):
     environment = {name: value for name, value in os.environ.items() if name in keep}
     environment |= {"SOFTRIG_PYTHON": of, "SOFTRIG_WORKSPACE": "none"}
     environment["PATH"] = environment["PATH"].replace(f"{ROOT}/.venv/bin:", "")
-    done = subprocess.run(
-        [checkout / "scripts" / "softrig", "check", "--golden"],
-        env=environment,
-        cwd=checkout,
-        capture_output=True,
-        text=True,
-    )
+    done = subprocess.run([checkout / "scripts" / "softrig", "check", "--golden"], env=environment, cwd=checkout,
+                          capture_output=True, text=True)  # fmt: skip
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     *rigs, machine = done.stdout.splitlines()
     assert f"CPython {version}." in machine

@@ -61,16 +61,8 @@ class Rig:
 
     def start(self, command: list[str], **options) -> subprocess.Popen:
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=self.environment,
-            cwd=self.folder,
-            process_group=0,
-            **options,
-        )
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env=self.environment, cwd=self.folder, process_group=0, **options)  # fmt: skip
         self.stack.callback(end, process)
         return process
 

@@ -106,20 +106,8 @@ def test_a_class_is_judged_by_the_lecturers_file_and_by_path(files, tmp_path, mo
         lenient = lenient.replace("duration: 1.0\n", "") if name == "bob" else lenient
         (tmp_path / "sub" / name / "task1.yaml").write_text(lenient + text)
     files_of = [f"sub/{name}/task1.yaml" for name in own]
-    words = [
-        "check",
-        "--against",
-        "task1.yaml",
-        *files_of,
-        "--marks",
-        "marks.csv",
-        "--junit",
-        "x.xml",
-        "--html",
-        "x.html",
-        "--workers",
-        "1",
-    ]
+    words = ["check", "--against", "task1.yaml", *files_of, "--marks", "marks.csv", "--junit", "x.xml", "--html",
+             "x.html", "--workers", "1"]  # fmt: skip
     assert main(words) == 2  # one file is not readable
     printed = capsys.readouterr().out
     for name, differs in (("ann", "nodes.dc_motor_smc.parameters.delta"), ("bob", "duration")):

@@ -495,14 +495,8 @@ def test_a_call_that_waited_for_another_set_up_uses_its_result(bare, tmp_path):
 
 def test_pip_is_used_without_uv_and_a_shared_environment_is_not_installed_twice(bare, tmp_path):
     def softrig(*arguments, **variables):
-        return subprocess.run(
-            [tmp_path / "scripts" / "softrig", *arguments],
-            env=bare | variables,
-            timeout=60,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-        )
+        return subprocess.run([tmp_path / "scripts" / "softrig", *arguments], env=bare | variables, timeout=60,
+                              stdin=subprocess.DEVNULL, capture_output=True, text=True)  # fmt: skip
 
     assert softrig("setup", NO_UV="1", SOFTRIG_WHEELS="bin").returncode == 0
     installs = [c for c in (tmp_path / "calls").read_text().splitlines() if " install " in c]
@@ -793,25 +787,11 @@ def test_what_a_run_waits_for_is_reported_completely_and_in_lines(capsys):
     assert capsys.readouterr().err == f"softrig: {text}\n"
 
 
-DIFFERENT = [
-    "lag --set a.k=[1,2]",
-    "lag --set a.k=(1,2)",
-    f"lag --set a.R={'1' * 66} --set a.Kt=0.01 --seed 1",
-    f"lag --set a.R={'1' * 66} --set a.Kt=0.0 --seed 1",
-    f"lag --set a.R={'1' * 66} --set a.Kt=0.01 --seed 2",
-    f"lag --set a.R={'1' * 200}",
-    f"lag --set a.R={'1' * 201}",
-    "lag --params-file p.yaml",
-    "lag --params-file a/p.yaml",
-    "lag --params-file b/p.yaml",
-    "a/lag.yaml",
-    "b/lag.yaml",
-    "--like runs/a",
-    "--like runs/b",
-    "--from runs/a@0.5",
-    "--from runs/b@0.5",
-    "--from runs/a@0.5000000000000001",
-]
+DIFFERENT = ["lag --set a.k=[1,2]", "lag --set a.k=(1,2)", f"lag --set a.R={'1' * 66} --set a.Kt=0.01 --seed 1",
+             f"lag --set a.R={'1' * 66} --set a.Kt=0.0 --seed 1", f"lag --set a.R={'1' * 66} --set a.Kt=0.01 --seed 2",
+             f"lag --set a.R={'1' * 200}", f"lag --set a.R={'1' * 201}", "lag --params-file p.yaml",
+             "lag --params-file a/p.yaml", "lag --params-file b/p.yaml", "a/lag.yaml", "b/lag.yaml", "--like runs/a",
+             "--like runs/b", "--from runs/a@0.5", "--from runs/b@0.5", "--from runs/a@0.5000000000000001"]  # fmt: skip
 
 
 def test_different_runs_have_different_folders_and_no_number_is_truncated():

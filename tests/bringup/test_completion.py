@@ -48,23 +48,12 @@ def test_each_position_of_a_command_is_completed(tmp_path):
         "bag pla": {"play"},
         "bag inf'": set(),
     }
-    among = {
-        "run dc_motor_smc_b2 --": {"--external", "--mode"},
-        "run dc_motor_smc_b2 --mode ": {"inprocess"},
-        "run dc_motor_smc_b2 --external ": {"motor_reference"},
-        "node soft": {"softrig_drives"},
-        "check dc_motor_smc lsrm": {"lsrm_fuzzy"},
-        "bag play --": {"--remap"},
-    }
+    among = {"run dc_motor_smc_b2 --": {"--external", "--mode"}, "run dc_motor_smc_b2 --mode ": {"inprocess"},
+             "run dc_motor_smc_b2 --external ": {"motor_reference"}, "node soft": {"softrig_drives"},
+             "check dc_motor_smc lsrm": {"lsrm_fuzzy"}, "bag play --": {"--remap"}}  # fmt: skip
     lines = [f"softrig {line}" for line in [*exactly, *among]]
-    subprocess.run(
-        [sys.executable, "-c", ASK, str(tmp_path)],
-        input=json.dumps(lines),
-        text=True,
-        timeout=PATIENCE,
-        capture_output=True,
-        check=True,
-    )
+    subprocess.run([sys.executable, "-c", ASK, str(tmp_path)], input=json.dumps(lines), text=True, timeout=PATIENCE,
+                   capture_output=True, check=True)  # fmt: skip
     messages = [
         {word.rstrip() for word in (tmp_path / str(k)).read_text().split("\v") if word} for k in range(len(lines))
     ]
@@ -80,13 +69,8 @@ def test_bash_uses_it_for_the_scenarios_of_an_own_package_too(tmp_path):
         for COMP_LINE in 'softrig run dc_motor_smc_b5_p' 'softrig run heate'; do
             COMP_POINT=${{#COMP_LINE}}; _python_argcomplete '{SOFTRIG}'; echo "${{COMPREPLY[@]}}"
         done"""
-    done = subprocess.run(
-        ["bash", "-c", script],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        env=os.environ | {"SOFTRIG_WORKSPACE": str(tmp_path / "heater")},
-    )
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=PATIENCE,
+                          env=os.environ | {"SOFTRIG_WORKSPACE": str(tmp_path / "heater")})  # fmt: skip
     assert done.stdout.split() == ["dc_motor_smc_b5_pid", "heater"], done.stderr
 
 

@@ -343,29 +343,17 @@ def test_counters_of_a_node_in_real_time_are_reported():
 
 def test_the_most_likely_different_version_is_named_as_expected():
     there = {
-        "versions": {
-            "commit": "abcdef0123456789",
-            "run.lock": "a",
-            "other": "1",
-            "python": "3.12",
-            "numpy": "1",
-            "math": "a",
-        },
+        "versions": {"commit": "abcdef0123456789", "run.lock": "a", "other": "1", "python": "3.12", "numpy": "1",
+                     "math": "a"},
         "code": {"softrig_core": "x", "mine": "y"},
         "contents": {"n": {"file": "a"}},
-    }
+    }  # fmt: skip
     here = {
-        "versions": {
-            "commit": "123456789abcdef0",
-            "run.lock": "b",
-            "other": "2",
-            "python": "3.13",
-            "numpy": "2",
-            "math": "b",
-        },
+        "versions": {"commit": "123456789abcdef0", "run.lock": "b", "other": "2", "python": "3.13", "numpy": "2",
+                     "math": "b"},
         "code": {"softrig_core": "z", "mine": "z"},
         "contents": {"n": {"file": "b"}},
-    }
+    }  # fmt: skip
     messages, now = [], dict(here)
     for key in (
         "all",
@@ -469,33 +457,11 @@ def entry(name, kind=0, compress=zipfile.ZIP_STORED, flags=0):
     return result
 
 
-GOOD = [
-    "pack.json",
-    "metrics.json",
-    "scenario/a.yaml",
-    "packages/rig/rig/law.py",
-    "bag/bag_0.mcap",
-    "scenario/" + "x" * 150,
-    "bag/metadata.yaml",
-    "scenario" + "/d" * 20,
-    "scenario/a b",
-]
-BAD = [
-    "pack.jsonx",
-    "other.json",
-    "scenario",
-    "bag/",
-    "bag" + "/d" * 21,
-    "scenario/" + "x" * 151,
-    "scenario/./a",
-    "scenario/../a",
-    "/pack.json",
-    "scenario//a",
-    "scenario/a\\b",
-    "scenario/a\x07b",
-    "scenario/a\x7f",
-    "pack.json/a",
-]
+GOOD = ["pack.json", "metrics.json", "scenario/a.yaml", "packages/rig/rig/law.py", "bag/bag_0.mcap",
+        "scenario/" + "x" * 150, "bag/metadata.yaml", "scenario" + "/d" * 20, "scenario/a b"]  # fmt: skip
+BAD = ["pack.jsonx", "other.json", "scenario", "bag/", "bag" + "/d" * 21, "scenario/" + "x" * 151, "scenario/./a",
+       "scenario/../a", "/pack.json", "scenario//a", "scenario/a\\b", "scenario/a\x07b", "scenario/a\x7f",
+       "pack.json/a"]  # fmt: skip
 
 
 def test_only_plain_files_at_their_places_are_unpacked():

@@ -204,14 +204,8 @@ def test_there_is_no_gauge_without_a_band():
 
 
 def test_figures_of_nodes_and_values_of_parameters_are_written_with_their_units():
-    heads = {
-        "cpu_s": "cpu (s)",
-        "round_trip_p99_ms": "round trip p99 (ms)",
-        "peak_mb": "peak (MB)",
-        "ticks": "ticks",
-        "late_ticks": "late ticks",
-        "a_s_b": "a s b",
-    }
+    heads = {"cpu_s": "cpu (s)", "round_trip_p99_ms": "round trip p99 (ms)", "peak_mb": "peak (MB)", "ticks": "ticks",
+             "late_ticks": "late ticks", "a_s_b": "a s b"}  # fmt: skip
     assert {name: run_page._heading(name) for name in heads} == heads
     assert [run_page._figure(v) for v in (None, 3, 0.12345, 12345.0)] == ["–", "3", "0.123", "1.23e+04"]
     cases = [(None, "s"), ("soft", ""), (2.5, "m^2"), ([1, 2.5], "V"), (True, ""), ("", "")]

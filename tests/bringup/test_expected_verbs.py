@@ -415,13 +415,8 @@ def test_the_sensitivity_of_a_rig_to_the_last_bits_is_ten_times_the_largest_diff
     plant = {n: v for n, v in golden.flatten(rig.clock.params).items() if isinstance(v, float) and v and n != "period"}
     assert up == {f"dc_motor_plant.{n}": v * (1 + 4 * 2.0**-52) for n, v in plant.items()}
     assert down == {f"dc_motor_plant.{n}": v * (1 - 4 * 2.0**-52) for n, v in plant.items()}
-    shifts = {
-        (4.0, "a/x"): 1e-4,
-        (4.0, "a/y"): -2.34e-4,
-        (-4.0, "a/x"): 3e-5,
-        (4.0, "b/x"): 1e-11,
-        (-4.0, "b/x"): 9.9e-11,
-    }
+    shifts = {(4.0, "a/x"): 1e-4, (4.0, "a/y"): -2.34e-4, (-4.0, "a/x"): 3e-5, (4.0, "b/x"): 1e-11,
+              (-4.0, "b/x"): 9.9e-11}  # fmt: skip
 
     class Shifted(dict):
         def __init__(self, bits):
@@ -461,18 +456,8 @@ def test_defaults_of_a_recipe():
 
 
 def finding(key, holds=True, **more):
-    return Finding(
-        scenario="lag",
-        key=key,
-        text=key,
-        where="W",
-        verdict="reproduced",
-        holds=holds,
-        measured_text="1",
-        asked="2",
-        unit="m",
-        **more,
-    )
+    return Finding(scenario="lag", key=key, text=key, where="W", verdict="reproduced", holds=holds, measured_text="1",
+                   asked="2", unit="m", **more)  # fmt: skip
 
 
 def measured(name, error="", missed=(), kept=False, seconds=0.0):
@@ -1326,14 +1311,8 @@ def test_check_runs_scenarios_and_reports_which_hold(lag, monkeypatch, capsys):
 
 def test_only_claims_of_the_requested_systems_are_judged(lag, monkeypatch, capsys):
     def one(name, system, claims):
-        return SimpleNamespace(
-            name=name,
-            system=system,
-            claims=claims,
-            scenario=name,
-            source=f"of {name}",
-            model_copy=lambda update: SimpleNamespace(**update, system=system),
-        )
+        return SimpleNamespace(name=name, system=system, claims=claims, scenario=name, source=f"of {name}",
+                               model_copy=lambda update: SimpleNamespace(**update, system=system))  # fmt: skip
 
     known = {n: one(n, s, c) for n, s, c in (("a_1", "a", {"x": 1, "y": 2}), ("a_2", "a", {}), ("b_1", "b", {"z": 1}))}
     monkeypatch.setattr(results, "list_scenarios", lambda: list(known))

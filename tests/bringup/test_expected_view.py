@@ -169,13 +169,8 @@ def make(patch, **keys):
     )
     nodes = {name: {"package": "here", "executable": name} for name in BLOCKS}
     faults = {"drift": {"link": "tank/state -> law", "kind": "offset", "value": [0.05]}}
-    about = {
-        "name": "tank_demo",
-        "title": "A <tank> & its level",
-        "system": "tank",
-        "source": "Nobody",
-        "duration": 0.4,
-    }
+    about = {"name": "tank_demo", "title": "A <tank> & its level", "system": "tank", "source": "Nobody",
+             "duration": 0.4}  # fmt: skip
     return rig_of(Scenario(**about | {"nodes": nodes, "plots": PLOTS, "faults": faults} | keys))
 
 
@@ -187,24 +182,8 @@ def recorded(rig):
 
 # its page in words ----------------------------------------------------------------------------------------------------
 
-WIDGET = (
-    "title",
-    "label",
-    "value",
-    "active",
-    "start",
-    "end",
-    "step",
-    "options",
-    "format",
-    "show_value",
-    "description",
-    "width",
-    "align",
-    "visible",
-    "disabled",
-    "text",
-)
+WIDGET = ("title", "label", "value", "active", "start", "end", "step", "options", "format", "show_value", "description",
+          "width", "align", "visible", "disabled", "text")  # fmt: skip
 
 
 def number_or_text(value):
@@ -618,14 +597,8 @@ def test_the_run_continues_without_a_page_that_cannot_be_made(rig):
 
 
 def test_the_role_of_a_node_follows_from_its_links(rig):
-    expected = {
-        "tank": "plant",
-        "law": "law",
-        "drift": "fault",
-        "shaper": "command",
-        "steps": "source",
-        "watch": "observer",
-    }
+    expected = {"tank": "plant", "law": "law", "drift": "fault", "shaper": "command", "steps": "source",
+                "watch": "observer"}  # fmt: skip
     assert {m.name: role(rig, m) for m in rig.members} == expected
     control = Control(rig, lambda *_: None, lambda: 0.0, lambda: "")
     assert list(control.roles) == ["law", "drift", "shaper", "watch", "steps", "tank"]

@@ -319,16 +319,8 @@ def test_a_launch_passes_the_same_arguments_as_a_run():
     plain = launched._options(given)
     assert (plain.scenario, plain.mode, plain.realtime, plain.record_all) == ("x", "processes", True, False)
     assert (plain.duration, plain.seed, plain.params_file, plain.out, plain.external) == (None, None, None, None, [])
-    more = {
-        "mode": "lockstep",
-        "place": "container",
-        "duration": "1.5",
-        "seed": "3",
-        "params_file": "p",
-        "out": "o",
-        "external": "a b",
-        "record": "all",
-    }
+    more = {"mode": "lockstep", "place": "container", "duration": "1.5", "seed": "3", "params_file": "p", "out": "o",
+            "external": "a b", "record": "all"}  # fmt: skip
     other = launched._options(given | more)
     assert (other.mode, other.realtime, other.record_all, other.duration, other.seed) == (
         "container",

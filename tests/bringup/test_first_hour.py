@@ -82,15 +82,8 @@ class User:
 
     def __call__(self, command, status=0, timeout=PATIENCE):
         """Run a command; return what it printed and its errors."""
-        done = subprocess.run(
-            [*self.become, "bash", "-c", command],
-            cwd=self.folder,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-        )
+        done = subprocess.run([*self.become, "bash", "-c", command], cwd=self.folder, env=self.environment,
+                              stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout)  # fmt: skip
         assert done.returncode == status, done.stdout + done.stderr
         return done.stdout, done.stderr
 

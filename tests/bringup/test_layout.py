@@ -104,14 +104,8 @@ def test_a_set_up_without_a_network_works(tmp_path):
     cut_off = user | {k: v for name in nowhere for k, v in ((name, nowhere[name]), (name.lower(), nowhere[name]))}
 
     def softrig(*arguments, **variables):
-        return subprocess.run(
-            [there / "scripts" / "softrig", *arguments],
-            cwd=tmp_path,
-            env=cut_off | variables,
-            capture_output=True,
-            text=True,
-            stdin=subprocess.DEVNULL,
-        )
+        return subprocess.run([there / "scripts" / "softrig", *arguments], cwd=tmp_path, env=cut_off | variables,
+                              capture_output=True, text=True, stdin=subprocess.DEVNULL)  # fmt: skip
 
     done = softrig("run", "dc_motor_smc_b2", "--mode", "inprocess", SOFTRIG_WHEELS=str(tmp_path / "wheels"))
     assert done.returncode == 0, done.stderr

@@ -179,14 +179,8 @@ It rises in 0.607 s, {} later than 10 V `12.345` in [b](x123.45), in all 1,153 s
 
 <!-- end -->
 """
-    ties = {
-        "0.607": "dc_motor_smc.rise_time",
-        "1,153": "test_here.py::test_one",
-        "1.005e-4": "paper Table 1",
-        "347": "1 * rectifier_mpc.v_min",
-        "3.927": "= 5*pi/4",
-        "42.1": "bench gupfc",
-    }
+    ties = {"0.607": "dc_motor_smc.rise_time", "1,153": "test_here.py::test_one", "1.005e-4": "paper Table 1",
+            "347": "1 * rectifier_mpc.v_min", "3.927": "= 5*pi/4", "42.1": "bench gupfc"}  # fmt: skip
 
     def told(extra="", run=None, **changed):
         lines = (f"{n}: {s}" for n, s in (ties | changed).items() if s)

@@ -15,13 +15,8 @@ def test_a_profile_changes_at_its_times():
 
 def test_reference_of_two_axes_in_three_fields():
     source = ReferenceSource(
-        channels=("x", "y"),
-        unit="mm",
-        times=(0.0, 2.0),
-        positions=(1.0, 2.0, 3.0, 4.0),
-        velocities=(5.0, 6.0, 7.0, 8.0),
-        accelerations=(9.0, 10.0, 11.0, 12.0),
-    )
+        channels=("x", "y"), unit="mm", times=(0.0, 2.0), positions=(1.0, 2.0, 3.0, 4.0),
+        velocities=(5.0, 6.0, 7.0, 8.0), accelerations=(9.0, 10.0, 11.0, 12.0))  # fmt: skip
     (_, (port,)) = source.ports(source.p)
     assert port.labels == ("x/position", "y/position", "x/velocity", "y/velocity", "x/acceleration", "y/acceleration")
     assert port.units == ("mm", "mm", "mm/s", "mm/s", "mm/s^2", "mm/s^2")

@@ -391,20 +391,13 @@ class Page(HTMLParser):
 
 
 METRICS = [
-    {
-        "name": "rise_time",
-        "unit": "s",
-        "published": 0.607,
-        "expected": 0.607,
-        "tolerance": 0.001,
-        "value": 0.60695,
-        "pass": True,
-    },
+    {"name": "rise_time", "unit": "s", "published": 0.607, "expected": 0.607, "tolerance": 0.001, "value": 0.60695,
+     "pass": True},
     {"name": "final_error", "unit": "rad/s^2", "at_most": 0.5, "value": -1.25, "pass": True},
     {"name": "cost", "published": 15459.0012, "expected": 15459.0, "tolerance": 0.01, "value": 15459.5, "pass": False},
     {"name": "ripple", "value": 0.25, "pass": True},
     {"name": "settling", "at_most": 1.0, "value": None, "pass": False, "error": "never <settles>"},
-]
+]  # fmt: skip
 
 
 @pytest.fixture

@@ -10,15 +10,8 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from softrig_core import list_scenarios
 from softrig_core.run.expand import rig_of
 
-ORDER = [
-    "Try it",
-    "The model",
-    "Corrections of the paper",
-    "Published and measured",
-    "What you can change and see",
-    "Speed",
-    "References",
-]
+ORDER = ["Try it", "The model", "Corrections of the paper", "Published and measured", "What you can change and see",
+         "Speed", "References"]  # fmt: skip
 LONG = 25  # rows of a table, from which on it folds
 _FENCED = re.compile(r"^```.*?^```$", re.S | re.M)
 _COMMENT = re.compile(r"<!--.*?-->", re.S)

@@ -105,14 +105,8 @@ def test_a_tutorial_does_what_it_describes(name, tmp_path):
         "COLUMNS": "300",  # the pages show lines that are not wrapped, however many digits a time has
     }
     environment.pop("SOFTRIG_WORKSPACE", None)
-    done = subprocess.Popen(
-        ["bash", "-c", text],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
+    done = subprocess.Popen(["bash", "-c", text], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                            text=True, start_new_session=True)  # fmt: skip
     try:
         printed = done.communicate(timeout=800)[0]
     finally:

@@ -666,15 +666,8 @@ def test_a_page_that_cannot_be_made_is_reported_and_its_head_remains(pages, monk
 
 # beside a run -------------------------------------------------------------------------------------------------------
 
-WATCHED = {
-    "domain": 3,
-    "realtime": False,
-    "paused": True,
-    "pace": 2.0,
-    "how": "container",
-    "address": "127.0.0.1:0",
-    "token": "word",
-}
+WATCHED = {"domain": 3, "realtime": False, "paused": True, "pace": 2.0, "how": "container", "address": "127.0.0.1:0",
+           "token": "word"}  # fmt: skip
 
 
 @pytest.mark.parametrize(

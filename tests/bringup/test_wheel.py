@@ -93,15 +93,8 @@ def use(prefix, folder, variables):
     """Use what is installed in a prefix: the command, a run through processes, a node by itself."""
 
     def call(*command, timeout=240):
-        done = subprocess.run(
-            [prefix / command[0], *command[1:]],
-            cwd=folder,
-            env=variables,
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            stdin=subprocess.DEVNULL,
-        )
+        done = subprocess.run([prefix / command[0], *command[1:]], cwd=folder, env=variables, capture_output=True,
+                              text=True, timeout=timeout, stdin=subprocess.DEVNULL)  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 

@@ -111,17 +111,8 @@ def record(chance: random.Random, directory: Path) -> None:
     channels = [f"{k + 1},V{p},{p},,V,1.0,0,0,-1e6,1e6,1,1,P" for k, p in enumerate("ABC")]
     channels += [f"{k + 4},I{p},{p},,A,1.0,0,0,-1e6,1e6,1,1,P" for k, p in enumerate("ABC")]
     year = chance.choice(("1999", "2013"))
-    lines = [
-        f"s,d,{year}",
-        "6,6A,0D",
-        *channels,
-        "50",
-        "1",
-        "4000,40",
-        *["02/03/2024,10:00:00.000000"] * 2,
-        "ASCII",
-        "1",
-    ]
+    lines = [f"s,d,{year}", "6,6A,0D", *channels, "50", "1", "4000,40", *["02/03/2024,10:00:00.000000"] * 2, "ASCII",
+             "1"]  # fmt: skip
     cfg = "\r\n".join([*lines, *(["0,0", "4,0"] if year == "2013" else [])]) + "\r\n"
     dat = "".join(f"{n + 1},{250 * n},{','.join(str(k * n) for k in range(6))}\r\n" for n in range(40))
     both = [cfg.encode(), dat.encode()]

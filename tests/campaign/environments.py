@@ -310,15 +310,9 @@ def run(case: Case, command: list[str]) -> tuple[int, str]:
 
     with (case.directory / "stdout").open("w+b") as out, (case.directory / "stderr").open("w+b") as err:
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=out if case.stdout is None else case.stdout,
-            stderr=err if case.stderr is None else case.stderr,
-            cwd=case.work,
-            env=case.variables,
-            preexec_fn=before,
-            start_new_session=True,
-        )
+            command, stdin=subprocess.DEVNULL, stdout=out if case.stdout is None else case.stdout,
+            stderr=err if case.stderr is None else case.stderr, cwd=case.work, env=case.variables, preexec_fn=before,
+            start_new_session=True)  # fmt: skip
         for number in {case.stdout, case.stderr} - {None}:
             os.close(number)
         endless = case.command[0] == "node" or case.command[:2] == ["bag", "record"]

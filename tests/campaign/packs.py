@@ -16,19 +16,8 @@ NAME = "stranger_rig"
 NAMES = ("../x", "/tmp/x", "scenario/../../x", "bag/x", "scenario/a\\b", "packages/yaml/yaml/__init__.py", "pack.json",
          "packages/softrig_core/softrig_core/__init__.py", "scenario/\u202ea", "bag/a.mcap", "metrics.json",
          f"packages/{NAME}/{NAME}/x.pyc", f"packages/{NAME}/{NAME}/x.so", "scenario/" + "d/" * 25 + "x")  # fmt: skip
-WORDS = (
-    "../..",
-    "os:system",
-    "softrig_core",
-    "/etc/passwd",
-    "yaml",
-    "\x00",
-    "[",
-    "%(x)s",
-    "é",
-    "share/x = y",
-    "${HOME}",
-)
+WORDS = ("../..", "os:system", "softrig_core", "/etc/passwd", "yaml", "\x00", "[", "%(x)s", "é", "share/x = y",
+         "${HOME}")  # fmt: skip
 
 
 def attack(seed: int, directory: Path) -> None:

@@ -12,15 +12,9 @@ from softrig_control.fmu.instance import Instance, Plan, Refusal
 
 NOTHING = (False, False, False, False, False, 0.0)  # of an event: no other round, no end, no values moved, no next time
 
-ALIKE = {
-    "getContinuousStateDerivatives": "getDerivatives",
-    "updateDiscreteStates": "newDiscreteStates",
-    "getInteger": "getReal",
-    "getInt32": "getReal",
-    "getBoolean": "getReal",
-    "serializeFMUstate": "serializeFMUState",
-    "deSerializeFMUstate": "deserializeFMUState",
-}
+ALIKE = {"getContinuousStateDerivatives": "getDerivatives", "updateDiscreteStates": "newDiscreteStates",
+         "getInteger": "getReal", "getInt32": "getReal", "getBoolean": "getReal",
+         "serializeFMUstate": "serializeFMUState", "deSerializeFMUstate": "deserializeFMUState"}  # fmt: skip
 
 
 def word(x):

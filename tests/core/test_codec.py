@@ -318,14 +318,8 @@ def drawn_messages():
             bytes_of = partial(STORE.serialize_cdr, typename=msgtype)
             made = ros(stamp, numbered if dims else frame, names, values, dims)
             made = TYPES[msgtype](*made) if isinstance(made, tuple | list) else made
-            layout = Layout(
-                msgtype,
-                frame if framed else "",
-                names if named else (),
-                {name: len(v) for name, v in values.items()},
-                dims,
-                numbered,
-            )
+            layout = Layout(msgtype, frame if framed else "", names if named else (),
+                            {name: len(v) for name, v in values.items()}, dims, numbered)  # fmt: skip
             mark = stamp if numbered or MESSAGE_TYPES[msgtype].stamped else -1
             both = [bytes(bytes_of(made, little_endian=little)) for little in (True, False)]
             yield msgtype, layout, mark, values, both

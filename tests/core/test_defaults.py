@@ -16,18 +16,8 @@ from pathlib import Path
 import pytest
 
 LIST = Path(__file__).with_name("defaults.txt")
-PACKAGES = (
-    "softrig_core",
-    "softrig_bags",
-    "softrig_control",
-    "softrig_nodes",
-    "softrig_optim",
-    "softrig_drives",
-    "softrig_power",
-    "softrig_robots",
-    "softrig_systems",
-    "softrig_bringup",
-)
+PACKAGES = ("softrig_core", "softrig_bags", "softrig_control", "softrig_nodes", "softrig_optim", "softrig_drives",
+            "softrig_power", "softrig_robots", "softrig_systems", "softrig_bringup")  # fmt: skip
 LAZY = (  # of an extra; numba's; runs where it is imported
     "softrig_control.fmu.child",
     "softrig_control.fmu.slave",

@@ -111,13 +111,8 @@ print(digest.hexdigest(), "numba" in sys.modules)
 @pytest.mark.long
 def test_native_plain_and_every_kernel_give_the_same_bits():
     def said(before="", **variables):
-        done = subprocess.run(
-            [sys.executable, "-c", before + CODE],
-            capture_output=True,
-            text=True,
-            check=True,
-            env=os.environ | variables,
-        )
+        done = subprocess.run([sys.executable, "-c", before + CODE], capture_output=True, text=True, check=True,
+                              env=os.environ | variables)  # fmt: skip
         return done.stdout.split()
 
     native, compiled = said("import numba\n")

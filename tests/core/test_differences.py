@@ -176,13 +176,8 @@ def test_a_column_is_computed_where_two_neighbouring_steps_agree_best(f, x, size
 
 
 def test_a_state_that_rests_at_zero_counts_as_one_of_size_one():
-    m = Map(
-        lambda s, v, w: np.array([math.sin(s[0]), 0.5 * s[1]]),
-        lambda s, v, w: [s.sum()],
-        [1.0, 0.0],
-        [1.0, 0.0],
-        [True] * 2,
-    )
+    m = Map(lambda s, v, w: np.array([math.sin(s[0]), 0.5 * s[1]]), lambda s, v, w: [s.sum()], [1.0, 0.0], [1.0, 0.0],
+            [True] * 2)  # fmt: skip
     differences = Differences(m, ["plant/y"], [], "")
     view = differences.view()
     off = differences.steps[0] / 256.0

@@ -195,13 +195,8 @@ def test_a_recorder_in_the_domain_of_a_rig_records_everything(asks, seeds):
         Discovery(world, rng)
         skipped = "/third/state" if asks else "/nobody"
         recorder = SimulatedRecorder(world, asks, skipped, rng)
-        run = SimulatedRig(
-            rig,
-            world,
-            "lockstep",
-            after=lambda name, rng=rng: rng.randrange(300 * MS),
-            recorders=() if asks else ["recorder"],
-        )
+        run = SimulatedRig(rig, world, "lockstep", after=lambda name, rng=rng: rng.randrange(300 * MS),
+                           recorders=() if asks else ["recorder"])  # fmt: skip
         assert set(run.run(100.0).values()) == {"done"}
         world.run(world.now + 100 * MS)
         for name, topic in expected.topics.items():
@@ -318,15 +313,8 @@ def real_time(kind, seed, outside=(), stalls=0):
     longest = rng.choice((1, 5, 20)) * MS
     world = World(lambda *_: rng.randrange(1_000, longest))
     Discovery(world, rng)
-    run = SimulatedRig(
-        rig,
-        world,
-        "realtime",
-        departs=True,
-        after=lambda name: rng.randrange(300 * MS),
-        start_timeout=0.0,
-        groups=some(rig, rng),
-    )
+    run = SimulatedRig(rig, world, "realtime", departs=True, after=lambda name: rng.randrange(300 * MS),
+                       start_timeout=0.0, groups=some(rig, rng))  # fmt: skip
     for member in (m for m in ours.members if m.name in outside):
         links = {p: member.links[p.name] for p in member.inputs if p.name in member.links}
         reads = [

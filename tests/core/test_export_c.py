@@ -95,15 +95,9 @@ COMPILERS = {  # each must give the same bits; the last one ends the program at 
     "gcc -O3": ("gcc", "-O3"),
     "gcc, sanitizers": ("gcc", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
 }
-OTHERS = (
-    "a controller with reports",
-    "complex numbers, tables of vectors",
-    "random numbers",
-    "fuzzy inference, functions called often",
-    "a queue of messages, which grows",
-    "arrays that loops write",
-    "a casadi function",
-)
+OTHERS = ("a controller with reports", "complex numbers, tables of vectors", "random numbers",
+          "fuzzy inference, functions called often", "a queue of messages, which grows", "arrays that loops write",
+          "a casadi function")  # fmt: skip
 
 
 @pytest.mark.long

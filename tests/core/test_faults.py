@@ -165,23 +165,8 @@ def test_impossible_numbers_are_refused(params, reason):
         through([0.0], **params)
 
 
-KINDS = (
-    "offset",
-    "scale",
-    "drift",
-    "noise",
-    "quantise",
-    "saturate",
-    "stuck",
-    "spike",
-    "delay",
-    "loss",
-    "repeat",
-    "silence",
-    "add",
-    "replace",
-    "invalid",
-)
+KINDS = ("offset", "scale", "drift", "noise", "quantise", "saturate", "stuck", "spike", "delay", "loss", "repeat",
+         "silence", "add", "replace", "invalid")  # fmt: skip
 SOME = (0.0, 0.02, 0.05)
 
 

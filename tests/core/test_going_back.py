@@ -19,20 +19,9 @@ from softrig_core.wire.recording import Recording
 
 BEFORE, AFTER = 40, 50  # ticks
 # one for each way in which blocks remember: tuples, delay lines, solutions of delay equations, searches, packets
-DAILY = (
-    "dc_motor_smc_b2",
-    "dc_motor_fsfb_s1",
-    "induction_dtc",
-    "lsrm_fuzzy_b5",
-    "manipulator_adsmc_s3",
-    "pv_mppt_pso",
-    "pwa_delay_p3",
-    "rectifier_mpc_certificate",
-    "rehab_impedance_b9",
-    "tcp_aqm_smc_delay",
-    "tcp_aqm_smc_s4",
-    "gupfc_s5",
-)
+DAILY = ("dc_motor_smc_b2", "dc_motor_fsfb_s1", "induction_dtc", "lsrm_fuzzy_b5", "manipulator_adsmc_s3", "pv_mppt_pso",
+         "pwa_delay_p3", "rectifier_mpc_certificate", "rehab_impedance_b9", "tcp_aqm_smc_delay", "tcp_aqm_smc_s4",
+         "gupfc_s5")  # fmt: skip
 MEASURED = re.compile(r"[\d.]+ s of CPU time")
 
 

@@ -12,20 +12,8 @@ from softrig_core.native.rig_text import rig_text
 from softrig_core.run.inprocess import wired
 
 # how each function of the walk names the one below it
-NAMES = (
-    "receive",
-    "accept",
-    "_arrived",
-    "turn",
-    "ticks",
-    "_answer",
-    "answer",
-    "answer",
-    "asked",
-    "respond",
-    "ask",
-    "update",
-)
+NAMES = ("receive", "accept", "_arrived", "turn", "ticks", "_answer", "answer", "answer", "asked", "respond", "ask",
+         "update")  # fmt: skip
 PACKAGES = Path(__file__).parents[2] / "ros_pkgs"
 PAGE = (PACKAGES / "softrig_core/doc/house.md").read_text()
 MESSAGE, PRINTED = (

@@ -281,22 +281,9 @@ class State(NamedTuple):
 
 
 def a_state():
-    return State(
-        1.5,
-        2.0 - 1.0j,
-        (3.0, 4.0),
-        Inner(),
-        (7, (Inner(8.0, 9), -1.0), ()),
-        np.array([[1.0, 2.0], [3.0, 4.0]]),
-        np.array([1.5, 2.5], np.float32),
-        np.array([1.0 + 2.0j]),
-        np.array([1, 2]),
-        None,
-        "up",
-        True,
-        Aside(),
-        History(1.0, 0.0, (5.0, 6.0)),
-    )
+    return State(1.5, 2.0 - 1.0j, (3.0, 4.0), Inner(), (7, (Inner(8.0, 9), -1.0), ()),
+                 np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([1.5, 2.5], np.float32), np.array([1.0 + 2.0j]),
+                 np.array([1, 2]), None, "up", True, Aside(), History(1.0, 0.0, (5.0, 6.0)))  # fmt: skip
 
 
 def test_the_numbers_of_a_state_have_their_names():

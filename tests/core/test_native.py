@@ -50,19 +50,9 @@ from softrig_power.pv.ports import array_port
 from softrig_power.pv.shading import ShadingSource
 
 # one for each kind of block that native code knows, as short as its ticks allow
-KNOWN = {
-    "dc_motor_smc": 0.02,
-    "dc_motor_smc_b2": 2.0,
-    "dc_motor_smc_b6_pid": 1.0,
-    "dc_motor_smc_stretch_b": 0.5,
-    "induction_dtc": 0.03,
-    "lsrm_fuzzy": 0.01,
-    "lsrm_fuzzy_mrac": 0.01,
-    "lsrm_fuzzy_b5": 0.01,
-    "manipulator_adsmc": 0.2,
-    "manipulator_adsmc_s3": 0.1,
-    "pv_mppt_certified": 0.2,
-}
+KNOWN = {"dc_motor_smc": 0.02, "dc_motor_smc_b2": 2.0, "dc_motor_smc_b6_pid": 1.0, "dc_motor_smc_stretch_b": 0.5,
+         "induction_dtc": 0.03, "lsrm_fuzzy": 0.01, "lsrm_fuzzy_mrac": 0.01, "lsrm_fuzzy_b5": 0.01,
+         "manipulator_adsmc": 0.2, "manipulator_adsmc_s3": 0.1, "pv_mppt_certified": 0.2}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)

@@ -241,18 +241,8 @@ def drawn(seed: int) -> type[Block[Any]]:
     text = HEAD + "\n".join(pen.lines) + "\n"
     name = f"<drawn {seed}>"
     linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
-    scope = {
-        "Block": Block,
-        "OscillatorParams": OscillatorParams,
-        "SIGNAL": SIGNAL,
-        "PUSH": PUSH,
-        "Kept": Kept,
-        "math": math,
-        "limited": limited,
-        "total": total,
-        "LEVEL": 0.875,
-        "__name__": __name__,
-    }
+    scope = {"Block": Block, "OscillatorParams": OscillatorParams, "SIGNAL": SIGNAL, "PUSH": PUSH, "Kept": Kept,
+             "math": math, "limited": limited, "total": total, "LEVEL": 0.875, "__name__": __name__}  # fmt: skip
     exec(compile(text, name, "exec"), scope)
     return scope["Drawn"]
 

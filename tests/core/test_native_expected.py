@@ -232,19 +232,9 @@ GIVEN: dict[str, tuple[Any, Any]] = {
     "m": (Record({"low": Dynamic("low", -1.0), "high": Dynamic("high", 1.0)}), {"low": 0.5, "high": 0.25}),
     "d": (Dynamic("d", (2.0, -2.0), True, ("high", "low")), {"high": 0.5, "low": 0.25}),
 }
-GLOBALS = {
-    **{k: v for k, v in globals().items() if k in ("LEVEL", "TABLE") or callable(v)},
-    "math": math,
-    "cmath": cmath,
-    "np": np,
-    "bisect_left": bisect_left,
-    "bisect_right": bisect_right,
-    "Level": Level,
-    "total": total,
-    "power": power,
-    "partial": partial,
-    "__name__": "here",
-}
+GLOBALS = {**{k: v for k, v in globals().items() if k in ("LEVEL", "TABLE") or callable(v)}, "math": math,
+           "cmath": cmath, "np": np, "bisect_left": bisect_left, "bisect_right": bisect_right, "Level": Level,
+           "total": total, "power": power, "partial": partial, "__name__": "here"}  # fmt: skip
 
 
 def written_out(case: str) -> Any:

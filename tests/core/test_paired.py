@@ -447,13 +447,8 @@ def acknowledged(reader, who):
 def test_acknowledgements_announce_silence_and_are_awaited_as_the_rig_says():
     """A sporadic controller that no node awaits; a plant that is awaited; a follower some ticks behind."""
     then = []
-    reader = Reader(
-        plant=True,
-        inputs={"x": link(sporadic=True)},
-        acks={"second": "0.01", "follower": "0.01"},
-        followers=["follower"],
-        owns_clock=False,
-    )
+    reader = Reader(plant=True, inputs={"x": link(sporadic=True)}, acks={"second": "0.01", "follower": "0.01"},
+                    followers=["follower"], owns_clock=False)  # fmt: skip
     row = reader.row(state())
     reader.table.follow_ticks({"here"}, lambda: then.append(1))
     table = reader.table

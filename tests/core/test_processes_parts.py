@@ -355,16 +355,8 @@ class Process:
 
 class Child(SimpleNamespace):
     def __init__(self, name, pid=1, **more):
-        super().__init__(
-            member=SimpleNamespace(name=name),
-            process=Process(pid),
-            end=pid,
-            log=Path("/x"),
-            status=name,
-            held=False,
-            interrupted=False,
-            **more,
-        )
+        super().__init__(member=SimpleNamespace(name=name), process=Process(pid), end=pid, log=Path("/x"), status=name,
+                         held=False, interrupted=False, **more)  # fmt: skip
 
 
 def test_a_process_that_does_not_end_is_asked_again_and_killed(monkeypatch):
@@ -449,17 +441,8 @@ class Watched:
     def run(self):
         """The result, and after how many seconds."""
         text = supervision.supervise(
-            self.rig,
-            self.children,
-            self.told.append,
-            SimpleNamespace(check=self.looks.append),
-            self.realtime,
-            self.stopping,
-            self.restarts,
-            SimpleNamespace(update=lambda: None),
-            7,
-            self.announced.append,
-        )
+            self.rig, self.children, self.told.append, SimpleNamespace(check=self.looks.append), self.realtime,
+            self.stopping, self.restarts, SimpleNamespace(update=lambda: None), 7, self.announced.append)  # fmt: skip
         assert set(self.domains) == {7}
         return text, round(self.now - 100.0, 1)
 

@@ -25,20 +25,15 @@ class Stage:
         self.asked, self.said, self.error, self.failing, self.late = [], [], error, failing, [*late]
         self.rig = rig_of(make_scenario(nodes, 0.5, timeout=7.0, start_timeout=31.0, **keys))
         self.folder, self.children = folder, []
-        stand_ins = {
-            "need_ros": lambda: None,
-            "require_loopback": lambda: self.asked.append("loopback"),
-            "free_domain": self._free,
-            "remove_leftovers": lambda domain=None: self.asked.append(("leftovers", domain)),
-            "lacking": lambda n: self.asked.append(("memory for", n)) or self.short,
-            "environment": lambda *given, **named: self.asked.append((given, named)) or {},
-            "start": self._start,
-            "supervise": self._supervise,
-            "stop": lambda children: self.asked.append("stop"),
-            "holders": lambda domains: " (by x)",
-            "gathered": lambda rig, folder, names: (Recording([]), {n: dict(self.status) for n in names}),
-            "last_line": lambda log: "law: k is no number",
-        }
+        stand_ins = {"need_ros": lambda: None, "require_loopback": lambda: self.asked.append("loopback"),
+                     "free_domain": self._free,
+                     "remove_leftovers": lambda domain=None: self.asked.append(("leftovers", domain)),
+                     "lacking": lambda n: self.asked.append(("memory for", n)) or self.short,
+                     "environment": lambda *given, **named: self.asked.append((given, named)) or {},
+                     "start": self._start, "supervise": self._supervise,
+                     "stop": lambda children: self.asked.append("stop"), "holders": lambda domains: " (by x)",
+                     "gathered": lambda rig, folder, names: (Recording([]), {n: dict(self.status) for n in names}),
+                     "last_line": lambda log: "law: k is no number"}  # fmt: skip
         for name, stand_in in stand_ins.items():
             monkeypatch.setattr(processes, name, stand_in)
         self.domain, self.short, self.status, self.codes = 17, "", {"ticks": 5, "epoch": 9}, {}

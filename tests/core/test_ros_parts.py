@@ -1087,18 +1087,9 @@ def test_the_type_of_frames_is_described_as_that_of_tf2_msgs():
     """From the sources of ros2/geometry2; sizes of the structures as the headers of rosidl have them on 64 bits."""
     from geometry_msgs.msg import TransformStamped
 
-    sizes = {
-        tf_message.Handle: 48,
-        tf_message.Callbacks: 56,
-        tf_message.Member: 112,
-        tf_message.Members: 64,
-        tf_message.Sequence: 24,
-        tf_message.Field: 96,
-        tf_message.Individual: 48,
-        tf_message.Description: 72,
-        tf_message.Source: 72,
-        tf_message.Hash: 33,
-    }
+    sizes = {tf_message.Handle: 48, tf_message.Callbacks: 56, tf_message.Member: 112, tf_message.Members: 64,
+             tf_message.Sequence: 24, tf_message.Field: 96, tf_message.Individual: 48, tf_message.Description: 72,
+             tf_message.Source: 72, tf_message.Hash: 33}  # fmt: skip
     assert {kind: ctypes.sizeof(kind) for kind in sizes} == sizes
     made = tf_message.tf_class()
     assert tf_message.tf_class() is made

@@ -13,13 +13,8 @@ from softrig_nodes.face import faces, simulation
 from softrig_nodes.face.simulation import FEATURES, SERVICES, Simulation, turned
 from softrig_nodes.seam.monitor import Monitor
 
-RESULTS = {
-    "RESULT_FEATURE_UNSUPPORTED": 0,
-    "RESULT_OK": 1,
-    "RESULT_NOT_FOUND": 2,
-    "RESULT_INCORRECT_STATE": 3,
-    "RESULT_OPERATION_FAILED": 4,
-}
+RESULTS = {"RESULT_FEATURE_UNSUPPORTED": 0, "RESULT_OK": 1, "RESULT_NOT_FOUND": 2, "RESULT_INCORRECT_STATE": 3,
+           "RESULT_OPERATION_FAILED": 4}  # fmt: skip
 STOPPED, PLAYING, PAUSED, QUITTING = range(4)
 STATES = {"STATE_STOPPED": STOPPED, "STATE_PLAYING": PLAYING, "STATE_PAUSED": PAUSED, "STATE_QUITTING": QUITTING}
 TYPES = {name: name for name in (*SERVICES, "SimulateSteps")}

@@ -78,16 +78,11 @@ class Meeting:
     def __init__(self, readers=("law",), local=(), rig=True, plant=False, **links):
         self.hand = Hand("node")
         self.x, self.y = Input(state("x")), Output(state("y"), "/y", 0)
-        node = SimpleNamespace(
-            middleware=self.hand,
-            links=Links(**links),
-            namespace="/rig",
-            is_plant=plant,
-            outgoing=SimpleNamespace(outputs=[self.y]),
-            options=SimpleNamespace(links="x" if rig else ""),
-            overheard=SimpleNamespace(absent=list),
-            of_rig=lambda name: name if name.startswith("/") else f"/rig/{name}",
-        )
+        node = SimpleNamespace(middleware=self.hand, links=Links(**links), namespace="/rig", is_plant=plant,
+                               outgoing=SimpleNamespace(outputs=[self.y]),
+                               options=SimpleNamespace(links="x" if rig else ""),
+                               overheard=SimpleNamespace(absent=list),
+                               of_rig=lambda name: name if name.startswith("/") else f"/rig/{name}")  # fmt: skip
         self.shake = Handshake(node, [(self.x, "sender")], [(self.y, list(readers))], set(local))
 
     def absent(self):

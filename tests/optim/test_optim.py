@@ -919,12 +919,6 @@ def test_workers_are_forked_if_nothing_would_be_lost(tmp_path, threads):
             "    import threading as th; th.Thread(target=th.Event().wait, daemon=True).start()\n    made.append",
         )
     (tmp_path / "study.py").write_text(script)
-    done = subprocess.run(
-        [sys.executable, "study.py", *threads],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        timeout=PATIENCE,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )
+    done = subprocess.run([sys.executable, "study.py", *threads], capture_output=True, text=True, cwd=tmp_path,
+                          timeout=PATIENCE, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"})  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]

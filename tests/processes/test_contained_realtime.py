@@ -93,14 +93,9 @@ class Contained:
             topic = member.remap.get(topic, topic).replace("~", f"/{member.name}")
             return topic if topic.startswith("/") else f"/{topic}"
 
-        node = SimpleNamespace(
-            get_name=lambda: member.name,
-            get_fully_qualified_name=lambda: f"/{member.name}",
-            resolve_topic_name=resolve,
-            monitor=Monitor(lambda: None),
-            _parameter_overrides={},
-            serve_by=lambda timer: None,
-        )
+        node = SimpleNamespace(get_name=lambda: member.name, get_fully_qualified_name=lambda: f"/{member.name}",
+                               resolve_topic_name=resolve, monitor=Monitor(lambda: None), _parameter_overrides={},
+                               serve_by=lambda timer: None)  # fmt: skip
         given = {
             k.removeprefix("run."): v
             for k, v in node_parameters(rig, member, seed, "realtime").items()

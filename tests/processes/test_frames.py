@@ -89,14 +89,8 @@ def test_the_frames_of_a_robot_are_forward_kinematics_of_its_joint_states(tmp_pa
         command = [str(find_executable("softrig_robots", "manipulator_plant")), "--ros-args", "-r", "__node:=plant"]
         plant = start_node("softrig_robots", "manipulator_plant", command, variables, 2)
         try:
-            done = subprocess.run(
-                [sys.executable, "-c", LISTEN],
-                env=variables,
-                stdout=subprocess.PIPE,
-                text=True,
-                check=True,
-                timeout=PATIENCE,
-            )
+            done = subprocess.run([sys.executable, "-c", LISTEN], env=variables, stdout=subprocess.PIPE, text=True,
+                                  check=True, timeout=PATIENCE)  # fmt: skip
         finally:
             plant.kill()
             plant.wait()

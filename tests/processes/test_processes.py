@@ -191,13 +191,8 @@ def test_a_press_by_service_in_lockstep_is_recorded_at_the_tick_that_saw_it(tmp_
 @pytest.mark.long
 def test_an_unwritable_status_file_is_one_line(tmp_path):
     executable = str(find_executable("faultrig", "plant"))
-    done = subprocess.run(
-        [executable, "--ros-args", "-p", f"run.status:={tmp_path}/nowhere/s"],
-        capture_output=True,
-        text=True,
-        env=environment(1, tmp_path),
-        timeout=PATIENCE,
-    )
+    done = subprocess.run([executable, "--ros-args", "-p", f"run.status:={tmp_path}/nowhere/s"], capture_output=True,
+                          text=True, env=environment(1, tmp_path), timeout=PATIENCE)  # fmt: skip
     assert done.returncode == 3
     assert "No such file or directory" in done.stderr.splitlines()[-1]
 

@@ -274,17 +274,8 @@ rclpy.spin(node)
 
 
 def test_an_empty_list_reaches_a_node_process(bench):
-    bench.start(
-        "source",
-        "reference_source",
-        "-p",
-        "positions:=[3.0]",
-        "-p",
-        "velocities:=[]",
-        "-p",
-        "run.duration:=0.2",
-        package="softrig_control",
-    )
+    bench.start("source", "reference_source", "-p", "positions:=[3.0]", "-p", "velocities:=[]", "-p",
+                "run.duration:=0.2", package="softrig_control")  # fmt: skip
     assert bench.ends("source") == 0
     assert list(bench.signal("source", "reference/shaft/position").x)[:2] == [3.0, 3.0]
 

@@ -88,13 +88,8 @@ def test_parameters_set_by_services_and_by_the_command_are_checked(tmp_path):
             assert "law refuses delta, c: " in second.stderr
             # no message can represent this number
             for number in ("99999999999999999999999", "[99999999999999999999999]"):
-                third = subprocess.run(
-                    [*command[:-2], "law.delta", number],
-                    env=bench.environment,
-                    timeout=60,
-                    capture_output=True,
-                    text=True,
-                )
+                third = subprocess.run([*command[:-2], "law.delta", number], env=bench.environment, timeout=60,
+                                       capture_output=True, text=True)  # fmt: skip
                 assert third.returncode == 1, third.stderr
                 assert "law refuses delta: a whole number of 77 bits, expected at most 63" in third.stderr
         finally:
@@ -217,17 +212,8 @@ def test_a_replay_into_one_node_sets_what_the_bag_has_changed(tmp_path):
     with free_domain() as domain:
         bench = Bench(tmp_path, domain)
         try:
-            bench.start(
-                "dc_motor_smc",
-                "dc_motor_smc",
-                "--params-file",
-                str(tmp_path / "law.yaml"),
-                "-p",
-                "run.mode:=lockstep",
-                "-p",
-                "run.paired:=[reference]",
-                package="softrig_drives",
-            )
+            bench.start("dc_motor_smc", "dc_motor_smc", "--params-file", str(tmp_path / "law.yaml"), "-p",
+                        "run.mode:=lockstep", "-p", "run.paired:=[reference]", package="softrig_drives")  # fmt: skip
             command = [
                 find_executable("softrig_bags", "player"),
                 "bag",

@@ -210,13 +210,8 @@ def test_a_node_on_another_host_finds_no_node_here(how, tmp_path):
                 [*enter, b, sys.executable, "-c", code], env=there, capture_output=True, text=True, timeout=PATIENCE
             )
             neighbour = here | {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTRTPS_DEFAULT_PROFILES_FILE": ""}
-            near = subprocess.run(
-                [*enter, a, sys.executable, "-c", INTRUDER.replace("PATIENCE", "60")],
-                env=neighbour,
-                capture_output=True,
-                text=True,
-                timeout=PATIENCE,
-            )
+            near = subprocess.run([*enter, a, sys.executable, "-c", INTRUDER.replace("PATIENCE", "60")], env=neighbour,
+                                  capture_output=True, text=True, timeout=PATIENCE)  # fmt: skip
         finally:
             plant.kill()
             plant.wait()

@@ -667,21 +667,9 @@ def problem(units, demand, reserve=0.0, losses=None, ready=None, conditioned=Tru
     """The problem of the search."""
     n = len(units)
     given = losses or Losses.none(n)
-    return branch.Problem(
-        units.table,
-        np.arange(n) if groups is None else groups,
-        demand,
-        1e-3,
-        NARROW,
-        units.p_min,
-        units.p_max,
-        given.B,
-        given.B0,
-        given.B00,
-        reserve,
-        units.p_max - units.p_min if ready is None else ready,
-        conditioned,
-    )
+    return branch.Problem(units.table, np.arange(n) if groups is None else groups, demand, 1e-3, NARROW, units.p_min,
+                          units.p_max, given.B, given.B0, given.B00, reserve,
+                          units.p_max - units.p_min if ready is None else ready, conditioned)  # fmt: skip
 
 
 def test_pieces_are_filled_as_a_linear_programme_fills_them(plain):

@@ -484,16 +484,8 @@ def f_of(x, rate, kind, first, count, delays=None):
             (z + r_s / 4) ** 2 if wrong["coefficient"] else None,
             r_s / 8 if wrong["resistance"] else None,
         )
-        r = u_x(
-            ENDS[2],
-            ENDS[3],
-            k,
-            r_r,
-            remaining,
-            1.0,
-            (z + r_r / 4) ** 2 if wrong["coefficient"] else None,
-            r_s / 8 if wrong["resistance"] else None,
-        )
+        r = u_x(ENDS[2], ENDS[3], k, r_r, remaining, 1.0, (z + r_r / 4) ** 2 if wrong["coefficient"] else None,
+                r_s / 8 if wrong["resistance"] else None)  # fmt: skip
         total += abs(s - r)
     return total / count
 
@@ -579,14 +571,7 @@ PASS = (
 )
 
 
-@pytest.mark.parametrize(
-    ("travel", "text"),
-    [
-        (4.0, ""),
-        (3.99, PASS.format(3.99)),
-        (1.0, PASS.format(1)),
-    ],
-)
+@pytest.mark.parametrize(("travel", "text"), [(4.0, ""), (3.99, PASS.format(3.99)), (1.0, PASS.format(1))])  # fmt: skip
 def test_the_samples_needed_for_a_travel_time_are_as_expected(travel, text):
     assert check_travel(travel, 20_000.0, LocatorParams()) == text
 
@@ -799,13 +784,8 @@ def test_phasors_of_both_ends_agree_at_the_fault(x):
     t = np.arange(400) / rate
     both = np.array([(p * np.exp(1j * omega * t)).real for p in ends_of])
     work = types.SimpleNamespace(
-        record=types.SimpleNamespace(rate=rate),
-        p=LocatorParams(),
-        first=100,
-        count=201,
-        section=LINE,
-        ends=lambda mode: both,
-    )
+        record=types.SimpleNamespace(rate=rate), p=LocatorParams(), first=100, count=201, section=LINE,
+        ends=lambda mode: both)  # fmt: skip
     assert transient.phasor(work, 1) == pytest.approx(min(max(x, 0.0), 100.0), abs=1e-6)
 
 
@@ -1023,13 +1003,8 @@ def contradicted(monkeypatch, own, others, least_at=2, limit=0.05, voltage=1000.
         group=lambda name: np.full((4, 3), voltage if name == "u_s" else 0.5 * voltage), by=own, part=own
     )
     work = types.SimpleNamespace(
-        grid=np.linspace(0.0, 4.0, 5),
-        record=record,
-        first=10,
-        count=40,
-        p=LocatorParams(f_threshold=100.0),
-        curves=np.full((3, 5), 2.0 * own) - own * (np.arange(5) == least_at),
-    )
+        grid=np.linspace(0.0, 4.0, 5), record=record, first=10, count=40, p=LocatorParams(f_threshold=100.0),
+        curves=np.full((3, 5), 2.0 * own) - own * (np.arange(5) == least_at))  # fmt: skip
     seen = []
 
     def apart(of, given, stretch):
@@ -1619,31 +1594,9 @@ def test_a_command_line_makes_the_expected_calls(monkeypatch, capsys):
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "fault at 30.000 km from S (90.000 km from R), standard uncertainty 1.0 m"
     assert printed[-1] == "  window 0.021 to 0.03 s, from the change at 0.02 s"
-    more = [
-        "s.cfg",
-        "r.cfg",
-        *LINE_GIVEN,
-        "--window",
-        "0.022",
-        "0.035",
-        "--late",
-        "3",
-        "-5",
-        "--channels",
-        "a,b,,c",
-        "--bag",
-        "there",
-        "--set",
-        "algorithm=phasor",
-        "--set",
-        "frequency=60",
-        "--set",
-        "line.length=100",
-        "--error",
-        "ratio=0.02",
-        "--error",
-        "sync_us=7",
-    ]
+    more = ["s.cfg", "r.cfg", *LINE_GIVEN, "--window", "0.022", "0.035", "--late", "3", "-5", "--channels", "a,b,,c",
+            "--bag", "there", "--set", "algorithm=phasor", "--set", "frequency=60", "--set", "line.length=100",
+            "--error", "ratio=0.02", "--error", "sync_us=7"]  # fmt: skip
     status, called = asked(monkeypatch, *more)
     assert called["read"] == (["s.cfg", "r.cfg"], ["a", "b", "c"], (pytest.approx(3e-6), pytest.approx(-5e-6)))
     assert called["bag"] == "there"

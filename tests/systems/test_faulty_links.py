@@ -13,22 +13,10 @@ from softrig_core.scenario.port_text import ports_of, ports_text, reader
 from softrig_core.wire import types
 
 # duration of each run, s: some ticks of its controllers and at least one message of rare publishers
-SYSTEMS = {
-    "dc_motor_smc": 0.003,
-    "dc_motor_fsfb": 0.3,
-    "induction_dtc": 0.003,
-    "lsrm_fuzzy": 0.003,
-    "pv_mppt": 0.02,
-    "rectifier_mpc": 0.01,
-    "fault_location": 0.001,
-    "gupfc": 0.004,
-    "economic_dispatch": 2.0,
-    "manipulator_adsmc": 0.01,
-    "rehab_impedance": 0.01,
-    "pwa_delay": 0.003,
-    "tcp_aqm_smc": 0.02,
-    "optimal_control_mvim": 8.0,
-}
+SYSTEMS = {"dc_motor_smc": 0.003, "dc_motor_fsfb": 0.3, "induction_dtc": 0.003, "lsrm_fuzzy": 0.003, "pv_mppt": 0.02,
+           "rectifier_mpc": 0.01, "fault_location": 0.001, "gupfc": 0.004, "economic_dispatch": 2.0,
+           "manipulator_adsmc": 0.01, "rehab_impedance": 0.01, "pwa_delay": 0.003, "tcp_aqm_smc": 0.02,
+           "optimal_control_mvim": 8.0}  # fmt: skip
 # not published within this time
 LATER = {"fault_location": {"verdict", "location", "objective"}, "pwa_delay": {"lyapunov"}}
 KINDS = FaultParams.model_fields["kind"].annotation.__args__

@@ -603,22 +603,9 @@ def no_time_beside_a_node_s(scenario):
                 assert not near, f"{scenario}: {figure}: {name} = {value} is {near} of a node"
 
 
-HEADLINES = (
-    "dc_motor_smc",
-    "dc_motor_fsfb",
-    "economic_dispatch",
-    "fault_location",
-    "gupfc_s5",
-    "induction_dtc",
-    "lsrm_fuzzy",
-    "manipulator_adsmc",
-    "optimal_control_mvim",
-    "pv_mppt",
-    "pwa_delay_p2",
-    "rectifier_mpc",
-    "rehab_impedance",
-    "tcp_aqm_smc",
-)
+HEADLINES = ("dc_motor_smc", "dc_motor_fsfb", "economic_dispatch", "fault_location", "gupfc_s5", "induction_dtc",
+             "lsrm_fuzzy", "manipulator_adsmc", "optimal_control_mvim", "pv_mppt", "pwa_delay_p2", "rectifier_mpc",
+             "rehab_impedance", "tcp_aqm_smc")  # fmt: skip
 
 
 @pytest.mark.parametrize("scenario", few(HEADLINES, 6))

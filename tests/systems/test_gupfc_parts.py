@@ -176,14 +176,8 @@ def test_a_solution_is_one_in_all_its_numbers(loss, surplus):
     assert delivered + solution.p12 + solution.p34 == pytest.approx(surplus, abs=1e-9)
     vector = np.array(list(u.values()))
     into = Network(NETWORK).admittance @ vector - Network(NETWORK).injection
-    wanted = [
-        0.0,
-        solution.i_sh - solution.v12 / NETWORK.z_se,
-        solution.v12 / NETWORK.z_se,
-        -solution.v34 / NETWORK.z_se,
-        solution.v34 / NETWORK.z_se,
-        0.0,
-    ]
+    wanted = [0.0, solution.i_sh - solution.v12 / NETWORK.z_se, solution.v12 / NETWORK.z_se,
+              -solution.v34 / NETWORK.z_se, solution.v34 / NETWORK.z_se, 0.0]  # fmt: skip
     assert into == pytest.approx(np.array(wanted), abs=1e-8)
     assert solution.mismatch <= 1e-10
     assert solution.sizes[0] == pytest.approx(max(abs(solution.v12), abs(solution.v34)))

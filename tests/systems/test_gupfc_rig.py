@@ -298,15 +298,8 @@ def test_power_flow_against_pandapower():
     branch, bus = np.zeros((len(rows), idx_brch.branch_cols)), np.zeros((len(at), idx_bus.bus_cols))
     bus[:, idx_bus.BUS_I] = range(len(at))
     for k, (a, b, series, charging) in enumerate(rows):
-        columns = (
-            idx_brch.F_BUS,
-            idx_brch.T_BUS,
-            idx_brch.BR_R,
-            idx_brch.BR_X,
-            idx_brch.BR_G,
-            idx_brch.BR_B,
-            idx_brch.BR_STATUS,
-        )
+        columns = (idx_brch.F_BUS, idx_brch.T_BUS, idx_brch.BR_R, idx_brch.BR_X, idx_brch.BR_G, idx_brch.BR_B,
+                   idx_brch.BR_STATUS)  # fmt: skip
         branch[k, columns] = at[a], at[b], series.real, series.imag, charging.real, charging.imag, 1
     Y, _, _ = makeYbus(100.0, bus, branch)
     norton = {k: (v / NETWORK.z_se).conjugate() for k, v in ((1, flow.v12), (3, flow.v34))}

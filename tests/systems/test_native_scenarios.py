@@ -141,18 +141,8 @@ def test_a_scenario_gives_the_same_as_in_python(name: str) -> None:
 
 
 # one of each kind, and what may change while it runs
-SOME = (
-    "dc_motor_smc_b2",
-    "dc_motor_fsfb_s1",
-    "rehab_impedance_r5",
-    "tcp_aqm_smc_pid",
-    "rectifier_mpc_l1",
-    "manipulator_adsmc",
-    "induction_dtc",
-    "lsrm_fuzzy",
-    "pv_mppt_s5",
-    "gupfc_short",
-)
+SOME = ("dc_motor_smc_b2", "dc_motor_fsfb_s1", "rehab_impedance_r5", "tcp_aqm_smc_pid", "rectifier_mpc_l1",
+        "manipulator_adsmc", "induction_dtc", "lsrm_fuzzy", "pv_mppt_s5", "gupfc_short")  # fmt: skip
 
 FAULTS: tuple[dict[str, Any], ...] = (
     {"kind": "offset", "value": [0.1]},

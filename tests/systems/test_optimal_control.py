@@ -161,17 +161,8 @@ def test_example_1_polynomials():
     assert u == pytest.approx(-lam / 2)
 
 
-OWN = {
-    1: 0.00468912900,
-    2: 0.00467836610,
-    3: 0.00469251885,
-    4: 0.00468699624,
-    5: 0.00468761434,
-    6: 0.00468781643,
-    8: 0.00468779497,
-    10: 0.00468779536,
-    12: 0.0046877953529,
-}
+OWN = {1: 0.00468912900, 2: 0.00467836610, 3: 0.00469251885, 4: 0.00468699624, 5: 0.00468761434, 6: 0.00468781643,
+       8: 0.00468779497, 10: 0.00468779536, 12: 0.0046877953529}  # fmt: skip
 
 
 def test_example_2():
@@ -205,18 +196,8 @@ def test_the_closed_form_of_the_spacecraft_holds_for_every_inertia_and_horizon(i
         assert np.linalg.norm(moments * solution(t)[:3]) == pytest.approx(h0 * (1.0 - t / horizon), abs=1e-9 * h0)
 
 
-TWO_STATE_J = {
-    1: 0.853333,
-    2: 0.4102739,
-    3: 0.4303945,
-    4: 0.4372652,
-    6: 0.4411141,
-    8: 0.4425915,
-    10: 0.4430709,
-    15: 0.4432739,
-    20: 0.4432853,
-    30: 0.44328597,
-}
+TWO_STATE_J = {1: 0.853333, 2: 0.4102739, 3: 0.4303945, 4: 0.4372652, 6: 0.4411141, 8: 0.4425915, 10: 0.4430709,
+               15: 0.4432739, 20: 0.4432853, 30: 0.44328597}  # fmt: skip
 
 
 def test_example_3():
@@ -396,16 +377,8 @@ def test_one_stage_is_beyond_the_reactors_radius_of_convergence():
 
 def test_a_users_problem_needs_only_dynamics_and_cost():
     """A double integrator moved by 1 in 2 s: u = 1.5 (1 - t), J = 1/2 int u^2 = 6/T^3 = 0.75."""
-    own = Problem(
-        "integrator",
-        {"q": "m", "v": "m/s"},
-        {"u": "m/s^2"},
-        lambda x, u: [x[1], u[0]],
-        lambda x, u: u[0] ** 2 / 2,
-        x0=(0.0, 0.0),
-        horizon=2.0,
-        x_end=(1.0, 0.0),
-    )
+    own = Problem("integrator", {"q": "m", "v": "m/s"}, {"u": "m/s^2"}, lambda x, u: [x[1], u[0]],
+                  lambda x, u: u[0] ** 2 / 2, x0=(0.0, 0.0), horizon=2.0, x_end=(1.0, 0.0))  # fmt: skip
     for J in (solve(own, 4).J[-1], collocation.solve(own).J, exact.least_cost(own)):
         assert abs(J - 0.75) < 1e-9
     assert solve(own, 4).coefficients[0, 4] == pytest.approx([1.5, -3.0, 0.0, 0.0, 0.0], abs=1e-12)

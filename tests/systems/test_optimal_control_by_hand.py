@@ -626,16 +626,8 @@ def power_plan(rng, stages=1, order=2):
 
 
 def about(**more):
-    named = {
-        "start": 0.0,
-        "horizon": 3.0,
-        "order": 2.0,
-        "J_series": 0.1,
-        "residual": 1e-9,
-        "end_error": 0.0,
-        "converged": 1.0,
-        "trusted": 1.0,
-    }
+    named = {"start": 0.0, "horizon": 3.0, "order": 2.0, "J_series": 0.1, "residual": 1e-9, "end_error": 0.0,
+             "converged": 1.0, "trusted": 1.0}  # fmt: skip
     return tuple({**named, **more}[name] for name in SUMMARY)
 
 

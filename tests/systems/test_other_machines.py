@@ -202,13 +202,8 @@ def test_three_units_of_the_textbook_are_dispatched_as_there():
     assert [result[f"{k}_unit"] for k in ("first", "second", "third")] == pytest.approx(P, abs=0.05)
     lossy = simulate("economic_dispatch_wood_losses").figures
     B = np.array([3e-5, 9e-5, 12e-5])
-    best = minimize(
-        lambda P: (a * P**2 + b * P + c).sum(),
-        P,
-        method="SLSQP",
-        options={"ftol": 1e-12, "maxiter": 500},
-        constraints={"type": "eq", "fun": lambda P: P.sum() - 850 - (B * P**2).sum()},
-    )
+    best = minimize(lambda P: (a * P**2 + b * P + c).sum(), P, method="SLSQP", options={"ftol": 1e-12, "maxiter": 500},
+                    constraints={"type": "eq", "fun": lambda P: P.sum() - 850 - (B * P**2).sum()})  # fmt: skip
     assert lossy["fleet_cost"] == pytest.approx(best.fun, abs=2e-3)
     assert lossy["fleet_output"] - 850 == pytest.approx((B * best.x**2).sum(), abs=0.01)
 

@@ -84,20 +84,8 @@ def boxes(function, chance):
     units = Units.read("units_3")
     losses = Losses(1e-5 * (np.eye(3) + 0.3), np.full(3, 1e-3), 0.1)
     problem = branch.Problem(
-        units.table,
-        np.arange(3),
-        850.0,
-        1e-3,
-        NARROW,
-        units.p_min,
-        units.p_max,
-        losses.B,
-        losses.B0,
-        losses.B00,
-        100.0,
-        np.array([60.0, 50.0, 100.0]),
-        True,
-    )
+        units.table, np.arange(3), 850.0, 1e-3, NARROW, units.p_min, units.p_max, losses.B, losses.B0, losses.B00,
+        100.0, np.array([60.0, 50.0, 100.0]), True)  # fmt: skip
     cost, bound, nodes, best = function(problem, units.p_min.copy(), 12, 40, 30)
     yield from (np.array([cost, bound, nodes]), best)
 

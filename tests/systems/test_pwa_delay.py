@@ -333,14 +333,8 @@ TANKS = {
     "tank_controller.phi": 500.0,
     "tank_plant.x0": 1.5,
 }
-REFUSED_OF_THE_LEVEL = {
-    "tank_plant.model": "pwa",
-    "tank_plant.A": 20.0,
-    "tank_plant.phi": 500.0,
-    "tank_plant.switch": 0.7,
-    "tank_plant.k_low": 0.1,
-    "tank_plant.k_high": 0.15,
-}
+REFUSED_OF_THE_LEVEL = {"tank_plant.model": "pwa", "tank_plant.A": 20.0, "tank_plant.phi": 500.0,
+                        "tank_plant.switch": 0.7, "tank_plant.k_low": 0.1, "tank_plant.k_high": 0.15}  # fmt: skip
 FREE_OF_THE_LEVEL = {  # it holds for any delay up to h; the rest is how a run is computed
     "tank_plant.delay",
     "tank_plant.max_delay",
@@ -637,16 +631,8 @@ def test_sliding_is_found_and_crossing_is_not():
 
 
 def test_an_offset_that_a_shift_removes_is_accepted():
-    shifted = PwaSystem(
-        (np.array([[-2.0]]),),
-        (np.array([[-1.0]]),),
-        (np.array([3.0]),),
-        (np.zeros((0, 2)),),
-        (np.zeros(0),),
-        (np.eye(2),),
-        np.zeros((0, 1)),
-        np.zeros((0, 1)),
-    )
+    shifted = PwaSystem((np.array([[-2.0]]),), (np.array([[-1.0]]),), (np.array([3.0]),), (np.zeros((0, 2)),),
+                        (np.zeros(0),), (np.eye(2),), np.zeros((0, 1)), np.zeros((0, 1)))  # fmt: skip
     assert certify(shifted, 1.0).valid
 
 
@@ -711,16 +697,10 @@ def test_faces_of_cells_do_not_depend_on_the_scaling_of_inequalities(scale):
     """Three strips, the middle one 0.5 wide: a face is between two neighbours, and no check skips a strip."""
     three = tuple(np.eye(2) for _ in range(3))
     E = ([[-1.0, 0.0]], [[1.0, 0.0], [-1.0, 0.0]], [[1.0, 0.0]])
-    strips = cells(
-        A=tuple(-np.eye(1) for _ in range(3)),
-        Ad=tuple(np.zeros((1, 1)) for _ in range(3)),
-        a=tuple(np.zeros(1) for _ in range(3)),
-        E=tuple(scale * np.array(rows) for rows in E),
-        e=tuple(scale * np.array(offsets) for offsets in ([-0.25], [0.25, 0.25], [-0.25])),
-        F=three,
-        lines=np.zeros((0, 1)),
-        lines_delayed=np.zeros((0, 1)),
-    )
+    strips = cells(A=tuple(-np.eye(1) for _ in range(3)), Ad=tuple(np.zeros((1, 1)) for _ in range(3)),
+                   a=tuple(np.zeros(1) for _ in range(3)), E=tuple(scale * np.array(rows) for rows in E),
+                   e=tuple(scale * np.array(offsets) for offsets in ([-0.25], [0.25, 0.25], [-0.25])), F=three,
+                   lines=np.zeros((0, 1)), lines_delayed=np.zeros((0, 1)))  # fmt: skip
     assert strips.faces() == [(0, 0, 1), (1, 0, 0), (1, 1, 2), (2, 0, 1)]
 
 

@@ -506,16 +506,8 @@ def test_impossible_plants_are_refused():
 @pytest.mark.parametrize("structure", ["sensorless", "decoupled"])
 @pytest.mark.parametrize("model", ["averaged_dq", "averaged_abc", "switched"])
 def test_the_plant_begins_as_expected(model, structure):
-    plant = RectifierPlant(
-        model=model,
-        structure=structure,
-        waveform=True,
-        i_start=12.0,
-        v_start=390.0,
-        R_L=30.0,
-        period=1e-3,
-        substep=5e-4,
-    )
+    plant = RectifierPlant(model=model, structure=structure, waveform=True, i_start=12.0, v_start=390.0, R_L=30.0,
+                           period=1e-3, substep=5e-4)  # fmt: skip
     x = plant.first()
     of = phases_of(12.0, 0.0)
     assert x.v == 390.0

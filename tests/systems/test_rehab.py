@@ -690,13 +690,8 @@ def test_references_rejected_permanently_give_0_volt_or_a_stop(law):
 def test_lost_states_give_0_volt_whatever_the_reference(lost):
     block = ByHand(VoltageController(reference_lost="hold"))
     block.block.ages = {lost: 21_000_000}.get
-    outputs = block.update(
-        0,
-        joint_states=(0.2, -0.5, 0.0, 0.0),
-        motor_states=(0.5, 0.2),
-        applied_voltage=(2.0, 1.0),
-        reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0),
-    )
+    outputs = block.update(0, joint_states=(0.2, -0.5, 0.0, 0.0), motor_states=(0.5, 0.2), applied_voltage=(2.0, 1.0),
+                           reference=(0.21, -0.49, 0.1, 0.1, 0.0, 0.0))  # fmt: skip
     assert outputs["motor_command"] == (0.0, 0.0)
     assert block.reports["SAFE"][1] == f"SAFE: no new {lost} for more than 20 periods: 0 V"
 

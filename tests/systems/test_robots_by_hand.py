@@ -445,16 +445,8 @@ def test_the_sampled_leg_equals_the_plant_near_a_pose():
     """
     motors = {"inertia": (3e-4, 2e-4), "damping": (2e-3, 1e-3), "inductance": (2.5e-3, 5e-3), "gear": (0.1, 0.05)}
     robot = build(LinearRobot, {"motors": motors, "payload": 1.5, "viscous": (1.3, 0.6)})
-    plant = RehabPlant(
-        motors=motors,
-        payload=1.5,
-        friction={"coulomb": 0.0, "static": 0.0, "viscous": (1.3, 0.6)},
-        v_max=1e3,
-        rom_margin=9.0,
-        rom_speed=90.0,
-        substeps=4,
-        disturbance={"torque": 0.0},
-    )
+    plant = RehabPlant(motors=motors, payload=1.5, friction={"coulomb": 0.0, "static": 0.0, "viscous": (1.3, 0.6)},
+                       v_max=1e3, rom_margin=9.0, rom_speed=90.0, substeps=4, disturbance={"torque": 0.0})  # fmt: skip
     pose, eps = np.array([0.4, -0.7]), 1e-5
 
     def potential(q):

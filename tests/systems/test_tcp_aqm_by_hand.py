@@ -21,21 +21,8 @@ from softrig_systems.tcp_aqm.packets import Agenda, Fifo, Inside, Rules, Sources
 from softrig_systems.tcp_aqm.packets_plant import TcpPackets
 
 MS = 1_000_000
-GAINS = {
-    "k1": 3.0,
-    "k2": 40.0,
-    "lam": 5.0,
-    "l1": 2.0,
-    "l2": 7.0,
-    "k": 30.0,
-    "kp": 1e-3,
-    "ki": 2e-3,
-    "bias": 0.1,
-    "pid_gain": 4e-3,
-    "pid_ti": 2.0,
-    "pid_td": 0.3,
-    "a": 1.5,
-}
+GAINS = {"k1": 3.0, "k2": 40.0, "lam": 5.0, "l1": 2.0, "l2": 7.0, "k": 30.0, "kp": 1e-3, "ki": 2e-3, "bias": 0.1,
+         "pid_gain": 4e-3, "pid_ti": 2.0, "pid_td": 0.3, "a": 1.5}  # fmt: skip
 
 
 def near(expected):
@@ -129,14 +116,8 @@ def test_the_controller_equals_its_law_on_an_independent_record(law, options):
         ages = np.arange(len(record))[::-1] * 0.01
         w_R, R_R = (np.interp(min(R, 0.1), ages[::-1], [row[c] for row in reversed(record)]) for c in (0, 1))
         e = q - q_d
-        m = Measured(
-            e,
-            40.0 * w / R - 2000.0,
-            phi(w, R, 40, 2000.0, printed="phi_form" in options),
-            psi(w, R, w_R, R_R, 40),
-            0.0 if last is None else (e - last) / 0.01,
-            integral,
-        )
+        m = Measured(e, 40.0 * w / R - 2000.0, phi(w, R, 40, 2000.0, printed="phi_form" in options),
+                     psi(w, R, w_R, R_R, 40), 0.0 if last is None else (e - last) / 0.01, integral)  # fmt: skip
         u, s = wanted(law, m, g, 0.0)
         if not ((law == "robust" or options.get("anti_windup")) and ((u > 1.0 and e > 0.0) or (u < 0.0 and e < 0.0))):
             integral += e * 0.01

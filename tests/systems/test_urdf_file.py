@@ -80,13 +80,7 @@ CHANGES = {
     "joint/mimic@offset": ('offset="0.2"', 'offset="0.3"'),
 }
 # published with the file, no number
-FOR_VIEWERS = {
-    "robot@name",
-    "link",
-    "link/visual/**",
-    "material/**",
-    "ros2_control/**",
-}
+FOR_VIEWERS = {"robot@name", "link", "link/visual/**", "material/**", "ros2_control/**"}  # fmt: skip
 
 
 def reading(text):
