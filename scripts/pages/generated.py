@@ -140,7 +140,8 @@ def carried(ports: Sequence[Port]) -> list[str]:
     for field in (f for f in _MECHANICAL if f in gathered):
         topics = (f"`{topic}` ({', '.join(units)})" for topic, units in gathered[field].items())
         parts.append(f"`{field}` of {', '.join(topics)}: {why[field]}")
-    return [f"JointState carries other quantities than a joint's here (page *Names*): {'; '.join(parts)}.", ""]
+    head = "Its JointState messages also carry quantities that do not belong to joints (page *Names*)"
+    return [f"{head}: {'; '.join(parts)}.", ""]
 
 
 def _plain(formula: re.Match[str]) -> str:

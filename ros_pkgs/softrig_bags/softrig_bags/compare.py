@@ -241,7 +241,7 @@ def _pairs(name: str, known: Sequence[list[Described]]) -> Iterator[tuple[int | 
 
 
 def _in_step(streams: list[Iterator[Block]]) -> Iterator[tuple[int, Block]]:
-    """Yield the blocks of both bags, each time from the bag of which less has been read."""
+    """Yield the blocks of both bags; the next block is always of the bag of which less has been read."""
     read = dict.fromkeys(range(len(streams)), 0)
     while read:
         # Both bags advance alike, so that few messages wait in memory for their partners.

@@ -224,7 +224,7 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _headings(labels: Iterable[str]) -> list[str]:
-    """Return the names of all columns; a field that is called as one of the table's own gets another."""
+    """Return the names of all columns; a field with the name of one of the table's own columns gets another name."""
     return [*OWN, *(f"field/{label}" if label in OWN else label for label in labels)]
 
 

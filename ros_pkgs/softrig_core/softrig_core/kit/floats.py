@@ -32,7 +32,7 @@ def _is_row(x: tuple[Any, ...]) -> bool:
 
 
 def read(x: Any, path: str = "") -> Iterator[tuple[str, Array]]:
-    """Yield (name, numbers) of every float in a state.
+    """Yield the path and the numbers of each float in a state.
 
     Floats, complex numbers (two each), arrays of them, and tuples of these, also named ones within: ``pid.integral``.
     Integers, strings and booleans are no part of a linear view (`others`). Objects are opaque, unless they provide

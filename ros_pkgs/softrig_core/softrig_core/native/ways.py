@@ -183,7 +183,7 @@ class Ways:
         return name if own is not None and self.outer(name, node) is own else ""
 
     def unfolded(self, value: Dynamic) -> Record:
-        """Return a mapping that a function has answered by its parts."""
+        """Return a mapping, which a function has returned as its parts, in one piece."""
         assert value.keys is not None
         base = self.simple(value)
         return Record({key: self._part(base, k) for k, key in enumerate(value.keys)})
